@@ -112,7 +112,7 @@ _ROOMS = MappingProxyType(
             "write_site",
         ),
         "cards.card": ("Card",),
-        "cards.file.listing": ("ListedPolicy",),
+        "cards.load": ("ListedPolicy",),
         "engine.forecast": ("Forecast",),
         "engine.plan": ("Plan",),
         "errors": (
@@ -133,7 +133,7 @@ _ROOMS = MappingProxyType(
         "gate.side_by_side.result": ("PolicyComparison",),
         "gate.verdict": ("Verdict",),
         "hub.fetched": ("Fetched",),
-        "onboarding.probe.rows": ("ProbeReport",),
+        "onboarding.probe.report": ("ProbeReport",),
         "onboarding.probe.summary": ("CardSummary",),
         "request": ("Request",),
         "results.bank": ("SavedBank",),

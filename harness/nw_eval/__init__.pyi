@@ -97,7 +97,7 @@ from nw_eval.api import (
     write_site,
 )
 from nw_eval.cards.card import Card
-from nw_eval.cards.file.listing import ListedPolicy
+from nw_eval.cards.load import ListedPolicy
 from nw_eval.engine.forecast import Forecast
 from nw_eval.engine.plan import Plan
 from nw_eval.errors import (
@@ -118,7 +118,7 @@ from nw_eval.gate.ledger.report import LedgerReport
 from nw_eval.gate.side_by_side.result import PolicyComparison
 from nw_eval.gate.verdict import Verdict
 from nw_eval.hub.fetched import Fetched
-from nw_eval.onboarding.probe.rows import ProbeReport
+from nw_eval.onboarding.probe.report import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary
 from nw_eval.request import Request
 from nw_eval.results.bank import SavedBank

@@ -21,7 +21,7 @@ import pytest
 from nw_eval import api
 from nw_eval.api.running.plans import rechecked
 from nw_eval.cli import main
-from nw_eval.cli.text.judging.forecast import forecast_page
+from nw_eval.cli.verbs.check import forecast_page
 from nw_eval.engine import session
 from nw_eval.engine.trials.attempts import Attempts
 from nw_eval.errors import IncomparableError, StoreError, UsageError

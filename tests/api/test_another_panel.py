@@ -7,7 +7,7 @@ import json
 import pytest
 
 from nw_eval import api
-from nw_eval.cli.text.judging.forecast import forecast_page
+from nw_eval.cli.verbs.check import forecast_page
 from nw_eval.errors import IncomparableError, UsageError
 
 SUITE = """\

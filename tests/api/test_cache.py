@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api
-from nw_eval.cli.terminal.summary import summary
+from nw_eval.cli.verbs.options import summary
 from nw_eval.engine import provenance
 from nw_eval.engine.cache import key, opening
 from nw_eval.engine.cache.entry import read_entry, write_entry

@@ -134,6 +134,24 @@ def test_too_few_rounds_against_a_baseline_are_said(monkeypatch):
     assert api.check("hurdles", **changes).obstacles == ()
 
 
+def test_a_bar_above_what_the_baseline_scores_is_said_before_anything_runs(
+    monkeypatch, tmp_path, capsys
+):
+    monkeypatch.chdir(ROOT)
+    hurdles = (ROOT / "suites" / "hurdles.yaml").read_text()
+    assert "success_rate: 0.75" in hurdles
+    suite = tmp_path / "hurdles.yaml"
+    suite.write_text(hurdles.replace("success_rate: 0.75", "success_rate: 0.95"))
+    options = ["--policy", "go1-parkour", "--baseline", "go1-parkour"]
+    assert left_with("check", suite, *options) == 0
+    assert (
+        "warning   gate.success_rate 0.95 is above the success of baseline go1-parkour, 0.948: "
+        "a policy that is as good as the baseline does not pass"
+    ) in capsys.readouterr().out
+    assert left_with("check", "hurdles", *options) == 0
+    assert "warning" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("name", sorted(available("suites")))
 def test_every_shipped_suite_can_pass(name, monkeypatch):
     monkeypatch.chdir(ROOT)

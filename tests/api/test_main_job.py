@@ -8,8 +8,8 @@ from importlib.util import find_spec
 import pytest
 
 from nw_eval import api
-from nw_eval.cli.terminal.summary import summary
-from nw_eval.cli.text.judging.forecast import forecast_page
+from nw_eval.cli.verbs.check import forecast_page
+from nw_eval.cli.verbs.options import summary
 from nw_eval.errors import (
     IncomparableError,
     PrerequisiteError,

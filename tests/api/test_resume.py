@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from nw_eval import api
-from nw_eval.cli.terminal.summary import summary
+from nw_eval.cli.verbs.options import summary
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.files.shipped import shipped
 from nw_eval.results.journal import Journal, read_journal
@@ -115,7 +115,7 @@ KILLED = """
 import os, signal
 from pathlib import Path
 from nw_eval import api
-from nw_eval.cli.terminal.summary import summary
+from nw_eval.cli.verbs.options import summary
 from nw_eval.results.journal import Journal
 
 Journal._begin = lambda *_: os.kill(os.getpid(), signal.SIGKILL)

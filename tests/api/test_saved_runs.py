@@ -11,7 +11,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.cli import main
-from nw_eval.cli.terminal.summary import summary
+from nw_eval.cli.verbs.options import summary
 from nw_eval.errors import StoreError
 from nw_eval.results.columns import SCHEMA
 from nw_eval.results.ended import write_trials

@@ -8,7 +8,7 @@ import pytest
 from onnx import numpy_helper
 
 from nw_eval import api
-from nw_eval.cli.text.judging.series import series_page
+from nw_eval.cli.verbs.bisect import series_page
 from nw_eval.errors import IncomparableError, PolicyError
 from nw_eval.policies import load_bundle
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from nw_eval import api, cli
 from nw_eval.built_in.entry import Entry
 from nw_eval.catalogue import find as catalogue
-from nw_eval.cli.text.judging.forecast import forecast_page
+from nw_eval.cli.verbs.check import forecast_page
 from nw_eval.errors import PolicyError, SuiteError
 from nw_eval.suite import load_suite
 

@@ -29,7 +29,7 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.cards.observations import ProprioObservation
-from nw_eval.onboarding.probe.rig import ThisBundle
+from nw_eval.onboarding.probe.recording import ThisBundle
 from nw_eval.policies import Policy, load_bundle, open_policy
 from nw_eval.policies.networks.act import Act, read_sizes
 from nw_eval.policies.networks.lucidsim import LucidSimTransformer

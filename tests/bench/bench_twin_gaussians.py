@@ -30,12 +30,10 @@ from nw_eval.splat.camera import Camera, look_at
 from nw_eval.splat.render import CpuRenderer
 from nw_eval.splat.store import memory_store, open_store
 from nw_eval.twin.gaussians.config import TrainConfig
-from nw_eval.twin.gaussians.evaluate import view_figures
+from nw_eval.twin.gaussians.images import Images, Photo
 from nw_eval.twin.gaussians.initial import gaussians_at
-from nw_eval.twin.gaussians.loss import photo_loss
-from nw_eval.twin.gaussians.photo import Photo
-from nw_eval.twin.gaussians.raster.images import Images
-from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
+from nw_eval.twin.gaussians.loss import photo_loss, view_figures
+from nw_eval.twin.gaussians.rasteriser import Rasteriser
 from nw_eval.twin.gaussians.trainer import Trainer
 
 TARGET = (50_000, 320)

@@ -5,8 +5,7 @@ import pytest
 from pydantic import ValidationError
 
 from nw_eval.cards import JointControl, load_card
-from nw_eval.cards.layouts import LAYOUTS
-from nw_eval.cards.terms import Constant, term_size
+from nw_eval.cards.terms import LAYOUTS, Constant, term_size
 from nw_eval.errors import PolicyError
 from nw_eval.files.yaml_file import parse_yaml
 from nw_eval.robots import get_robot

@@ -22,10 +22,15 @@ from onnx import TensorProto, helper, numpy_helper
 from nw_eval.cards import Card, load_card
 from nw_eval.cards.checkpoint import ADAPTERS
 from nw_eval.cards.control import Control
-from nw_eval.cards.observations import BUILT_IN_SENSORS, BaseObservation, ProprioObservation
-from nw_eval.cards.observations.cameras import SplatRgbObservation
-from nw_eval.cards.observations.heights import HeightmapObservation, ScandotsObservation
-from nw_eval.cards.observations.proprio import History
+from nw_eval.cards.observations import (
+    BUILT_IN_SENSORS,
+    BaseObservation,
+    HeightmapObservation,
+    History,
+    ProprioObservation,
+    ScandotsObservation,
+    SplatRgbObservation,
+)
 from nw_eval.cards.terms import (
     Acceleration,
     AnyTerm,
@@ -40,7 +45,7 @@ from nw_eval.policies.remote.client import RemoteOptions
 from nw_eval.robots import get_robot
 from nw_eval.rollout.check_bundle import check_bundle
 from nw_eval.sensors import check_card
-from nw_eval.sensors.ground.heights import grid
+from nw_eval.sensors.heights import grid
 
 NW_EVAL = [sys.executable, "-c", "from nw_eval.cli import main; main()"]
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "policies.md").read_text()

@@ -15,12 +15,11 @@ from ruamel.yaml import YAML
 from nw_eval import api
 from nw_eval.cards import Card, load_card
 from nw_eval.cards.joints import joint_values
-from nw_eval.cli.text.parts.probe import probe_page
+from nw_eval.cli.verbs.policies import probe_page
 from nw_eval.errors import PolicyError
-from nw_eval.onboarding.probe.report import probe_here
-from nw_eval.onboarding.probe.rows import BEYOND
-from nw_eval.onboarding.variants.joint_signs import turned_cards
-from nw_eval.onboarding.variants.written import changed_lines, flow, per_joint
+from nw_eval.onboarding.notation import changed_lines, flow, per_joint
+from nw_eval.onboarding.probe.hypotheses import turned_cards
+from nw_eval.onboarding.probe.report import BEYOND, probe_here
 from nw_eval.policies import load_bundle
 from nw_eval.robots import get_robot
 

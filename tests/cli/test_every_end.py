@@ -59,7 +59,7 @@ def test_what_nobody_foresaw_is_4_with_one_line_and_its_traceback_in_a_file(
     capsys, monkeypatch, tmp_path, end
 ):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr("nw_eval.cli.verbs.parts.scenes.List.__call__", ENDS[end])
+    monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", ENDS[end])
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "list"])
     assert left.value.code == 4
@@ -75,7 +75,7 @@ def test_what_nobody_foresaw_is_4_with_one_line_and_its_traceback_in_a_file(
 
 def test_a_traceback_without_room_costs_the_traceback_only(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
-    monkeypatch.setattr("nw_eval.cli.verbs.parts.scenes.List.__call__", ENDS["disk"])
+    monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", ENDS["disk"])
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "list"])
     assert left.value.code == 4
@@ -88,7 +88,7 @@ def test_an_exception_that_cannot_be_printed_is_4_too(capsys, monkeypatch):
         def __str__(self):
             raise RuntimeError("no words")
 
-    monkeypatch.setattr("nw_eval.cli.verbs.parts.scenes.List.__call__", raising(MuteError()))
+    monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", raising(MuteError()))
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "list"])
     assert left.value.code == 4
@@ -96,9 +96,7 @@ def test_an_exception_that_cannot_be_printed_is_4_too(capsys, monkeypatch):
 
 
 def test_an_interruption_is_130_and_one_word(capsys, monkeypatch):
-    monkeypatch.setattr(
-        "nw_eval.cli.verbs.parts.scenes.List.__call__", raising(KeyboardInterrupt())
-    )
+    monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", raising(KeyboardInterrupt()))
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "list"])
     assert left.value.code == 130
@@ -108,7 +106,7 @@ def test_an_interruption_is_130_and_one_word(capsys, monkeypatch):
 def test_an_interruption_that_a_library_disguises_is_130_too(capsys, monkeypatch):
     monkeypatch.setattr(interruption, "was_heard", True)
     disguised = raising(ImportError("numpy failed to import"))
-    monkeypatch.setattr("nw_eval.cli.verbs.parts.scenes.List.__call__", disguised)
+    monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", disguised)
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "list"])
     assert left.value.code == 130
@@ -240,7 +238,7 @@ def test_ctrl_c_at_any_moment_of_the_start_is_130_without_a_traceback():
 THREAD = """
 import threading, weakref
 from nw_eval.cli import main
-from nw_eval.cli.verbs.parts import scenes
+from nw_eval.cli.verbs import scenes
 
 class Fragile:
     def __del__(self):

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from nw_eval.api.verifying.result import RepeatedTrial, Repeats, VerifiedRun
-from nw_eval.cli.text.verification import verification_lines
+from nw_eval.cli.verbs.verify import verification_lines
 from nw_eval.errors import IncomparableError
 from nw_eval.results.evidence.discrepancy import CheckedFiles, Discrepancy
 from nw_eval.rollout.replaying.report import Difference

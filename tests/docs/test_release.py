@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from pathlib import Path
 
+import pytest
 from ruamel.yaml import YAML
 
 import nw_eval
@@ -44,3 +46,49 @@ def test_the_image_has_the_versions_of_the_constraints():
     build = re.search(r"build==([\d.]+)", (ROOT / "Dockerfile").read_text())
     assert build is not None
     assert f"\nbuild=={build[1]}\n" in (ROOT / "constraints.txt").read_text()
+
+
+def test_an_update_never_moves_what_results_depend_on():
+    (updates,) = (
+        update["ignore"]
+        for update in yaml(".github/dependabot.yml")["updates"]
+        if update["package-ecosystem"] == "pip"
+    )
+    lists = (ROOT / "constraints.txt").read_text().split("# ")
+    pinned = [
+        part for part in lists if part.startswith(("What changes results", "What changes pl"))
+    ]
+    assert len(pinned) == 2
+    names = {line.split("==")[0] for part in pinned for line in part.splitlines()[1:] if line}
+    assert {entry["dependency-name"] for entry in updates} == names
+
+
+@pytest.mark.parametrize("name", ["bug", "checkpoint", "feature"])
+def test_an_issue_s_form_asks_for_what_reproduces_it(name):
+    form = yaml(f".github/ISSUE_TEMPLATE/{name}.yml")
+    assert form["name"]
+    assert form["description"]
+    asked = [field["id"] for field in form["body"]]
+    assert len(set(asked)) == len(asked)
+    assert all(field["type"] in {"input", "textarea"} for field in form["body"])
+    assert all(field["attributes"]["label"] for field in form["body"])
+    required = [x for x in form["body"] if x.get("validations", {}).get("required")]
+    assert required
+
+
+def test_hooks_before_a_commit_are_steps_of_the_checks():
+    makefile = (ROOT / "Makefile").read_text()
+    (local,) = yaml(".pre-commit-config.yaml")["repos"]
+    for hook in local["hooks"]:
+        program, *options = hook["entry"].split()
+        step = " ".join(["$(BIN)/" + Path(program).name, *options])
+        assert step.replace(".venv/bin/", "$(BIN)/") in makefile, hook["id"]
+
+
+def test_a_dev_container_is_set_up_by_targets_that_there_are():
+    container = json.loads((ROOT / ".devcontainer" / "devcontainer.json").read_text())
+    target = container["postCreateCommand"].split()[1]
+    assert target.replace(".venv", "$(VENV)") + ":" in (ROOT / "Makefile").read_text()
+    python = container["image"].split(":")[1].split("-")[0]
+    tests = yaml(".github/workflows/ci.yml")["jobs"]["test"]
+    assert python in tests["strategy"]["matrix"]["python"]

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from nw_eval.cli.text.replay import replay_line
+from nw_eval.cli.verbs.replay import replay_line
 from nw_eval.gate.absolute import judge
 from nw_eval.results.row import rows_digest
 from nw_eval.rollout.replaying.replay import replay

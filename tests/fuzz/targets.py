@@ -335,7 +335,7 @@ def _open_bundle(folder, file):
 
 
 def _inspect(folder):
-    from nw_eval.onboarding.reading.facts import inspect_checkpoint
+    from nw_eval.onboarding.checkpoint import inspect_checkpoint
 
     (path,) = folder.iterdir()
     return inspect_checkpoint(path)
@@ -351,7 +351,7 @@ def _tensors(folder):
 
 
 def _card(folder):
-    from nw_eval.cards.file.load import load_card
+    from nw_eval.cards.load import load_card
     from nw_eval.robots import get_robot
     from nw_eval.sensors import check_card
 
@@ -462,7 +462,7 @@ def _camera_seeds(_):
 
 
 def _read_cameras(folder):
-    from nw_eval.twin.calibrate.sources.find import find_source
+    from nw_eval.twin.calibrate.sources import find_source
 
     footage = find_source(folder, folder / "work", frames=2, say=lambda _: None)
     assert np.isfinite([one.lens.params for one in footage.cameras.placed[:1]]).all()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from nw_eval.api.running.reports import RunReport
 from nw_eval.api.series import BisectedSeries
-from nw_eval.cli.text.judging.series import series_page
+from nw_eval.cli.verbs.bisect import series_page
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.comparison import Comparison
 from nw_eval.gate.bisection import Decision, bisect

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from nw_eval.cards import Card, JointControl, load_card
-from nw_eval.cards.low_pass import ButterworthFilter, ExponentialFilter
+from nw_eval.cards.control import ButterworthFilter, ExponentialFilter
 from nw_eval.errors import PolicyError
-from nw_eval.onboarding.probe.rig import record
+from nw_eval.onboarding.probe.recording import record
 from nw_eval.policies import ActionFilter, load_bundle
 from nw_eval.robots import get_robot
 

@@ -10,12 +10,10 @@ import torch
 
 from nw_eval import api
 from nw_eval.cards import load_card
-from nw_eval.cli.text.parts.card import card_page
-from nw_eval.cli.text.parts.policies import policy_table
-from nw_eval.cli.text.parts.probe import probe_page
+from nw_eval.cli.verbs.policies import card_page, policy_table, probe_page
 from nw_eval.errors import PolicyError, UsageError
+from nw_eval.onboarding.probe.recording import record
 from nw_eval.onboarding.probe.report import probe_here
-from nw_eval.onboarding.probe.rig import record
 from nw_eval.policies import load_bundle
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -10,8 +10,8 @@ import torch
 
 from nw_eval.confinement import offered
 from nw_eval.errors import PolicyError, TrialError
-from nw_eval.onboarding.drafting import write_card_draft
-from nw_eval.onboarding.reading import inspect_checkpoint
+from nw_eval.onboarding.checkpoint import inspect_checkpoint
+from nw_eval.onboarding.draft import write_card_draft
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.apart import line_to, trusting
 from nw_eval.robots import get_robot

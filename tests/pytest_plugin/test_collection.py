@@ -120,7 +120,7 @@ def test_a_session_without_suites_hears_nothing_and_imports_nothing_heavy(pytest
             assert {name for name in sys.modules if name.startswith("nw_eval")} == {
                 "nw_eval",
                 "nw_eval.pytest_plugin",
-                "nw_eval.pytest_plugin.claims",
+                "nw_eval.pytest_plugin.options",
                 "nw_eval.pytest_plugin.options",
             }
     """)

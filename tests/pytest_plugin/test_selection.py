@@ -11,9 +11,8 @@ from types import SimpleNamespace
 import pytest
 
 from nw_eval import api
-from nw_eval.pytest_plugin.lock import locked
 from nw_eval.pytest_plugin.options import SETTINGS
-from nw_eval.pytest_plugin.runs import Runs
+from nw_eval.pytest_plugin.runs import Runs, locked
 from nw_eval.request import Request
 from nw_eval.results.provenance import write_run_info
 
@@ -103,7 +102,7 @@ def test_a_lock_is_free_again_once_its_process_was_killed(tmp_path):
     holder = textwrap.dedent("""
         import sys, time
         from pathlib import Path
-        from nw_eval.pytest_plugin.lock import locked
+        from nw_eval.pytest_plugin.runs import locked
         with locked(Path(sys.argv[1])):
             print("held", flush=True)
             time.sleep(60)

@@ -8,7 +8,7 @@ import pytest
 from matplotlib import colormaps
 from PIL import Image
 
-from nw_eval.cli.text.judging.comparison import comparison_text
+from nw_eval.cli.verbs.compare import comparison_text
 from nw_eval.gate.side_by_side.result import (
     ComparedPolicy,
     ComparedScene,

@@ -8,7 +8,7 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.onboarding.probe.rig import record
+from nw_eval.onboarding.probe.recording import record
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.fault import PolicyFailedError

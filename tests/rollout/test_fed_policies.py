@@ -13,8 +13,7 @@ import torch
 from onnx.utils import Extractor
 from torch import nn
 
-from nw_eval.cli.text.parts.card import card_page
-from nw_eval.cli.text.parts.probe import probe_page
+from nw_eval.cli.verbs.policies import card_page, probe_page
 from nw_eval.errors import PolicyError
 from nw_eval.onboarding.probe.report import probe_here
 from nw_eval.onboarding.probe.summary import card_summary

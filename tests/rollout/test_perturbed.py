@@ -14,7 +14,7 @@ from nw_eval.rollout.library import Library
 from nw_eval.rollout.perturbed import perturbed_robot, unfelt
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.trial import run_trial
-from nw_eval.sensors.place import FOG, Air
+from nw_eval.sensors.sensor import FOG, Air
 from nw_eval.splat.image import Image
 from nw_eval.suite.perturb import NEUTRAL, Perturb
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from nw_eval.cli.text.replay import replay_line
+from nw_eval.cli.verbs.replay import replay_line
 from nw_eval.errors import PolicyError, StoreError, UsageError
 from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.mcap.reader import LogReader

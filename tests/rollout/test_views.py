@@ -5,12 +5,12 @@ import pytest
 from pydantic import TypeAdapter
 
 from nw_eval.cards import Card
-from nw_eval.cards.observations.cameras import DepthObservation, SemanticsObservation
-from nw_eval.cards.observations.cameras import SplatRgbObservation as Photo
-from nw_eval.cards.observations.wrappers import Wrapper
+from nw_eval.cards.observations import DepthObservation, SemanticsObservation
+from nw_eval.cards.observations import SplatRgbObservation as Photo
+from nw_eval.cards.wrappers import Wrapper
 from nw_eval.robots import get_robot
 from nw_eval.rollout.observed.views import View, views_of
-from nw_eval.sensors.cameras.splat_image import arrange
+from nw_eval.sensors.splat_rgb import arrange
 from nw_eval.sensors.wrappers import Chain, Shot, Spec, make_wrappers
 
 SIZE = {"width": 10, "height": 8}

@@ -4,7 +4,7 @@ import numpy as np
 from PIL import Image
 
 from nw_eval.catalogue import get_scene
-from nw_eval.cli.text.parts.scenes import scene_page
+from nw_eval.cli.verbs.scenes import scene_page
 from nw_eval.scenes.overview import draw_plan, figures
 
 

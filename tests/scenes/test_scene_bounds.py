@@ -10,7 +10,7 @@ import pytest
 
 from nw_eval.api import check_scenes
 from nw_eval.catalogue import get_scene, names
-from nw_eval.cli.text.parts.scenes import findings_text
+from nw_eval.cli.verbs.scenes import findings_text
 from nw_eval.errors import SceneError
 from nw_eval.scenes.limits import checked_name
 

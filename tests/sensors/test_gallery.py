@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
-from nw_eval.cli.text.parts.sensors import seen_text
+from nw_eval.cli.verbs.sensors import seen_text
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.policies import load_bundle
 from nw_eval.sensors import gallery

@@ -8,8 +8,8 @@ import pytest
 from pydantic import ValidationError
 
 from nw_eval.cards import JointControl, load_card
-from nw_eval.cards.observations.plugins import SENSORS, WRAPPERS, installed
-from nw_eval.cards.observations.wrappers import BUILT_IN_WRAPPERS
+from nw_eval.cards.plugins import SENSORS, WRAPPERS, installed
+from nw_eval.cards.wrappers import BUILT_IN_WRAPPERS
 from nw_eval.errors import PolicyError
 from nw_eval.rollout.episode.actions import Actions
 from nw_eval.sensors import Moment, build_sensors, check_card

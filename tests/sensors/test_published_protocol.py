@@ -11,8 +11,8 @@ from nw_eval.robots import get_robot
 from nw_eval.robots.go1 import go1
 from nw_eval.robots.go2 import go2
 from nw_eval.sensors import build_sensors
-from nw_eval.sensors.body.history import spoilt_frames
-from nw_eval.sensors.ground.published_scandots import PIXELS_PER_METRE
+from nw_eval.sensors.heights import PIXELS_PER_METRE
+from nw_eval.sensors.proprio import spoilt_frames
 from nw_eval.sim import World
 
 NOW = {"sensor": "proprio", "layout": "parkour53"}

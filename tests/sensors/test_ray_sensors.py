@@ -9,7 +9,7 @@ from nw_eval.robots.spec import VISUAL_GROUP
 from nw_eval.scenes.mesh import cone_mesh
 from nw_eval.sensors import build_sensors
 from nw_eval.sensors.drawing.palette import CLASSES, PALETTE
-from nw_eval.sensors.ground.lidar import rotation
+from nw_eval.sensors.ray_sensors import rotation
 from nw_eval.sim import World
 
 BOXES = (((1.3, 0.3, 0.15), (0.15, 0.4, 0.15)), ((2.2, -0.5, 0.6), (0.2, 0.2, 0.6)))

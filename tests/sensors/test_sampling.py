@@ -5,7 +5,7 @@ import pytest
 
 from nw_eval.arrays import pack
 from nw_eval.sensors import build_sensors
-from nw_eval.sensors.sampled import Sampled
+from nw_eval.sensors.build import Sampled
 
 
 class Steps:

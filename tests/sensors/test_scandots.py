@@ -4,7 +4,7 @@ import pytest
 from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.robots import get_robot
 from nw_eval.sensors import build_sensors
-from nw_eval.sensors.ground.heights import grid
+from nw_eval.sensors.heights import grid
 from nw_eval.sim import World
 
 DOTS = {"dots": {"sensor": "scandots"}}

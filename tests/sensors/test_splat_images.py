@@ -6,7 +6,7 @@ import pytest
 from nw_eval.errors import PolicyError
 from nw_eval.robots import get_robot
 from nw_eval.sensors import build_sensors
-from nw_eval.sensors.cameras.splat_image import arrange, average_blocks
+from nw_eval.sensors.splat_rgb import arrange, average_blocks
 from nw_eval.splat.camera import Pixels
 from nw_eval.splat.image import Image
 

@@ -6,9 +6,9 @@ from typing import get_args
 import pytest
 from pydantic import TypeAdapter
 
-from nw_eval.cards.file.schema import json_schema
+from nw_eval.cards.load import json_schema
 from nw_eval.cards.observations import BUILT_IN_SENSORS, BuiltInObservation
-from nw_eval.cards.observations.wrappers import BUILT_IN_WRAPPERS, BuiltInWrapper, Wrapper
+from nw_eval.cards.wrappers import BUILT_IN_WRAPPERS, BuiltInWrapper, Wrapper
 from nw_eval.sensors import check_card
 from nw_eval.sensors.wrappers import Chain, Spec, make_wrappers
 

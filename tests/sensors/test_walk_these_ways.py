@@ -12,7 +12,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 from ruamel.yaml import YAML
 
-from nw_eval.onboarding.probe.rig import ThisBundle
+from nw_eval.onboarding.probe.recording import ThisBundle
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.check_bundle import check_bundle
 from nw_eval.rollout.clock import StageClock

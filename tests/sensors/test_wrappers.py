@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from nw_eval.cards.observations.wrappers import Wrapper
+from nw_eval.cards.wrappers import Wrapper
 from nw_eval.errors import PolicyError
 from nw_eval.sensors import build_sensors, check_card
 from nw_eval.sensors.wrappers import Chain, Spec, make_wrappers

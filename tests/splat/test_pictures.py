@@ -7,7 +7,7 @@ import pytest
 from PIL import Image as Picture
 from splat_rooms import cloud
 
-from nw_eval.cli.text.parts.splats import splat_page
+from nw_eval.cli.verbs.splat import splat_page
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.splat.camera import Camera, look_at
 from nw_eval.splat.gaussians import describe

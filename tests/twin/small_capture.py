@@ -8,9 +8,9 @@ from nw_eval.splat.camera import Camera, look_at
 from nw_eval.splat.gaussians import SH0, Gaussians
 from nw_eval.splat.render import CpuRenderer
 from nw_eval.splat.store import memory_store
+from nw_eval.twin.gaussians.images import Photo
 from nw_eval.twin.gaussians.initial import gaussians_at
-from nw_eval.twin.gaussians.photo import Photo
-from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
+from nw_eval.twin.gaussians.rasteriser import Rasteriser
 
 _SIDE, _TILE = 26, 0.32
 """Tiles along each side of the floor, and metres of one."""

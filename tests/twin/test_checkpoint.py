@@ -11,8 +11,7 @@ from nw_eval.arrays import pack
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import sealed_path
 from nw_eval.splat.gaussians import ARRAYS
-from nw_eval.twin.gaussians.checkpoint import resume_training, save_training
-from nw_eval.twin.gaussians.trainer import Trainer
+from nw_eval.twin.gaussians.trainer import Trainer, resume_training, save_training
 
 
 @pytest.mark.parametrize("strategy", ["default", "mcmc"])
@@ -76,7 +75,7 @@ def test_other_photographs_another_beginning_and_other_wishes_are_noticed(saved)
     ],
 )
 def test_arrays_that_do_not_belong_together_are_refused(saved, monkeypatch, name, array):
-    from nw_eval.twin.gaussians import checkpoint
+    from nw_eval.twin.gaussians import trainer as checkpoint
 
     def tampered(arrays):
         changed = {key: value for key, value in arrays.items() if key != name}

@@ -9,12 +9,11 @@ from splat_rooms import cloud
 
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import ARRAYS, Gaussians
-from nw_eval.twin.gaussians.densify.default import DefaultDensity, split
-from nw_eval.twin.gaussians.densify.mcmc import McmcDensity, relocated
-from nw_eval.twin.gaussians.densify.settings import Default, Mcmc
-from nw_eval.twin.gaussians.kernels.perturb import perturb
+from nw_eval.twin.gaussians.config import Default, Mcmc
+from nw_eval.twin.gaussians.density import DefaultDensity, McmcDensity, relocated, split
+from nw_eval.twin.gaussians.images import Gradients
+from nw_eval.twin.gaussians.kernels.rows import perturb
 from nw_eval.twin.gaussians.population import Population
-from nw_eval.twin.gaussians.raster.images import Gradients
 
 CAMERA = Camera.from_fovy(width=200, height=100, fovy=1.0, T_world_camera=np.eye(4))
 SMALL, LARGE = math.log(0.05), math.log(0.5)

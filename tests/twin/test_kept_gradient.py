@@ -5,7 +5,7 @@ from pathlib import Path
 import nw_eval.splat.kernels as renderer
 import nw_eval.twin.gaussians.kernels as training
 from nw_eval.machine_code.jit import hash_sources
-from nw_eval.twin.gaussians.kernels.blend_back import blend_back
+from nw_eval.twin.gaussians.kernels.blend import blend_back
 
 
 def test_a_change_in_the_renderers_vector_layer_compiles_the_gradient_anew():

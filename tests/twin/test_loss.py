@@ -6,7 +6,7 @@ import torch
 import twin_reference as reference
 
 from nw_eval.twin.gaussians.loss import depth_loss, photo_loss, psnr
-from nw_eval.twin.gaussians.raster.threads import Threads
+from nw_eval.twin.gaussians.rasteriser import Threads
 
 
 def _pictures(width, height, seed=0):

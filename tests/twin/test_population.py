@@ -7,9 +7,9 @@ from splat_rooms import cloud
 
 from nw_eval.splat.gaussians import ARRAYS
 from nw_eval.twin.gaussians.config import Rates
+from nw_eval.twin.gaussians.images import Gradients
 from nw_eval.twin.gaussians.population import EPSILON, Population
-from nw_eval.twin.gaussians.raster.images import Gradients
-from nw_eval.twin.gaussians.raster.threads import Threads
+from nw_eval.twin.gaussians.rasteriser import Threads
 
 
 def _gradients(gaussians, seed):

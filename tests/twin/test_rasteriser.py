@@ -12,9 +12,8 @@ from nw_eval.errors import UsageError
 from nw_eval.splat.camera import Camera, look_at
 from nw_eval.splat.render import CpuRenderer
 from nw_eval.splat.store import memory_store
-from nw_eval.twin.gaussians.raster.images import Images
-from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
-from nw_eval.twin.gaussians.raster.threads import Threads
+from nw_eval.twin.gaussians.images import Images
+from nw_eval.twin.gaussians.rasteriser import Rasteriser, Threads
 
 
 def _camera(width=97, height=61, *, scale=1.0):

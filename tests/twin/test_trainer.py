@@ -9,11 +9,10 @@ from small_capture import PLACE, beginning, photos
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import ARRAYS
-from nw_eval.twin.gaussians.config import Rates, TrainConfig, falling
-from nw_eval.twin.gaussians.densify.settings import Default, Mcmc
+from nw_eval.twin.gaussians.config import Default, Mcmc, Rates, TrainConfig, falling
+from nw_eval.twin.gaussians.images import Photo, extent_of
 from nw_eval.twin.gaussians.loss import psnr
-from nw_eval.twin.gaussians.photo import Photo, extent_of
-from nw_eval.twin.gaussians.raster.rasteriser import Rasteriser
+from nw_eval.twin.gaussians.rasteriser import Rasteriser
 from nw_eval.twin.gaussians.trainer import Trainer
 
 BUSY = TrainConfig(

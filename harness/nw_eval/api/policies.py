@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from nw_eval.errors import UsageError
 
 if TYPE_CHECKING:
-    from nw_eval.cards.file.listing import ListedPolicy
-    from nw_eval.onboarding.probe.rows import ProbeReport
+    from nw_eval.cards.load import ListedPolicy
+    from nw_eval.onboarding.probe.report import ProbeReport
     from nw_eval.onboarding.probe.summary import CardSummary
 
 
@@ -47,7 +47,7 @@ class ServedPolicy:
 
 def list_policies() -> tuple[ListedPolicy, ...]:
     """Return the shipped bundles, those of the project, and the example cards, by name."""
-    from nw_eval.cards.file.listing import list_cards
+    from nw_eval.cards.load import list_cards
 
     return list_cards()
 
@@ -93,8 +93,7 @@ def check_policy(
         SceneError: there is no such scene.
     """
     from nw_eval.catalogue import brought, parse_reference
-    from nw_eval.onboarding.probe.report import probe_policy
-    from nw_eval.onboarding.probe.rows import FLAT
+    from nw_eval.onboarding.probe.report import FLAT, probe_policy
     from nw_eval.policies import load_bundle
 
     bundle = load_bundle(policy, checkpoint=checkpoint)
@@ -122,11 +121,10 @@ def init_policy(
         UsageError: there is a card already.
         StoreError: the card cannot be written.
     """
-    from nw_eval.cards.file.load import CARD_FILE
+    from nw_eval.cards.load import CARD_FILE
     from nw_eval.files.cache import atomic_path, followed
     from nw_eval.files.inside import what_is
-    from nw_eval.onboarding.drafting.draft import draft_of
-    from nw_eval.onboarding.reading.beside import files_beside
+    from nw_eval.onboarding.draft import draft_of, files_beside
     from nw_eval.rollout.confined.access import inspecting_rules
     from nw_eval.rollout.confined.isolated import call_isolated
 

@@ -34,7 +34,7 @@ def _schema(kind: Described) -> dict[str, Any]:
 
         return of_suite()
     if kind == "policy":
-        from nw_eval.cards.file.schema import json_schema as of_card
+        from nw_eval.cards.load import json_schema as of_card
 
         return of_card()
     from nw_eval.scenes.folder import json_schema as of_scene

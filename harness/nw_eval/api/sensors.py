@@ -28,8 +28,8 @@ def list_sensors() -> tuple[ListedSensor, ...]:
     A plug-in that cannot be imported is told of in a `PluginWarning`, and left out.
     """
     from nw_eval.cards.observations import BUILT_IN_SENSORS
-    from nw_eval.cards.observations.plugins import SENSORS, WRAPPERS
-    from nw_eval.cards.observations.wrappers import BUILT_IN_WRAPPERS
+    from nw_eval.cards.plugins import SENSORS, WRAPPERS
+    from nw_eval.cards.wrappers import BUILT_IN_WRAPPERS
     from nw_eval.sensors.plugins import usable
 
     found: list[ListedSensor] = []

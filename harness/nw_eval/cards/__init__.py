@@ -4,10 +4,15 @@
 """
 
 from nw_eval.cards.card import Card
-from nw_eval.cards.file.load import load_card
 from nw_eval.cards.inputs import InputSpec
-from nw_eval.cards.joint_control import Action, JointControl, actuator_values, physics_steps
-from nw_eval.cards.mounting import mounted_robot
+from nw_eval.cards.joint_control import (
+    Action,
+    JointControl,
+    actuator_values,
+    mounted_robot,
+    physics_steps,
+)
+from nw_eval.cards.load import load_card
 
 __all__ = [
     "Action",

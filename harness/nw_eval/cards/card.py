@@ -13,9 +13,8 @@ from pydantic import AfterValidator, Field, model_validator
 
 from nw_eval.cards.checkpoint import Adapter, Checkpoint
 from nw_eval.cards.command import Command, WaypointCommand
-from nw_eval.cards.control import Control
+from nw_eval.cards.control import CameraMounting, Control
 from nw_eval.cards.model import CONTROL_RATE, CardModel, Line
-from nw_eval.cards.mounting import CameraMounting
 from nw_eval.cards.networks import Inputs, Network, OutputKey, input_parts
 from nw_eval.cards.observations import Observation, ProprioObservation
 from nw_eval.cards.terms import AppliedAction, LastOutput

@@ -1,9 +1,9 @@
-"""From raw actions to joint targets, and the motors that follow them."""
+"""What a card says of its robot: joint targets of raw actions, motors, cameras."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,9 +13,10 @@ from nw_eval.cards.card import Card
 from nw_eval.cards.control import PHYSICS_RATE
 from nw_eval.cards.joints import PerJoint, joint_order, joint_values
 from nw_eval.cards.model import CONTROL_RATE
-from nw_eval.errors import PolicyError
+from nw_eval.errors import PolicyError, nearest
 from nw_eval.protocol import EvaluationProtocol
 from nw_eval.robots import RobotSpec
+from nw_eval.robots.mounting import remounted
 
 Action = NDArray[np.float64]
 """Raw action, one number for each joint in the order of `control.joints`."""
@@ -146,3 +147,27 @@ def _named(key: str, resolve: Callable[[], NDArray]) -> NDArray:
         return resolve()
     except PolicyError as error:
         raise PolicyError(f"control.{key}: {error}") from None
+
+
+def mounted_robot(robot: RobotSpec, card: Card) -> RobotSpec:
+    """Return a robot with its cameras as a card says.
+
+    Raises:
+        PolicyError: the robot has no such camera.
+    """
+    if not card.cameras:
+        return robot
+    cameras = dict(robot.cameras)
+    for name, mounting in card.cameras.items():
+        if name not in cameras:
+            raise PolicyError(
+                f"cameras.{name}: {robot.name} has no camera {name!r}",
+                fix=nearest(name, list(robot.cameras)),
+            )
+        cameras[name] = remounted(
+            cameras[name],
+            pitch=mounting.pitch,
+            height=mounting.height,
+            factor=mounting.field_of_view,
+        )
+    return replace(robot, cameras=cameras)

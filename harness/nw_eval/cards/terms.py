@@ -16,7 +16,6 @@ Foot = Literal["FR", "FL", "RR", "RL"]
 EARLIER_OUTPUTS = 4
 """How many outputs before the last one a card can ask for."""
 
-
 _NUMBERS = 10_000
 """Of one constant."""
 
@@ -267,3 +266,23 @@ def term_size(term: AnyTerm, joints: int = 12) -> int:
             return len(term.values)
         case _:
             assert_never(term)
+
+
+LayoutName = Literal["parkour53"]
+
+LAYOUTS: dict[LayoutName, tuple[AnyTerm, ...]] = {
+    # The 53 numbers of extreme-parkour, LucidSim and Neverwhere. Index 7 is a copy of 6, as in
+    # their evaluation; 11 and 12 mask the environment kind, always (1, 0) here.
+    "parkour53": (
+        AngularVelocity(term="ang_vel", scale=0.25),
+        Imu(term="imu"),
+        DeltaYaw(term="delta_yaw", copies=2),
+        Constant(term="constant", values=[0.0, 0.0]),
+        Speed(term="speed"),
+        Constant(term="constant", values=[1.0, 0.0]),
+        JointPosition(term="joint_pos"),
+        JointVelocity(term="joint_vel", scale=0.05),
+        AppliedAction(term="applied_action"),
+        FootContacts(term="foot_contacts", offset=-0.5),
+    ),
+}

@@ -35,6 +35,6 @@ def main(argv: Sequence[str] | None = None) -> None:
         from nw_eval.cli.process import run_process
 
         run_process(description=_DESCRIPTION)
-    from nw_eval.cli.outermost import end_of
+    from nw_eval.cli.process import end_of
 
     sys.exit(end_of(argv, description=_DESCRIPTION).code)

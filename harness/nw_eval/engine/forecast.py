@@ -59,6 +59,8 @@ class Forecast:
     """The name of the bank that it would be compared with; it may then end early."""
     obstacles: tuple[str, ...] = ()
     """Why no policy can reach PASS in it, a sentence for each reason; none where one can."""
+    warnings: tuple[str, ...] = ()
+    """What makes the verdict another one than its reader expects, a sentence each."""
     minutes: float
     """Of wall time; about what it takes at most, on a core of the benchmarks' class."""
 
@@ -88,6 +90,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
         workers=worker_count(workers, trials.total()),
         baseline=None if plan.against is None else plan.against.info.name,
         obstacles=obstacles_of(plan),
+        warnings=_warnings(plan),
         minutes=minutes_of(trials.total(), plan, workers=workers),
     )
 
@@ -133,6 +136,20 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
     if against is not None and not found and known is None:
         found += _against_the_bank(plan, against)
     return tuple(found)
+
+
+def _warnings(plan: Plan) -> tuple[str, ...]:
+    """Return that the bar is above what the baseline's own policy scores, if it is."""
+    from nw_eval.results.bank.changes import bank_mean
+
+    bar, against = plan.suite.gate.success_rate, plan.against
+    if bar is None or against is None or (mean := bank_mean(against.bank)) >= bar:
+        return ()
+    sentence = (
+        f"gate.success_rate {bar:g} is above the success of baseline {against.info.name}, "
+        f"{mean:.3f}: a policy that is as good as the baseline does not pass"
+    )
+    return (sentence,)
 
 
 def _against_the_bank(plan: Plan, against: Against) -> list[str]:

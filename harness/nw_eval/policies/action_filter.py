@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards.card import Card
+from nw_eval.cards.control import LowPass
 from nw_eval.cards.joint_control import Action, JointControl
-from nw_eval.cards.low_pass import LowPass
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from nw_eval.cards.card import Card
 from nw_eval.cards.checkpoint import Checkpoint
-from nw_eval.cards.file.load import CARD_FILE, load_card
-from nw_eval.cards.observations.plugins import is_code
+from nw_eval.cards.load import CARD_FILE, load_card
+from nw_eval.cards.plugins import is_code
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.files.inside import OutsideError, inside, regular, what_is
 from nw_eval.files.shipped import available, shipped

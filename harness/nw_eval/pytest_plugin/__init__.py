@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.pytest_plugin.claims import is_suite
-from nw_eval.pytest_plugin.options import SETTINGS, Settings, add_options
+from nw_eval.pytest_plugin.options import SETTINGS, Settings, add_options, is_suite
 
 if TYPE_CHECKING:
-    from nw_eval.pytest_plugin.fixtures import GateSuite, RunSuite
+    from nw_eval.pytest_plugin.runs import GateSuite, RunSuite
     from nw_eval.pytest_plugin.suite_file import SuiteFile
 
 _MARKER = "nw: a test of nw-eval's: a scene of a suite, or a suite's verdict"
@@ -55,7 +54,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> SuiteFile 
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Leave out verdicts of suites of which `--lf` chose some scenes only."""
     if session.config.getoption("lf", default=False):
-        from nw_eval.pytest_plugin.selection import leave_verdicts_out
+        from nw_eval.pytest_plugin.suite_file import leave_verdicts_out
 
         leave_verdicts_out(session)
 
@@ -67,7 +66,7 @@ def pytest_runtest_makereport(
     """Say of a suite's test that it failed or was skipped where the suite says so, not here."""
     report = yield
     if item.path.suffix in {".yaml", ".yml"}:
-        from nw_eval.pytest_plugin.telling.crash import place_crash
+        from nw_eval.pytest_plugin.suite_file import place_crash
 
         place_crash(report, item)
     return report
@@ -78,7 +77,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     ended = [report for reports in terminalreporter.stats.values() for report in reports]
     verdicts = [each for each in ended if getattr(each, "nodeid", "").endswith("::verdict")]
     if verdicts:
-        from nw_eval.pytest_plugin.telling.last_lines import write_last_lines
+        from nw_eval.pytest_plugin.telling import write_last_lines
 
         write_last_lines(terminalreporter, verdicts)
 
@@ -90,7 +89,7 @@ def nw_run(pytestconfig: pytest.Config) -> RunSuite:
     Keywords are fields of `nw_eval.Request`; what is not given is as the session's options say.
     The same run is made once in a session.
     """
-    from nw_eval.pytest_plugin.fixtures import RunSuite
+    from nw_eval.pytest_plugin.runs import RunSuite
 
     return RunSuite(pytestconfig)
 
@@ -103,6 +102,6 @@ def nw_gate(pytestconfig: pytest.Config) -> GateSuite:
 
     Arguments are those of `nw_run`. A run that nobody can judge fails the test there and then.
     """
-    from nw_eval.pytest_plugin.fixtures import GateSuite
+    from nw_eval.pytest_plugin.runs import GateSuite
 
     return GateSuite(pytestconfig)

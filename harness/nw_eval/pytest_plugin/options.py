@@ -1,8 +1,12 @@
-"""What pytest may be asked for about suites: options, and their twins in its ini file."""
+"""What pytest may be asked for about suites: options, their twins in its ini file, which files.
+
+A session of other people's has YAML of its own, which is left alone.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -145,3 +149,35 @@ def _number(name: str, value: str | None) -> int | None:
     if not value.isascii() or not value.isdigit() or int(value) < 1:
         raise pytest.UsageError(f"--nw-{name} {value}: give a whole number, at least 1")
     return int(value)
+
+
+_MOST = 1_000_000  # Bytes; as of a suite that is read.
+_KEY = re.compile(rb"""^(?:\xef\xbb\xbf)?(?:\{\s*)?["']?nw-eval["']?\s*:""", re.MULTILINE)
+"""The key that says of a YAML file that it is a suite."""
+
+
+def is_suite(path: Path, config: pytest.Config) -> bool:
+    """Return whether a file is to be taken for a suite, right or wrong.
+
+    Any `*.nw.yaml` is, and what the ini file declares by `nw_suites`: such a file that is none is
+    an error. Another YAML file is left alone, unless it was named on the command line and has the
+    key `nw-eval`.
+    """
+    if path.suffix not in {".yaml", ".yml"}:
+        return False
+    if path.name.endswith(".nw.yaml"):
+        return True
+    settings = config.stash[SETTINGS]
+    if not settings.declared.isdisjoint((path, *path.parents)):
+        return True
+    return path in settings.named and _has_key(path)
+
+
+def _has_key(path: Path) -> bool:
+    from nw_eval.files.inside import regular
+
+    try:
+        with regular(path).open("rb") as file:
+            return _KEY.search(file.read(_MOST)) is not None
+    except OSError:
+        return False

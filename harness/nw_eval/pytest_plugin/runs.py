@@ -1,25 +1,38 @@
-"""One run for all tests that ask for it, in whichever worker of pytest-xdist."""
+"""The runs of a session, each made once, and what the fixtures give of them to tests by hand.
+
+One run serves all tests that ask for it, in whichever worker of pytest-xdist.
+"""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from hashlib import sha256
+from logging import getLogger
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 import pytest
 
-from nw_eval.errors import NwEvalError
+from nw_eval.clean import clean
+from nw_eval.errors import NwEvalError, StoreError
 from nw_eval.pytest_plugin.options import SETTINGS
 
 if TYPE_CHECKING:
     from nw_eval.api import Request, RunReport
+    from nw_eval.results.row import Row
+
 
 _SESSION = "nw_eval_session"
 """Where xdist's controller names the session, among all that it tells a worker."""
 
 _NAME = pytest.StashKey[str]()
+
+_LOGGER = getLogger("nw_eval")
 
 
 def tell_worker(config: pytest.Config, workerinput: dict[str, Any]) -> None:
@@ -68,7 +81,6 @@ class Runs:
         return found
 
     def _run(self, request: Request) -> RunReport:
-        from nw_eval.pytest_plugin.lock import locked
 
         folder = self._settings.report_dir / self._name(request)
         if not self._sharing:
@@ -95,7 +107,6 @@ class Runs:
         self, request: Request, *, out: Path | None = None, resume: Path | None = None
     ) -> RunReport:
         from nw_eval import api
-        from nw_eval.pytest_plugin.telling.progress import Log
 
         return api.run(
             request,
@@ -124,3 +135,144 @@ class Runs:
 
 
 _RUNS = pytest.StashKey[Runs]()
+
+
+@contextmanager
+def locked(file: Path) -> Generator[None]:
+    """Wait for a file's lock, and hold it.
+
+    The kernel holds it for this process alone, whatever children it starts: it ends with the
+    process, however that ends.
+
+    Raises:
+        StoreError: the file cannot be made.
+    """
+    import fcntl
+
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        handle = file.open("a", encoding="utf-8")
+    except OSError as error:
+        raise StoreError(
+            f"cannot make {file}: {error.strerror}",
+            fix="choose another folder with --nw-report-dir",
+        ) from error
+    with handle:
+        fcntl.lockf(handle, fcntl.LOCK_EX)
+        yield
+
+
+class Log:
+    """A listener that logs: `pytest --log-cli-level=INFO` shows its lines as they come."""
+
+    def __init__(self) -> None:
+        self._total = self._finished = 0
+
+    def message(self, text: str) -> None:
+        """Log a line for people."""
+        _LOGGER.info("%s", clean(text))
+
+    def scene(self, name: str, fraction: float) -> None:
+        """Log that a scene's splat is made."""
+        if fraction >= 1.0:
+            _LOGGER.info("%s is ready", clean(name))
+
+    def planned(self, *, total: int, finished: int) -> None:
+        """Log how many trials there are."""
+        self._total, self._finished = total, finished
+        _LOGGER.info("%d of %d trials to run", total - finished, total)
+
+    def trial(self, row: Row) -> None:
+        """Log how a trial ended."""
+        self._finished += 1
+        _LOGGER.info(
+            "%d of %d: %s %s", self._finished, self._total, clean(row.trial_id), row.outcome
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gated:
+    """What a gate says."""
+
+    report: RunReport
+    passed: bool
+    """Whether the verdict is PASS; or INCONCLUSIVE, in a session that lets that pass."""
+
+    def __repr__(self) -> str:
+        """Return what a failing `assert` is to show: the verdict with its figures."""
+        from nw_eval.reporting.headline import headline
+
+        return headline(self.report.verdict, self.report.info)
+
+
+class RunSuite:
+    """Runs suites for tests; each run is made once in a session.
+
+    Args:
+        config: of the session, whose options hold for what a call leaves out.
+    """
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+
+    def __call__(self, suite: str | Path, **changes: Any) -> RunReport:
+        """Run a suite, or return its run.
+
+        Args:
+            suite: a file, or the name of a shipped one.
+            changes: fields of `nw_eval.Request` by name.
+        """
+        from nw_eval import api
+
+        settings = self._config.stash[SETTINGS]
+        options = {
+            "policy": settings.policy,
+            "checkpoint": settings.checkpoint,
+            "baseline": settings.baseline,
+            "trials": settings.rounds,
+        }
+        try:
+            request = api.Request.of(suite, **{**options, **changes})
+            return runs_of(self._config).of(request)
+        except NwEvalError as error:
+            fault = str(error)
+        pytest.fail(fault, pytrace=False)
+
+
+class GateSuite:
+    """Gates policies for tests, with the runs of `RunSuite`.
+
+    Args:
+        config: of the session.
+    """
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._run = RunSuite(config)
+
+    def __call__(self, suite: str | Path, **changes: Any) -> Gated:
+        """Run a suite, or take its run, and return what its gate says.
+
+        A test fails here if there is nothing to say: trials without a result, a baseline that does
+        not hold, a suite without a gate. The text of a verdict that does not pass is printed, which
+        pytest shows with the test that fails.
+
+        Args:
+            suite: a file, or the name of a shipped one.
+            changes: fields of `nw_eval.Request` by name.
+        """
+        from nw_eval.pytest_plugin.telling import verdict_text
+
+        judged = self._run(suite, **changes)
+        word = judged.verdict.verdict
+        if word in {"INFRASTRUCTURE", "INVALID", "RAN"}:
+            pytest.fail(verdict_text(judged), pytrace=False)
+        gated = Gated(report=judged, passed=judged.passed)
+        if word == "INCONCLUSIVE":
+            inconclusive = self._config.stash[SETTINGS].inconclusive
+            if inconclusive == "xfail":
+                pytest.xfail(repr(gated))
+            gated = Gated(report=judged, passed=inconclusive == "pass")
+        if not gated.passed:
+            sys.stdout.write(verdict_text(judged) + "\n")
+        return gated

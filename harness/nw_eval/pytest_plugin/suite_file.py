@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import chdir
-from typing import TYPE_CHECKING
+from functools import partial
+from glob import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from nw_eval.errors import NwEvalError
-from nw_eval.pytest_plugin.items import SceneItem, VerdictItem
+from nw_eval.plural import plural
 from nw_eval.pytest_plugin.options import SETTINGS
-from nw_eval.pytest_plugin.tested import VERDICT, TestedSuite
+from nw_eval.pytest_plugin.runs import runs_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from nw_eval.api import RunReport, ShownSuite
+    from nw_eval.reporting.scene_states import SceneState
 
-class SuiteFile(TestedSuite):
-    """A suite's file, and the tests in it."""
+
+VERDICT = "verdict"
+"""The name of the test of a suite's verdict, which no scene may have."""
+
+
+class SuiteFile(pytest.File):
+    """A suite's file. Its tests are named by the scenes, and the last one `VERDICT`."""
+
+    shown: ShownSuite
 
     def collect(self) -> Iterator[SceneItem | VerdictItem]:
         """Yield a test for each scene, in the order in which they run, and then the verdict's.
@@ -43,3 +56,233 @@ class SuiteFile(TestedSuite):
                 item.add_marker(pytest.mark.skip(reason="the baseline is being saved"))
             yield item
         yield VerdictItem.from_parent(self, name=VERDICT, line=self.shown.gate)
+
+    @property
+    def project(self) -> Path:
+        """Where names are looked for, and the suite is run."""
+        return self.config.stash[SETTINGS].project
+
+    @property
+    def typed(self) -> Path:
+        """The file as one would type it in the project's folder."""
+        below = self.path.is_relative_to(self.project)
+        return self.path.relative_to(self.project) if below else self.path
+
+    @property
+    def has_verdict(self) -> bool:
+        """Whether the verdict's own test is among those that are to run."""
+        return VERDICT in self._names
+
+    @property
+    def _names(self) -> set[str]:
+        return {item.name for item in self.session.items if item.parent is self}
+
+    @property
+    def wanted(self) -> tuple[str, ...] | None:
+        """The scenes to run, for those tests that are to run; None for all of them."""
+        names = self._names
+        if VERDICT in names or len(names) == len(self.shown.scenes):
+            return None
+        return tuple(scene for scene in self.shown.scenes if scene in names)
+
+    def judged(self) -> RunReport:
+        """Return the run of the scenes that are wanted, which is made once.
+
+        Raises:
+            NwEvalError: it came to no verdict.
+        """
+        from nw_eval import api
+
+        settings, wanted = self.config.stash[SETTINGS], self.wanted
+        request = api.Request(
+            suite=self.typed,
+            policy=settings.policy,
+            checkpoint=settings.checkpoint,
+            baseline=settings.baseline,
+            trials=settings.rounds,
+            scenes=None if wanted is None else tuple(escape(scene) for scene in wanted),
+        )
+        with chdir(self.project):
+            return runs_of(self.config).of(request)
+
+
+class SuiteItem(pytest.Item):
+    """A test of a suite. It fails with the verdict in its words, and without a traceback."""
+
+    suite: SuiteFile
+
+    def __init__(self, *, line: int, parent: SuiteFile, **kwargs: Any) -> None:
+        super().__init__(parent=parent, **kwargs)
+        self.line = line
+        self.suite = parent
+        self.add_marker("nw")
+
+    def reportinfo(self) -> tuple[Path, int, str]:
+        """Return the suite's file, the line there (from 0), and a title.
+
+        Dots of a title that a node's id ends with would be shown as `::`.
+        """
+        return self.path, self.line - 1, f"{self.suite.name}: {self.name}"
+
+    def judged(self) -> RunReport:
+        """Return the suite's run; an error of pytest's where it came to no verdict."""
+        try:
+            return self.suite.judged()
+        except NwEvalError as error:
+            fault = str(error)
+        # Raised in there, it would be shown with what it was raised in.
+        pytest.fail(fault, pytrace=False)
+
+
+class SceneItem(SuiteItem):
+    """Passes where the run passes with this scene, and fails where it regressed.
+
+    A scene of which the gate has shown nothing is skipped (`reporting.scene_states`).
+    """
+
+    state: SceneState
+
+    def setup(self) -> None:
+        """Run the suite if nobody has; a scene without all of its results is an error."""
+        from nw_eval.clean import clean
+        from nw_eval.pytest_plugin.telling import scene_properties, scene_text
+        from nw_eval.reporting.scene_states import scene_states
+
+        judged = self.judged()
+        (self.state,) = [each for each in scene_states(judged.verdict) if each.scene == self.name]
+        self.user_properties += scene_properties(judged, self.state)
+        is_invalid = self.state.state == "unjudged" and not self.suite.has_verdict
+        if self.state.result == "error" or is_invalid:
+            pytest.fail(scene_text(judged, self.state), pytrace=False)
+        if self.state.result == "skipped" and not self._is_blamed(judged):
+            pytest.skip(clean(self.state.sentence))
+
+    def runtest(self) -> None:
+        """Fail if the scene fell, or shares in what no other test is here to say."""
+        from nw_eval.pytest_plugin.telling import scene_text
+
+        judged = self.judged()
+        if self.state.result != "passed":
+            pytest.fail(scene_text(judged, self.state), pytrace=False)
+
+    def _is_blamed(self, judged: RunReport) -> bool:
+        """Whether the scenes are worse together, none of them by itself, and no test says so.
+
+        That is so where the verdict's own test is not among those that run.
+        """
+        from nw_eval.reporting.scene_states import scene_states
+
+        return (
+            judged.verdict.verdict == "REGRESSED"
+            and not self.suite.has_verdict
+            and self.state.score.tier != "informational"
+            and not any(each.result == "failed" for each in scene_states(judged.verdict))
+        )
+
+
+class VerdictItem(SuiteItem):
+    """Fails where the verdict does."""
+
+    def setup(self) -> None:
+        """Run the suite if nobody has; what can be judged by nobody is an error."""
+        from nw_eval.pytest_plugin.telling import verdict_properties, verdict_text
+
+        if self.config.stash[SETTINGS].update_baseline:
+            return
+        judged = self.judged()
+        self.user_properties += verdict_properties(judged)
+        if judged.verdict.verdict in {"INFRASTRUCTURE", "INVALID"}:
+            pytest.fail(verdict_text(judged), pytrace=False)
+
+    def runtest(self) -> None:
+        """Fail unless the verdict is PASS, or RAN where the suite has no bar."""
+        from nw_eval.pytest_plugin.telling import verdict_text
+        from nw_eval.reporting.headline import headline
+
+        settings = self.config.stash[SETTINGS]
+        if settings.update_baseline:
+            save_bank(self.suite)
+            return
+        judged = self.judged()
+        if judged.verdict.verdict == "INCONCLUSIVE":
+            if settings.inconclusive == "xfail":
+                pytest.xfail(headline(judged.verdict, judged.info))
+            if settings.inconclusive == "pass":
+                return
+        if not judged.passed:
+            pytest.fail(verdict_text(judged), pytrace=False)
+
+
+def place_crash(report: pytest.TestReport, item: pytest.Item) -> None:
+    """Let a report's crash be the suite's own line, and its message the first line of its text.
+
+    A skipped scene is said to be skipped at that line, too.
+    """
+    if isinstance(item, SuiteItem) and isinstance(report.longrepr, tuple):
+        report.longrepr = (os.fspath(item.path), item.line, report.longrepr[2])
+    crash = getattr(report.longrepr, "reprcrash", None)
+    if not isinstance(item, SuiteItem) or crash is None:
+        return
+    crash.path = os.fspath(item.path)
+    crash.lineno = item.line
+    crash.message = crash.message.removeprefix("Failed: ").partition("\n")[0]
+
+
+def leave_verdicts_out(session: pytest.Session) -> None:
+    """Deselect the verdict of a suite of which some scenes are to run, and not all.
+
+    Where a scene failed the verdict did, and it takes every scene to say another. It is still among
+    the last failed, and `--lf` runs it as soon as no scene of its suite is.
+    """
+    chosen: dict[SuiteFile, int] = {}
+    for item in session.items:
+        if isinstance(item, SceneItem):
+            chosen[item.suite] = chosen.get(item.suite, 0) + 1
+    left_out: list[pytest.Item] = [
+        item
+        for item in session.items
+        if isinstance(item, VerdictItem)
+        and 0 < chosen.get(item.suite, 0) < len(item.suite.shown.scenes)
+    ]
+    if left_out:
+        session.config.hook.pytest_deselected(items=left_out)
+        session.items[:] = [item for item in session.items if item not in left_out]
+
+
+def save_bank(suite: SuiteFile) -> None:
+    """Save the bank of a suite; fail if that changed it, so that a review comes before its use."""
+    from nw_eval import api
+    from nw_eval.pytest_plugin.runs import Log
+
+    settings = suite.config.stash[SETTINGS]
+    # The suite's baseline is that of its own policy: another one is not saved over it.
+    name = settings.baseline or (suite.shown.baseline if settings.policy is None else None)
+    save = partial(
+        api.save_baseline,
+        suite.typed,
+        policy=settings.policy,
+        name=None if name == "none" else name,
+        workers=settings.workers,
+        cache=settings.cache,
+        checkpoint=settings.checkpoint,
+        listener=Log(),
+    )
+    saved, fault = None, ""
+    try:
+        with chdir(suite.project):
+            saved = save()
+            if saved.action == "kept":  # Only what says something else is replaced.
+                saved = save(renew=True)
+    except NwEvalError as error:
+        fault = str(error)
+    if saved is None:
+        pytest.fail(fault, pytrace=False)
+    if saved.action == "unchanged":
+        return
+    manifest = saved.bank.manifest
+    pytest.fail(
+        f"{saved.file} is {saved.action}: {manifest.policy.name}, "
+        f"{plural(manifest.starts, 'start')} in each scene\n"
+        "Look at what has changed, commit it, and run again without --nw-update-baseline.",
+        pytrace=False,
+    )

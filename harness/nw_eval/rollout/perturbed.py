@@ -15,18 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards import Card
-from nw_eval.cards.observations import AnyObservation
-from nw_eval.cards.observations.cameras import (
+from nw_eval.cards.observations import (
+    AnyObservation,
     DepthObservation,
     SemanticsObservation,
     SplatRgbObservation,
 )
-from nw_eval.cards.observations.wrappers import Noise
+from nw_eval.cards.wrappers import Noise
 from nw_eval.errors import UsageError, nearest
 from nw_eval.robots import RobotSpec
 from nw_eval.robots.mounting import remounted
 from nw_eval.rollout.episode.pushes import Pushes
-from nw_eval.sensors.place import CLEAR, Air
+from nw_eval.sensors.sensor import CLEAR, Air
 from nw_eval.sim import Actuators
 from nw_eval.suite.perturb import NEUTRAL
 

@@ -17,7 +17,7 @@ from nw_eval.rollout.observed.seen import Seen
 from nw_eval.rollout.pictures.cameras import LOG_CAMERA, LogCamera
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
 from nw_eval.rollout.result import policy_fault
-from nw_eval.sensors.body.command import velocity_at
+from nw_eval.sensors.terms import velocity_at
 from nw_eval.sim.binding import mujoco
 
 if TYPE_CHECKING:

@@ -2,9 +2,7 @@
 
 from nw_eval.sensors.build import build_sensors
 from nw_eval.sensors.check import ObservationSpec, check_card
-from nw_eval.sensors.place import TrialPlace
-from nw_eval.sensors.sensor import Moment, Sensor
-from nw_eval.sensors.wrappers.wrapper import Shot
+from nw_eval.sensors.sensor import Moment, Sensor, Shot, TrialPlace
 
 __all__ = [
     "Moment",

@@ -1,19 +1,48 @@
-"""Makes the sensors that a card names, and no others."""
+"""Makes the sensors that a card names, and no others.
+
+The table of what measures each observation that a card can name, the chain behind it, and rate and
+latency: which sample of a measurement the policy sees at which control step.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, assert_never
 
-from nw_eval.cards import Card
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.arrays import pack, read_only, unpack
+from nw_eval.cards import Card, JointControl
+from nw_eval.cards.model import CONTROL_RATE
+from nw_eval.cards.observations import (
+    AnyObservation,
+    DepthObservation,
+    DirectionObservation,
+    HeightmapObservation,
+    LidarObservation,
+    PluginObservation,
+    ProprioObservation,
+    ScandotsObservation,
+    SemanticsObservation,
+    SplatRgbObservation,
+)
+from nw_eval.memory import Arrays
+from nw_eval.protocol import EvaluationProtocol
+from nw_eval.robots import RobotSpec
 from nw_eval.scenes import Scene
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.pipeline import Maker
-from nw_eval.sensors.place import CLEAR, Air, TrialPlace
-from nw_eval.sensors.sampled import Sampled
-from nw_eval.sensors.sensor import Sensor
+from nw_eval.scenes.scene import Nearness
+from nw_eval.sensors.heights import Heightmap, PublishedScandots, Scandots
+from nw_eval.sensors.plugins import PluginSensor
+from nw_eval.sensors.proprio import Direction, Proprio
+from nw_eval.sensors.ray_sensors import Depth, Lidar, Semantics
+from nw_eval.sensors.sensor import CLEAR, Air, Measurement, Moment, Sensor, Spec, TrialPlace
+from nw_eval.sensors.wrappers import AddNoise, Chain, NamedWrapper, make_wrappers
 from nw_eval.sim import World
 
 if TYPE_CHECKING:
@@ -88,3 +117,210 @@ def _cpu_renderer(scene: Scene) -> Renderer:
     from nw_eval.splat.store import open_store
 
     return open_renderer(open_store(scene.splat_store()), "cpu")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pipeline:
+    """What measures an observation, and the chain behind it."""
+
+    measurement: Measurement
+    chain: Chain
+
+
+@dataclass(frozen=True, kw_only=True)
+class Maker:
+    """Makes pipelines for the observations of one card. Needs no world, so it serves checks too.
+
+    Attributes:
+        card: whose observations they are.
+        robot: what carries the sensors.
+        protocol: says which sensors are the published ones.
+        rays: gives the scene's static geometry; called when a sensor first measures.
+        code_from: folder of the card, whose modules may be imported; None = no code of the card's.
+    """
+
+    card: Card
+    robot: RobotSpec
+    protocol: EvaluationProtocol
+    rays: Callable[[], RayScene]
+    code_from: Path | None
+
+    def pipeline(self, name: str, observation: AnyObservation) -> Pipeline:
+        """Return measurement and chain of an observation.
+
+        Raises:
+            PolicyError: it does not fit the robot, or a plug-in cannot be used.
+        """
+        measurement = self._measurement(name, observation)
+        chain = [NamedWrapper(name=observation.sensor, wrapper=form) for form in measurement.form]
+        if observation.noise is not None:
+            noise = AddNoise(observation.noise, measurement.nothing)
+            chain.insert(0, NamedWrapper(name="noise", wrapper=noise))
+        chain += make_wrappers(observation.wrap, code_from=self.code_from)
+        spec = Spec(measurement.shape, measurement.dtype)
+        return Pipeline(measurement=measurement, chain=Chain(name, chain, spec))
+
+    def _measurement(  # noqa: C901 - one line for each sensor.
+        self, name: str, observation: AnyObservation
+    ) -> Measurement:
+        robot, rays = self.robot, self.rays
+        match observation:
+            case ProprioObservation():
+                control = JointControl.from_card(self.card, robot)
+                spoils = self.protocol.spoils_first_observation
+                command = self.card.command
+                return Proprio(name, observation, command, control, spoils_first=spoils)
+            case ScandotsObservation():
+                if self.protocol.scandots_from_height_image:
+                    return PublishedScandots(observation, rays, robot.height_camera_offset)
+                return Scandots(observation, rays)
+            case HeightmapObservation():
+                return Heightmap(observation, rays)
+            case SplatRgbObservation():
+                from nw_eval.sensors.splat_rgb import SplatRgb
+
+                return SplatRgb(name, observation, robot)
+            case DepthObservation():
+                return Depth(name, observation, robot, rays)
+            case SemanticsObservation():
+                return Semantics(name, observation, robot, rays)
+            case LidarObservation():
+                return Lidar(observation, rays)
+            case DirectionObservation():
+                return Direction(observation)
+            case PluginObservation():
+                return PluginSensor(name, observation, robot, code_from=self.code_from)
+            case _:
+                assert_never(observation)
+
+
+class Sampled:
+    """A sensor: a measurement taken at a rate, wrapped, and delivered after a latency.
+
+    Samples are taken at steps 0, p, 2p, ... with p = 50 / rate. At a step the policy sees the
+    newest sample that is at least `latency` old; until there is one, the first sample.
+
+    Args:
+        name: the observation's, on the card.
+        measurement: what is sampled.
+        rate: Hz.
+        latency: s.
+        chain: what a measurement passes through; None = nothing.
+        first_step: the control step from which on there is something to see. Whatever was read
+            before it is forgotten then.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        measurement: Measurement,
+        *,
+        rate: int = CONTROL_RATE,
+        latency: float = 0.0,
+        chain: Chain | None = None,
+        first_step: int = 0,
+    ) -> None:
+        spec = Spec(measurement.shape, measurement.dtype)
+        self._chain = Chain(name, (), spec) if chain is None else chain
+        self._is_wrapped = bool(self._chain)
+        self.name = name
+        self.rate = rate
+        self.shape = self._chain.spec.shape
+        self.dtype = self._chain.spec.dtype
+        self.unit = measurement.unit
+        self.is_image = measurement.is_image
+        self.fresh = False
+        self._measurement = measurement
+        self._period = CONTROL_RATE // rate
+        self._delay = round(latency * CONTROL_RATE)
+        self._first_step = first_step
+        self._seed = 0
+        # Samples with their steps: the one that is shown now, then those on their way.
+        self._samples: deque[tuple[int, NDArray[Any]]] = deque()
+
+    @property
+    def coverage(self) -> float | None:
+        """Share of the newest camera image that the splat covers, 0..1; None without an image."""
+        return self._measurement.coverage
+
+    @property
+    def nearness(self) -> Nearness | None:
+        """How far the newest camera image was taken from the nearest capture camera; or None."""
+        return self._measurement.nearness
+
+    def reset(self, seed: int) -> None:
+        """Begin a trial; noise and wrappers draw from `seed` alone."""
+        self._seed = seed
+        self._samples.clear()
+        self._measurement.reset()
+        self._chain.reset(seed)
+        self.fresh = False
+
+    def read(self, moment: Moment) -> NDArray[Any]:
+        """Return the sample that the policy sees at this step."""
+        step = moment.step
+        if self._first_step and step == self._first_step:
+            self.reset(self._seed)
+        samples = self._samples
+        first = not samples
+        self.fresh = first
+        if first or step % self._period == 0:
+            sample = self._measurement.measure(moment)
+            if self._is_wrapped:
+                sample = self._chain(sample, moment)
+            sample = read_only(sample)  # It is shown at several steps, and logged.
+            if not self._delay:
+                samples.clear()
+                self.fresh = True
+            samples.append((step, sample))
+        while len(samples) > 1 and samples[1][0] + self._delay <= step:
+            samples.popleft()
+            self.fresh = True
+        return samples[0][1]
+
+    def state(self) -> bytes:
+        """Return the samples on their way, and what measurement and wrappers remember."""
+        arrays: Arrays = {}
+        memory = self._measurement.state()
+        if len(self._samples) == 1 and not memory and not self._is_wrapped:
+            step, sample = self._samples[0]  # As it mostly is.
+            if sample.dtype.str[0] != ">":
+                return _packed_sample(step, sample)
+        if memory:
+            arrays = {f"memory.{key}": value for key, value in memory.items()}
+        if self._is_wrapped:
+            arrays |= {f"chain.{key}": value for key, value in self._chain.state().items()}
+        arrays["steps"] = np.array([step for step, _ in self._samples], dtype=np.int64)
+        if len(self._samples) == 1:  # A view costs a third of an array.
+            arrays["samples"] = self._samples[0][1][np.newaxis]
+        elif self._samples:
+            arrays["samples"] = np.array([sample for _, sample in self._samples])
+        return pack(arrays)
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state` of the same trial, with the seed of the last `reset`."""
+        arrays = unpack(state)
+        steps = arrays.pop("steps").tolist()
+        samples = read_only(arrays.pop("samples")) if steps else ()
+        self._samples = deque(zip(steps, samples, strict=True))
+        self._measurement.restore(_under("memory.", arrays))
+        self._chain.restore(_under("chain.", arrays))
+        self.fresh = False
+
+
+def _packed_sample(step: int, sample: NDArray[Any]) -> bytes:
+    """Return one sample as `pack` does: what stands before its numbers is the same every time."""
+    return _head(sample.dtype.str, sample.shape) + step.to_bytes(8, "little") + sample.tobytes()
+
+
+@lru_cache(maxsize=64)
+def _head(kind: str, shape: tuple[int, ...]) -> bytes:
+    """Return what `pack` puts before the step and the numbers of one little-endian sample."""
+    steps, samples = np.zeros(1, np.int64), np.zeros((1, *shape), kind)
+    return pack({"steps": steps, "samples": samples})[: -steps.nbytes - samples.nbytes]
+
+
+def _under(prefix: str, arrays: Arrays) -> Arrays:
+    return {
+        key.removeprefix(prefix): value for key, value in arrays.items() if key.startswith(prefix)
+    }

@@ -15,7 +15,7 @@ from nw_eval.errors import NwEvalError, PolicyError, UsageError
 from nw_eval.protocol import STRICT
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.pipeline import Maker, Pipeline
+from nw_eval.sensors.build import Maker, Pipeline
 
 Answer = TypeVar("Answer")
 

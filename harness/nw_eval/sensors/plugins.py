@@ -1,4 +1,4 @@
-"""Classes of other packages: found by their installed name, or by `module:Class`.
+"""Sensors and wrappers of other packages: found by their installed name, or by `module:Class`.
 
 Nothing of a package is imported before a card names it, so a broken one costs nobody else
 anything. Built-in names always win.
@@ -13,9 +13,17 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-from nw_eval.cards.observations.plugins import distribution, installed, is_code
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.cards.observations import PluginObservation
+from nw_eval.cards.plugins import SENSORS, WRAPPERS, distribution, installed, is_code
+from nw_eval.cards.wrappers import PluginWrap
 from nw_eval.errors import CodeError, NwEvalError, PolicyError
 from nw_eval.files.importable import importable
+from nw_eval.memory import Arrays
+from nw_eval.robots import RobotSpec
+from nw_eval.sensors.sensor import Measurement, Moment, Sample, Shot, TrialPlace, Wrapper
 
 
 class PluginWarning(UserWarning):
@@ -135,3 +143,126 @@ def _from_folder(name: str, folder: Path | None) -> Any:
     module, _, cls = name.partition(":")
     with importable(folder):
         return getattr(importlib.import_module(module), cls)
+
+
+class PluginSensor(Measurement):
+    """A measurement by an object of a plug-in's class.
+
+    The class is called as `Class(robot, **parameters)` and needs `shape`, `dtype` and
+    `measure(moment)`. Whatever else of a measurement it has is used: `attach(place)`, `reset()`,
+    `state()` with `restore(state)`, `unit`, `is_image`.
+
+    Raises:
+        CodeError: the class cannot be imported or made, or is no sensor.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        observation: PluginObservation,
+        robot: RobotSpec,
+        *,
+        code_from: Path | None,
+    ) -> None:
+        self._name = name
+        self._sensor = observation.sensor
+        plugin = make_plugin(
+            observation.sensor, SENSORS, (robot,), observation.parameters, code_from=code_from
+        )
+        for needed in ("shape", "dtype", "measure"):
+            if not hasattr(plugin, needed):
+                raise CodeError(
+                    f"`{name}`: sensor {self._sensor} has no `{needed}`",
+                    fix="a sensor needs `shape`, `dtype` and `measure(moment)`",
+                )
+        self._plugin = plugin
+        self.shape: tuple[int, ...] = tuple(int(side) for side in plugin.shape)
+        self.dtype = np.dtype(plugin.dtype)
+        self.unit = str(getattr(plugin, "unit", "mixed"))
+        self.is_image = bool(getattr(plugin, "is_image", False))
+
+    def attach(self, place: TrialPlace) -> None:
+        """Show it the place."""
+        self._call("attach", place)
+
+    def reset(self) -> None:
+        """Begin a trial."""
+        self._call("reset")
+
+    def measure(self, moment: Moment) -> NDArray[Any]:
+        """Ask it.
+
+        Raises:
+            CodeError: it raised, or returned another shape or type than it said.
+        """
+        sample = self._call("measure", moment)
+        if not isinstance(sample, np.ndarray):
+            form = type(sample).__name__
+        elif sample.shape != self.shape or sample.dtype != self.dtype:
+            form = f"{sample.shape} {sample.dtype}"
+        else:
+            return sample.copy()  # It may write the next sample into the same array.
+        raise CodeError(
+            f"`{self._name}`: sensor {self._sensor} returned {form}",
+            fix=f"it says that it returns {self.shape} {self.dtype}",
+        )
+
+    def state(self) -> Arrays:
+        """Return what it remembers."""
+        return self._call("state") or {} if remembers(self._plugin) else {}
+
+    def restore(self, state: Arrays) -> None:
+        """Go back to a `state`."""
+        if remembers(self._plugin):
+            self._call("restore", state)
+
+    def _call(self, method: str, *arguments: Any) -> Any:
+        """Call a method if the object has it."""
+        function = getattr(self._plugin, method, None)
+        if function is None:
+            return None
+        try:
+            return function(*arguments)
+        except NwEvalError:
+            raise
+        except Exception as error:
+            raise CodeError(
+                f"`{self._name}`: sensor {self._sensor}: {method} raised "
+                f"{type(error).__name__}: {error}"
+            ) from error
+
+
+def foreign_wrapper(entry: PluginWrap, *, code_from: Path | None) -> Wrapper:
+    """Return an object of a plug-in's class, with whatever methods it leaves out filled in.
+
+    Raises:
+        PolicyError: the class cannot be imported or made, or is no wrapper.
+    """
+    foreign = make_plugin(entry.wrapper, WRAPPERS, (), entry.parameters, code_from=code_from)
+    if not callable(foreign):
+        raise PolicyError(
+            f"wrapper {entry.wrapper} has no method `__call__`",
+            fix="write `def __call__(self, sample, shot)`",
+        )
+    return _Foreign(foreign)
+
+
+class _Foreign:
+    def __init__(self, wrapper: Any) -> None:
+        self._wrapper = wrapper
+
+    def __call__(self, sample: Sample, shot: Shot) -> Sample:
+        # It may write into what it gets, and into what it has returned.
+        result = self._wrapper(sample.copy(), shot)
+        return np.array(result) if hasattr(result, "dtype") else result
+
+    def reset(self, rng: np.random.Generator) -> None:
+        if hasattr(self._wrapper, "reset"):
+            self._wrapper.reset(rng)
+
+    def state(self) -> Arrays:
+        return self._wrapper.state() if remembers(self._wrapper) else {}
+
+    def restore(self, state: Arrays) -> None:
+        if remembers(self._wrapper):
+            self._wrapper.restore(state)

@@ -1,20 +1,30 @@
-"""What a sensor is, and what it is asked about."""
+"""What a sensor is, what it is asked about, and what it measures, noise and wrappers aside.
+
+A `Measurement` is sampled in a `TrialPlace`; `Wrapper`s turn the sample into what the policy sees.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.arrays import read_only
 from nw_eval.cards import Action
-from nw_eval.memory import Memory
+from nw_eval.memory import Arrays, Forgetful, Memory
+from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Nearness
 from nw_eval.sim import TrailProgress, World
+from nw_eval.splat.image import Image
+
+if TYPE_CHECKING:
+    from nw_eval.splat.render import Renderer
+
 
 Array = NDArray[np.float64]
 
@@ -81,40 +91,20 @@ class Sensor(Memory[bytes], Protocol):
     the sensor's own rate and returns the last one between.
     """
 
-    @property
-    def name(self) -> str:
-        """The observation's name on the card."""
-        ...
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of what `read` returns."""
-        ...
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of what `read` returns."""
-        ...
-
-    @property
-    def unit(self) -> str:
-        """What the numbers are, for logs: "m", "rgb", or "mixed"."""
-        ...
-
-    @property
-    def rate(self) -> int:
-        """Samples per second, Hz."""
-        ...
-
-    @property
-    def is_image(self) -> bool:
-        """Whether this is a rendered image, which costs far more than numbers do."""
-        ...
-
-    @property
-    def fresh(self) -> bool:
-        """Whether the last `read` returned another sample than the one before it."""
-        ...
+    name: str
+    """The observation's name on the card."""
+    shape: tuple[int, ...]
+    """Shape of what `read` returns."""
+    dtype: np.dtype[Any]
+    """Type of what `read` returns."""
+    unit: str
+    """What the numbers are, for logs: "m", "rgb", or "mixed"."""
+    rate: int
+    """Samples per second, Hz."""
+    is_image: bool
+    """Whether this is a rendered image, which costs far more than numbers do."""
+    fresh: bool
+    """Whether the last `read` returned another sample than the one before it."""
 
     @property
     def coverage(self) -> float | None:
@@ -136,3 +126,151 @@ class Sensor(Memory[bytes], Protocol):
     def read(self, moment: Moment) -> NDArray[Any]:
         """Return the observation that the policy sees now. Do not change the array."""
         ...
+
+
+FOG = 0.8
+"""How bright fog is, of white."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Air:
+    """What lies between a camera and the place, and how long it is exposed.
+
+    Attributes:
+        exposure: factor of all colours.
+        fog: share of the light that is lost per metre, as the exponent, 1/m.
+    """
+
+    exposure: float = 1.0
+    fog: float = 0.0
+
+    def seen(self, image: Image) -> Image:
+        """Return an image, depth in m, as it is seen through this air."""
+        rgb = image.rgb
+        if self.fog:
+            # Where nothing was drawn there is no end to the fog.
+            metres = np.where(image.depth > 0.0, image.depth, np.float32(np.inf))
+            clear = np.exp(-np.float32(self.fog) * metres)[..., np.newaxis]
+            rgb = rgb * clear + np.float32(FOG) * (np.float32(1.0) - clear)
+        if self.exposure != 1.0:
+            rgb = rgb * np.float32(self.exposure)
+        return Image(rgb=rgb, depth=image.depth, alpha=image.alpha)
+
+
+CLEAR = Air()
+"""As the place was captured."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialPlace:
+    """The world of one trial, and what its sensors share.
+
+    Attributes:
+        world: the robot in its scene (`world.scene`).
+        rays: gives the scene's static geometry for ray casting; made on the first call.
+        renderer: gives the renderer of the scene's splat; made on the first call.
+        air: through which cameras see it.
+    """
+
+    world: World
+    rays: Callable[[], RayScene]
+    renderer: Callable[[], Renderer]
+    air: Air = CLEAR
+
+
+Sample = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Spec:
+    """Shape and type of a sample."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+
+@dataclass
+class Shot:
+    """What a wrapper may know beside the sample itself.
+
+    Attributes:
+        step: control steps done; 0 at the start of a trial.
+        moment: world and progress; None while shapes are worked out, before there is a world.
+    """
+
+    step: int
+    moment: Moment | None
+    generator: Callable[[int], np.random.Generator]
+
+    @property
+    def time(self) -> float:
+        """Seconds since the start of the trial."""
+        return 0.0 if self.moment is None else self.moment.world.time
+
+    @cached_property
+    def rng(self) -> np.random.Generator:
+        """Randomness of this sample alone: from the trial's seed, the wrapper's place and `step`.
+
+        It depends on nothing that was drawn before, so a trial continued from its middle sees the
+        same noise.
+        """
+        return self.generator(self.step)
+
+
+class Wrapper(Memory[Arrays], Protocol):
+    """A wrapper as the chain uses it; classes of plug-ins need `__call__` only."""
+
+    def __call__(self, sample: Sample, shot: Shot) -> Sample:
+        """Return the sample that comes out, in memory of its own or unchanged."""
+        ...
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Begin a trial; `rng` is the same for all of it."""
+        ...
+
+
+class Plain(Forgetful):
+    """A wrapper without memory."""
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """Nothing to forget."""
+
+
+class Measurement(Memory[Arrays], Protocol):
+    """What is sampled; by default numbers that depend on the moment alone, seen as measured."""
+
+    shape: tuple[int, ...]
+    """Shape of a measurement."""
+    dtype: np.dtype[Any]
+    """Type of a measurement."""
+    unit: str
+    """As `Sensor.unit`."""
+    is_image: bool = False
+    """As `Sensor.is_image`."""
+    coverage: float | None = None
+    """As `Sensor.coverage`."""
+    nearness: Nearness | None = None
+    """As `Sensor.nearness`."""
+    nothing: float = 0.0
+    """What a number reads where there is nothing, and where noise loses it."""
+    form: Sequence[Wrapper] = ()
+    """What brings a measurement, behind its noise, into the form that the card asks for."""
+    sum_of: str = ""
+    """What its size is the sum or the product of: `3 + 3 + 12`; empty if that says nothing."""
+
+    def attach(self, place: TrialPlace) -> None:
+        """Take what it needs of the place; called once, before `reset`."""
+
+    def reset(self) -> None:
+        """Forget earlier measurements."""
+
+    def measure(self, moment: Moment) -> NDArray[Any]:
+        """Return a new measurement, which nobody will change."""
+        ...
+
+    def state(self) -> Arrays:
+        """Return what the next measurements depend on beside the moment."""
+        return {}
+
+    def restore(self, state: Arrays) -> None:
+        """Go back to a `state`."""

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.file.load import CARD_FILE, parse_card
-from nw_eval.cards.observations.cameras import CameraObservation
+from nw_eval.cards.load import CARD_FILE, parse_card
+from nw_eval.cards.observations import CameraObservation
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, StoreError
 from nw_eval.robots import get_robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.cards.observations.wrappers import Flatten, PluginWrap
+from nw_eval.cards.wrappers import Flatten, PluginWrap
 from nw_eval.errors import StoreError
 from nw_eval.rollout.observed.names import (
     action_names,

@@ -5,7 +5,7 @@ import re
 import pytest
 from cache_parts import conditions_of, jobs_of, row_of
 
-from nw_eval.cli.outermost import end_of
+from nw_eval.cli.process import end_of
 from nw_eval.engine.cache.store import TrialStore
 
 HERE = conditions_of()

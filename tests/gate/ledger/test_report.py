@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from nw_eval.cli.text.judging.ledger import ledger_page
+from nw_eval.cli.verbs.ledger import ledger_page
 from nw_eval.gate.ledger.report import ledger_report
 
 if TYPE_CHECKING:

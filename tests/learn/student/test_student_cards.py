@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from student_parts import small_config
 
-from nw_eval.cards.file.load import card_of
+from nw_eval.cards.load import card_of
 from nw_eval.errors import UsageError
 from nw_eval.learn.config import load_config
 from nw_eval.learn.student.card import check_teacher, student_card

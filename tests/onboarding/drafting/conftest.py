@@ -12,8 +12,8 @@ from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.cards.card import Card
 from nw_eval.cards.inputs import shape_problems
-from nw_eval.onboarding.drafting import write_card_draft
-from nw_eval.onboarding.reading import inspect_checkpoint
+from nw_eval.onboarding.checkpoint import inspect_checkpoint
+from nw_eval.onboarding.draft import write_card_draft
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.robots import get_robot
 from nw_eval.sensors import check_card

@@ -12,11 +12,11 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from nw_eval.cards.file.load import load_card
+from nw_eval.cards.load import load_card
 from nw_eval.cards.terms import term_size
 from nw_eval.errors import PolicyError
-from nw_eval.onboarding.drafting import write_card_draft
-from nw_eval.onboarding.reading import inspect_checkpoint
+from nw_eval.onboarding.checkpoint import inspect_checkpoint
+from nw_eval.onboarding.draft import write_card_draft
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.networks.act import Act, read_sizes
 from nw_eval.policies.networks.lucidsim import LucidSimTransformer

@@ -13,9 +13,9 @@ from nw_eval import api
 from nw_eval.cards import load_card
 from nw_eval.cards.terms import term_size
 from nw_eval.errors import PolicyError
-from nw_eval.onboarding.drafting import write_card_draft
-from nw_eval.onboarding.drafting.frames import FRAMES
-from nw_eval.onboarding.reading import inspect_checkpoint
+from nw_eval.onboarding.checkpoint import inspect_checkpoint
+from nw_eval.onboarding.draft import write_card_draft
+from nw_eval.onboarding.layouts import FRAMES
 from nw_eval.robots import get_robot
 
 GO2 = get_robot("go2")

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.onboarding.probe.budget import Metered
 from nw_eval.onboarding.probe.comparison import compare
-from nw_eval.onboarding.variants.hypotheses import TRIED
+from nw_eval.onboarding.probe.hypotheses import TRIED
+from nw_eval.onboarding.probe.recording import Metered
 from nw_eval.robots import get_robot
 
 GO1 = get_robot("go1")

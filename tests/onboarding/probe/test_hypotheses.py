@@ -6,9 +6,8 @@ import pytest
 from ruamel.yaml import YAML
 
 from nw_eval.cards import Card
-from nw_eval.onboarding.variants.hypotheses import double_hypotheses, hypotheses
-from nw_eval.onboarding.variants.joint_signs import turned_cards
-from nw_eval.onboarding.variants.written import changed_lines, flow
+from nw_eval.onboarding.notation import changed_lines, flow
+from nw_eval.onboarding.probe.hypotheses import double_hypotheses, hypotheses, turned_cards
 from nw_eval.robots import get_robot
 
 GO1 = get_robot("go1")

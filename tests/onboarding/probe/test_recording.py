@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nw_eval.onboarding.probe.rig import SceneRig
+from nw_eval.onboarding.probe.recording import SceneRig
 from nw_eval.policies import load_bundle
 
 

@@ -17,7 +17,7 @@ import torch
 from onnx import helper, onnx_ml_pb2
 
 from nw_eval.errors import PolicyError
-from nw_eval.onboarding.reading import inspect_checkpoint
+from nw_eval.onboarding.checkpoint import inspect_checkpoint
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.onnx.session import open_session
 from nw_eval.policies.safety import check_onnx
@@ -236,7 +236,7 @@ def test_onnxruntime_tells_nobody_and_writes_nothing(tmp_path):
     code = (
         "from pathlib import Path; from nw_eval.policies import load_bundle, open_policy;"
         f"open_policy(load_bundle(Path({str(folder)!r})));"
-        "from nw_eval.onboarding.reading import inspect_checkpoint;"
+        "from nw_eval.onboarding.checkpoint import inspect_checkpoint;"
         f"inspect_checkpoint(Path({str(folder / 'policy.onnx')!r}));"
         "import os; print(os.environ['ORT_DISABLE_TELEMETRY'])"
     )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.cli.text.judging.baseline_changes import change_page, whose_doing
+from nw_eval.cli.verbs.baseline import change_page, whose_doing
 from nw_eval.results.bank.changes import bank_change, bank_mean
 
 if TYPE_CHECKING:

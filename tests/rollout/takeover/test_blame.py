@@ -11,7 +11,7 @@ from onnx import numpy_helper
 
 from nw_eval import api
 from nw_eval.api.blaming.policy import baseline_bundle
-from nw_eval.cli.text.blame import blame_page, forecast_line, trial_line, written
+from nw_eval.cli.verbs.blame import blame_page, forecast_line, trial_line, written
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.replaying.blame import search as searching

@@ -5,7 +5,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.catalogue import get_scene
-from nw_eval.cli.text.takeover import takeover_page
+from nw_eval.cli.verbs.replay import takeover_page
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.job import TrialJob

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nw_eval.cards import JointControl
-from nw_eval.cards.file.load import card_of
+from nw_eval.cards.load import card_of
 from nw_eval.robots import get_robot
 from nw_eval.rollout.replaying.takeover.units import translator
 

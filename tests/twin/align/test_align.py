@@ -10,8 +10,9 @@ from rooms import capture, room, similarity, walk
 
 from nw_eval.errors import SceneError
 from nw_eval.splat.gaussians import Gaussians
-from nw_eval.twin.align import AlignOptions, align, read_alignment, write_alignment
-from nw_eval.twin.align.apply import (
+from nw_eval.twin.align.align import align
+from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
+from nw_eval.twin.moved import (
     moved_camera,
     moved_capture,
     moved_gaussians,

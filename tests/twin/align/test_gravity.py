@@ -5,7 +5,8 @@ import pytest
 from rooms import about_z, capture, degrees_off, floor_off, room, similarity, straight, walk
 
 from nw_eval.errors import SceneError, UsageError
-from nw_eval.twin.align import AlignOptions, align
+from nw_eval.twin.align.align import align
+from nw_eval.twin.align.alignment import AlignOptions
 
 METRIC = AlignOptions(camera_height=1.5)
 

@@ -11,11 +11,11 @@ from tags import picture, texture
 
 from nw_eval.errors import PrerequisiteError, UsageError
 from nw_eval.splat.camera import look_at
-from nw_eval.twin.align import AlignOptions, KnownLength, align
-from nw_eval.twin.align.scale.exif import gps_positions
-from nw_eval.twin.align.scale.positions import east_north_up
-from nw_eval.twin.align.scale.tags import find_tags
-from nw_eval.twin.align.scale.triangulate import triangulate
+from nw_eval.twin.align.align import align
+from nw_eval.twin.align.alignment import AlignOptions, KnownLength
+from nw_eval.twin.align.positions import east_north_up, gps_positions
+from nw_eval.twin.align.tags import find_tags
+from nw_eval.twin.align.triangulate import triangulate
 
 SIZE = (480, 360)
 

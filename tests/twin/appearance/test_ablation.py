@@ -11,12 +11,11 @@ import scipy.stats
 from small_capture import photos
 
 from nw_eval.errors import SceneError, UsageError
-from nw_eval.twin.ablation import ARMS, TrainedArm, ablate, table_text
-from nw_eval.twin.appearance import AppearanceOptions, AppearanceReport
-from nw_eval.twin.appearance.photos import split_photos
+from nw_eval.twin.building.ablation import ARMS, TrainedArm, ablate, table_text
+from nw_eval.twin.building.appearance import AppearanceOptions, AppearanceReport, split_photos
 from nw_eval.twin.building.folder import BuildFolder
 from nw_eval.twin.capture import read_capture
-from nw_eval.twin.gaussians.evaluate import ViewFigures
+from nw_eval.twin.gaussians.loss import ViewFigures
 
 
 def outcome(arm, psnrs, low=None):

@@ -12,10 +12,14 @@ from small_capture import PLACE
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.splat.files import read_splat
-from nw_eval.twin.appearance import AppearanceOptions, train_splat
-from nw_eval.twin.appearance import stage as the_stage
-from nw_eval.twin.appearance.photos import photos_of
-from nw_eval.twin.appearance.points import points_of, points_on
+from nw_eval.twin.building import appearance as the_stage
+from nw_eval.twin.building.appearance import (
+    AppearanceOptions,
+    photos_of,
+    points_of,
+    points_on,
+    train_splat,
+)
 from nw_eval.twin.capture import read_capture
 
 QUICK = AppearanceOptions(

@@ -13,12 +13,11 @@ from nw_eval.errors import SceneError, StoreError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 from nw_eval.splat.camera import Camera
-from nw_eval.twin.align import read_alignment, write_alignment
-from nw_eval.twin.align.alignment import Alignment
-from nw_eval.twin.building import Build, BuildSettings
+from nw_eval.twin.align.alignment import Alignment, read_alignment, write_alignment
+from nw_eval.twin.building.build import Build, BuildSettings
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
 from nw_eval.twin.capture import Capture, PlacedShot, read_capture, write_capture
-from nw_eval.twin.reconstruct import ColourMesh, write_mesh
+from nw_eval.twin.reconstruct.mesh import ColourMesh, write_mesh
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 

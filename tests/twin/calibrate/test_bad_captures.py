@@ -15,8 +15,10 @@ from PIL import Image
 from nw_eval import cli
 from nw_eval.errors import UsageError
 from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.align import AlignOptions, align
-from nw_eval.twin.calibrate import CalibrateOptions, calibrate
+from nw_eval.twin.align.align import align
+from nw_eval.twin.align.alignment import AlignOptions
+from nw_eval.twin.calibrate.calibrate import calibrate
+from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import read_capture
 
 

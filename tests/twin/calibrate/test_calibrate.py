@@ -11,7 +11,8 @@ from PIL import Image
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.splat.camera import Camera
-from nw_eval.twin.calibrate import CalibrateOptions, calibrate
+from nw_eval.twin.calibrate.calibrate import calibrate
+from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import read_capture, read_picture
 
 QUICK = CalibrateOptions(features=1200)

@@ -10,13 +10,13 @@ import synthetic_room
 from PIL import Image
 
 from nw_eval.errors import PrerequisiteError
-from nw_eval.twin.calibrate import CalibrateOptions
+from nw_eval.twin.calibrate import mapping
+from nw_eval.twin.calibrate.calibrate import pairs_of
+from nw_eval.twin.calibrate.features import match
+from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.calibrate.packages import package
 from nw_eval.twin.calibrate.photographs import take_in
 from nw_eval.twin.calibrate.solution import Lens
-from nw_eval.twin.calibrate.solving import mapping
-from nw_eval.twin.calibrate.solving.features import match
-from nw_eval.twin.calibrate.solving.pairs import pairs_of
 from nw_eval.twin.calibrate.sources import find_source
 
 QUICK = CalibrateOptions(features=400)

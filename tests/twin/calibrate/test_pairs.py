@@ -2,7 +2,7 @@
 
 import pytest
 
-from nw_eval.twin.calibrate.solving.pairs import pairs_of
+from nw_eval.twin.calibrate.calibrate import pairs_of
 
 
 @pytest.mark.parametrize("in_sequence", [True, False])

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
+from nw_eval.twin.calibrate.calibrate import APART, BLURRED, PLAIN, UNFIT, why_not
+from nw_eval.twin.calibrate.features import Matches
 from nw_eval.twin.calibrate.photographs import Photograph
-from nw_eval.twin.calibrate.solving.features import Matches
-from nw_eval.twin.calibrate.solving.reasons import APART, BLURRED, PLAIN, UNFIT, why_not
 
 
 def photograph(name, sharpness=100.0, contrast=50.0):

@@ -8,7 +8,7 @@ import synthetic_room
 
 from nw_eval.errors import SceneError
 from nw_eval.twin.calibrate.sources import find_source
-from nw_eval.twin.calibrate.sources.video import choose
+from nw_eval.twin.calibrate.video import choose
 
 
 def test_a_resting_camera_gives_few_frames_and_a_moving_one_many():

@@ -12,7 +12,7 @@ from nw_eval import cli
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.neverwhere import load_published
 from nw_eval.splat.files import write_splat
-from nw_eval.twin.label.folder import copying
+from nw_eval.twin.label import copying
 
 pytest.importorskip("playwright")
 viser = pytest.importorskip("viser")

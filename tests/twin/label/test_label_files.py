@@ -12,8 +12,9 @@ from label_places import SCENE, WALK, block, floor, opened, photographed, writte
 from nw_eval.errors import SceneError, StoreError, UsageError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.neverwhere import load_published
-from nw_eval.twin.label import CropBox, open_labelling
-from nw_eval.twin.label.folder import published, saving
+from nw_eval.twin.label import published, saving
+from nw_eval.twin.label.labelling import open_labelling
+from nw_eval.twin.label.state import CropBox
 
 
 def files_of(folder):

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from label_places import block, floor, opened
 
 from nw_eval.scenes.mesh import TriangleMesh
-from nw_eval.twin.label.course.ground import Ground
-from nw_eval.twin.label.course.profile import height_profile
-from nw_eval.twin.label.crop import CropBox, cropped
+from nw_eval.twin.label.ground import Ground, height_profile
+from nw_eval.twin.label.state import CropBox, cropped
 
 
 def mesh_of(*solids):

@@ -8,10 +8,8 @@ import trimesh
 from label_places import block, floor
 from test_label_ground import mesh_of
 
-from nw_eval.twin.label.course.ground import Ground
-from nw_eval.twin.label.course.obstacles import obstacles_of
-from nw_eval.twin.label.course.profile import height_profile
-from nw_eval.twin.label.course.reach import hints_on
+from nw_eval.twin.label.ground import Ground, height_profile
+from nw_eval.twin.label.hints import hints_on, obstacles_of
 
 ALONG = [(0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (5.0, 0.0, 0.0)]
 

@@ -14,8 +14,8 @@ from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.neverwhere import load_published
 from nw_eval.splat.files import read_splat
 from nw_eval.suite import load_suite
-from nw_eval.twin.label import open_labelling
-from nw_eval.twin.label.folder import copying
+from nw_eval.twin.label import copying
+from nw_eval.twin.label.labelling import open_labelling
 
 pytest.importorskip("viser")
 

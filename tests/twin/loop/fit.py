@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nw_eval.scenes.folder import load_folder
-from nw_eval.twin.align.apply import moved_capture
 from nw_eval.twin.capture import read_capture
+from nw_eval.twin.moved import moved_capture
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ import pytest
 
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.terrain import build_terrain
-from nw_eval.twin.place.lips import without_lips
+from nw_eval.twin.place import without_lips
 
 WIDE = 1.0
 """Of everything, along y, metres."""

@@ -5,7 +5,7 @@ import pytest
 
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.rays import RayScene
-from nw_eval.twin.place.unlike import SeenDepth, unlike_photographs
+from nw_eval.twin.building.unlike import SeenDepth, unlike_photographs
 
 LINE = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
 FIRST, SECOND, THIRD = (-0.5, 1.2), (1.6, 2.6), (3.0, 5.0)

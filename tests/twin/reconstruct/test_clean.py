@@ -4,13 +4,9 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import SceneError
-from nw_eval.twin.reconstruct import ColourMesh, read_colour_mesh, write_mesh
-from nw_eval.twin.reconstruct.clean.flatten import flatten
-from nw_eval.twin.reconstruct.clean.holes import holes
-from nw_eval.twin.reconstruct.clean.parts import large_parts
-from nw_eval.twin.reconstruct.clean.simplify import simplify
-from nw_eval.twin.reconstruct.clean.small_planes import flatten_small
-from nw_eval.twin.reconstruct.planes.hypotheses import SupposedPlane
+from nw_eval.twin.reconstruct.clean import flatten, flatten_small, holes, large_parts, simplify
+from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh, write_mesh
+from nw_eval.twin.reconstruct.planes import SupposedPlane
 
 CELL = 0.02
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from nw_eval.twin.reconstruct import ColourMesh
-from nw_eval.twin.reconstruct.clean.complete import complete
-from nw_eval.twin.reconstruct.clean.flatten import FlatPlane
-from nw_eval.twin.reconstruct.depth.maps import DepthMap
-from nw_eval.twin.reconstruct.depth.view import WorkingView
+from nw_eval.twin.reconstruct.clean import FlatPlane
+from nw_eval.twin.reconstruct.complete import complete
+from nw_eval.twin.reconstruct.depth import DepthMap
+from nw_eval.twin.reconstruct.mesh import ColourMesh
+from nw_eval.twin.reconstruct.views import WorkingView
 
 CELL = 0.02
 FLOOR = FlatPlane(normal=(0.0, 0.0, 1.0), offset=0.0, area=4.0, noise=0.0, moved=1.0)

@@ -5,8 +5,8 @@ import pytest
 
 from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.capture import Capture, PlacedShot
-from nw_eval.twin.reconstruct.depth.neighbours import depth_range, neighbours_of
-from nw_eval.twin.reconstruct.kernels.smooth import smooth, winners
+from nw_eval.twin.reconstruct.sweep_kernels import smooth, winners
+from nw_eval.twin.reconstruct.views import depth_range, neighbours_of
 
 
 def capture_of(degrees, *, seen=40):

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.reconstruct.depth.maps import DepthMap
-from nw_eval.twin.reconstruct.depth.view import WorkingView
-from nw_eval.twin.reconstruct.mesh_file import ColourMesh
+from nw_eval.twin.reconstruct import planes as supposing
+from nw_eval.twin.reconstruct.depth import DepthMap
+from nw_eval.twin.reconstruct.mesh import ColourMesh
 from nw_eval.twin.reconstruct.options import DepthOptions
-from nw_eval.twin.reconstruct.planes import hypotheses as supposing
-from nw_eval.twin.reconstruct.planes.hypotheses import SupposedPlane, hypotheses
-from nw_eval.twin.reconstruct.planes.maps import planar_maps
+from nw_eval.twin.reconstruct.planar import planar_maps
+from nw_eval.twin.reconstruct.planes import SupposedPlane, hypotheses
+from nw_eval.twin.reconstruct.views import WorkingView
 
 DECK, LOW, HIGH = 0.3, np.array([-0.5, -0.5]), np.array([0.5, 0.5])
 """A platform, metres: the height of its top, and two of its corners."""

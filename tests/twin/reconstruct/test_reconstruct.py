@@ -12,13 +12,10 @@ from small_room import SMALL, STEPS, depth_of_room, write_room
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.twin.capture import read_capture, write_capture
-from nw_eval.twin.reconstruct import (
-    ReconstructOptions,
-    array_file,
-    depth_maps,
-    read_colour_mesh,
-    reconstruct,
-)
+from nw_eval.twin.reconstruct.depth import array_file, depth_maps
+from nw_eval.twin.reconstruct.mesh import read_colour_mesh
+from nw_eval.twin.reconstruct.options import ReconstructOptions
+from nw_eval.twin.reconstruct.reconstruct import reconstruct
 
 PIXEL = 0.022
 """Metres, at the steps."""

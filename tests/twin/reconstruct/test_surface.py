@@ -6,10 +6,9 @@ import pytest
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.reconstruct.depth.maps import DepthMap
-from nw_eval.twin.reconstruct.depth.view import WorkingView
-from nw_eval.twin.reconstruct.surface.extract import extract
-from nw_eval.twin.reconstruct.surface.volume import fuse
+from nw_eval.twin.reconstruct.depth import DepthMap
+from nw_eval.twin.reconstruct.surface import extract, fuse
+from nw_eval.twin.reconstruct.views import WorkingView
 
 VOXEL, DECK = 0.02, 0.4
 LOW, HIGH = np.array([0.0, -0.5, 0.0]), np.array([1.0, 0.5, DECK])

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from nw_eval.cards import Card
-from nw_eval.cards.file.load import CARD_FILE
+from nw_eval.cards.load import CARD_FILE
 from nw_eval.errors import PolicyError, StoreError
 from nw_eval.gate.cause.two_by_two import Apart
 from nw_eval.policies import Bundle

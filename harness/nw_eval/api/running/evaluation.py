@@ -101,7 +101,7 @@ def _bundle(
     policy: object, suite: str | Path, card: Card | Mapping[str, Any], version: str
 ) -> Bundle:
     """Return an object with its card, completed from the suite and the object."""
-    from nw_eval.cards.file.load import card_of
+    from nw_eval.cards.load import card_of
     from nw_eval.policies import instance_bundle
     from nw_eval.suite import load_suite
 

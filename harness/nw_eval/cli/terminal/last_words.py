@@ -28,3 +28,20 @@ def unforeseen(error: BaseException) -> str:
         return f"unforeseen: {type(error).__name__}: {clean(error)}{place}; {where}"
     except Exception:  # noqa: BLE001 - no memory is left for a sentence, or `__str__` raises.
         return "unforeseen, and without a message that can be read"
+
+
+def show(page: Path) -> None:
+    """Open a page; where there is no browser that is said, and nothing else changes."""
+    show_address(page.resolve().as_uri())
+
+
+def show_address(address: str) -> None:
+    """Open an address; where there is no browser that is said, and nothing else changes."""
+    import webbrowser
+
+    try:
+        opened = webbrowser.open(address)
+    except (webbrowser.Error, OSError):
+        opened = False
+    if not opened:
+        tell(f"warning: no browser to open here; the page is {address}")

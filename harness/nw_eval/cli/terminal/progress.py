@@ -139,8 +139,3 @@ class RunProgress:
         success = sum(self._successes) / len(self._successes) if self._successes else 0.0
         note = f"{self._fresh / minutes:.0f} a minute, success so far {success:.2f}"
         return f"{note}, {self._errors} errors" if self._errors else note
-
-
-def build_progress() -> RunProgress:
-    """Return the listener for verbs that only build scenes."""
-    return RunProgress()

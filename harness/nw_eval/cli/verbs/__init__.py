@@ -10,40 +10,43 @@ from types import MappingProxyType
 from typing import Annotated, Any, cast
 
 from nw_eval import __version__
-from nw_eval.cli.verbs.ahead import begin
 
 _VERBS = MappingProxyType(
     {
-        "run": "run:Run",
-        "check": "check:Check",
-        "plan": "judging.plan:PlanTrials",
-        "suites": "parts.suites:Suites",
-        "baseline": "judging.baseline:Baseline",
-        "gate": "judging.gate:GateRun",
-        "merge": "judging.merge:MergeRuns",
-        "ledger": "judging.ledger:Ledger",
-        "bisect": "judging.bisect:BisectSeries",
-        "report": "report:Report",
-        "compare": "judging.compare:Compare",
-        "sweep": "judging.sweep:SweepAxes",
-        "agree": "judging.agree:Agree",
-        "replay": "replay:Replay",
-        "view": "view:ViewTrials",
-        "verify": "verify:Verify",
-        "blame": "blame:Blame",
-        "train": "training.train:Train",
-        "study": "training.study:Study",
-        "twin": "twin.twin:Twin",
-        "policies": "parts.policies:Policies",
-        "scenes": "parts.scenes:Scenes",
-        "sensors": "parts.sensors:Sensors",
-        "splat": "parts.splat:Splat",
-        "schema": "parts.schema:Schema",
-        "cache": "parts.cache:CacheOfTrials",
-        "warmup": "warmup:Warmup",
+        "run": "Run",
+        "check": "Check",
+        "plan": "PlanTrials",
+        "suites": "Suites",
+        "baseline": "Baseline",
+        "gate": "GateRun",
+        "merge": "MergeRuns",
+        "ledger": "Ledger",
+        "bisect": "BisectSeries",
+        "report": "Report",
+        "compare": "Compare",
+        "sweep": "SweepAxes",
+        "agree": "Agree",
+        "replay": "Replay",
+        "view": "ViewTrials",
+        "verify": "Verify",
+        "blame": "Blame",
+        "train": "Train",
+        "study": "Study",
+        "twin": "Twin",
+        "policies": "Policies",
+        "scenes": "Scenes",
+        "sensors": "Sensors",
+        "splat": "Splat",
+        "schema": "Schema",
+        "cache": "CacheOfTrials",
+        "warmup": "Warmup",
     }
 )
-"""Where each of them is, in the order of the help text."""
+"""The class of each of them, in the module of its name; in the order of the help text."""
+
+_FENCELESS = ("--in", "--engine", "--allow", "--render")
+"""Beginnings of options with which trials run elsewhere, or in processes that are not forked."""
+_HELP = frozenset({"-h", "--help"})
 
 
 def parse(arguments: Sequence[str], *, description: str) -> Callable[[], int]:
@@ -68,8 +71,22 @@ def parse(arguments: Sequence[str], *, description: str) -> Callable[[], int]:
     return _parsed(reduce(or_, verbs), arguments, prog="nw-eval", description=description)
 
 
+def begin(arguments: Sequence[str]) -> None:
+    """Start what trials are forked from, for a command that will most likely run some.
+
+    It imports for as long as the verb does itself and the run is planned, on another core. Where
+    the guess is wrong, it ends with this process.
+    """
+    if len(arguments) < 2 or arguments[0] != "run" or _HELP & set(arguments):
+        return
+    if not any(word.replace("_", "-").startswith(_FENCELESS) for word in arguments):
+        from nw_eval.rollout.confined.start import prepare
+
+        prepare()
+
+
 def _verb(name: str) -> Any:
-    return resolve_name(f"{__name__}.{_VERBS[name]}")
+    return resolve_name(f"{__name__}.{name}:{_VERBS[name]}")
 
 
 def _parsed(form: Any, arguments: Sequence[str], **words: Any) -> Callable[[], int]:

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+from nw_eval.clean import clean
+from nw_eval.cli.terminal.lines import aligned
+from nw_eval.plural import plural
+
+if TYPE_CHECKING:
+    from nw_eval.api import BlamedTrial, BlamePlan, Blames
+    from nw_eval.rollout.replaying.blame.report import BlameReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +60,8 @@ class Blame:
 
     def _cause(self) -> int:
         from nw_eval import api
+        from nw_eval.cli.terminal.lines import aligned
         from nw_eval.cli.terminal.progress import RunProgress
-        from nw_eval.cli.text.table import aligned
         from nw_eval.reporting.cause.words import answer_words, cause_table
 
         with RunProgress() as progress:
@@ -76,7 +86,6 @@ class Blame:
     def _since_when(self) -> int:
         from nw_eval import api
         from nw_eval.cli.terminal.last_words import tell
-        from nw_eval.cli.text.blame import blame_page, forecast_line, trial_line, written
 
         if self.out is not None:
             self._check_out(self.out)
@@ -106,3 +115,150 @@ class Blame:
 
         if out.suffix not in {".md", ".json"}:
             raise UsageError(f"--out {out} is neither .md nor .json", fix="give it one ending")
+
+
+_EVENTS = {
+    "collided": "the contact",
+    "fell": "the fall",
+    "off_course": "leaving the course",
+    "policy_failed": "the policy's failure",
+    "stuck": "it counted as stuck",
+    "timeout": "the timeout",
+}
+_COLUMNS = ("trial", "ended", "at", "committed at", "before its end", "the baseline")
+
+
+def forecast_line(plan: BlamePlan) -> str:
+    """Return what is to be done, and what it costs."""
+    left = plan.failed - plan.chosen - plan.without_log
+    what = f"{plan.baseline} takes over {plural(plan.chosen, 'failed trial')}"
+    cost = f"at most about {plan.minutes:.1f} minutes with --workers {plan.workers}"
+    words = [f"{what}, at most {plan.tries} times in each: {cost}"]
+    if left > 0:
+        words.append(f"{left} more are left out, --at-most {plan.chosen + left} takes them in")
+    if plan.without_log:
+        words.append(f"{plural(plan.without_log, 'failed trial')} without a log")
+    return "; ".join(words)
+
+
+def trial_line(trial: BlamedTrial) -> str:
+    """Return what came of one trial."""
+    return clean(f"{trial.trial}: {_sentence(trial)}")
+
+
+def blame_page(blames: Blames) -> str:
+    """Return what came of all of them: a table, and a sentence where a cell does not do."""
+    rows = [_COLUMNS, *(_cells(trial) for trial in blames.trials)]
+    notes = [trial_line(trial) for trial in blames.trials if _needs_words(trial)]
+    return "\n".join([*aligned(rows, right={2, 3, 4}), *([""] if notes else []), *notes])
+
+
+def written(blames: Blames, suffix: str) -> str:
+    """Return the content of a file: JSON with every try, or Markdown."""
+    if suffix == ".json":
+        words = [{"says": _sentence(trial), **_verdict(trial)} for trial in blames.trials]
+        whole = asdict(blames)
+        whole["trials"] = [each | more for each, more in zip(whole["trials"], words, strict=True)]
+        return json.dumps(whole, indent=2) + "\n"
+    from nw_eval.reporting.markdown import escaped, markdown_table
+    from nw_eval.reporting.tables.table import Table
+
+    table = Table(
+        title="Blame",
+        columns=_COLUMNS,
+        rows=tuple(_cells(trial) for trial in blames.trials),
+        numbers=frozenset({"at", "committed at", "before its end"}),
+    )
+    notes = [f"* {escaped(trial_line(trial))}" for trial in blames.trials]
+    head = [f"# Blame: {escaped(blames.run)}", "", escaped(forecast_line(blames.plan)), ""]
+    return "\n".join([*head, markdown_table(table), "", *notes]) + "\n"
+
+
+def _verdict(trial: BlamedTrial) -> dict[str, object]:
+    """Return what programs want to know without reckoning."""
+    from nw_eval.cards.model import CONTROL_RATE
+
+    report = trial.report
+    committed = None if report is None else report.committed
+    return {
+        "committed_s": None if committed is None else committed.step / CONTROL_RATE,
+        "is_monotone": None if report is None else report.is_monotone,
+    }
+
+
+def _cells(trial: BlamedTrial) -> tuple[str, ...]:
+    report = trial.report
+    if report is None:
+        return (clean(trial.trial), "", "", "", "", "nothing came of it")
+    committed = report.committed
+    return (
+        clean(trial.trial),
+        clean(f"{report.was.end} ({report.was.reason})", at_most=60),
+        f"{_seconds(report.was.steps)} s",
+        "never" if committed is None else f"{_seconds(committed.step)} s",
+        "" if committed is None else f"{_seconds(report.was.steps - committed.step)} s",
+        _standing(report),
+    )
+
+
+def _standing(report: BlameReport) -> str:
+    """Return in few words what the baseline makes of the trial."""
+    if report.committed is None:
+        return "fails this start as well"
+    if report.completes_throughout:
+        return "completes from the last moment"
+    return "completes until then" if report.is_monotone else "completes from some moments"
+
+
+def _needs_words(trial: BlamedTrial) -> bool:
+    report = trial.report
+    return report is None or report.committed is None or not report.is_monotone
+
+
+def _sentence(trial: BlamedTrial) -> str:
+    report = trial.report
+    if report is None:
+        return trial.fault
+    committed, tried = report.committed, plural(len(report.tries), "moment")
+    if committed is None:
+        return (
+            f"not the candidate's fault alone: {report.baseline} fails this start as well "
+            f"({report.tries[0].end} at {_seconds(report.tries[0].steps)} s), and completes "
+            f"from none of {tried}"
+        )
+    if report.completes_throughout:
+        return f"{report.baseline} completes from all of {tried}, {_seconds(committed.step)} s too"
+    gap = _seconds(report.was.steps - committed.step)
+    words = f"committed at {_seconds(committed.step)} s, {gap} s before {_event(report)}"
+    if report.is_monotone:
+        return words
+    own = "" if report.tries[0].completes else f"; {report.baseline} fails this start as well"
+    return f"{words}; not monotone: {_spells(report)}{own}"
+
+
+def _spells(report: BlameReport) -> str:
+    """Return from when on it completes, fails, completes again, as far as was tried."""
+    first, *later = report.tries
+    words = [f"{'completes' if first.completes else 'fails'} from 0.00 s"]
+    has_completed = first.completes
+    for before, after in pairwise([first, *later]):
+        if before.completes != after.completes:
+            again = " again" if after.completes and has_completed else ""
+            verb = "completes" if after.completes else "fails"
+            words.append(f"{verb}{again} from {_seconds(after.step)} s")
+        has_completed = has_completed or after.completes
+    return ", ".join(words)
+
+
+def _event(report: BlameReport) -> str:
+    """Return what ended the trial, as something that one comes before."""
+    was = report.was
+    if was.end == "collided" and was.reason:
+        return clean(was.reason, at_most=60)  # Such as `contact trunk`.
+    return _EVENTS.get(was.end, clean(was.end, at_most=60))
+
+
+def _seconds(steps: int) -> str:
+    from nw_eval.cards.model import CONTROL_RATE
+
+    return f"{steps / CONTROL_RATE:.2f}"

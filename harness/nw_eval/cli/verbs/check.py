@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import tyro
 
 from nw_eval.cli.verbs.options import Options
+
+if TYPE_CHECKING:
+    from nw_eval.engine.forecast import Forecast
+    from nw_eval.suite import Gate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +27,62 @@ class Check(Options):
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.judging.forecast import forecast_page
 
         print(forecast_page(api.check(self.request, workers=self.workers)))
         return 0
+
+
+def forecast_page(forecast: Forecast) -> str:
+    """Return what a run would be as lines of text."""
+    from nw_eval.plural import plural
+    from nw_eval.policies.code_digest import SCOPE
+
+    suite, bundle, scenes = forecast.suite, forecast.policy, forecast.scenes
+    duration = suite.episode.duration
+    which = plural(len(scenes), "scene")
+    if forecast.left_out:
+        all_of_them = plural(len(scenes) + len(forecast.left_out), "scene")
+        which = f"{len(scenes)} of the suite's {all_of_them}"
+    count = f"{which}, {scenes[0].trials} in each"
+    if forecast.baseline is not None:
+        count = f"{which}; at most so many, until the verdict is settled"
+    if forecast.shard is not None:
+        count = f"{forecast.shard}, of {which}"
+    width = max(len(scene.name) for scene in scenes)
+    panel = f"protocol {suite.protocol}, robot {suite.robot}, seed {suite.seed}, {duration:g} s"
+    lines = [
+        f"suite     {suite.name}  ({suite.source.file}, {suite.content_digest[:16]})",
+        f"panel     {suite.digest[:16]}: {panel}",
+        "          suites of one panel meet the same starts in a scene",
+        f"gate      {_bar(suite.gate)}{_drop(suite.gate, forecast.baseline, bundle.name)}",
+        f"policy    {bundle.name}  ({bundle.card.adapter}, {bundle.origin})",
+        *([f"          {SCOPE}"] if bundle.code_sha256 else []),
+        *(
+            f"{'sees' if index == 0 else '':<9} {name}: {spec.sensor} at {spec.rate} Hz"
+            for index, (name, spec) in enumerate(bundle.card.observations.items())
+        ),
+        f"trials    {forecast.trials} of {duration:g} s: {count}",
+        *(f"          {scene.name:<{width}}  {scene.digest[:16]}" for scene in scenes),
+        *(f"no PASS   {reason}" for reason in forecast.obstacles),
+        *(f"warning   {sentence}" for sentence in forecast.warnings),
+        f"expect    at most about {forecast.minutes:.1f} minutes with --workers {forecast.workers}",
+    ]
+    return "\n".join(lines)
+
+
+def _bar(gate: Gate) -> str:
+    """Return what a run must show to pass, in words."""
+    if gate.success_rate is None:
+        bar = "none (gate.success_rate): the verdict will be RAN"
+    else:
+        bar = f"success of at least {gate.success_rate:g}, {100 * gate.confidence:.4g} % sure"
+    return bar
+
+
+def _drop(gate: Gate, baseline: str | None, policy: str) -> str:
+    """Return what may be lost against the baseline, in words."""
+    if baseline is not None:
+        return f"; less than {gate.most_drop:g} below baseline {baseline}"
+    if gate.max_drop is not None or gate.baseline not in {None, "none"}:
+        return f"; max_drop will not be judged: no baseline is named for {policy}"
+    return ""

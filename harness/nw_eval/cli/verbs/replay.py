@@ -4,11 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from nw_eval.clean import clean
+from nw_eval.plural import plural
 from nw_eval.words import Viewer
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from nw_eval.rollout.replaying.report import Difference, ReplayReport
+    from nw_eval.rollout.replaying.takeover.report import Ending, TakeoverReport
+    from nw_eval.viewing.recording.track import WrittenRecording
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +61,6 @@ class Replay:
         if self.layout is not None or self.rrd is not None or self.out is not None:
             return self._show()
         from nw_eval import api
-        from nw_eval.cli.text.replay import replay_line
         from nw_eval.errors import StoreError
 
         replayed = api.replay(
@@ -64,14 +73,11 @@ class Replay:
             allow_code=self.allow_code,
         )
         print(replay_line(replayed))
-        for written in (replayed.picture, replayed.video):
-            if written is not None:
-                print(written)
+        _print_written(replayed.picture, replayed.video)
         return 0 if replayed.is_identical else StoreError.exit_code
 
     def _take_over(self, start: float) -> int:
         from nw_eval import api
-        from nw_eval.cli.text.takeover import takeover_page
 
         self._refuse(
             {
@@ -92,16 +98,13 @@ class Replay:
             allow_code=self.allow_code,
         )
         print(takeover_page(taken))
-        for written in (taken.log, taken.video):
-            if written is not None:
-                print(written)
+        _print_written(taken.log, taken.video)
         return 0
 
     def _show(self) -> int:
         import json
 
         from nw_eval import api
-        from nw_eval.cli.text.viewing import layout_lines, recording_line
 
         self._check_shown()
         if self.layout == "foxglove":
@@ -144,3 +147,85 @@ class Replay:
         for option, value in options.items():
             if value is not None:
                 raise UsageError(f"{option} {why}", fix="give them in two commands")
+
+
+def _print_written(*files: Path | None) -> None:
+    for file in files:
+        if file is not None:
+            print(file)
+
+
+def replay_line(replay: ReplayReport) -> str:
+    """Return how a replay ended, or what of it is not as it was recorded."""
+    start = "" if replay.start_step == 0 else f" from step {replay.start_step}"
+    return clean(
+        f"{replay.trial}{start}: {_replayed_end(replay)}", at_most=2000
+    )  # Most words are the log's.
+
+
+def _replayed_end(replay: ReplayReport) -> str:
+    if replay.is_identical:
+        return f"{replay.end} after {plural(replay.steps, 'step')}, identical bit for bit"
+    differences = "; ".join(
+        f"{each.name} was {_short(each, each.recorded)}, now {_short(each, each.now)}"
+        for each in replay.differences
+    )
+    versions = ", ".join(
+        f"{each.name} {each.recorded or 'unknown'}, not {each.now or 'none'}"
+        for each in replay.versions
+    )
+    return f"{differences} (recorded with {versions})" if versions else differences
+
+
+def _short(difference: Difference, value: str) -> str:
+    text = value or "none"
+    return text[:12] if difference.name.endswith("_digest") else clean(text, at_most=100)
+
+
+def takeover_page(taken: TakeoverReport) -> str:
+    """Return how a trial ended under its own policy, and how it does under the other one."""
+    was, now = taken.was, taken.now
+    head = (
+        f"{taken.trial}: {now.policy} takes over from {was.policy} at {_seconds(taken.step):.2f} s"
+    )
+    lines = [clean(head), f"  was  {_taken_end(was)}", f"  now  {_taken_end(now)}"]
+    if taken.is_identical:
+        lines.append("  the same, bit for bit")
+    return "\n".join(lines)
+
+
+def _taken_end(ending: Ending) -> str:
+    """Return how, when and where."""
+    how = clean(f"{ending.end} ({ending.reason})" if ending.reason else ending.end, at_most=300)
+    when = f"at {_seconds(ending.steps):.2f} s, {clean(ending.waypoints)} waypoints"
+    if ending.position is None:
+        return f"{how} {when}"
+    x, y, z = ending.position
+    return f"{how} {when}, at x {x:.2f}, y {y:.2f}, z {z:.2f} m"
+
+
+def _seconds(steps: int) -> float:
+    from nw_eval.cards.model import CONTROL_RATE
+
+    return steps * (1.0 / CONTROL_RATE)
+
+
+def layout_lines(log: Path, layout: Path) -> str:
+    """Return where Rerun's layout is, and the commands that show the log by it."""
+    converted = layout.with_suffix(".rrd")
+    return (
+        f"{clean(layout)}\n"
+        f"rerun mcap convert --application-id nw-eval {_quoted(log)} -o {_quoted(converted)}\n"
+        f"rerun {_quoted(layout)} {_quoted(converted)}"
+    )
+
+
+def recording_line(written: WrittenRecording) -> str:
+    """Return what a recording is, and what it lacks."""
+    splat = plural(written.gaussians, "Gaussian") if written.gaussians else "no splat"
+    lack = f" ({clean(written.no_splat)})" if written.no_splat else ""
+    return f"{clean(written.file)}: {written.bytes / 1e6:.1f} MB, {splat}{lack}"
+
+
+def _quoted(path: Path) -> str:
+    return clean(quote(str(path)))

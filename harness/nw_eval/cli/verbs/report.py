@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import tyro
 
-from nw_eval.cli.verbs.publishing import Publishing
+from nw_eval.cli.verbs.options import Publishing
 
 if TYPE_CHECKING:
     from nw_eval.api import RunReport
@@ -45,8 +45,8 @@ class Report(Publishing):
 
     def _judge(self) -> tuple[RunReport, int]:
         from nw_eval import api
-        from nw_eval.cli.terminal.browser import show
-        from nw_eval.cli.terminal.summary import summary
+        from nw_eval.cli.terminal.last_words import show
+        from nw_eval.cli.verbs.options import summary
 
         outcome = api.report(self.runs[0], out=self.out)
         print(summary(outcome, folded=self.on_github))
@@ -56,8 +56,7 @@ class Report(Publishing):
 
     def _site(self, folder: Path) -> int:
         from nw_eval import api
-        from nw_eval.cli.terminal.browser import show
-        from nw_eval.cli.terminal.last_words import tell
+        from nw_eval.cli.terminal.last_words import show, tell
         from nw_eval.errors import UsageError
         from nw_eval.plural import plural
 
@@ -75,8 +74,7 @@ class Report(Publishing):
 
     def _index(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.terminal.browser import show
-        from nw_eval.cli.terminal.last_words import tell
+        from nw_eval.cli.terminal.last_words import show, tell
         from nw_eval.errors import UsageError
         from nw_eval.plural import plural
 

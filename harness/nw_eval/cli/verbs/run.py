@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from nw_eval.cli.verbs.options import Options
-from nw_eval.cli.verbs.publishing import Publishing
+from nw_eval.cli.terminal.last_words import tell
+from nw_eval.cli.verbs.options import Options, Publishing
 from nw_eval.words import Engine
 
 if TYPE_CHECKING:
@@ -54,11 +56,9 @@ class Run(Publishing, Options):
 
     def _run(self) -> tuple[RunReport, int]:
         from nw_eval import api
-        from nw_eval.cli.terminal.groups import group
         from nw_eval.cli.terminal.interruption import INTERRUPTED
-        from nw_eval.cli.terminal.last_words import tell
         from nw_eval.cli.terminal.progress import RunProgress
-        from nw_eval.cli.terminal.summary import summary
+        from nw_eval.cli.verbs.options import summary
         from nw_eval.errors import UsageError
 
         if self.ledger is not None and self.shard is not None:
@@ -90,3 +90,23 @@ class Run(Publishing, Options):
         if self.ledger is not None:
             api.record_verdict(outcome, self.ledger)
         return outcome, outcome.exit_code
+
+
+@contextmanager
+def group(title: str, *, wanted: bool) -> Generator[None]:
+    """Fold what is said meanwhile on standard error, if that is wanted.
+
+    Args:
+        title: what is shown of it.
+        wanted: whether GitHub's runner reads it.
+    """
+    if not wanted:
+        yield
+        return
+    from nw_eval.reporting.github.commands import END_GROUP, begin_group
+
+    tell(begin_group(title))
+    try:
+        yield
+    finally:
+        tell(END_GROUP)

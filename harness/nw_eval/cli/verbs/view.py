@@ -90,7 +90,7 @@ class ViewTrials:
                 signal.signal(number, lambda *_: stop.set())
             print(f"view: {what} is at {page.url}; Ctrl-C ends it", flush=True)
             if self.open:
-                from nw_eval.cli.terminal.browser import show_address
+                from nw_eval.cli.terminal.last_words import show_address
 
                 show_address(page.url)
             stop.wait()

@@ -16,9 +16,9 @@ class Warmup:
 
     def __call__(self) -> int:
         from nw_eval import api
-        from nw_eval.cli.terminal.progress import build_progress
+        from nw_eval.cli.terminal.progress import RunProgress
 
-        with build_progress() as listener:
+        with RunProgress() as listener:
             done = api.warmup(self.scenes, listener=listener)
             built = f", {len(done.scenes)} scenes built" if done.scenes else ""
             print(f"kernels ready after {done.kernel_seconds:.1f} s{built}")

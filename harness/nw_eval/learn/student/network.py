@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 
 from nw_eval.built_in.entries import parted
-from nw_eval.cards.file.load import CARD_FILE
+from nw_eval.cards.load import CARD_FILE
 from nw_eval.catalogue import is_meant, names
 from nw_eval.errors import PrerequisiteError
 from nw_eval.files.cache import atomic_path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.cards.file.load import card_of
+from nw_eval.cards.load import card_of
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.learn.config import device_of, load_config, one_thread
 from nw_eval.learn.curve import Curve

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from nw_eval import api
-from nw_eval.cards.file.load import CARD_FILE
+from nw_eval.cards.load import CARD_FILE
 from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.learn.config import load_config

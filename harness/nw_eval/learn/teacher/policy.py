@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from nw_eval.cards.file.load import CARD_FILE
+from nw_eval.cards.load import CARD_FILE
 from nw_eval.errors import PolicyError, StoreError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.learn.folder import TrainFolder, read_state

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations.heights import ScandotsObservation
+from nw_eval.cards.observations import ScandotsObservation
 from nw_eval.learn.teacher.config import GROUNDS
 from nw_eval.learn.teacher.lanes import CELL, ORIGIN
 from nw_eval.machine_code.jit import kernel
-from nw_eval.sensors.ground.heights import grid
+from nw_eval.sensors.heights import grid
 
 Array = NDArray[np.float64]
 

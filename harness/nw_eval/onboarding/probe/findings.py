@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,8 +12,7 @@ from numpy.typing import NDArray
 from nw_eval.cards import Card
 from nw_eval.cards.inputs import resolve_inputs
 from nw_eval.cards.joints import short_name
-from nw_eval.cards.observations import ProprioObservation
-from nw_eval.cards.observations.cameras import SplatRgbObservation
+from nw_eval.cards.observations import ProprioObservation, SplatRgbObservation
 from nw_eval.onboarding.probe.following import Followed, stands_still
 from nw_eval.onboarding.probe.parts import Part
 from nw_eval.onboarding.probe.recording import STUMBLES, Recording
@@ -135,6 +135,26 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
 
 
 _TERMS_OF_ORDER_ONE = {"joint_pos", "joint_vel", "ang_vel", "lin_vel", "gravity", "last_output"}
+
+
+def network_findings(card: Card, recording: Recording) -> list[ProbeFinding]:
+    """Return which networks do not react to their inputs."""
+    findings: list[ProbeFinding] = []
+    for name, output in network_outputs(card):
+        values = recording.fed[output]
+        if len(values) > 1 and (values == values[:1]).all():
+            text = f"network `{name}`: `{output}` is the same at every step: "
+            findings.append(
+                ProbeFinding(kind="fault", text=f"{text}it does not react to its inputs")
+            )
+    return findings
+
+
+def network_outputs(card: Card) -> Iterator[tuple[str, str]]:
+    """Yield every output of a network after the name of the network."""
+    for name, network in card.networks.items():
+        for output in network.given_as(name):
+            yield name, output
 
 
 def action_findings(card: Card, robot: RobotSpec, recording: Recording) -> list[ProbeFinding]:

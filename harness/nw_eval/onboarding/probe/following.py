@@ -15,9 +15,9 @@ import numpy as np
 from nw_eval.cards import Card
 from nw_eval.cards.command import ConstantCommand, TrailFollower
 from nw_eval.cards.observations import ProprioObservation
-from nw_eval.onboarding.probe.rig import Rig
+from nw_eval.onboarding.probe.recording import Rig
 from nw_eval.rollout.fault import PolicyFailedError
-from nw_eval.sensors.body.command import commanded_speed
+from nw_eval.sensors.terms import commanded_speed
 
 _FOLLOWS = 0.6
 """Share of a command that a policy reaches under its own card, and of which it reaches no more

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from nw_eval.cards import Card, JointControl
 from nw_eval.cards.observations import AnyObservation, ProprioObservation
 from nw_eval.cards.terms import AnyTerm, Constant, term_size
-from nw_eval.onboarding.variants.written import settings
+from nw_eval.onboarding.notation import settings
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors import ObservationSpec
-from nw_eval.sensors.body.proprio import Proprio
-from nw_eval.sensors.body.terms import fixed_values
-from nw_eval.sensors.wrappers.wrapper import Shot
+from nw_eval.sensors.proprio import Proprio
+from nw_eval.sensors.sensor import Shot
+from nw_eval.sensors.terms import fixed_values
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,23 +1,33 @@
-"""Some seconds of a policy in a scene, and who writes them down."""
+"""Some seconds of a policy in a scene, through the same parts as every trial, and what was seen."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import monotonic
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.cards import Card
 from nw_eval.cards.inputs import InputSpec
+from nw_eval.catalogue import parse_reference
+from nw_eval.policies import Bundle
 from nw_eval.policies.apart import ApartPolicy
 from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.feeding.fed_policy import FedPolicy
+from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.episode import Episode, Observer, Step
+from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.library import Library
+from nw_eval.rollout.prepare import open_trial
 from nw_eval.sim import World
+from nw_eval.suite.trials import Trial
 from nw_eval.words import Outcome
 
 Array = NDArray[np.float64]
-
 STUMBLES = 0.3
 """Roll or pitch that a policy on flat ground does not reach under its own card, rad. Measured on
 three policies: 0.07 to 0.14 with the right card, 0.28 to 1.3 with any other order of joints."""
@@ -130,3 +140,145 @@ def _velocity(world: World) -> Array:
     x, y, _ = world.trunk_linear_velocity
     turning = world.trunk_rotation[2] @ world.trunk_angular_velocity
     return np.array([cos * x + sin * y, cos * y - sin * x, turning])
+
+
+_IDENTITY = "0" * 64  # The suite digest of a trial that is part of no suite.
+
+
+class ThisBundle(Library):
+    """A library whose every bundle is the one that is looked at."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        super().__init__(scenes=1)
+        self.own = bundle
+
+    def bundle(self, reference: str, checkpoint: Path | None) -> Bundle:  # noqa: ARG002 - see above.
+        """Return it."""
+        return self.own
+
+
+class Rig(Protocol):
+    """Records a checkpoint under one card after another."""
+
+    def record(self, card: Card, *, seconds: float, level: float = math.inf) -> Recording:
+        """Run the checkpoint under a card, while it leans less than `level`."""
+        ...
+
+
+class SceneRig:
+    """A checkpoint in a scene, under one card after another.
+
+    Args:
+        bundle: checkpoint, and the card that is looked at.
+        scene: its name.
+        allow_code: whether Python code that the card names may be imported.
+    """
+
+    def __init__(self, bundle: Bundle, *, scene: str, allow_code: bool) -> None:
+        self._bundle = bundle
+        self._scene = scene
+        self._allow_code = allow_code
+        self._library = ThisBundle(bundle)
+
+    def record(self, card: Card, *, seconds: float, level: float = math.inf) -> Recording:
+        """Run the checkpoint under a card, while it leans less than `level`.
+
+        Raises:
+            NwEvalError: it cannot be run.
+        """
+        return record(
+            replace(self._bundle, card=card),
+            scene=self._scene,
+            seconds=seconds,
+            level=level,
+            allow_code=self._allow_code,
+            library=self._library,
+        )
+
+
+def record(
+    bundle: Bundle,
+    *,
+    scene: str,
+    seconds: float = 1.0,
+    level: float = math.inf,
+    allow_code: bool = False,
+    library: ThisBundle | None = None,
+) -> Recording:
+    """Run a policy for a while, from the first start of a scene.
+
+    Args:
+        bundle: card and checkpoint.
+        scene: its name.
+        seconds: how long at most.
+        level: roll or pitch with which the recording ends, rad.
+        allow_code: whether Python code that the card names may be imported.
+        library: keeps the scene from one recording to the next.
+
+    Raises:
+        NwEvalError: it cannot be run.
+    """
+    library = library or ThisBundle(bundle)
+    library.own = bundle
+    reference, collision = parse_reference(scene)
+    place = library.scene(reference, collision)
+    trial = Trial(
+        suite="check",
+        suite_digest=_IDENTITY,
+        suite_seed=0,
+        scene=scene,
+        scene_digest=place.digest,
+        task=place.task,
+        index=0,
+    )
+    job = TrialJob(
+        trial=trial,
+        robot=bundle.card.robot,
+        duration=seconds,
+        scene=reference,
+        collision=collision,
+        policy=bundle.reference,
+        checkpoint=bundle.checkpoint,
+        checkpoint_digest=bundle.checkpoint_digest,
+        allow_code=allow_code,
+    )
+    with open_trial(job, library, StageClock()) as opened:
+        collector = Collector(opened.episode)
+        for _ in opened.episode.steps(collector):
+            if collector.tilt >= level:
+                break
+        return collector.recording()
+
+
+class SpentError(Exception):
+    """The budget is used up."""
+
+
+class Metered:
+    """A rig that records until a budget is used up.
+
+    Args:
+        rig: what records.
+        simulated: seconds of simulation, which come to the same on every machine.
+        deadline: on the monotonic clock. Only policies that are far slower than a robot needs
+            reach it, and on another machine elsewhere.
+    """
+
+    def __init__(self, rig: Rig, *, simulated: float, deadline: float = math.inf) -> None:
+        self.spent = 0.0
+        self._rig = rig
+        self._simulated = simulated
+        self._deadline = deadline
+
+    def record(self, card: Card, *, seconds: float, level: float = math.inf) -> Recording:
+        """Run the checkpoint under a card, while it leans less than `level`.
+
+        Raises:
+            SpentError: the budget is used up.
+            NwEvalError: it cannot be run.
+        """
+        if self.spent >= self._simulated or monotonic() >= self._deadline:
+            raise SpentError
+        recording = self._rig.record(card, seconds=seconds, level=level)
+        self.spent += recording.seconds
+        return recording

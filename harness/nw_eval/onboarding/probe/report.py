@@ -1,40 +1,37 @@
-"""Runs a policy for some seconds, and returns what it showed and what is wrong with it."""
+"""Runs a policy for some seconds, and returns what it showed and what is wrong with it.
+
+The report is of plain values: they travel from a confined process.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from nw_eval.cards import Card, JointControl
 from nw_eval.cards.joints import short_name
 from nw_eval.catalogue import get_scene
 from nw_eval.errors import PolicyError
-from nw_eval.onboarding.probe.budget import Metered
 from nw_eval.onboarding.probe.comparison import compare
 from nw_eval.onboarding.probe.findings import (
+    ProbeFinding,
     Range,
     action_findings,
     body_findings,
     input_findings,
     measure,
+    network_findings,
+    network_outputs,
     observation_findings,
 )
 from nw_eval.onboarding.probe.following import Followed
-from nw_eval.onboarding.probe.networks import network_findings, network_rows
 from nw_eval.onboarding.probe.parts import parts_of
-from nw_eval.onboarding.probe.recording import Recording
-from nw_eval.onboarding.probe.rig import SceneRig
-from nw_eval.onboarding.probe.rows import (
-    FLAT,
-    ProbedCommand,
-    ProbedJoint,
-    ProbedTerm,
-    ProbeReport,
-)
+from nw_eval.onboarding.probe.recording import Metered, Recording, SceneRig
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.check_bundle import check_bundle
@@ -47,6 +44,109 @@ _TIME_LIMIT = 600.0  # s of wall time
 _BUDGET = 360.0
 """Seconds of simulation for commands and other cards. Measured on six policies under 140 cards:
 2 to 186, which took up to 13 s."""
+FLAT = "flat/carpet_room"
+"""The room in which commands and other cards are tried, too."""
+BEYOND = (
+    "not visible to this check: a robot, pose, scale, frame, gain, torque limit, rate or delay "
+    "other than in training with which it walks nevertheless"
+)
+"""What no second on the flat can show; added where no fault is found."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbedTerm:
+    """The numbers of one term of an observation, or of a whole one without terms."""
+
+    observation: str
+    term: str
+    numbers: int
+    frames: int
+    """Of a history, that they fill; 1 without one."""
+    form: str
+    """Scale, offset and limits as the card has them; empty where nothing is changed."""
+    low: float
+    mean: float
+    high: float
+    constant: int
+    """How many of the numbers never changed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbedOutput:
+    """The numbers that a network gave which feeds the policy."""
+
+    network: str
+    output: str
+    numbers: int
+    rate: int
+    """Hz at which the network is asked."""
+    low: float
+    mean: float
+    high: float
+    constant: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbedJoint:
+    """What the policy asked of a joint. Targets in rad, or in N m for torques; torque in N m."""
+
+    joint: str
+    action_low: float
+    action_mean: float
+    action_high: float
+    target_low: float
+    target_high: float
+    torque: float
+    """The greatest, whichever its sign."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbedCommand:
+    """What became of a command. Speeds in `unit`."""
+
+    command: str
+    unit: str
+    """m/s or rad/s."""
+    commanded: float
+    reached: float
+    share: float
+    """Reached over commanded."""
+    fell: bool
+    stumbled: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbeReport:
+    """What some seconds of a policy showed, and what is wrong with it."""
+
+    policy: str
+    scene: str
+    seconds: float
+    travelled: float
+    """Metres."""
+    terms: tuple[ProbedTerm, ...]
+    outputs: tuple[ProbedOutput, ...]
+    joints: tuple[ProbedJoint, ...]
+    """In the policy's order."""
+    drives_torque: bool
+    """Whether targets are torques."""
+    commands: tuple[ProbedCommand, ...]
+    findings: tuple[ProbeFinding, ...]
+
+    @property
+    def faults(self) -> int:
+        """How many of the findings are faults."""
+        return sum(finding.kind == "fault" for finding in self.findings)
+
+    @property
+    def passed(self) -> bool:
+        """Whether no fault was found."""
+        return not self.faults
+
+    @property
+    def caveat(self) -> str:
+        """What the check could not show; empty where a fault was found, or off the flat."""
+        return BEYOND if self.passed and self.scene == FLAT else ""
 
 
 def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -> ProbeReport:
@@ -124,7 +224,7 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
         seconds=recording.seconds,
         travelled=recording.travelled,
         terms=tuple(_term(value) for value in ranges),
-        outputs=network_rows(card, recording),
+        outputs=_networks(card, recording),
         joints=_joints(card, robot, recording),
         drives_torque=card.control.action == "joint_torque",
         commands=tuple(_command(one) for one in followed),
@@ -145,6 +245,26 @@ def _term(value: Range) -> ProbedTerm:
         high=value.high,
         constant=value.constant,
     )
+
+
+def _networks(card: Card, recording: Recording) -> tuple[ProbedOutput, ...]:
+    """Return what each output of each network gave."""
+    found: list[ProbedOutput] = []
+    for name, output in network_outputs(card):
+        values = recording.fed[output].reshape(len(recording.actions), -1).astype(np.float64)
+        found.append(
+            ProbedOutput(
+                network=name,
+                output=output,
+                numbers=values.shape[1],
+                rate=card.networks[name].rate or card.control.rate,
+                low=float(values.min()),
+                mean=float(values.mean()),
+                high=float(values.max()),
+                constant=int((values == values[:1]).all(axis=0).sum()),
+            )
+        )
+    return tuple(found)
 
 
 def _joints(card: Card, robot: RobotSpec, recording: Recording) -> tuple[ProbedJoint, ...]:

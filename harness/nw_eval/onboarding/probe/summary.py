@@ -10,9 +10,9 @@ from nw_eval.cards import Card, JointControl, load_card
 from nw_eval.cards.joints import short_name
 from nw_eval.cards.networks import Inputs, input_parts, listed_inputs
 from nw_eval.errors import PolicyError
+from nw_eval.onboarding.notation import flow, settings
+from nw_eval.onboarding.probe.hypotheses import motor_values
 from nw_eval.onboarding.probe.parts import parts_of
-from nw_eval.onboarding.variants.motors import motor_values
-from nw_eval.onboarding.variants.written import flow, settings
 from nw_eval.policies import load_bundle
 from nw_eval.policies.bundle import Weights
 from nw_eval.robots import RobotSpec, get_robot

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from nw_eval.arrays import pack
-from nw_eval.cards.file.feeding_order import feeding_order
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
+from nw_eval.cards.networks import feeding_order
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.feeding.feeder import Array, Feeder
 from nw_eval.policies.memory import unfitting, unpacked

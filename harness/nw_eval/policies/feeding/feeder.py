@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nw_eval.cards.checkpoint import NetworkAdapter
 from nw_eval.cards.networks import NetworkOutput
-from nw_eval.cards.observations.proprio import selected_indices
+from nw_eval.cards.observations import selected_indices
 from nw_eval.errors import NotFiniteError, TrialError
 from nw_eval.plural import plural
 from nw_eval.policies.bundle import Bundle

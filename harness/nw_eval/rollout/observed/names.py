@@ -8,9 +8,9 @@ from __future__ import annotations
 from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING
 
-from nw_eval.cards import terms
+from nw_eval.cards import terms, wrappers
 from nw_eval.cards.joints import short_name
-from nw_eval.cards.observations import ProprioObservation, selected_indices, wrappers
+from nw_eval.cards.observations import ProprioObservation, selected_indices
 from nw_eval.cards.terms import AnyTerm, term_size
 
 if TYPE_CHECKING:

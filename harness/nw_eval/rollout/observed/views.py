@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import wrappers
-from nw_eval.cards.observations.cameras import (
+from nw_eval.cards import wrappers
+from nw_eval.cards.observations import (
     CameraObservation,
     DepthObservation,
     SemanticsObservation,

@@ -1,26 +1,11 @@
 """From a capture's own frame to metres: z up, the floor at z = 0, and no person to say so.
 
-gravity/       which way is up, and where the floor is
-scale/         how long a unit is
-placing.py     the metric frame's origin and heading
-align.py       all of it
-apply.py       points, meshes, cameras and Gaussians in metres
-file.py        align.json
+align.py        all of it, and where the metric frame's origin and heading are
+alignment.py    options, what comes of it, and align.json
+gravity.py      which way is up, and where the floor is
+consensus.py    up by all cues together
+planes.py       planes in the sparse points
+scale.py        how long a unit is, by every cue
+tags.py         printed tags; triangulate.py their corners, and other points, from pixels
+positions.py    where shots were taken, by ARKit or GPS
 """
-
-from nw_eval.twin.align.align import align
-from nw_eval.twin.align.alignment import Alignment, GravityCue, ScaleCue
-from nw_eval.twin.align.file import ALIGN_FILE, read_alignment, write_alignment
-from nw_eval.twin.align.options import AlignOptions, KnownLength
-
-__all__ = [
-    "ALIGN_FILE",
-    "AlignOptions",
-    "Alignment",
-    "GravityCue",
-    "KnownLength",
-    "ScaleCue",
-    "align",
-    "read_alignment",
-    "write_alignment",
-]

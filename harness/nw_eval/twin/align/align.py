@@ -14,14 +14,13 @@ from nw_eval.twin.align.alignment import (
     MOST_DEGREES,
     MOST_DIFFERENCE,
     Alignment,
+    AlignOptions,
     GravityCue,
     ScaleCue,
 )
-from nw_eval.twin.align.gravity.answer import KnownUp, Mesh, find_gravity
-from nw_eval.twin.align.options import AlignOptions
-from nw_eval.twin.align.placing import placed
-from nw_eval.twin.align.scale.answer import find_scale
-from nw_eval.twin.align.scale.positions import PositionFit, fit_positions
+from nw_eval.twin.align.gravity import KnownUp, Mesh, find_gravity
+from nw_eval.twin.align.positions import PositionFit, fit_positions
+from nw_eval.twin.align.scale import find_scale
 from nw_eval.twin.capture import Capture
 from nw_eval.words import UpAxis
 
@@ -144,3 +143,35 @@ def _disagreements(gravity: tuple[GravityCue, ...], scales: tuple[ScaleCue, ...]
         for cue in scales
         if abs(cue.difference) > MOST_DIFFERENCE
     ]
+
+
+def placed(*, up: Values, scale: float, floor: float, centres: Values, forward: Values) -> Values:
+    """Return T_metric_capture (4, 4).
+
+    The origin lies on the floor below the first camera, x leads to the camera that is farthest from
+    it in the plane. Where no camera moved, x is the way that the first one looks.
+
+    Args:
+        up: (3,) unit vector in the capture's frame.
+        scale: metres in a unit of the capture.
+        floor: its height along `up`, in the capture's unit.
+        centres: (V, 3) of the cameras, one at least.
+        forward: (3,) where the first camera looks.
+    """
+    ways = centres - centres[0]
+    ways = ways - np.einsum("ni,i->n", ways, up)[:, None] * up
+    lengths = np.linalg.norm(ways, axis=1)
+    heights = np.einsum("ni,i->n", centres, up) - floor
+    x = ways[int(np.argmax(lengths))]
+    if lengths.max() < 0.05 * float(np.abs(heights).max()):
+        x = forward - (forward @ up) * up
+    if np.linalg.norm(x) < 1e-9 * max(1.0, float(np.linalg.norm(forward))):
+        x = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])  # It looks straight down.
+    x = x - (x @ up) * up
+    x = x / np.linalg.norm(x)
+    rotation = np.stack([x, np.cross(up, x), up])
+    origin = centres[0] - float(heights[0]) * up
+    T = np.eye(4)
+    T[:3, :3] = scale * rotation
+    T[:3, 3] = -scale * rotation @ origin
+    return T

@@ -1,19 +1,116 @@
-"""What aligning a capture comes to, and what each cue says."""
+"""What aligning a capture is asked and comes to: options, each cue's answer, and align.json."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from nw_eval.errors import NwEvalError, SceneError, UsageError
+from nw_eval.files.cache import atomic_path
+from nw_eval.files.inside import regular
+from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.scenes.scene import Vector
+from nw_eval.words import UpAxis
+
+Pixel = tuple[float, float]
+"""x and y in pixels; the centre of the first one is at (0.5, 0.5)."""
+
+TagFamily = Literal["tag36h11", "tag25h9", "tag16h5", "aruco_4x4_50", "aruco_5x5_100"]
+"""Printed marks that are found in pictures: AprilTags, or ArUco markers."""
 
 MOST_DEGREES = 2.0
 """A cue for gravity that is further off, and by more than twice what it is unsure, is warned of."""
 
 MOST_DIFFERENCE = 0.03
 """A cue for scale that differs by more is warned of."""
+
+ALIGN_FILE = "align.json"
+
+_MOST_BYTES = 2**20
+_FIX = "align again: `nw-eval twin align`"
+
+_Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownLength:
+    """Two points of a place whose distance somebody measured.
+
+    Attributes:
+        first, second: (x, y, z) in the capture's frame; or pixels by the name of the shot in which
+            the point was picked, two shots at least.
+        metres: between them.
+        vertical: whether `metres` is a height, so that only the way up between them counts.
+    """
+
+    first: Vector | Mapping[str, Pixel]
+    second: Vector | Mapping[str, Pixel]
+    metres: float
+    vertical: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the length.
+
+        Raises:
+            UsageError: it is no positive number.
+        """
+        _positive("a known length", self.metres)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlignOptions:
+    """Facts that no photograph tells; a tag of known edge is enough.
+
+    Attributes:
+        tag_edge: outer edge of the black border of every tag, metres; None where there are none.
+        tag_edges: edges of single tags that differ, metres, by the number of the tag.
+        tag_family: which tags there are.
+        camera_height: median height of the cameras above the floor, metres.
+        lengths: measured by somebody.
+        metric: whether the poses come in metres already, as those of ARKit and Polycam.
+        positions: where shots were taken, (x, y, z) in metres of any frame, by their names: ARKit,
+            or GPS by `gps_positions`. Three at least.
+        positions_up: which way is up in the frame of `positions`; None where nobody knows.
+        up: which way is up in the capture's own frame, where its poses' source says so.
+        seed: of the draws.
+    """
+
+    tag_edge: float | None = None
+    tag_edges: Mapping[int, float] = field(default_factory=dict[int, float])
+    tag_family: TagFamily = "tag36h11"
+    camera_height: float | None = None
+    lengths: tuple[KnownLength, ...] = ()
+    metric: bool = False
+    positions: Mapping[str, Vector] = field(default_factory=dict[str, Vector])
+    positions_up: UpAxis | None = None
+    up: UpAxis | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the lengths.
+
+        Raises:
+            UsageError: naming the one that is no positive number.
+        """
+        if self.tag_edge is not None:
+            _positive("tag_edge", self.tag_edge)
+        for number, edge in self.tag_edges.items():
+            _positive(f"the edge of tag {number}", edge)
+        if self.camera_height is not None:
+            _positive("camera_height", self.camera_height)
+
+
+def _positive(what: str, metres: float) -> None:
+    if not (math.isfinite(metres) and metres > 0):
+        raise UsageError(f"{what} is {metres}", fix="give metres, more than 0")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,3 +172,86 @@ class Alignment:
     scales: tuple[ScaleCue, ...]
     floor_share: float
     warnings: tuple[str, ...]
+
+
+class _AlignModel(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _GravityEntry(_AlignModel):
+    name: str
+    up: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+    degrees: Annotated[float, Field(ge=0, le=180)]
+    uncertain: Annotated[FiniteFloat, Field(ge=0)]
+    reason: str
+
+
+class _ScaleEntry(_AlignModel):
+    name: str
+    scale: Annotated[FiniteFloat, Field(gt=0)]
+    difference: FiniteFloat
+    used: bool
+    reason: str
+
+
+class _AlignFile(_AlignModel):
+    version: int = Field(alias="nw-align", default=1, ge=1, le=1)
+    T_metric_capture: Annotated[tuple[_Row, ...], Field(min_length=4, max_length=4)]
+    scale: Annotated[FiniteFloat, Field(gt=0)]
+    floor_share: Annotated[float, Field(ge=0, le=1)]
+    gravity: tuple[_GravityEntry, ...]
+    scales: tuple[_ScaleEntry, ...]
+    warnings: tuple[str, ...]
+
+
+def write_alignment(alignment: Alignment, path: Path) -> None:
+    """Write an alignment; the file appears whole or not at all.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    content = {
+        "nw-align": 1,
+        "T_metric_capture": alignment.T_metric_capture.tolist(),
+        "scale": alignment.scale,
+        "floor_share": alignment.floor_share,
+        "gravity": [vars(cue) for cue in alignment.gravity],
+        "scales": [vars(cue) for cue in alignment.scales],
+        "warnings": alignment.warnings,
+    }
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def read_alignment(path: Path) -> Alignment:
+    """Read an alignment.
+
+    Raises:
+        SceneError: there is none, it is damaged, or its matrix is no similarity of its scale.
+    """
+    try:
+        if regular(path).stat().st_size > _MOST_BYTES:
+            raise SceneError(f"{path} is larger than {_MOST_BYTES} bytes", fix=_FIX)
+        file = _AlignFile.model_validate_json(path.read_bytes())
+    except FileNotFoundError:
+        raise SceneError(f"there is no {path}", fix=_FIX) from None
+    except NwEvalError:
+        raise
+    except (OSError, ValueError, ValidationError) as error:
+        raise SceneError(f"{path} is no alignment: {error}", fix=_FIX) from None
+    T = np.array(file.T_metric_capture)
+    scale = check_similarity(T, str(path))
+    if abs(scale / file.scale - 1.0) > 1e-6 or (T[3] != [0, 0, 0, 1]).any():
+        raise SceneError(
+            f"{path}: its matrix has the scale {scale:g} and the last row {T[3].tolist()}, "
+            f"the file says {file.scale:g}",
+            fix=_FIX,
+        )
+    return Alignment(
+        T_metric_capture=T,
+        scale=file.scale,
+        gravity=tuple(GravityCue(**cue.model_dump()) for cue in file.gravity),
+        scales=tuple(ScaleCue(**cue.model_dump()) for cue in file.scales),
+        floor_share=file.floor_share,
+        warnings=file.warnings,
+    )

@@ -1,6 +1,8 @@
-"""All stages of a twin, one after another, each only where its result is not there already."""
+"""All stages of a twin, one after another, each only where its result is not there already.
 
-from nw_eval.twin.building.settings import BuildSettings
-from nw_eval.twin.building.stages import Build
-
-__all__ = ["Build", "BuildSettings"]
+build.py       the stages, as the verbs call them
+folder.py      what each has left, and what of it still holds
+appearance.py  the stage that trains the splat
+unlike.py      where a mesh is not as photographs show it
+ablation.py    what mesh and depths are worth to the splat
+"""

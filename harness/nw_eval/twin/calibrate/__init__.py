@@ -1,7 +1,12 @@
-"""From photographs, a video or somebody's cameras to a capture."""
+"""From photographs, a video or somebody's cameras to a capture.
 
-from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.calibrate.options import CalibrateOptions
-from nw_eval.twin.calibrate.report import CalibrationReport, LeftOut
-
-__all__ = ["CalibrateOptions", "CalibrationReport", "LeftOut", "calibrate"]
+calibrate.py    all of it: find, take in, compare, map, develop
+options.py      what is asked; report.py what was found
+sources.py      what lies at a path: footage.py photographs and masks, video.py, colmap.py,
+                exports.py nerfstudio and Polycam
+photographs.py  photographs taken in
+features.py     features and matches; mapping.py cameras and points out of them
+solution.py     where photographs were taken from, and through which lenses
+develop.py      pictures without distortion
+pace.py         how far a piece of work is; packages.py what it needs
+"""

@@ -1,25 +1,30 @@
-"""From a source to a capture, in five steps: find, take in, compare, map, develop."""
+"""From a source to a capture, in five steps: find, take in, compare, map, develop.
+
+Which photographs are compared is chosen here, and why some could not be placed is said here, in
+words that help whoever took them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+import numpy as np
 
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.plural import plural
 from nw_eval.twin.calibrate.develop import develop
+from nw_eval.twin.calibrate.features import Matches, match
+from nw_eval.twin.calibrate.footage import Footage
+from nw_eval.twin.calibrate.mapping import map_cameras, triangulate
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.calibrate.pace import Say
 from nw_eval.twin.calibrate.photographs import UNREADABLE, Photograph, are_numbered, take_in
 from nw_eval.twin.calibrate.report import CalibrationReport, LeftOut, by_reason
 from nw_eval.twin.calibrate.solution import Placed, Solution
-from nw_eval.twin.calibrate.solving.features import Matches, match
-from nw_eval.twin.calibrate.solving.mapping import map_cameras, triangulate
-from nw_eval.twin.calibrate.solving.pairs import pairs_of
-from nw_eval.twin.calibrate.solving.reasons import why_not
-from nw_eval.twin.calibrate.sources import Footage, find_source
+from nw_eval.twin.calibrate.sources import find_source
 from nw_eval.twin.capture import write_capture
 
 _LEAST = 3
@@ -33,8 +38,24 @@ _FIX = (
     "before, and keep something with texture in view"
 )
 
+_OVERLAP = 10
+"""Neighbours on one side that each is compared with."""
+_LOOP = 60
+"""Photographs of a sequence, evenly spread, that are all compared with each other: what closes
+loops. A shorter sequence is compared wholly."""
 
-@dataclass(frozen=True, kw_only=True)
+BLURRED, PLAIN = "blurred", "no texture"
+APART, UNFIT = "too far from the others", "does not fit the others"
+_FEW_FEATURES = 150
+_FEW_MATCHES = 30
+"""COLMAP's own least number of points by which a camera is placed."""
+_BLURRED = 0.3
+"""Of the sharpness of the others, their contrast allowed for."""
+_SHAKEN = 0.02
+"""Sharpness in squares of the contrast: what has edges at all has more."""
+
+
+@dataclass(frozen=True)
 class _Solved:
     """Cameras, and how they were come by."""
 
@@ -43,7 +64,7 @@ class _Solved:
     matching: str
     mapping: str
     pairs: int = 0
-    tries: dict[str, int]
+    tries: dict[str, int] = field(default_factory=dict[str, int])
 
 
 def calibrate(
@@ -96,7 +117,7 @@ def _calibrate(
             ],
             fix="give twenty or more",
         )
-    solved = _solve(source, photographs, working, options, say)
+    solved = _Solver(source, options, say).solve(photographs, working)
     report = _report(source, [*unreadable, *solved.left_out], solved, options)
     if report.share < options.share:
         report.write(out)
@@ -117,87 +138,75 @@ def _calibrate(
     return report
 
 
-def _solve(
-    source: Footage,
-    photographs: Sequence[Photograph],
-    working: Path,
-    options: CalibrateOptions,
-    say: Say,
-) -> _Solved:
-    if source.cameras is None:
-        return _find(source, photographs, working, options, say)
-    known = _fitting(source.cameras, photographs)
-    left = [
-        LeftOut(name=one.name, reason=UNREADABLE, detail="the source has no camera for it")
-        for one in photographs
-        if one.name not in known.by_name
-    ]
-    if len(known.points):
-        return _Solved(solution=known, left_out=left, matching="none", mapping="known", tries={})
-    say("the source has no points that photographs share: they are looked for")
-    some = [one for one in photographs if one.name in known.by_name]
-    pairs, matching = _pairs(source, some, options)
-    lenses = [known.by_name[one.name].lens for one in some]
-    matches = match(some, lenses, pairs, working, options, say)
-    files = {one.name: one.file for one in some}
-    solution = triangulate(matches, known, files, working, seed=options.seed)
-    if len(solution.points) < _LEAST_POINTS:
-        raise SceneError(
-            f"with the cameras of {source.kind} the photographs share "
-            f"{plural(len(solution.points), 'point')}",
-            fix="check that cameras and photographs belong together, or give the photographs alone",
+@dataclass(frozen=True)
+class _Solver:
+    """Cameras and points of a source's photographs, which lie in a working folder."""
+
+    source: Footage
+    options: CalibrateOptions
+    say: Say
+
+    def solve(self, photographs: Sequence[Photograph], working: Path) -> _Solved:
+        """Return cameras as the source knows them, with points; else those that are found."""
+        if self.source.cameras is None:
+            return self._find(photographs, working)
+        known = _fitting(self.source.cameras, photographs)
+        left = [
+            LeftOut(name=one.name, reason=UNREADABLE, detail="the source has no camera for it")
+            for one in photographs
+            if one.name not in known.by_name
+        ]
+        solved = _Solved(solution=known, left_out=left, matching="none", mapping="known")
+        if len(known.points):
+            return solved
+        self.say("the source has no points that photographs share: they are looked for")
+        some = [one for one in photographs if one.name in known.by_name]
+        pairs, matching = self._pairs(some)
+        lenses = [known.by_name[one.name].lens for one in some]
+        matches = match(some, lenses, pairs, working, self.options, self.say)
+        files = {one.name: one.file for one in some}
+        solution = triangulate(matches, known, files, working, seed=self.options.seed)
+        if len(solution.points) < _LEAST_POINTS:
+            raise SceneError(
+                f"with the cameras of {self.source.kind} the photographs share "
+                f"{plural(len(solution.points), 'point')}",
+                fix="check that cameras and photographs belong together, or give the photographs "
+                "alone",
+            )
+        return replace(solved, solution=solution, matching=matching, pairs=len(pairs))
+
+    def _find(self, photographs: Sequence[Photograph], working: Path) -> _Solved:
+        """Return cameras by the photographs alone; where EXIF's focal length misleads, without."""
+        solved = self._find_once(photographs, working)
+        enough = self.options.share * len(photographs)
+        if len(solved.solution.placed) >= enough or all(one.focal is None for one in photographs):
+            return solved
+        self.say("the focal lengths in EXIF may be wrong: once more without them")
+        again = working / "again"
+        again.mkdir()
+        (again / "masks").symlink_to(working / "masks")
+        other = self._find_once([replace(one, focal=None) for one in photographs], again)
+        return max(solved, other, key=lambda each: len(each.solution.placed))
+
+    def _find_once(self, photographs: Sequence[Photograph], working: Path) -> _Solved:
+        pairs, matching = self._pairs(photographs)
+        nothing = [None] * len(photographs)
+        matches = match(photographs, nothing, pairs, working, self.options, self.say)
+        _check_motion(matches)
+        names = {one.file: one.name for one in photographs}
+        solution, mapping, tries = map_cameras(
+            matches, names, working, seed=self.options.seed, say=self.say
         )
-    return _Solved(
-        solution=solution,
-        left_out=left,
-        matching=matching,
-        mapping="known",
-        pairs=len(pairs),
-        tries={},
-    )
+        left = why_not(photographs, solution.by_name, matches)
+        return _Solved(solution, left, matching, mapping, len(pairs), tries)
 
-
-def _find(
-    source: Footage,
-    photographs: Sequence[Photograph],
-    working: Path,
-    options: CalibrateOptions,
-    say: Say,
-) -> _Solved:
-    """Return cameras by the photographs alone; where EXIF's focal length misleads, without it."""
-    solved = _find_once(source, photographs, working, options, say)
-    enough = options.share * len(photographs)
-    if len(solved.solution.placed) >= enough or all(one.focal is None for one in photographs):
-        return solved
-    say("the focal lengths in EXIF may be wrong: once more without them")
-    again = working / "again"
-    again.mkdir()
-    (again / "masks").symlink_to(working / "masks")
-    blind = [replace(one, focal=None) for one in photographs]
-    other = _find_once(source, blind, again, options, say)
-    return max(solved, other, key=lambda each: len(each.solution.placed))
-
-
-def _find_once(
-    source: Footage,
-    photographs: Sequence[Photograph],
-    working: Path,
-    options: CalibrateOptions,
-    say: Say,
-) -> _Solved:
-    pairs, matching = _pairs(source, photographs, options)
-    matches = match(photographs, [None] * len(photographs), pairs, working, options, say)
-    _check_motion(matches)
-    names = {one.file: one.name for one in photographs}
-    solution, mapping, tries = map_cameras(matches, names, working, seed=options.seed, say=say)
-    return _Solved(
-        solution=solution,
-        left_out=why_not(photographs, solution.by_name, matches),
-        matching=matching,
-        mapping=mapping,
-        pairs=len(pairs),
-        tries=tries,
-    )
+    def _pairs(self, photographs: Sequence[Photograph]) -> tuple[list[tuple[int, int]], str]:
+        """Return which photographs are compared, and what that is called."""
+        in_order = self.source.is_film or are_numbered([one.name for one in photographs])
+        matching = self.options.matching
+        if matching == "auto":
+            matching = "sequential" if in_order else "exhaustive"
+        return pairs_of(len(photographs), in_sequence=matching == "sequential"), matching
 
 
 def _check_motion(matches: Matches) -> None:
@@ -214,17 +223,6 @@ def _check_motion(matches: Matches) -> None:
             fix="walk while you photograph, half a metre from one photograph to the next, and "
             "keep the ground and what stands on it in view together",
         )
-
-
-def _pairs(
-    source: Footage, photographs: Sequence[Photograph], options: CalibrateOptions
-) -> tuple[list[tuple[int, int]], str]:
-    """Return which photographs are compared, and what that is called."""
-    in_order = source.is_film or are_numbered([one.name for one in photographs])
-    matching = options.matching
-    if matching == "auto":
-        matching = "sequential" if in_order else "exhaustive"
-    return pairs_of(len(photographs), in_sequence=matching == "sequential"), matching
 
 
 def _fitting(cameras: Solution, photographs: Sequence[Photograph]) -> Solution:
@@ -277,3 +275,65 @@ def _report(
         reprojection_error=float(errors.mean()) if len(errors) else None,
         seed=options.seed,
     )
+
+
+def pairs_of(count: int, *, in_sequence: bool) -> list[tuple[int, int]]:
+    """Return pairs (i, j), i < j, sorted.
+
+    Args:
+        count: of photographs.
+        in_sequence: whether neighbours in number are neighbours in space: then each is compared
+            with the next ten and those 16, 32, ... further, and sixty of all with each other.
+    """
+    if not in_sequence or count <= _LOOP:
+        return [(i, j) for i in range(count) for j in range(i + 1, count)]
+    steps = [*range(1, _OVERLAP + 1), *(2**k for k in range(4, count.bit_length()))]
+    spread = range(0, count, -(-count // _LOOP))
+    found = {(i, i + step) for i in range(count) for step in steps if i + step < count}
+    found |= {(i, j) for i in spread for j in spread if i < j}
+    return sorted(found)
+
+
+def why_not(
+    photographs: Sequence[Photograph], placed: Iterable[str], matches: Matches
+) -> list[LeftOut]:
+    """Return each photograph that is not among the placed, with the likeliest reason.
+
+    Blurred: far less fine detail than the others, though not less contrast; or few features, and
+    none of what there is has an edge. No texture: few features. Too far: few matches with any that
+    is placed, or with any at all if none is.
+    """
+    known = set(placed)
+    files = {one.file for one in photographs if one.name in known}
+    files = files or {one.file for one in photographs}
+    left = [one for one in photographs if one.name not in known]
+    good = [one for one in photographs if one.name in known] or photographs
+    sharp = float(np.median([one.sharpness for one in good]))
+    contrast = float(np.median([one.contrast for one in good]))
+    most = {one.file: _most(one.file, files, matches) for one in left}
+    return [_reason(one, sharp, contrast, most[one.file], matches) for one in left]
+
+
+def _most(file: str, others: set[str], matches: Matches) -> int:
+    found = [
+        count
+        for pair, count in matches.inliers.items()
+        if file in pair and (pair[0] if pair[1] == file else pair[1]) in others
+    ]
+    return max(found, default=0)
+
+
+def _reason(one: Photograph, sharp: float, contrast: float, most: int, matches: Matches) -> LeftOut:
+    share = one.sharpness / max(sharp, 1e-9)
+    features = matches.features.get(one.file, 0)
+    if share < _BLURRED and one.contrast > 0.4 * contrast:
+        reason, detail = BLURRED, f"{share:.0%} of the others' sharpness"
+    elif features < _FEW_FEATURES and one.sharpness < _SHAKEN * one.contrast**2:
+        reason, detail = BLURRED, f"{features} features, none of its edges is sharp"
+    elif features < _FEW_FEATURES:
+        reason, detail = PLAIN, f"{features} features"
+    elif most < _FEW_MATCHES:
+        reason, detail = APART, f"at most {most} matches with one of them"
+    else:
+        reason, detail = UNFIT, f"{most} matches with one of them, yet no place for it"
+    return LeftOut(name=one.name, reason=reason, detail=detail)

@@ -9,12 +9,11 @@
     trainer.run()
     write_splat(path, trainer.gaussians)
 
-photo.py       a photograph, its camera, and what is known of its depth
-initial.py     Gaussians at points, such as those of a mesh
 config.py      what a training is asked to do
-trainer.py     the loop; objective.py, loss.py and exposure.py what it minimises
-population.py  Gaussians with their moments; densify/ how they come and go
-checkpoint.py  a training on disk
-evaluate.py    PSNR and SSIM of views that no step saw
-raster/        pictures and gradients; kernels/ its compiled half
+trainer.py     the loop, and a training on disk
+initial.py     Gaussians at points, such as those of a mesh
+images.py      a photograph, what is known of its depth, and what is rendered
+rasteriser.py  pictures and gradients; kernels/ its compiled half
+loss.py        what training minimises; PSNR and SSIM of views that no step saw
+population.py  Gaussians with their moments; density.py how they come and go
 """

@@ -1,4 +1,4 @@
-"""Gaussians to begin with."""
+"""Gaussians to begin with, and how far points are from others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians
-from nw_eval.twin.gaussians.kernels.nearby import NEIGHBOURS, mean_square_distances
+from nw_eval.twin.gaussians.kernels.rows import (
+    NEIGHBOURS,
+    least_square_distances,
+    mean_square_distances,
+)
 
 LEAST_SQUARE = 1e-7
 """Least mean squared distance, so that points in one place get a size."""
@@ -78,3 +82,11 @@ def _upright_to(normals: NDArray[np.floating]) -> NDArray[np.float64]:
     x, y, z = (normals * np.where(normals[:, 2:] < 0.0, -1.0, 1.0)).astype(np.float64).T
     quats = np.stack([1.0 + z, -y, x, np.zeros_like(z)], axis=1)
     return quats / np.linalg.norm(quats, axis=1, keepdims=True)
+
+
+def distances(points: NDArray[np.floating], others: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return (N,) how far the nearest of `others` (M, 3), M > 0, is from each of (N, 3)."""
+    squares = np.empty(len(points))
+    places, candidates = (np.ascontiguousarray(each, np.float64) for each in (points, others))
+    least_square_distances(places, candidates, squares)
+    return np.sqrt(squares)

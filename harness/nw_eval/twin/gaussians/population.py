@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from nw_eval.splat.gaussians import ARRAYS, Gaussians, concatenate
 from nw_eval.twin.gaussians.config import Rates
-from nw_eval.twin.gaussians.kernels.adam import adam
-from nw_eval.twin.gaussians.raster.images import Gradients
-from nw_eval.twin.gaussians.raster.threads import Threads
+from nw_eval.twin.gaussians.images import Gradients
+from nw_eval.twin.gaussians.kernels.rows import adam
+from nw_eval.twin.gaussians.rasteriser import Threads
 
 EPSILON = 1e-15
 """Adam's, as the 3DGS paper's code has it: gradients here are tiny."""

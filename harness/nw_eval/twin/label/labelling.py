@@ -1,30 +1,38 @@
 """The model of the label page: every decision is a new state, and every state can be gone back to.
 
-Whoever works on the page works on this class; it needs no browser.
-
-edited.py        the line of states
-place_edits.py   turn, shift, scale, crop, measure
-course_edits.py  waypoints, start, task, proposals
-labelling.py     what follows for the robot, and the files
+Whoever works on the page works on `Labelling`; it needs no browser. `edits.py` has the line of
+states and the edits of the place; here are waypoints, start, task, proposals, and the files.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from nw_eval.errors import SceneError, UsageError
 from nw_eval.plural import plural
-from nw_eval.twin.label.course.profile import HeightProfile
-from nw_eval.twin.label.course.reach import Hint, hints_on
-from nw_eval.twin.label.course_edits import CourseEdits, Propose
-from nw_eval.twin.label.folder.opening import OpenedPlace, open_place
-from nw_eval.twin.label.folder.published import publish_pair
-from nw_eval.twin.label.folder.saving import save_label
-from nw_eval.twin.label.placement import Placement
-from nw_eval.twin.place.write import Route
-from nw_eval.twin.trail import propose_trail
+from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.twin.label.edits import PlaceEdits
+from nw_eval.twin.label.ground import HeightProfile, start_before
+from nw_eval.twin.label.hints import Hint, hints_on
+from nw_eval.twin.label.opening import OpenedPlace, open_place
+from nw_eval.twin.label.published import publish_pair
+from nw_eval.twin.label.saving import save_label
+from nw_eval.twin.label.state import Placement, Point, StartPose, mapped
+from nw_eval.twin.place import Route
+from nw_eval.twin.trail import TrailProposal, propose_trail
+from nw_eval.words import Task
+
+Propose = Callable[[TriangleMesh, NDArray[np.float64]], TrailProposal]
+"""Proposes a course on a mesh (world, m) along places where somebody walked, (N, 3)."""
+
+_EYES = np.array([0.0, 0.0, 1.0])  # m above a trail, to look at its ground; ceilings are higher
+_STRIDE = 1.0  # m from the last waypoint to one that is added without a place
 
 
 def open_labelling(folder: Path) -> Labelling:
@@ -36,7 +44,7 @@ def open_labelling(folder: Path) -> Labelling:
     return Labelling(open_place(folder))
 
 
-class Labelling(CourseEdits):
+class Labelling(PlaceEdits):
     """The states of one labelling, and what can be done next. For one thread at a time.
 
     Every change raises UsageError for what cannot be, and then nothing has changed.
@@ -47,8 +55,134 @@ class Labelling(CourseEdits):
     """
 
     def __init__(self, place: OpenedPlace, *, propose: Propose = propose_trail) -> None:
-        super().__init__(place, propose=propose)
+        super().__init__(place)
+        self._propose = propose
         self._saved = self.state
+
+    def snapped(self, origin: Point, direction: Point) -> Point | None:
+        """Return where a ray (world, m) meets the place; None where it does not."""
+        return self._shown.ground.hit(origin, direction)
+
+    def add_waypoint(self, point: Point | None = None, *, index: int | None = None) -> None:
+        """Add a waypoint before an index, or at the end; None = 1 m on, on the ground."""
+        waypoints = list(self.state.waypoints)
+        waypoints.insert(len(waypoints) if index is None else index, point or self._next())
+        self._do(replace(self.state, waypoints=tuple(waypoints)))
+
+    def move_waypoint(self, index: int, point: Point) -> None:
+        """Move a waypoint to a point of the place."""
+        waypoints = self._waypoints(index)
+        waypoints[index] = point
+        self._do(replace(self.state, waypoints=tuple(waypoints)))
+
+    def nudge_waypoint(self, index: int, x: float, y: float) -> None:
+        """Move a waypoint by x, y (m) over the ground."""
+        old = self._waypoints(index)[index]
+        self.move_waypoint(index, self._on_ground((old[0] + x, old[1] + y, old[2])))
+
+    def remove_waypoint(self, index: int) -> None:
+        """Take a waypoint away."""
+        waypoints = self._waypoints(index)
+        del waypoints[index]
+        self._do(replace(self.state, waypoints=tuple(waypoints)))
+
+    def reorder_waypoint(self, index: int, to: int) -> None:
+        """Give a waypoint another place in the order."""
+        waypoints = self._waypoints(index)
+        self._waypoints(to)
+        waypoints.insert(to, waypoints.pop(index))
+        self._do(replace(self.state, waypoints=tuple(waypoints)))
+
+    def start_at_waypoint(self, index: int) -> None:
+        """Start where a waypoint is, which is one no more, looking at the next."""
+        waypoints = self._waypoints(index)
+        x, y, z = waypoints.pop(index)
+        yaw = self.start.yaw
+        if waypoints:
+            following = waypoints[min(index, len(waypoints) - 1)]
+            yaw = math.atan2(following[1] - y, following[0] - x)
+        start = StartPose(position=(x, y, z), yaw=yaw)
+        self._do(replace(self.state, waypoints=tuple(waypoints), start=start))
+
+    def mark_waypoint(self, index: int) -> None:
+        """Put a marker where a waypoint is."""
+        self.mark(self._waypoints(index)[index])
+
+    @property
+    def walk(self) -> NDArray[np.float64]:
+        """Where the cameras stood that photographed the place, (N, 3), in order; world, m."""
+        return mapped(self.place.walk, self.state.placement.matrix)
+
+    def propose_along_walk(self) -> str:
+        """Take over the trail, start and task that the place suggests where the cameras went.
+
+        Returns:
+            What was found, for people.
+
+        Raises:
+            UsageError: nobody says where they went.
+            SceneError: they went less than a metre, or there is no ground below them.
+        """
+        if not self.place.cameras:
+            raise UsageError(
+                "this place does not say from where it was photographed",
+                fix="click waypoints to the end of the course, and propose a trail along them",
+            )
+        return self._take_over(self._propose(self.mesh, self.walk))
+
+    def propose_along_trail(self) -> str:
+        """Take over the trail, start and task that the place suggests from the start to the end.
+
+        The way goes over all waypoints; two clicks are enough.
+
+        Returns:
+            What was found, for people.
+
+        Raises:
+            UsageError: there is no waypoint, or no ground along the way.
+        """
+        self._check_trail()
+        stops = np.array([self.start.position, *self.state.waypoints])
+        try:
+            return self._take_over(self._propose(self.mesh, stops + _EYES))
+        except SceneError as error:
+            raise UsageError(
+                f"no trail from the start over the waypoints: {error.message}",
+                fix="put waypoints a metre or more away, where the mesh has ground",
+            ) from None
+
+    def set_start(self, position: Point, yaw: float | None = None) -> None:
+        """Say where the robot starts; without a yaw (rad) it looks at the first waypoint."""
+        if yaw is None:
+            yaw = self.start.yaw
+            if self.state.waypoints:
+                x, y, _ = self.state.waypoints[0]
+                yaw = math.atan2(y - position[1], x - position[0])
+        self._check_number("a yaw", yaw)
+        self._do(replace(self.state, start=StartPose(position=position, yaw=yaw)))
+
+    def set_yaw(self, yaw: float) -> None:
+        """Say where the robot looks at the start, rad."""
+        self.set_start(self.start.position, yaw)
+
+    def nudge_start(self, x: float, y: float) -> None:
+        """Move the start by x, y (m) over the ground; it looks where it looked."""
+        old = self.start.position
+        position = self._on_ground((old[0] + x, old[1] + y, old[2]))
+        self.set_start(position, self.start.yaw)
+
+    def start_before_trail(self) -> None:
+        """Start 1 m before the first waypoint, looking at it, wherever that is moved."""
+        self._do(replace(self.state, start=None))
+
+    def set_task(self, task: Task) -> None:
+        """Say what the trail asks of the robot."""
+        self._do(replace(self.state, task=task))
+
+    @property
+    def start(self) -> StartPose:
+        """Where the robot starts, whether somebody said so or not."""
+        return self.state.start or start_before(self.state.waypoints, self._shown.ground)
 
     @property
     def course(self) -> Route:
@@ -124,3 +258,50 @@ class Labelling(CourseEdits):
             splat=self.place.splat,
             T_world_splat=self.T_world_splat,
         )
+
+    def _take_over(self, proposal: TrailProposal) -> str:
+        spawn = proposal.spawn
+        self._do(
+            replace(
+                self.state,
+                task=proposal.task,
+                waypoints=proposal.trail,
+                start=StartPose(position=spawn.position, yaw=spawn.yaw),
+            )
+        )
+        found = "; ".join(proposal.reasons)
+        looks = "".join(f" Look at this: {warning}." for warning in proposal.warnings)
+        return f"Proposed for {proposal.task}: {found}.{looks}"
+
+    def _waypoints(self, index: int) -> list[Point]:
+        if not 0 <= index < len(self.state.waypoints):
+            raise UsageError(
+                f"there is no waypoint {index + 1}: there are {len(self.state.waypoints)}",
+                fix="choose one that there is, or add one",
+            )
+        return list(self.state.waypoints)
+
+    def _next(self) -> Point:
+        start = self.start
+        stops = [start.position, *self.state.waypoints]
+        yaw = start.yaw
+        if len(stops) > 1:
+            (x0, y0, _), (x1, y1, _) = stops[-2:]
+            yaw = math.atan2(y1 - y0, x1 - x0)
+        x, y, z = stops[-1]
+        return self._on_ground((x + _STRIDE * math.cos(yaw), y + _STRIDE * math.sin(yaw), z))
+
+    def _on_ground(self, point: Point) -> Point:
+        for part in point:
+            self._check_number("a place", part)
+        found = self._shown.ground.dropped(*point)
+        if found is None:
+            raise UsageError(
+                f"there is no ground under x {point[0]:.2f}, y {point[1]:.2f}",
+                fix="stay on the place, or make the crop larger",
+            )
+        return found
+
+    def _check_trail(self) -> None:
+        if not self.state.waypoints:
+            raise UsageError("there is no waypoint", fix="click on the ground to add one")

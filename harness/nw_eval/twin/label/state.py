@@ -1,18 +1,190 @@
-"""All that a labelling decides, as one value that is never changed, only followed by another."""
+"""All that a labelling decides: where a place lies, what is kept of it, and the robot's course.
+
+A placement is a similarity, with the moves that change it. A crop is a box of the world; triangles
+of a mesh are cut at its sides. A state is one value that is never changed, only followed by
+another.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import UsageError
 from nw_eval.scenes.limits import REACH, WAYPOINTS
-from nw_eval.twin.label.crop import CropBox
-from nw_eval.twin.label.placement import Placement, Point, as_point, mapped
+from nw_eval.scenes.mesh import TriangleMesh, rotation_matrix
+from nw_eval.scenes.neverwhere.scan import check_similarity
+from nw_eval.splat.transform import quaternions
 from nw_eval.words import Task
+
+Point = tuple[float, float, float]
+"""x, y, z in the world, m."""
+
+Axis = Literal["x", "y", "z"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placement:
+    """From the frame of the opened files to the world: scale, then rotation, then translation.
+
+    Attributes:
+        scale: metres in one unit of the files.
+        quat: w x y z, of unit length.
+        translation: m.
+    """
+
+    scale: float = 1.0
+    quat: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    translation: Point = (0.0, 0.0, 0.0)
+
+    @classmethod
+    def of(cls, T: NDArray[np.float64]) -> Placement:
+        """Return the placement of a (4, 4) similarity.
+
+        Raises:
+            SceneError: it stretches, mirrors or flattens, or its scale is out of bounds.
+        """
+        scale = check_similarity(T, "the place")
+        w, x, y, z = quaternions(T[:3, :3] / scale).tolist()
+        return cls(scale=scale, quat=(w, x, y, z), translation=as_point(T[:3, 3]))
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """T_world_file, (4, 4)."""
+        T = np.eye(4)
+        T[:3, :3] = self.scale * rotation_matrix(self.quat)
+        T[:3, 3] = self.translation
+        return T
+
+
+def turn(axis: Axis, angle: float, about: Point) -> NDArray[np.float64]:
+    """Return the (4, 4) turn by an angle (rad, right-handed) about an axis through a point."""
+    i = "xyz".index(axis)
+    quat = [math.cos(angle / 2), 0.0, 0.0, 0.0]
+    quat[1 + i] = math.sin(angle / 2)
+    T = np.eye(4)
+    T[:3, :3] = rotation_matrix(quat)
+    T[:3, 3] = np.array(about) - T[:3, :3] @ np.array(about)
+    return T
+
+
+def shift(offset: Point) -> NDArray[np.float64]:
+    """Return the (4, 4) shift by an offset, m."""
+    T = np.eye(4)
+    T[:3, 3] = offset
+    return T
+
+
+def stretch(factor: float) -> NDArray[np.float64]:
+    """Return the (4, 4) scaling about the origin, which leaves a floor at z = 0 where it is."""
+    return np.diag([factor, factor, factor, 1.0])
+
+
+def mapped(points: NDArray[np.float64], T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points (N, 3) under a (4, 4) transform."""
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
+def as_point(values: NDArray[np.float64]) -> Point:
+    """Return an array (3,) as a point of plain floats."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+@dataclass(frozen=True, kw_only=True)
+class CropBox:
+    """What is kept of a place: a box with its sides along the world's axes.
+
+    Attributes:
+        low: smallest x, y, z; world, m.
+        high: largest x, y, z.
+
+    Raises:
+        UsageError: nothing lies between `low` and `high`.
+    """
+
+    low: Point
+    high: Point
+
+    def __post_init__(self) -> None:
+        if not all(low < high for low, high in zip(self.low, self.high, strict=True)):
+            raise UsageError(
+                f"a crop from {list(self.low)} to {list(self.high)} holds nothing",
+                fix="give a low corner that is below the high one along x, y and z",
+            )
+
+
+def cropped(mesh: TriangleMesh, box: CropBox) -> TriangleMesh:
+    """Return the part of a mesh in a box, without lids where it is cut; kinds stay.
+
+    Vertices that no face needs any more are left out. Nothing may be left: no faces then.
+    """
+    for axis in range(3):
+        mesh = _cut(mesh, mesh.vertices[:, axis] - box.low[axis])
+        mesh = _cut(mesh, box.high[axis] - mesh.vertices[:, axis])
+    needed, faces = np.unique(mesh.faces, return_inverse=True)
+    return TriangleMesh(
+        vertices=mesh.vertices[needed],
+        faces=faces.reshape(-1, 3).astype(np.int32),
+        kinds=mesh.kinds,
+    )
+
+
+def _cut(mesh: TriangleMesh, depth: NDArray[np.float64]) -> TriangleMesh:
+    """Return the part of a mesh where `depth` (V,), which is linear in space, is not negative."""
+    count = (depth[mesh.faces] >= 0).sum(axis=1)
+    one, two = (_turned(mesh, depth, np.flatnonzero(count == n)) for n in (1, 2))
+    first = len(mesh.vertices)
+    # Of a corner inside, the two edges that leave it; of two, the edges that leave the pair.
+    tips = (
+        _crossings(mesh, depth, one[:, 0], one[:, 1]),
+        _crossings(mesh, depth, one[:, 0], one[:, 2]),
+    )
+    ends = (
+        _crossings(mesh, depth, two[:, 1], two[:, 2]),
+        _crossings(mesh, depth, two[:, 0], two[:, 2]),
+    )
+    a, b = first + np.arange(len(one)), first + len(one) + np.arange(len(one))
+    start = first + 2 * len(one)
+    c, d = start + np.arange(len(two)), start + len(two) + np.arange(len(two))
+    faces = [
+        mesh.faces[count == 3],
+        np.column_stack([one[:, 0], a, b]),
+        np.column_stack([two[:, 0], two[:, 1], c]),
+        np.column_stack([two[:, 0], c, d]),
+    ]
+    kinds = [mesh.kinds[count == n] for n in (3, 1, 2, 2)]
+    return TriangleMesh(
+        vertices=np.concatenate([mesh.vertices, *tips, *ends]),
+        faces=np.concatenate(faces).astype(np.int32),
+        kinds=np.concatenate(kinds),
+    )
+
+
+def _turned(
+    mesh: TriangleMesh, depth: NDArray[np.float64], rows: NDArray[np.intp]
+) -> NDArray[np.int64]:
+    """Return faces with their odd corner first (one inside), or last (two inside), same winding."""
+    faces = mesh.faces[rows].astype(np.int64)
+    inside = depth[faces] >= 0
+    alone = inside.sum(axis=1) == 1
+    odd = np.where(alone, inside.argmax(axis=1), (~inside).argmax(axis=1))
+    begin = np.where(alone, odd, odd + 1)
+    return np.take_along_axis(faces, (begin[:, None] + np.arange(3)) % 3, axis=1)
+
+
+def _crossings(
+    mesh: TriangleMesh,
+    depth: NDArray[np.float64],
+    kept: NDArray[np.int64],
+    lost: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    share = depth[kept] / (depth[kept] - depth[lost])
+    return mesh.vertices[kept] + share[:, None] * (mesh.vertices[lost] - mesh.vertices[kept])
 
 
 @dataclass(frozen=True, kw_only=True)

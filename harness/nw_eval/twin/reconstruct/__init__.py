@@ -4,24 +4,3 @@ By default all of it is done here: a plane sweep with semi-global matching measu
 each shot, a truncated signed distance joins them, and marching cubes cut its surface. OpenMVS does
 the same where its programs are installed and it is chosen.
 """
-
-from nw_eval.twin.reconstruct.depth.kept import array_file, read_depth
-from nw_eval.twin.reconstruct.depth.maps import depth_maps, depth_of
-from nw_eval.twin.reconstruct.mesh_file import ColourMesh, read_colour_mesh, write_mesh
-from nw_eval.twin.reconstruct.options import DepthOptions, ReconstructOptions
-from nw_eval.twin.reconstruct.reconstruct import reconstruct
-from nw_eval.twin.reconstruct.report import ReconstructReport
-
-__all__ = [
-    "ColourMesh",
-    "DepthOptions",
-    "ReconstructOptions",
-    "ReconstructReport",
-    "array_file",
-    "depth_maps",
-    "depth_of",
-    "read_colour_mesh",
-    "read_depth",
-    "reconstruct",
-    "write_mesh",
-]

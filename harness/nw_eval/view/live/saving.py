@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.inside import what_is
 from nw_eval.suite.ready import write_ready_suite
-from nw_eval.twin.label.folder.copying import write_place
+from nw_eval.twin.label.copying import write_place
 
 if TYPE_CHECKING:
     from nw_eval.view.live.stage import Stage

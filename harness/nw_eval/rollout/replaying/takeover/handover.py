@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import TypeAdapter, ValidationError
 
-from nw_eval.cards.file.load import CARD_FILE, parse_card
+from nw_eval.cards.load import CARD_FILE, parse_card
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, StoreError, UsageError
 from nw_eval.policies.bundle import NOTHING

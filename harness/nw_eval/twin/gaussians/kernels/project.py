@@ -6,6 +6,10 @@ expected inverse depth sum_i w_i / z_i, which training compares with depth maps.
 
 With M = R diag(s) and the rows t, u of J R_view, the footprint's covariance t' M M' t etc. is taken
 as products of p = M' t and q = M' u: no covariance is formed, and none can lose its rank.
+
+Rotations are from quaternions w x y z of any length. Real spherical harmonics are in the order and
+with the signs of the renderer's harmonics.py. The polynomials are taken as they stand, off the unit
+sphere too: whoever uses the slopes leaves out what points along the direction.
 """
 
 from __future__ import annotations
@@ -33,8 +37,6 @@ from nw_eval.splat.kernels.project import (
     U,
     V,
 )
-from nw_eval.twin.gaussians.kernels.ellipsoid import rotation
-from nw_eval.twin.gaussians.kernels.harmonics import basis
 from nw_eval.twin.gaussians.kernels.jit import kernel
 
 INVERSE_DEPTH = DEPTH
@@ -46,6 +48,17 @@ LEAST_KEPT = 1e-30
 """Least square of the antialiasing factor, as in the renderer."""
 
 _WIDEN, _WIDEN_PIXELS = 1.00002, 0.002
+
+C0 = 0.28209479177387814
+_C1 = 0.4886025119029199
+_XY, _ZZ, _XX_YY = 1.0925484305920792, 0.31539156525252005, 0.5462742152960396
+_C33, _C32, _C31, _C30 = (
+    0.5900435899266435,
+    2.890611442640554,
+    0.4570457994644658,
+    0.3731763325901154,
+)
+_C3Z = 1.445305721320277
 
 
 @inlined
@@ -180,3 +193,85 @@ def project(
             for k in range(count):
                 colour += values[k] * sh[i, k, channel]
             poke(records, j + RED + channel, np.float32(max(colour, 0.0)))
+
+
+@inlined
+def rotation(quat: Any) -> Any:
+    """Return the rotation of a quaternion row by row, nine numbers: own axes to world."""
+    w, x, y, z = float(quat[0]), float(quat[1]), float(quat[2]), float(quat[3])
+    k = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w * k, x * k, y * k, z * k
+    return (
+        1.0 - 2.0 * (y * y + z * z),
+        2.0 * (x * y - w * z),
+        2.0 * (x * z + w * y),
+        2.0 * (x * y + w * z),
+        1.0 - 2.0 * (x * x + z * z),
+        2.0 * (y * z - w * x),
+        2.0 * (x * z - w * y),
+        2.0 * (y * z + w * x),
+        1.0 - 2.0 * (x * x + y * y),
+    )
+
+
+@inlined
+def rotation_back(quat: Any, g: Any, out: Any) -> None:
+    """Write the gradient with respect to a quaternion; g is that to its rotation's nine numbers.
+
+    The length of the quaternion does not matter to its rotation: the gradient is across it.
+    """
+    w, x, y, z = float(quat[0]), float(quat[1]), float(quat[2]), float(quat[3])
+    k = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w * k, x * k, y * k, z * k
+    gw = 2.0 * (x * (g[7] - g[5]) + y * (g[2] - g[6]) + z * (g[3] - g[1]))
+    gx = 2.0 * (y * (g[1] + g[3]) + z * (g[2] + g[6]) + w * (g[7] - g[5]))
+    gx -= 4.0 * x * (g[4] + g[8])
+    gy = 2.0 * (x * (g[1] + g[3]) + z * (g[5] + g[7]) + w * (g[2] - g[6]))
+    gy -= 4.0 * y * (g[0] + g[8])
+    gz = 2.0 * (x * (g[2] + g[6]) + y * (g[5] + g[7]) + w * (g[3] - g[1]))
+    gz -= 4.0 * z * (g[0] + g[4])
+    along = w * gw + x * gx + y * gy + z * gz
+    out[0], out[1] = (gw - w * along) * k, (gx - x * along) * k
+    out[2], out[3] = (gy - y * along) * k, (gz - z * along) * k
+
+
+@inlined
+def basis(x: Any, y: Any, z: Any, count: Any, values: Any) -> None:
+    """Write the first `count` (1, 4, 9 or 16) harmonics of a unit direction into `values`."""
+    values[0] = C0
+    if count > 1:
+        values[1], values[2], values[3] = -_C1 * y, _C1 * z, -_C1 * x
+    if count > 4:
+        xx, yy, zz = x * x, y * y, z * z
+        values[4], values[5], values[7] = _XY * x * y, -_XY * y * z, -_XY * x * z
+        values[6] = _ZZ * (3.0 * zz - 1.0)
+        values[8] = _XX_YY * (xx - yy)
+        if count > 9:
+            ring = 1.0 - 5.0 * zz
+            values[9] = -_C33 * y * (3.0 * xx - yy)
+            values[10] = _C32 * x * y * z
+            values[11] = _C31 * y * ring
+            values[12] = _C30 * z * (5.0 * zz - 3.0)
+            values[13] = _C31 * x * ring
+            values[14] = _C3Z * z * (xx - yy)
+            values[15] = -_C33 * x * (xx - 3.0 * yy)
+
+
+@inlined
+def slope(x: Any, y: Any, z: Any, count: Any, g: Any) -> Any:
+    """Return the gradient of sum_k g[k] Y_k with respect to (x, y, z); Y_0 has none."""
+    gx, gy, gz = -_C1 * g[3], -_C1 * g[1], _C1 * g[2]
+    if count > 4:
+        gx += _XY * (g[4] * y - g[7] * z) + 2.0 * _XX_YY * g[8] * x
+        gy += _XY * (g[4] * x - g[5] * z) - 2.0 * _XX_YY * g[8] * y
+        gz += 6.0 * _ZZ * g[6] * z - _XY * (g[5] * y + g[7] * x)
+        if count > 9:
+            xx, yy, zz = x * x, y * y, z * z
+            ring, rest = 1.0 - 5.0 * zz, 3.0 * (xx - yy)
+            gx += -6.0 * _C33 * g[9] * x * y + _C32 * g[10] * y * z + _C31 * g[13] * ring
+            gx += 2.0 * _C3Z * g[14] * x * z - _C33 * g[15] * rest
+            gy += -_C33 * g[9] * rest + _C32 * g[10] * x * z + _C31 * g[11] * ring
+            gy += -2.0 * _C3Z * g[14] * y * z + 6.0 * _C33 * g[15] * x * y
+            gz += _C32 * g[10] * x * y - 10.0 * _C31 * z * (g[11] * y + g[13] * x)
+            gz += _C30 * g[12] * (15.0 * zz - 3.0) + _C3Z * g[14] * (xx - yy)
+    return gx, gy, gz

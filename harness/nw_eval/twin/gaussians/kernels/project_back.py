@@ -13,7 +13,7 @@ import numpy as np
 
 from nw_eval.machine_code.jit import inlined
 from nw_eval.splat.kernels import view as at
-from nw_eval.twin.gaussians.kernels.blend_back import (
+from nw_eval.twin.gaussians.kernels.blend import (
     G_A,
     G_B,
     G_C,
@@ -23,16 +23,18 @@ from nw_eval.twin.gaussians.kernels.blend_back import (
     G_U,
     G_V,
 )
-from nw_eval.twin.gaussians.kernels.ellipsoid import rotation, rotation_back
-from nw_eval.twin.gaussians.kernels.harmonics import basis, slope
 from nw_eval.twin.gaussians.kernels.jit import kernel
 from nw_eval.twin.gaussians.kernels.project import (
     HALF_LOG2E,
     LEAST_KEPT,
     LN2,
+    basis,
     camera_point,
     own_axes,
+    rotation,
+    rotation_back,
     screen_rows,
+    slope,
 )
 
 

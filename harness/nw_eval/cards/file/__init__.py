@@ -1,1 +1,0 @@
-"""The file that a card is read from."""

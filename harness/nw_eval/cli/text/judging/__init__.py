@@ -1,1 +1,0 @@
-"""Text of what judges, and of what it is judged by."""

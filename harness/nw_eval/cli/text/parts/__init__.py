@@ -1,1 +1,0 @@
-"""Text of what a run is made of."""

@@ -1,0 +1,81 @@
+"""`nw-eval agree`: does the simulator rank policies as the robot does?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING
+
+import tyro
+
+from nw_eval.clean import clean
+from nw_eval.cli.terminal.lines import aligned
+
+if TYPE_CHECKING:
+    from nw_eval.stats.agreement.agree import Agreement, AgreementFigure
+    from nw_eval.stats.interval import Interval
+
+
+@dataclass(frozen=True, kw_only=True)
+class Agree:
+    """Say how well runs agree with results on the robot, and what a perfect simulator shows."""
+
+    real: tyro.conf.Positional[Path]
+    """A CSV with the columns policy, scene, trials, success."""
+    runs: tyro.conf.Positional[tuple[str, ...]]
+    """Folders of runs, and baselines, of those policies."""
+    confidence: float = 0.95
+    """Of each interval."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(agreement_text(api.agree(self.real, self.runs, confidence=self.confidence)))
+        return 0
+
+
+_WIDTH = 100
+_TITLES = {"pearson": "Pearson's r", "spearman": "Spearman's rho", "mmrv": "MMRV"}
+_NOTE = (
+    "Intervals: of what sets of as many such policies show in the mean (jackknife over policies). "
+    "A perfect simulator has the robot's own success for every policy, and shows this in as many "
+    "trials: no worse than its worst 5 % is no sign of a fault. MMRV, the mean maximum rank "
+    "violation, is best at 0."
+)
+
+
+def agreement_text(found: Agreement) -> str:
+    """Return a line for each policy and figure, and what cannot be said."""
+    percent = f"{100 * found.confidence:.4g} %"
+    gaps = [
+        (clean(each.policy, at_most=80), f"{each.value:+.3f}", _span(each.interval, "+"))
+        for each in found.gaps
+    ]
+    gap_lines = aligned(
+        [("policy", "simulator less robot", f"{percent} each alone"), *gaps], right=(1,)
+    )
+    if not found.figures:
+        return "\n".join([*gap_lines, "", *found.remarks])
+    figures = aligned(
+        [
+            ("agreement", "value", f"{percent} interval", "perfect: mean", "worst 5 %"),
+            *(_line(each) for each in found.figures),
+        ],
+        right=(1, 3, 4),
+    )
+    return "\n".join([*gap_lines, "", *figures, "", *found.remarks, fill(_NOTE, _WIDTH)])
+
+
+def _line(each: AgreementFigure) -> tuple[str, ...]:
+    return (
+        _TITLES[each.name],
+        f"{each.value:.3f}",
+        _span(each.interval),
+        f"{each.perfect.mean:.3f}",
+        f"{each.perfect.worst:.3f}",
+    )
+
+
+def _span(interval: Interval, sign: str = "") -> str:
+    return f"{interval.low:{sign}.2f} to {interval.high:{sign}.2f}"

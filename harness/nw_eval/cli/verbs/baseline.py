@@ -1,0 +1,514 @@
+"""`nw-eval baseline`: what a policy scores from every start, saved to be compared with."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from nw_eval.clean import clean
+from nw_eval.cli.terminal.lines import aligned
+from nw_eval.plural import plural
+from nw_eval.words import Backend
+
+if TYPE_CHECKING:
+    from nw_eval.api import (
+        CheckedBaseline,
+        ListedBaseline,
+        SavedBaseline,
+        ShownBaseline,
+        VerifiedBaseline,
+    )
+    from nw_eval.results.bank import Panel, SavedBank, Start, Stratum
+    from nw_eval.results.bank.changes import BankChange, FieldChange, SceneChange
+
+
+@dataclass(frozen=True, kw_only=True)
+class Save:
+    """Run what is missing of a baseline, and save it as reports/baselines/<suite>/<name>.parquet.
+
+    Says first about how long it takes. A save that Ctrl-C interrupted goes on when the same command
+    is given again, and writes the same results. A baseline that is there gets this
+    class of machine, too. One that holds for something else is replaced with --renew only, after
+    what moved is shown (exit code 5 without it).
+    """
+
+    suite: tyro.conf.Positional[str]
+    """A suite file, or the name of a shipped suite."""
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """A shipped bundle's name, a bundle's folder, or a card; the suite's own when absent."""
+    checkpoint: Path | None = None
+    """Weights to use in place of those that the card names."""
+    starts: int | None = None
+    """Starts in each scene; as many as the baseline has, and 60 for a new one, when absent."""
+    name: str | None = None
+    """The baseline's name; the policy's when absent."""
+    note: str = ""
+    """Why it is saved."""
+    from_run: Annotated[Path | None, tyro.conf.arg(name="from")] = None
+    """The folder of a finished run to save as a baseline; nothing is run."""
+    renew: bool = False
+    """Replace the baseline that is there, with its panels of all classes of machine."""
+    render: Backend | None = None
+    """The splat renderer; cpu when absent."""
+    time_limit: float | None = None
+    """Seconds of wall time after which a trial counts as hung."""
+    memory_limit: str | None = None
+    """Memory that a worker may hold with the processes that it started, such as 2GB or 1.5GiB."""
+    allow_code: bool = False
+    """Let the policy's card import Python code."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Worker processes; the number of cores when absent."""
+    no_cache: bool = False
+    """Run every trial, and keep no result for later runs."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.progress import RunProgress
+        from nw_eval.errors import IncomparableError
+
+        with RunProgress() as progress:
+            saved = api.save_baseline(
+                self.suite,
+                policy=self.policy,
+                starts=self.starts,
+                name=self.name,
+                note=self.note,
+                from_run=self.from_run,
+                renew=self.renew,
+                workers=self.workers,
+                cache=not self.no_cache,
+                listener=progress,
+                checkpoint=self.checkpoint,
+                render=self.render,
+                time_limit=self.time_limit,
+                memory_limit=self.memory_limit,
+                allow_code=self.allow_code,
+            )
+        print(saved_page(saved))
+        return IncomparableError.exit_code if saved.action == "kept" else 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class List:
+    """List the baselines of the project and those that are shipped."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(baseline_table(api.list_baselines()))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show:
+    """Say what a baseline holds for, who saved it and why, and what it holds, scene by scene."""
+
+    baseline: tyro.conf.Positional[str]
+    """A name, suite/name, or a path."""
+    suite: str | None = None
+    """The suite's name, where several have a baseline of that name."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(baseline_page(api.show_baseline(self.baseline, suite=self.suite)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Say whether a baseline still holds here: suite, scenes, protocol, simulator, policy.
+
+    Exit code 5 if it does not. Says, too, whether it has a panel of this class of machine.
+    """
+
+    baseline: tyro.conf.Positional[str]
+    """A name, suite/name, or a path."""
+    suite: str | None = None
+    """The suite's file, where its name does not find it."""
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """Where the baseline's policy lies, if not where the baseline says."""
+    checkpoint: Path | None = None
+    """Weights to use in place of those that the card names."""
+    render: Backend | None = None
+    """The splat renderer; cpu when absent."""
+    allow_code: bool = False
+    """Let the policy's card import Python code."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        checked = api.check_baseline(
+            self.baseline,
+            suite=self.suite,
+            policy=self.policy,
+            checkpoint=self.checkpoint,
+            render=self.render,
+            allow_code=self.allow_code,
+        )
+        print(checked_page(checked))
+        return checked.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verify:
+    """Run starts of a baseline again by its own policy, and name each row that differs.
+
+    Which starts is drawn by a seed that nobody can foresee. Exit code 5 if a row differs, 4 if a
+    trial comes to no result. Nothing is written into the project.
+    """
+
+    baseline: tyro.conf.Positional[str]
+    """A name, suite/name, or a path."""
+    share: Annotated[str | None, tyro.conf.arg(metavar="N%")] = None
+    """Share of all its starts, at least one; 10% when absent."""
+    trials: int | None = None
+    """How many starts instead."""
+    seed: int | None = None
+    """Draw the starts of an earlier verification again, which printed this number."""
+    suite: str | None = None
+    """The suite's file, where its name does not find it."""
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """Where the baseline's policy lies, if not where the baseline says."""
+    checkpoint: Path | None = None
+    """Weights to use in place of those that the card names."""
+    render: Backend | None = None
+    """The splat renderer; cpu when absent."""
+    allow_code: bool = False
+    """Let the policy's card import Python code."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Worker processes; the number of cores when absent."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.interruption import INTERRUPTED
+        from nw_eval.cli.terminal.last_words import tell
+        from nw_eval.cli.terminal.progress import RunProgress
+
+        with RunProgress() as progress:
+            verified = api.verify_baseline(
+                self.baseline,
+                share=self.share,
+                trials=self.trials,
+                seed=self.seed,
+                suite=self.suite,
+                policy=self.policy,
+                workers=self.workers,
+                listener=progress,
+                checkpoint=self.checkpoint,
+                render=self.render,
+                allow_code=self.allow_code,
+            )
+        print(verified_page(verified))
+        if verified.interrupted:
+            tell("interrupted; not all of the trials that were drawn have run")
+            return INTERRUPTED
+        return verified.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diff:
+    """Compare two baselines: what they hold for, means by scene, starts that ended otherwise."""
+
+    then: tyro.conf.Positional[str]
+    """The earlier one: a name, suite/name, or a path."""
+    now: tyro.conf.Positional[str]
+    """The later one."""
+    suite: str | None = None
+    """The suite's name, where several have a baseline of such a name."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(change_page(api.diff_baselines(self.then, self.now, suite=self.suite)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Baseline:
+    """Save what a policy scores from every start; list, show, check, verify, compare baselines."""
+
+    action: (
+        Annotated[Save, tyro.conf.subcommand("save")]
+        | Annotated[List, tyro.conf.subcommand("list")]
+        | Annotated[Show, tyro.conf.subcommand("show")]
+        | Annotated[Check, tyro.conf.subcommand("check")]
+        | Annotated[Verify, tyro.conf.subcommand("verify")]
+        | Annotated[Diff, tyro.conf.subcommand("diff")]
+    )
+
+    def __call__(self) -> int:
+        return self.action()
+
+
+_NOTE = 60  # characters of a note in a table
+
+
+def baseline_table(baselines: Sequence[ListedBaseline]) -> str:
+    """Return a line for each baseline: name, policy, starts, mean, when, machines, note."""
+    if not baselines:
+        return "no baselines: neither shipped, nor in reports/baselines"
+    heading = ("baseline", "policy", "starts", "mean", "saved", "machines", "note")
+    names = Counter(_name(each) for each in baselines)
+    rows = [
+        heading,
+        # Where a project's bank has the name of a shipped one, only the path says which.
+        *(
+            (_name(each) if names[_name(each)] == 1 else clean(each.file), *_line(each))
+            for each in baselines
+        ),
+    ]
+    return "\n".join(aligned(rows, right={3}))
+
+
+def baseline_page(shown: ShownBaseline) -> str:
+    """Return all that a baseline says of itself, and its scenes as a table."""
+    return "\n".join([*_facts(shown), "", *aligned(list(_scenes(shown.bank)), right={1})])
+
+
+def stratum_words(stratum: Stratum) -> str:
+    """Return a scene with what was changed in it, such as `gaps/two friction=0.5`."""
+    scene, cell = stratum
+    return clean(" ".join([scene, *(f"{axis}={value:g}" for axis, value in cell)]), at_most=120)
+
+
+def machine_words(machine: Mapping[str, str]) -> str:
+    """Return a class of machine in one line, the processor first."""
+    names = sorted(machine, key=lambda name: (name != "cpu", name))
+    return clean(", ".join(f"{name} {machine[name]}" for name in names), at_most=300)
+
+
+def _name(listed: ListedBaseline) -> str:
+    return clean(f"{listed.suite}/{listed.name}")
+
+
+def _line(listed: ListedBaseline) -> tuple[str, ...]:
+    if listed.bank is None:
+        return "?", "?", "?", "?", "?", clean(listed.problem)
+    manifest = listed.bank.manifest
+    return (
+        clean(manifest.policy.name),
+        f"{plural(len(manifest.key.scenes), 'scene')} x {manifest.starts}",
+        f"{listed.mean:.3f}",
+        clean(max(panel.saved for panel in manifest.panels))[:10],
+        clean(", ".join(panel.machine.get("cpu", "?") for panel in manifest.panels), at_most=100),
+        clean(manifest.note, at_most=_NOTE),
+    )
+
+
+def _facts(shown: ShownBaseline) -> Iterator[str]:
+    from nw_eval.results.bank.changes import bank_mean
+
+    manifest, bank = shown.bank.manifest, shown.bank
+    simulator = ", ".join(f"{name} {value}" for name, value in manifest.key.simulator.items())
+    policy = manifest.policy
+    digests = f"checkpoint {policy.checkpoint_digest[:16]}, card {policy.card_digest[:16]}"
+    yield f"baseline   {clean(manifest.name)}"
+    yield f"file       {clean(shown.file)}"
+    yield f"suite      {clean(manifest.suite)}"
+    yield f"policy     {clean(policy.name)} ({clean(digests)})"
+    yield f"starts     {manifest.starts} in each of {plural(len(manifest.key.scenes), 'scene')}"
+    yield f"mean       {bank_mean(bank):.3f}"
+    yield f"seed       {manifest.key.seed}, protocol {clean(manifest.key.protocol)}"
+    yield f"simulator  {clean(simulator)}"
+    if manifest.note:
+        yield f"note       {clean(manifest.note)}"
+    for number, (panel, info) in enumerate(zip(bank.panels, manifest.panels, strict=True), 1):
+        by = f" by {clean(info.by)}" if info.by else ""
+        yield f"panel {number}    {clean(info.saved)}{by}: {machine_words(info.machine)}"
+        if number > 1:
+            yield f"           {_against_first(panel, bank.panels[0])}"
+
+
+def _against_first(panel: Panel, first: Panel) -> str:
+    pairs = list(zip(panel.starts, first.starts, strict=True))
+    moved = sum(a.trajectory != b.trajectory for a, b in pairs)
+    return f"{moved} of {len(pairs)} starts went another way than on panel 1"
+
+
+def _scenes(bank: SavedBank) -> Iterator[tuple[str, ...]]:
+    from nw_eval.results.bank.changes import mean_of
+
+    yield "scene", "mean", "completed", "others"
+    for stratum, starts in bank.panels[0].by_stratum.items():
+        completed = sum(start.completed for start in starts)
+        share = f"{completed} of {len(starts)}"
+        yield stratum_words(stratum), f"{mean_of(starts):.3f}", share, _others(starts)
+
+
+def _others(starts: Sequence[Start]) -> str:
+    ends = Counter(start.outcome for start in starts if not start.completed)
+    return ", ".join(f"{count} {clean(outcome)}" for outcome, count in ends.most_common())
+
+
+_FLIPPED = 8  # indexes of starts that a cell names
+
+
+def change_page(change: BankChange) -> str:
+    """Return what differs between two baselines: fields, then scenes, then whose doing it is."""
+    fields = [*change.fields, *change.machine]
+    scenes = [
+        _HEADING,
+        *(_scene(each) for each in change.scenes),
+        _mean(change),
+    ]
+    parts = [field_lines(fields), aligned(scenes, right={1, 2, 3}), [whose_doing(change)]]
+    return "\n\n".join("\n".join(lines) for lines in parts if lines)
+
+
+def field_lines(fields: Sequence[FieldChange]) -> list[str]:
+    """Return a line for each field: what it is of, its name, then and now."""
+    return aligned(
+        [
+            (f"{each.part} {clean(each.name)}", f"{clean(each.then)} -> {clean(each.now)}")
+            for each in fields
+        ]
+    )
+
+
+def whose_doing(change: BankChange) -> str:
+    """Return what may be charged with what moved: the policy, something else, or neither."""
+    moved = any(scene.moved for scene in change.scenes)
+    others = sorted(change.parts - {"policy"}) + (["machine"] if change.machine else [])
+    if not moved:
+        return "No start went another way."
+    if "policy" not in change.parts:
+        cause = " and ".join(others) or "something that no field names"
+        return f"The policy is the same: what moved is the doing of the {cause}, of no checkpoint."
+    if not others:
+        return "Only the policy differs: what moved is its doing."
+    return (
+        f"The policy differs, and so does the {' and '.join(others)}: what moved can be charged to "
+        "none of them alone. Renew the baseline with the earlier policy first, and compare that."
+    )
+
+
+def saved_page(saved: SavedBaseline) -> str:
+    """Return what became of a baseline that was to be saved."""
+    return "\n".join(_saved(saved))
+
+
+def checked_page(checked: CheckedBaseline) -> str:
+    """Return whether a baseline holds here, with a line for each field that does not match."""
+    return "\n".join(_checked(checked))
+
+
+def verified_page(verified: VerifiedBaseline) -> str:
+    """Return what starts that ran again came to, with a line for each row that differs."""
+    return "\n".join(clean(line, at_most=1000) for line in _verified(verified))
+
+
+def _verified(verified: VerifiedBaseline) -> Iterator[str]:
+    name, starts = verified.bank.manifest.name, len(verified.bank.panels[0].starts)
+    yield from verified.differing
+    yield from (f"no result now: {fault}" for fault in verified.faults)
+    if verified.differing:
+        count = len(verified.differing)
+        verb = "differs" if count == 1 else "differ"
+        yield f"INVALID: {plural(count, 'row')} of baseline {name} {verb}"
+        if not verified.has_panel:
+            yield (
+                "it has not been run on this class of machine, whose bits may be others: run it "
+                "where it was saved, or save it here"
+            )
+    equal = verified.ran - len(verified.differing)
+    yield (
+        f"run again: {equal} of {plural(verified.drawn, 'trial')} as the baseline says, values and "
+        f"bits, drawn from {starts} by --seed {verified.seed}"
+    )
+
+
+_HEADING = (
+    "scene",
+    "then",
+    "now",
+    "change",
+    "went another way",
+    "ended or scored otherwise",
+)
+
+
+def _scene(change: SceneChange) -> tuple[str, ...]:
+    words = stratum_words((change.scene, change.perturbation))
+    if change.then is None or change.now is None:
+        then, now = (_number(value) for value in (change.then, change.now))
+        return words, then, now, "", "", ""
+    return (
+        words,
+        _number(change.then),
+        _number(change.now),
+        f"{change.now - change.then:+.3f}",
+        f"{change.moved} of {change.starts}",
+        _flipped(change),
+    )
+
+
+def _mean(change: BankChange) -> tuple[str, ...]:
+    from nw_eval.results.bank.changes import bank_mean
+
+    then, now = bank_mean(change.then), bank_mean(change.now)
+    return "mean", _number(then), _number(now), f"{now - then:+.3f}", "", ""
+
+
+def _number(value: float | None) -> str:
+    return "none" if value is None else f"{value:.3f}"
+
+
+def _flipped(change: SceneChange) -> str:
+    if not change.flipped:
+        return "none"
+    named = ", ".join(str(index) for index in change.flipped[:_FLIPPED])
+    more = f" and {len(change.flipped) - _FLIPPED} more" if len(change.flipped) > _FLIPPED else ""
+    return f"starts {named}{more}"
+
+
+def _saved(saved: SavedBaseline) -> Iterator[str]:
+    from nw_eval.results.bank.changes import bank_mean
+
+    manifest = saved.bank.manifest
+    size = f"{plural(len(manifest.key.scenes), 'scene')} x {plural(manifest.starts, 'start')}"
+    whole = f"{size}, mean success {bank_mean(saved.bank):.3f}"
+    if saved.change is not None and saved.action != "unchanged":
+        yield change_page(saved.change)
+        yield ""
+    if saved.action == "new":
+        yield f"saved {saved.file}: {whole}, {saved.file.stat().st_size / 1000:.1f} kB"
+    elif saved.action == "unchanged":
+        yield f"{saved.file} has all of this already: {whole}"
+    elif saved.action == "panel":
+        machine = machine_words(manifest.panels[-1].machine)
+        panels = plural(len(manifest.panels), "panel")
+        yield f"saved {saved.file}, which has this class of machine now, too ({panels}): {machine}"
+    elif saved.action == "renewed":
+        yield f"renewed {saved.file}: {whole}"
+    else:
+        yield f"{saved.file} is as it was; --renew replaces it"
+
+
+def _checked(checked: CheckedBaseline) -> Iterator[str]:
+    manifest = checked.bank.manifest
+    save = f"nw-eval baseline save {quote(checked.suite)} --policy {quote(checked.policy)}"
+    if manifest.name != manifest.policy.name:
+        save += f" --name {quote(manifest.name)}"
+    if checked.changes:
+        yield f"INVALID: baseline {clean(manifest.name)} does not hold here"
+        yield from field_lines(checked.changes)
+        yield f"renew it with `{clean(save)} --renew`"
+        return
+    yield f"baseline {clean(manifest.name)} holds here: suite, scenes, protocol, simulator" + (
+        ", policy" if checked.unchecked is None else ""
+    )
+    if checked.unchecked is not None:
+        yield f"its policy was not compared: {clean(checked.unchecked)}"
+    if checked.has_panel:
+        yield "it has a panel of this class of machine"
+        return
+    yield "it has no panel of this class of machine; its first one differs in:"
+    yield from field_lines(checked.machine)
+    yield f"add one with `{clean(save)}`"

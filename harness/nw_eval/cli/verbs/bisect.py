@@ -1,0 +1,169 @@
+"""`nw-eval bisect`: which checkpoint of a series is flagged first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from nw_eval.cli.terminal.lines import aligned
+from nw_eval.plural import plural
+from nw_eval.reporting.tables.table import bounds_header
+
+if TYPE_CHECKING:
+    from nw_eval.api.running.reports import RunReport
+    from nw_eval.api.series import BisectedSeries
+    from nw_eval.gate.bisection import Bisection
+
+
+@dataclass(frozen=True, kw_only=True)
+class BisectSeries:
+    """Find the first checkpoint of a series that the gate flags as worse than a good one.
+
+    Checkpoints are files of weights for the card of --policy, or bundles, in order of age. Each
+    that is asked for is judged against the baseline of the good one, as `run --baseline` does, but
+    for the suite's bar. One before the first flagged may already be worse by less than the gate
+    sees: the result says by how much at most. Exit code 1 if one was flagged, 0 if the bad one was
+    not, 3 if nothing was decided.
+    """
+
+    suite: tyro.conf.Positional[str]
+    """A suite file, or the name of a shipped suite."""
+    checkpoints: tyro.conf.Positional[tuple[str, ...]]
+    """The series between the good and the bad one."""
+    good: str
+    """A baseline, or the checkpoint before the series, of which a baseline is saved first."""
+    bad: str
+    """The checkpoint after the series."""
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """Whose card the weights are for; the suite's own policy when absent."""
+    everyone: bool = False
+    """Judge every checkpoint: searching alone seldom sees that a series is not monotone."""
+    scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
+    """Only scenes that match one of these globs, or are of `split:train` or `split:eval`."""
+    trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
+    """The most trials of each scene for each checkpoint, on average; `gate.rounds` of the suite
+    when absent."""
+    starts: int | None = None
+    """Starts in each scene of a baseline that is saved; 60 when absent."""
+    allow_code: bool = False
+    """Let the policy's card import Python code."""
+    out: Path | None = None
+    """The folder of the runs, in which an interrupted search goes on; `reports/bisect-<suite>`
+    when absent."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Worker processes; the number of cores when absent."""
+    no_cache: bool = False
+    """Run every trial, and keep no result for later runs."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.last_words import tell
+        from nw_eval.cli.terminal.progress import RunProgress
+
+        with RunProgress() as progress:
+            series = api.bisect(
+                self.suite,
+                self.checkpoints,
+                good=self.good,
+                bad=self.bad,
+                policy=self.policy,
+                everyone=self.everyone,
+                scenes=self.scenes,
+                trials=self.trials,
+                starts=self.starts,
+                allow_code=self.allow_code,
+                out=self.out,
+                workers=self.workers,
+                cache=not self.no_cache,
+                listener=progress,
+                progress=lambda name, word: progress.message(f"{name}: {word}"),
+            )
+        print(series_page(series))
+        if series.found is None:
+            tell("interrupted; the same command goes on")
+        return series.exit_code
+
+
+def series_page(series: BisectedSeries) -> str:
+    """Return the checkpoints that were judged, and which of the series was flagged first."""
+    known = (run.verdict.against for run in series.runs.values())
+    found = next((each for each in known if each is not None), None)
+    sure = "" if found is None else f" ({bounds_header(found.alpha_regr, found.alpha_pass)})"
+    head = ["", "checkpoint", "against the good one", f"drop{sure}", "trials", "regressed in"]
+    lines = [
+        [str(place + 1), name, *_cells(series.runs.get(place))]
+        for place, name in enumerate(series.checkpoints)
+    ]
+    judged = plural(len(series.runs), "checkpoint")
+    cost = f"{judged} of {len(series.checkpoints)} judged, in {plural(series.trials, 'trial')}"
+    words = [] if series.found is None else _sentences(series.found, series)
+    table = aligned([head, *lines], right={0, 4})
+    return "\n".join([*table, "", *words, f"{cost}; each run in {series.folder}"])
+
+
+def _cells(run: RunReport | None) -> tuple[str, str, str, str]:
+    against = None if run is None else run.verdict.against
+    if run is None or against is None:
+        return "", "", "", ""
+    drop = "" if against.drop is None else f"{against.drop:.3f}"
+    if against.interval is not None and against.trials:
+        drop += f" ({against.interval.low:.2f} to {against.interval.high:.2f})"
+    named = [scene.scene for scene in against.scenes if scene.named]
+    return against.word, drop, str(len(run.rows)), ", ".join(named)
+
+
+def _sentences(found: Bisection, series: BisectedSeries) -> list[str]:
+    """Return what was found, how sure that is, and what was not looked at."""
+    names, fallen, good = series.checkpoints, found.first_fallen, found.last_good
+    if fallen is None:
+        opened = [names[place] for place, word in found.words.items() if word == "INCONCLUSIVE"]
+        if opened:
+            return [f"no checkpoint was flagged; undecided: {', '.join(opened)}"]
+        return [f"none was flagged: {names[-1]} passed{_up_to(series.runs.get(len(names) - 1))}"]
+    words = [f"the first flagged: {names[fallen]}{_worse(series.runs.get(fallen))}"]
+    if good is not None:
+        words.append(
+            f"the last before it that passed: {names[good]}{_up_to(series.runs.get(good))}"
+        )
+    elif fallen == 0:
+        words.append("it is the first of the series")
+    if len(found.suspects) > 1:
+        among = ", ".join(names[place] for place in found.suspects[:-1])
+        words.append(f"not passed and not flagged before it: {among}")
+    if found.recovered:
+        later = ", ".join(names[place] for place in found.recovered)
+        words.append(
+            f"the series is not monotone: {later} passed after {names[fallen]} was flagged"
+        )
+    elif len(found.words) < found.length:
+        words.append("monotone as far as judged; --everyone judges the others too")
+    return words
+
+
+def _worse(run: RunReport | None) -> str:
+    """Return between which drops a flagged checkpoint lies; nothing where that is unknown."""
+    from nw_eval.gate.baseline.comparison import percent_sure
+
+    against = None if run is None else run.verdict.against
+    if against is None or against.interval is None:
+        return ""
+    low, high = against.interval
+    return (
+        f", {low:.2f} ({percent_sure(against.alpha_regr)} sure) to {high:.2f} "
+        f"({percent_sure(against.alpha_pass)} sure) worse than the good one"
+    )
+
+
+def _up_to(run: RunReport | None) -> str:
+    """Return how much worse a checkpoint that passed may be; nothing where that is unknown."""
+    from nw_eval.gate.baseline.comparison import percent_sure
+
+    against = None if run is None else run.verdict.against
+    if against is None or against.interval is None or against.basis == "same":
+        return ""
+    high = max(0.0, against.interval.high)
+    sure = percent_sure(against.alpha_pass)
+    return f"; it may already be up to {high:.2f} worse than the good one ({sure} sure)"

@@ -1,0 +1,240 @@
+"""`nw-eval plan`: how many trials a gate takes and what it sees; or into which parts they go."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from nw_eval.cli.terminal.lines import aligned
+from nw_eval.plural import plural
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from nw_eval.api import BarPlan, ShardPlan, TrialPlan
+    from nw_eval.gate.baseline.foresee import Outset
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanTrials:
+    """Say how many trials detect a drop against a baseline, and what else the gate would see.
+
+    Simulates the gate from the scores of a baseline, or of a run of the suite. Of a suite with a
+    bar and no baseline it says how many trials the bar needs, and who passes. Runs no physics.
+    `check` says what would run; this one what it would show. With --shards it says instead into
+    which parts a run goes, each of which a machine of its own runs (`run --shard`).
+    """
+
+    suite: tyro.conf.Positional[str]
+    """A suite file, or the name of a shipped suite (`nw-eval suites` lists them)."""
+    detect: float | None = None
+    """Drop of mean success to detect; the suite's gate.max_drop when absent."""
+    baseline: str | None = None
+    """The baseline to compare with, by name or path; when absent the suite's gate.baseline, or the
+    only one that there is of the suite."""
+    run: Path | None = None
+    """In place of a baseline, a run of the suite: its scores are taken for the baseline's."""
+    png: Path | None = None
+    """Draw the curve into this file."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Worker processes to estimate minutes with; the number of cores when absent."""
+
+    shards: int | None = None
+    """Cut a run into so many parts."""
+    json: bool = False
+    """With --shards: print them as the JSON of a GitHub matrix, in one line."""
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """With --shards: as for `run`, and so are the next two."""
+    trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
+    """Trials per scene, against a baseline at most."""
+    scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
+    """Only scenes that match one of these globs, or are of `split:train` or `split:eval`."""
+
+    def __call__(self) -> int:
+        self._check()
+        return self._foresee() if self.shards is None else self._cut(self.shards)
+
+    def _check(self) -> None:
+        """Refuse options that say nothing about what is asked.
+
+        Raises:
+            UsageError: naming one.
+        """
+        from nw_eval.errors import UsageError
+
+        of_parts = ("json", "policy", "trials", "scenes")
+        of_curve = ("detect", "run", "png")
+        for name in of_parts if self.shards is None else of_curve:
+            if getattr(self, name) not in {None, False}:
+                without = "without" if self.shards is None else "with"
+                raise UsageError(f"--{name} {without} --shards", fix=f"drop --{name}")
+
+    def _cut(self, shards: int) -> int:
+        from nw_eval import api
+
+        planned = api.plan_shards(
+            self.suite,
+            shards,
+            workers=self.workers,
+            policy=self.policy,
+            baseline=self.baseline,
+            trials=self.trials,
+            scenes=self.scenes,
+        )
+        print(shard_matrix(planned) if self.json else shard_page(planned))
+        return 0
+
+    def _foresee(self) -> int:
+        from nw_eval import api
+
+        planned = api.plan_trials(
+            self.suite,
+            detect=self.detect,
+            baseline=self.baseline,
+            run=self.run,
+            png=self.png,
+            workers=self.workers,
+        )
+        if isinstance(planned, api.BarPlan):
+            print(bar_plan_page(planned))
+            return 0
+        print(trial_plan_page(planned))
+        if self.png is not None:
+            print(f"drawn in {self.png}")
+        return 0
+
+
+_CHANCES = (0.8, 0.9)
+
+
+def bar_plan_page(planned: BarPlan) -> str:
+    """Return what a bar takes as lines of text: how many trials, and who passes."""
+    least = plural(planned.needed, "trial")
+    rows = [("success", *(plural(size, "trial") for size in planned.sizes))]
+    rows += [
+        (f"{truth:.3f}", *(f"{100 * share:.0f} %" for share in shares))
+        for truth, shares in planned.curve
+    ]
+    sure = f"{100 * planned.confidence:.4g} % sure"
+    size = f"{plural(planned.trials, 'trial')} in each of {plural(planned.scenes, 'scene')}"
+    lines = [
+        f"suite     {planned.suite}: {size}",
+        f"bar       success of at least {planned.bar:g}, {sure}; no baseline",
+        f"needed    {least} in each scene, if none of them fails (--trials {planned.needed})",
+        *(f"no PASS   {reason}" for reason in planned.obstacles),
+        "",
+        "PASS by true success and trials in each scene:",
+        *aligned(rows, right=range(len(rows[0]))),
+        "",
+        "Simulated, 2,000 runs each: the standard error of a share is at most 1.1 %.",
+    ]
+    return "\n".join(lines)
+
+
+def trial_plan_page(planned: TrialPlan) -> str:
+    """Return a plan of trials as lines of text: how many, how long, and the curve."""
+    outset = planned.outset
+    rules, margins = outset.rules, outset.rules.margins
+    drops = f"max_drop {margins.max_drop:g}, tolerate {margins.tolerate:g}"
+    wrong_pass, wrong_regressed = (f"{100 * x:.4g} %" for x in (rules.alpha_pass, rules.alpha_regr))
+    lines = [
+        f"suite     {planned.suite}: {outset.in_words}",
+        f"from      {planned.source}: success {outset.baseline:.3f}, {_bank(outset)}",
+        f"margins   {drops}; wrong PASS {wrong_pass}, wrong REGRESSED {wrong_regressed} at most",
+        f"detect    {_detection(planned)}",
+        f"equal     {_within(planned, planned.equal.passed, 'an equally good policy passes')}",
+        "",
+        *_curve(planned),
+        "",
+        "Simulated, 1,000 gates at each drop: the standard error of a share is at most 1.6 %.",
+        "Between tolerate and max_drop either verdict is legitimate.",
+    ]
+    return "\n".join(lines)
+
+
+def _bank(outset: Outset) -> str:
+    starts = f"{outset.starts} starts in each scene"
+    return starts if outset.known else f"as a baseline of {starts} would have it"
+
+
+def _detection(planned: TrialPlan) -> str:
+    found = _within(
+        planned, planned.dropped.regressed, f"a policy {planned.detect:g} worse is REGRESSED"
+    )
+    margins = planned.outset.rules.margins
+    rare = planned.dropped.regressed[-1] < _CHANCES[-1]
+    if rare and margins.tolerate < planned.detect < margins.max_drop:
+        return f"{found}: the drop is below max_drop, and may pass"
+    return found
+
+
+def _within(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
+    """Return after how many trials something is so in 80 and in 90 %."""
+    from nw_eval.stats.bank import trials_for
+
+    found = [(chance, trials_for(shares, chance)) for chance in _CHANCES]
+    parts = [
+        f"in {100 * chance:.0f} % within {_trials(planned, trials)}"
+        for chance, trials in found
+        if trials is not None
+    ]
+    if len(parts) < len(found):
+        most = f"{100 * shares[-1]:.0f} %"
+        parts.append(f"in no more than {most} however many of the starts are run")
+    return f"{what} {', '.join(parts)}"
+
+
+def _trials(planned: TrialPlan, trials: int) -> str:
+    return f"{plural(trials, 'trial')} ({planned.minutes(trials):.1f} minutes)"
+
+
+def _curve(planned: TrialPlan) -> list[str]:
+    rows = [("drop", "REGRESSED", "PASS", "undecided", "trials", "minutes")]
+    for point in planned.curve:
+        shares = (f"{100 * x:.0f} %" for x in (point.regressed, point.passed, point.undecided))
+        regressed, passed, undecided = shares
+        minutes = f"{planned.minutes(point.trials):.1f}"
+        rows.append(
+            (f"{point.drop:.2f}", regressed, passed, undecided, f"{point.trials:.0f}", minutes)
+        )
+    return aligned(rows, right=range(6))
+
+
+def shard_page(planned: ShardPlan) -> str:
+    """Return the parts as lines of text: what to type for each, and about what it takes."""
+    count = len(planned.parts)
+    rows = [("part", "trials", "minutes")]
+    rows += [
+        (f"--shard {index}/{count}", str(part.trials), f"{part.minutes:.1f}")
+        for index, part in enumerate(planned.parts, start=1)
+    ]
+    most = "at most " if planned.parts[0].baseline is not None else ""
+    return "\n".join(
+        [
+            f"suite     {planned.suite}: {most}{plural(planned.trials, 'trial')} in {count} parts",
+            "",
+            *aligned(rows, right=(1, 2)),
+            "",
+            "`nw-eval merge RUN... --out FOLDER` puts them together, and judges the whole.",
+        ]
+    )
+
+
+def shard_matrix(planned: ShardPlan) -> str:
+    """Return the parts as the JSON of a GitHub matrix, in one line: a job for each part."""
+    count = len(planned.parts)
+    jobs = [
+        {
+            "suite": planned.suite,
+            "shard": f"{index}/{count}",
+            "index": index,
+            "count": count,
+            "trials": part.trials,
+        }
+        for index, part in enumerate(planned.parts, start=1)
+    ]
+    return json.dumps({"include": jobs})

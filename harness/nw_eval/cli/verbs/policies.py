@@ -1,0 +1,368 @@
+"""`nw-eval policies`: which there are, what a card says, if it is right, a first one, a hub's."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from nw_eval.clean import clean
+from nw_eval.cli.terminal.lines import aligned
+from nw_eval.plural import plural
+
+if TYPE_CHECKING:
+    from nw_eval.cards.load import ListedPolicy
+    from nw_eval.onboarding.probe.report import (
+        ProbedCommand,
+        ProbedJoint,
+        ProbedOutput,
+        ProbedTerm,
+        ProbeReport,
+    )
+    from nw_eval.onboarding.probe.summary import CardFile, CardJoint, CardSummary, CardTerm
+
+
+@dataclass(frozen=True, kw_only=True)
+class List:
+    """List the policies that can be asked for by name."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(policy_table(api.list_policies()))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show:
+    """Say what a card says: every term, every joint, whatever is not by default, the checkpoint."""
+
+    policy: tyro.conf.Positional[str]
+    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
+    checkpoint: Path | None = None
+    """Weights to use in place of those that the card names."""
+    allow_code: bool = False
+    """Let the card import Python code."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        summary = api.show_policy(
+            self.policy, checkpoint=self.checkpoint, allow_code=self.allow_code
+        )
+        print(card_page(summary))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Run a policy for some seconds: range of every term, dead inputs, NaN, wrong signs and orders.
+
+    In the flat room, a policy that sees a velocity command is also commanded ahead, sideways and in
+    turns, and other cards are tried if it stumbles or misses a command; not so in another --scene.
+    Says `no fault found`, or what is wrong and what the card should say (exit code 2).
+    """
+
+    policy: tyro.conf.Positional[str]
+    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
+    checkpoint: Path | None = None
+    """Weights to use in place of those that the card names."""
+    scene: str | None = None
+    """Where; a flat room when absent."""
+    allow_code: bool = False
+    """Let the card import Python code."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.errors import UsageError
+
+        report = api.check_policy(
+            self.policy,
+            checkpoint=self.checkpoint,
+            scene=self.scene,
+            allow_code=self.allow_code,
+        )
+        print(probe_page(report))
+        return 0 if report.passed else UsageError.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Init:
+    """Inspect a checkpoint, without running it, and write a first card beside it."""
+
+    checkpoint: tyro.conf.Positional[Path]
+    """An ONNX, TorchScript, torch.export, safetensors or state-dict file."""
+    robot: str
+    """The robot that the policy drives: go1 or go2."""
+    out: Path | None = None
+    """The card to write; `policy.yaml` beside the checkpoint when absent."""
+    layout: str | None = None
+    """The published layout of what the policy sees, such as isaac-lab; the likeliest when absent.
+    The card names those that fit."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        draft = api.init_policy(self.checkpoint, robot=self.robot, out=self.out, layout=self.layout)
+        print(f"{draft.text}\n{draft.file}: {draft.to_check} lines to check")
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fold:
+    """Write an ONNX graph whose weights lie in a second file as one file, without running it."""
+
+    checkpoint: tyro.conf.Positional[Path]
+    """The ONNX file; what it names lies beside it."""
+    out: Path
+    """The file to write."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        folded = api.fold_policy(self.checkpoint, out=self.out)
+        print(f"{folded.file}: {folded.bytes / 1e6:.2f} MB, graph and weights")
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Serve:
+    """Serve a policy over a websocket, for `adapter: remote`, until SIGINT or SIGTERM."""
+
+    policy: tyro.conf.Positional[str]
+    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
+    checkpoint: Path | None = None
+    """Weights to use in place of those that the card names."""
+    host: str = "127.0.0.1"
+    """Address to listen on; whoever reaches it can use the policy."""
+    port: int = 8765
+    """Port to listen on; 0 chooses a free one."""
+    allow_code: bool = False
+    """Let the card import Python code."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        stop = threading.Event()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            # Said outright: a shell starts its background jobs with SIGINT ignored.
+            signal.signal(number, lambda *_: stop.set())
+        with api.serve_policy(
+            self.policy,
+            checkpoint=self.checkpoint,
+            host=self.host,
+            port=self.port,
+            allow_code=self.allow_code,
+            confined=True,
+        ) as served:
+            print(f"serving {served.name} at {served.url} (digest {served.digest})", flush=True)
+            stop.wait()
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FetchPolicy:
+    """Fetch a policy as its hub has it now; runs use it from then on, without a network.
+
+    Nothing of it is run, and the token that it needs is not needed again. A download that breaks
+    goes on where it broke when the command is given again. HF_TOKEN or `hf auth login` says who you
+    are, HF_ENDPOINT which hub. Needs the extra `hub`.
+    """
+
+    policy: tyro.conf.Positional[str]
+    """hub:org/name, or hub:org/name@revision."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.lines import fetched_lines
+
+        print(fetched_lines(api.fetch_policy(self.policy)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Policies:
+    """List policies, show and check their cards, draft, fold, serve or fetch one."""
+
+    action: (
+        Annotated[List, tyro.conf.subcommand("list")]
+        | Annotated[Show, tyro.conf.subcommand("show")]
+        | Annotated[Check, tyro.conf.subcommand("check")]
+        | Annotated[Init, tyro.conf.subcommand("init")]
+        | Annotated[Fold, tyro.conf.subcommand("fold")]
+        | Annotated[Serve, tyro.conf.subcommand("serve")]
+        | Annotated[FetchPolicy, tyro.conf.subcommand("fetch")]
+    )
+
+    def __call__(self) -> int:
+        return self.action()
+
+
+def policy_table(policies: Sequence[ListedPolicy]) -> str:
+    """Return a line for each policy: name, robot, adapter, title; or what is wrong."""
+    if not policies:
+        return "no policies: neither shipped, nor in ./policies"
+    return "\n".join(aligned([(clean(each.name), *_words(each)) for each in policies]))
+
+
+def _words(policy: ListedPolicy) -> tuple[str, str, str]:
+    if policy.problem is not None:
+        return "?", "?", policy.problem
+    title = policy.title
+    if policy.networks:
+        title += f" (fed by {', '.join(policy.networks)})"
+    if policy.missing is not None:
+        title += f" (weights: {policy.missing or 'not here'})"
+    return policy.robot, policy.adapter, title
+
+
+def card_page(summary: CardSummary) -> str:
+    """Return what a card says: each term, each joint, whatever is not by default, its files."""
+    card = summary.card
+    terms = [("observation", "term", "numbers", "as", "sampled"), *map(_card_term, summary.terms)]
+    motor = "torque limit", "armature", "friction loss"
+    joints = [("joint", "default", "scale", "kp", "kd", *motor), *map(_card_joint, summary.joints)]
+    lines = [
+        f"{card.name}: {card.title}" if card.title else card.name,
+        f"card        {clean(summary.path)}",
+        f"licence     {card.licence or 'not stated'}",
+        f"robot       {card.robot}",
+        f"adapter     {card.adapter}",
+        *_card_files(summary),
+        f"command     {summary.command}",
+        *(f"{key:10}  {clean(value)}" for key, value in summary.options.items()),
+        "",
+        *aligned(terms),
+        *_card_observations(summary),
+        "",
+        *summary.inputs,
+        *([""] if summary.inputs else []),
+        f"actions: {', '.join(summary.action)}",
+        *aligned(joints, right=range(1, 8)),
+    ]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _card_files(summary: CardSummary) -> list[str]:
+    lines = [
+        f"{'network' if file.network else 'checkpoint':10}  {clean(_card_file(file))}"
+        for file in summary.files
+    ]
+    own = any(not file.network for file in summary.files)
+    return lines if own else ["checkpoint  none", *lines]
+
+
+def _card_file(file: CardFile) -> str:
+    words = f"{file.network}: {file.file}" if file.network else file.file
+    if file.problem is not None:
+        return f"{words}: not usable: {file.problem}"
+    if not file.sha256:
+        return words
+    words += f", {file.bytes / 1e6:.2f} MB, SHA-256 {file.sha256[:16]}"
+    if file.network:
+        return f"{words}, {file.adapter}, {file.rate} Hz"
+    return f"{words}, not the card's {file.declared[:16]}" if file.declared else words
+
+
+def _card_observations(summary: CardSummary) -> list[str]:
+    lines: list[str] = []
+    for observation in summary.observations:
+        settings = f"; {', '.join(observation.settings)}" if observation.settings else ""
+        lines.append(f"  {clean(f'{observation.reckoning}{settings}')}")
+    return lines
+
+
+def _card_term(term: CardTerm) -> tuple[str, ...]:
+    size = f"{term.numbers}"
+    if term.frames > 1:
+        size += f" ({term.frames} frames)"
+    elif len(term.shape) > 1:
+        size = " x ".join(str(side) for side in term.shape)
+    return term.observation, term.term, size, term.form, f"{term.rate} Hz"
+
+
+def _card_joint(joint: CardJoint) -> tuple[str, ...]:
+    numbers = joint.default, joint.scale, joint.kp, joint.kd
+    motor = joint.torque_limit, joint.armature, joint.friction_loss
+    return joint.joint, *("" if n is None else f"{n:zg}" for n in (*numbers, *motor))
+
+
+_Rows = list[tuple[str, ...]]
+
+
+def probe_page(report: ProbeReport) -> str:
+    """Return what a policy saw, gave and followed, and what is wrong with it."""
+    networks = aligned(_probed_outputs(report.outputs), right={4, 5, 6})
+    joints = _probed_joints(report.joints, unit="N m" if report.drives_torque else "rad")
+    commands = aligned(_probed_commands(report.commands), right={3})
+    faults = report.faults
+    lines = [
+        f"{report.policy}: {report.seconds:.2f} s in {report.scene}, {report.travelled:.2f} m",
+        "",
+        *aligned(_probed_terms(report.terms), right={4, 5, 6}),
+        *([""] if networks else []),
+        *networks,
+        "",
+        *aligned(joints, right={1, 2, 3, 4, 5, 6}),
+        "",
+        *commands,
+        *([""] if commands else []),
+        *(f"{finding.kind}: {finding.text}" for finding in report.findings),
+        *([report.caveat] if report.caveat else []),
+        "no fault found" if not faults else plural(faults, "fault"),
+    ]
+    return "\n".join(lines)
+
+
+def _probed_terms(terms: Sequence[ProbedTerm]) -> _Rows:
+    rows: _Rows = [("observation", "term", "numbers", "as", "min", "mean", "max", "constant")]
+    for term in terms:
+        frames = f" ({term.frames} frames)" if term.frames > 1 else ""
+        names = term.observation, term.term, f"{term.numbers}{frames}", term.form
+        rows.append((*names, *_span(term)))
+    return rows
+
+
+def _probed_outputs(outputs: Sequence[ProbedOutput]) -> _Rows:
+    rows: _Rows = [("network", "gives", "numbers", "rate", "min", "mean", "max", "constant")]
+    for output in outputs:
+        names = output.network, output.output, f"{output.numbers}", f"{output.rate} Hz"
+        rows.append((*names, *_span(output)))
+    return rows if outputs else []
+
+
+def _span(values: ProbedTerm | ProbedOutput) -> tuple[str, ...]:
+    constant = f"{values.constant} of {values.numbers}" if values.constant else ""
+    return f"{values.low:z.3f}", f"{values.mean:z.3f}", f"{values.high:z.3f}", constant
+
+
+def _probed_joints(joints: Sequence[ProbedJoint], *, unit: str) -> _Rows:
+    targets = f"target min, {unit}", "max", "torque max, N m"
+    rows: _Rows = [("joint", "action min", "mean", "max", *targets)]
+    rows += [
+        (
+            each.joint,
+            f"{each.action_low:z.3f}",
+            f"{each.action_mean:z.3f}",
+            f"{each.action_high:z.3f}",
+            f"{each.target_low:z.3f}",
+            f"{each.target_high:z.3f}",
+            f"{each.torque:.1f}",
+        )
+        for each in joints
+    ]
+    return rows if joints else []
+
+
+def _probed_commands(commands: Sequence[ProbedCommand]) -> _Rows:
+    rows: _Rows = [("command", "commanded", "reached", "share")]
+    for each in commands:
+        commanded, reached = f"{each.commanded:g} {each.unit}", f"{each.reached:z.2f} {each.unit}"
+        ending = ", fell" if each.fell else ", stumbled" if each.stumbled else ""
+        rows.append((each.command, commanded, reached + ending, f"{each.share:z.2f}"))
+    return rows if commands else []

@@ -1,0 +1,222 @@
+"""`nw-eval scenes`: what places there are, what they look like, and those of a hub."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from nw_eval.amounts import in_words
+from nw_eval.clean import clean
+from nw_eval.plural import plural
+from nw_eval.words import Robot
+
+if TYPE_CHECKING:
+    from nw_eval.api import CheckedScene, ListedScene, PushedScene
+    from nw_eval.scenes.overview import SceneFigures
+
+
+@dataclass(frozen=True, kw_only=True)
+class List:
+    """List scenes with their waypoints, split (`split:eval` names its scenes) and obstacles."""
+
+    patterns: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Names or globs; every built-in scene when absent."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(scene_table(api.list_scenes(self.patterns)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show:
+    """Say everything about one scene, and draw it from above with its trail and heights."""
+
+    scene: tyro.conf.Positional[str]
+    """A built-in name, a scene folder, neverwhere:<folder or published name>, or hub:org/name."""
+    out: Path | None = None
+    """A PNG of the view from above."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(scene_page(api.show_scene(self.scene, out=self.out)))
+        if self.out is not None:
+            print(self.out)
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Find what is wrong with scenes: files, start, trail, splat. Exit code 2 if any is.
+
+    Along the trail: ground that does not carry the robot's feet, and a splat that does not show its
+    camera what the mesh has there.
+    """
+
+    scenes: tyro.conf.Positional[tuple[str, ...]]
+    """Built-in names, scene folders, neverwhere:<folder or published name>, or hub:org/name."""
+    robot: Robot = "go1"
+    """Whose feet, camera and length count."""
+    suite: Path | None = None
+    """Write a suite of them to this file, ready to run, unless something is wrong."""
+    policy: str | None = None
+    """With --suite: the policy of the suite. One that nw-eval has a card of when absent."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.errors import SceneError
+
+        checked = api.check_scenes(
+            self.scenes, robot=self.robot, suite=self.suite, policy=self.policy
+        )
+        print(findings_text(checked))
+        if any(scene.has_errors for scene in checked):
+            return SceneError.exit_code
+        if self.suite is not None:
+            print(f"ready: nw-eval run {shlex.quote(str(self.suite))}")
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Render:
+    """Draw scenes from the robot's eye and from outside on one sheet; by mesh without a splat."""
+
+    patterns: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Names or globs; every built-in scene when absent."""
+    out: Path = Path("scenes.png")
+    """The PNG to write."""
+    width: int = 480
+    """Pixels across each view."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.progress import RunProgress
+
+        with RunProgress() as listener:
+            picture = api.render_scenes(
+                self.patterns, out=self.out, width=self.width, listener=listener
+            )
+        print(picture)
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FetchScenes:
+    """Fetch places as their hub has them now; runs use them from then on, without a network.
+
+    A download that breaks goes on where it broke when the command is given again. HF_TOKEN or
+    `hf auth login` says who you are, HF_ENDPOINT which hub. Needs the extra `hub`.
+    """
+
+    scenes: tyro.conf.Positional[tuple[str, ...]]
+    """hub:org/name, hub:org/name@revision, or neverwhere:NAME of the published release."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.lines import fetched_lines
+        from nw_eval.errors import UsageError
+
+        if not self.scenes:
+            raise UsageError("no scene to fetch", fix="name one, such as hub:org/name")
+        for scene in self.scenes:
+            print(fetched_lines(api.fetch_scene(scene)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushScene:
+    """Put a scene folder into a data set of a hub, as one commit. Needs the extra `hub`.
+
+    The files that the scene is made of are pushed, README and licence if they lie beside them, and
+    nothing else. A scene that `scenes check` finds errors in is not.
+    """
+
+    scene: tyro.conf.Positional[Path]
+    """The folder, with its scene.yaml."""
+    to: tyro.conf.Positional[str]
+    """hub:org/name; the repository is made if it is not there."""
+    private: bool = False
+    """Make a repository that only its owner sees."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(pushed_line(api.push_scene(self.scene, self.to, private=self.private)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenes:
+    """List the places that suites can name, show, check or draw them; fetch and push them."""
+
+    action: (
+        Annotated[List, tyro.conf.subcommand("list")]
+        | Annotated[Show, tyro.conf.subcommand("show")]
+        | Annotated[Check, tyro.conf.subcommand("check")]
+        | Annotated[Render, tyro.conf.subcommand("render")]
+        | Annotated[FetchScenes, tyro.conf.subcommand("fetch")]
+        | Annotated[PushScene, tyro.conf.subcommand("push")]
+    )
+
+    def __call__(self) -> int:
+        return self.action()
+
+
+def scene_table(scenes: Sequence[ListedScene]) -> str:
+    """Return a line for each scene: name, waypoints, split, title."""
+    width = max(len(scene.name) for scene in scenes)
+    return "\n".join(
+        f"{scene.name:{width}}  {plural(scene.waypoints, 'waypoint'):11}  {scene.split or '-':5}  "
+        f"{scene.title}"
+        for scene in scenes
+    )
+
+
+def scene_page(scene: SceneFigures) -> str:
+    """Return all figures of one scene."""
+    x, y, z = scene.spawn
+    solids = ", ".join(f"{count} {kind}" for kind, count in scene.solids.items())
+    kinds = ", ".join(f"{count:,} {kind}" for kind, count in scene.triangles.items())
+    lines = [
+        f"name       {scene.name}",
+        f"title      {scene.title}",
+        f"task       {scene.task}",
+        f"digest     {scene.digest}",
+        f"licence    {scene.licence}",
+        f"spawn      x {x:.2f}  y {y:.2f}  z {z:.2f} m, heading {scene.heading:.2f} rad",
+        f"ground     z {scene.ground:.3f} m",
+        f"solids     {solids}",
+        f"mesh       {sum(scene.triangles.values()):,} triangles: {kinds}",
+        f"splat      {'none' if scene.splat is None else scene.splat[:16]}",
+    ]
+    for index, (px, py, pz) in enumerate(scene.trail):
+        label = "trail" if index == 0 else ""
+        lines.append(f"{label:<10} {index + 1}: x {px:.2f}  y {py:.2f}  z {pz:.2f} m")
+    return "\n".join(lines)
+
+
+def findings_text(scenes: Sequence[CheckedScene]) -> str:
+    """Return a line for each figure and finding of each scene, and one where nothing is wrong."""
+    from nw_eval.survey import survey_lines
+
+    lines: list[str] = []
+    for scene in scenes:
+        name = clean(scene.reference)
+        if scene.survey is not None:
+            lines += [f"{name}: {line}" for line in survey_lines(scene.survey)]
+        lines += [f"{name}: {finding}" for finding in scene.findings]
+        if not scene.findings:
+            lines.append(f"{name}: nothing wrong")
+    return "\n".join(lines)
+
+
+def pushed_line(pushed: PushedScene) -> str:
+    """Return what names the revision that was made."""
+    return f"{pushed.reference}: {plural(len(pushed.files), 'file')}, {in_words(pushed.bytes)}"

@@ -1,0 +1,68 @@
+"""`nw-eval sensors`: see what sensors see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from nw_eval.api import ListedSensor
+    from nw_eval.sensors.gallery import SeenCard, SeenObservation
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensors:
+    """Draw what the sensors of a policy's card see, or one frame of every sensor there is."""
+
+    policy: tyro.conf.Positional[str | None] = None
+    """A bundle's name, folder or card; every built-in sensor when absent."""
+    scene: str = "hurdles/two_logs_park"
+    """Where to look: a scene's name or folder."""
+    out: Path = Path("sensors.png")
+    """The PNG to write."""
+    allow_code: bool = False
+    """Let the card import code of its own."""
+    names: Annotated[bool, tyro.conf.arg(name="list")] = False
+    """List sensors and wrappers, plug-ins included, and draw nothing."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        if self.names:
+            print(sensor_list(api.list_sensors()))
+            return 0
+        seen = api.draw_sensors(
+            self.policy, scene=self.scene, out=self.out, allow_code=self.allow_code
+        )
+        if text := seen_text(seen):
+            print(text)
+        return 0
+
+
+def sensor_list(sensors: Sequence[ListedSensor]) -> str:
+    """Return the names of each kind in one line, behind it a line for each plug-in."""
+    lines: list[str] = []
+    for kind in ("sensor", "wrapper"):
+        own = [sensor for sensor in sensors if sensor.kind == kind]
+        built_in = ", ".join(sensor.name for sensor in own if sensor.package is None)
+        lines.append(f"nw_eval.{kind}s: {built_in}")
+        lines += [f"  {sensor.name} of {sensor.package}" for sensor in own if sensor.package]
+    return "\n".join(lines)
+
+
+def seen_text(seen: SeenCard) -> str:
+    """Return a line for each observation, and where the picture is."""
+    picture = [] if seen.picture is None else [str(seen.picture)]
+    return "\n".join([*(_line(observation) for observation in seen.observations), *picture])
+
+
+def _line(observation: SeenObservation) -> str:
+    form = f"{' x '.join(map(str, observation.shape))} {observation.dtype}"
+    span = "nothing finite"
+    if observation.low is not None and observation.high is not None:
+        span = f"{observation.low:.4g} to {observation.high:.4g}"
+    return f"{observation.name}: {observation.sensor}, {form}, {span}"

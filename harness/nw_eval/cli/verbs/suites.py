@@ -1,0 +1,44 @@
+"""`nw-eval suites`: which suites there are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from nw_eval.cli.terminal.lines import aligned
+from nw_eval.plural import plural
+
+if TYPE_CHECKING:
+    from nw_eval.api import ListedSuite
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suites:
+    """List the suites that can be asked for by name: scenes, trials, bar, policy, purpose."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(suite_table(api.list_suites()))
+        return 0
+
+
+def suite_table(suites: Sequence[ListedSuite]) -> str:
+    """Return a line for each suite: name, scenes and trials, bar, purpose; or what is wrong."""
+    if not suites:
+        return "no suites: neither shipped, nor in ./suites"
+    lines = aligned([(suite.name, *_words(suite)) for suite in suites])
+    if any(suite.baseline is not None for suite in suites):
+        lines.append(
+            "+ baseline: it counts for this policy of the suite; --baseline names one for others"
+        )
+    return "\n".join(lines)
+
+
+def _words(suite: ListedSuite) -> tuple[str, str, str, str]:
+    if suite.problem is not None:
+        return "?", "?", "?", suite.problem
+    bar = "no bar" if suite.bar is None else f"bar {suite.bar:g}"
+    own = suite.policy if suite.baseline is None else f"{suite.policy} + baseline"
+    return f"{plural(suite.scenes, 'scene')} x {suite.trials}", bar, own, suite.purpose

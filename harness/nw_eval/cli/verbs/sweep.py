@@ -1,0 +1,99 @@
+"""`nw-eval sweep`: how much a policy bears, along axes of perturbation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from nw_eval.cli.terminal.lines import aligned
+from nw_eval.request import Request
+
+if TYPE_CHECKING:
+    from nw_eval.api import SweptSuite
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepAxes:
+    """Run a suite at values of an axis, such as friction or payload, and name where it breaks off.
+
+    Writes sweep.md, sweep.png and sweep.parquet. What the suite itself perturbs, its bar and its
+    baseline are left out. Trials that an earlier sweep had are taken over. Where the trials are too
+    few to show even a fall to none, it says how many are needed.
+    """
+
+    suite: tyro.conf.Positional[str]
+    """A suite file, or the name of a shipped suite."""
+    axis: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Axis and values: friction=0.3..1.2 (7 values), payload=0..6:4, push=0,0.5,1. May be given
+    again for other axes."""
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    """A shipped bundle's name, a bundle's folder, a card, or hub:org/name[@revision]; the suite's
+    own when absent."""
+    against: str | None = None
+    """Another policy, on the same trials and in the same picture."""
+    trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
+    """Trials of each value in each scene; the suite's own number when absent."""
+    scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
+    """Only scenes that match one of these globs."""
+    seed: int | None = None
+    """Another panel of starts than the suite's own."""
+    out: Path | None = None
+    """A new folder; `reports/<suite>-sweep-<number>` when absent."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Worker processes; the number of cores when absent."""
+    confidence: float = 0.95
+    """Of each interval alone, and of all comparisons along one curve together."""
+    no_cache: bool = False
+    """Run every trial, also those that an earlier run has results of."""
+    allow_code: bool = False
+    """Let the policy's own Python code run."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.interruption import INTERRUPTED
+        from nw_eval.cli.terminal.last_words import tell
+        from nw_eval.cli.terminal.progress import RunProgress
+
+        request = Request(
+            suite=self.suite,
+            policy=self.policy,
+            trials=self.trials,
+            scenes=self.scenes,
+            seed=self.seed,
+            allow_code=self.allow_code,
+        )
+        with RunProgress() as progress:
+            found = api.sweep(
+                request,
+                self.axis,
+                out=self.out,
+                against=self.against,
+                workers=self.workers,
+                cache=not self.no_cache,
+                confidence=self.confidence,
+                listener=progress,
+            )
+        print(sweep_text(found))
+        if found.interrupted:
+            tell("interrupted; the same command takes over the trials that ended")
+            return INTERRUPTED
+        return 0
+
+
+def sweep_text(found: SweptSuite) -> str:
+    """Return the tables of a sweep, what they say, and where its files are."""
+    from nw_eval.reporting.sweep.pages import sweep_words
+    from nw_eval.reporting.sweep.words import sweep_table
+
+    parts: list[str] = []
+    for curves in found.axes:
+        table = sweep_table(curves)
+        right = [place for place, name in enumerate(table.columns) if name in table.numbers]
+        parts.append("\n".join(aligned([table.columns, *table.rows], right=right)))
+        parts.append("\n".join(sweep_words(curves)))
+    if found.axes:
+        parts.append("\n".join(str(found.out / f"sweep.{end}") for end in ("md", "png", "parquet")))
+    return "\n\n".join(parts)

@@ -1,0 +1,332 @@
+"""`nw-eval twin`: photographs to a place, all at once or stage by stage."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from nw_eval.words import Robot
+
+if TYPE_CHECKING:
+    from nw_eval.twin.building.build import BuildSettings
+    from nw_eval.twin.label.labelling import Labelling
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrateFlags:
+    """Of the cameras."""
+
+    matching: Literal["auto", "sequential", "exhaustive"] = "auto"
+    """Which photographs are compared: neighbours in the order of their names (sequential), all
+    (exhaustive), or neighbours where names are numbers or a video's frames."""
+    frames: int = 150
+    """Frames that are taken of a video, at most: sharp ones, some way apart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructFlags:
+    """Of the mesh."""
+
+    mesher: Literal["sweep", "openmvs"] = "sweep"
+    """Our own plane sweep, or the programs of OpenMVS, which must be on PATH."""
+    faces: int = 200_000
+    """Faces of the mesh, at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlignFlags:
+    """Of gravity and scale. With a printed tag in view nothing else is wanted."""
+
+    tag_edge: float | None = None
+    """Outer edge of the black border of the AprilTags (36h11) that lie about, m."""
+    camera_height: float | None = None
+    """Height at which the camera was held above the floor, the median, m."""
+    metric: bool = False
+    """The cameras that were taken as they are (ARKit, Polycam) are in metres already."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplatFlags:
+    """Of the Gaussians."""
+
+    iterations: int = 6000
+    """Steps of training."""
+    gaussians: int = 200_000
+    """Gaussians, at most."""
+    longest: int = 480
+    """Longest side of the pictures that are learnt from, pixels."""
+    held_out: str = ""
+    """Photographs that are kept from training to compare with, such as 'low_*'; every eighth when
+    absent."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaceFlags:
+    """Of the scene."""
+
+    name: str | None = None
+    """The scene's name; that of its folder when absent."""
+    licence: str = "unknown"
+    """Of the photographs: an SPDX identifier, or words."""
+    robot: Robot = "go1"
+    """The robot of the scene's suite: whose feet, camera and length the check goes by."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AllFlags(CalibrateFlags, ReconstructFlags, AlignFlags, SplatFlags, PlaceFlags):
+    """Of a whole build."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuildTwin(AllFlags):
+    """Photographs to a place, all stages one after another; what is done stays, and goes on.
+
+    A folder of photographs, a video, or cameras that COLMAP, nerfstudio or Polycam know. Ends with
+    what `scenes check` says of the place, and with 2 where that is an error; the place stays.
+    """
+
+    photographs: tyro.conf.Positional[Path]
+    """The folder, or the video."""
+    out: Path
+    """The scene's folder; work in progress lies in its `build/`."""
+    threads: int | None = None
+    """That share the work; one for each core when absent. They change no result."""
+
+    def __call__(self) -> int:
+        from nw_eval.errors import SceneError
+        from nw_eval.twin.building.build import Build
+
+        build = Build(self.out, settings_of(self, self.threads), _say)
+        return 0 if build.whole(self.photographs) else SceneError.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate(CalibrateFlags):
+    """Find where each photograph was taken from, and take the lens's distortion out."""
+
+    photographs: tyro.conf.Positional[Path]
+    """A folder of photographs, a video, or cameras of COLMAP, nerfstudio or Polycam."""
+    out: Path
+    """The scene's folder."""
+    threads: int | None = None
+    """That share the work; one for each core when absent. They change no result."""
+
+    def __call__(self) -> int:
+        from nw_eval.twin.building.build import Build
+
+        Build(self.out, settings_of(self, self.threads), _say).calibrate(self.photographs)
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reconstruct(ReconstructFlags):
+    """Measure the depth of every photograph, and make the mesh."""
+
+    scene: tyro.conf.Positional[Path]
+    """The scene's folder."""
+    threads: int | None = None
+    """That share the work; one for each core when absent. They change no result."""
+
+    def __call__(self) -> int:
+        from nw_eval.twin.building.build import Build
+
+        Build(self.scene, settings_of(self, self.threads), _say).reconstruct()
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Align(AlignFlags):
+    """Find which way is up, how large it is, and where the floor is."""
+
+    scene: tyro.conf.Positional[Path]
+    """The scene's folder."""
+
+    def __call__(self) -> int:
+        from nw_eval.twin.building.build import Build
+
+        Build(self.scene, settings_of(self, None), _say).align()
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainSplat(SplatFlags):
+    """Train the Gaussians; a training that was cut off goes on."""
+
+    scene: tyro.conf.Positional[Path]
+    """The scene's folder."""
+    threads: int | None = None
+    """That share the work; one for each core when absent. They change no result."""
+
+    def __call__(self) -> int:
+        from nw_eval.twin.building.build import Build
+
+        Build(self.scene, settings_of(self, self.threads), _say).splat()
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaceScene(PlaceFlags):
+    """Write the scene: mesh and splat in metres, and the trail that the place suggests."""
+
+    scene: tyro.conf.Positional[Path]
+    """The scene's folder."""
+
+    def __call__(self) -> int:
+        from nw_eval.twin.building.build import Build
+
+        Build(self.scene, settings_of(self, None), _say).place()
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class AblateSplat(SplatFlags):
+    """Train the splat four times, to compare: from points or the mesh, without or with depths.
+
+    The scene's own splat stays as it is. A training that was cut off goes on.
+    """
+
+    scene: tyro.conf.Positional[Path]
+    """The scene's folder, with a mesh in its `build/`."""
+    threads: int | None = None
+    """That share the work; one for each core when absent. They change no result."""
+
+    def __call__(self) -> int:
+        from nw_eval.twin.building.ablation import ablate, table_text, write_table
+        from nw_eval.twin.building.folder import BuildFolder
+
+        settings = settings_of(self, self.threads)
+        folder = BuildFolder(self.scene)
+        outcomes = ablate(folder, settings.splat, _say, threads=settings.threads)
+        print(table_text(outcomes))
+        print(f"table: {write_table(folder.path / 'ablation', outcomes)}")
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelScene:
+    """Lay the trail through a place in the browser, till Ctrl-C: start, waypoints, task.
+
+    The page scales, turns and crops the place too, shows heights along the trail and what
+    go1-parkour, a policy of a go1, can reach, and proposes a trail. Saving writes scene.yaml.
+    """
+
+    scene: tyro.conf.Positional[str]
+    """A scene folder; with --out any place that a suite can name."""
+    out: Path | None = None
+    """Label a copy, in this new folder: built-in and fetched places are not edited in place."""
+    robot: Robot = "go1"
+    """With --out: the robot of the suite that is written beside the copy."""
+    port: int = 0
+    """Port to listen at, on this machine's own address only; 0 chooses a free one."""
+    open: bool = False
+    """Open the page in this machine's browser."""
+
+    def __call__(self) -> int:
+        from nw_eval.splat.files import read_splat
+        from nw_eval.twin.label.copying import own_folder
+        from nw_eval.twin.label.labelling import open_labelling
+        from nw_eval.twin.label.page.label_page import LabelPage
+        from nw_eval.viewing.browser import check_server
+
+        check_server(self.port)
+        folder = own_folder(self.scene, self.out, robot=self.robot)
+        labelling = open_labelling(folder)
+        splat = labelling.place.splat
+        saved: list[str] = []
+
+        def on_save(line: str) -> None:
+            saved.append(line)
+            _say_label(f"saved {line}")
+
+        with LabelPage(
+            labelling, None if splat is None else read_splat(splat), port=self.port, on_save=on_save
+        ) as page:
+            stop = threading.Event()
+            for number in (signal.SIGINT, signal.SIGTERM):
+                # Said outright: a shell starts its background jobs with SIGINT ignored.
+                signal.signal(number, lambda *_: stop.set())
+            _say_label(f"{folder} is at {page.url}: open that in a browser; Ctrl-C ends it")
+            if self.open:
+                from nw_eval.cli.terminal.last_words import show_address
+
+                show_address(page.url)
+            stop.wait()
+        _say_label(_ending(labelling, is_saved=bool(saved)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Twin:
+    """Turn photographs into a place that suites can name."""
+
+    action: (
+        Annotated[BuildTwin, tyro.conf.subcommand("build")]
+        | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
+        | Annotated[Reconstruct, tyro.conf.subcommand("reconstruct")]
+        | Annotated[Align, tyro.conf.subcommand("align")]
+        | Annotated[TrainSplat, tyro.conf.subcommand("splat")]
+        | Annotated[PlaceScene, tyro.conf.subcommand("place")]
+        | Annotated[AblateSplat, tyro.conf.subcommand("ablate")]
+        | Annotated[LabelScene, tyro.conf.subcommand("label")]
+    )
+
+    def __call__(self) -> int:
+        return self.action()
+
+
+def settings_of(flags: object, threads: int | None) -> BuildSettings:
+    """Return what a build is asked to do; what a verb has no flag for is as it is by default.
+
+    Raises:
+        UsageError: a number makes no sense.
+    """
+    from nw_eval.results.machine import usable_cores
+    from nw_eval.twin.align.alignment import AlignOptions
+    from nw_eval.twin.building.appearance import AppearanceOptions
+    from nw_eval.twin.building.build import BuildSettings
+    from nw_eval.twin.calibrate.options import CalibrateOptions
+    from nw_eval.twin.reconstruct.options import ReconstructOptions
+
+    has = vars(AllFlags()) | {k: v for k, v in vars(flags).items() if k in vars(AllFlags())}
+    cores = threads or usable_cores()
+    return BuildSettings(
+        calibrate=CalibrateOptions(matching=has["matching"], frames=has["frames"], threads=cores),
+        reconstruct=ReconstructOptions(engine=has["mesher"], faces=has["faces"]),
+        align=AlignOptions(
+            tag_edge=has["tag_edge"], camera_height=has["camera_height"], metric=has["metric"]
+        ),
+        splat=AppearanceOptions(
+            iterations=has["iterations"],
+            most=has["gaussians"],
+            longest=has["longest"],
+            held_out=has["held_out"],
+        ),
+        name=has["name"],
+        licence=has["licence"],
+        robot=has["robot"],
+        threads=cores,
+    )
+
+
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
+def _ending(labelling: Labelling, *, is_saved: bool) -> str:
+    """Return the last words: what became of the changes, and what to do next."""
+    folder = labelling.place.folder
+    if not is_saved:
+        return "nothing was saved"
+    suite = folder / "suite.yaml"
+    follows = f"nw-eval run {suite}" if suite.is_file() else f"nw-eval scenes check {folder}"
+    changed = "" if labelling.is_saved else "what was changed after the last save is not saved; "
+    return f"{changed}next: {follows}"
+
+
+def _say_label(line: str) -> None:
+    _say(f"label: {line}")

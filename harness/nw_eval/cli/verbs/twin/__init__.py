@@ -1,1 +1,0 @@
-"""`nw-eval twin`: photographs to a place, all at once or stage by stage."""

@@ -1,0 +1,394 @@
+"""A first card for a checkpoint, from what it says of itself.
+
+The card is valid YAML; its comments say what is known, what is a guess, and what its author must
+check.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from nw_eval.cards.joints import short_name
+from nw_eval.errors import PolicyError, nearest
+from nw_eval.files.inside import what_is
+from nw_eval.onboarding.checkpoint import (
+    EXPORT,
+    ArrayFacts,
+    CheckpointFacts,
+    ExporterMetadata,
+    inspect_checkpoint,
+)
+from nw_eval.onboarding.inputs import known_observations, parts_of, wanted_inputs
+from nw_eval.onboarding.layouts import Frame, is_scan
+from nw_eval.onboarding.notation import CHECK, key, number, one_or_list, plain, quoted, slug
+from nw_eval.onboarding.vectors import Likely, ObservationDraft, likely_layouts
+from nw_eval.policies.bundle import SIZE_LIMIT
+from nw_eval.robots import RobotSpec, get_robot
+
+_ACTION = re.compile(r"action|\bmu\b|mean|joint|target", re.IGNORECASE)
+_NAMELESS = re.compile(r"(policy|model)([._-].*)?", re.IGNORECASE)
+
+
+def write_card_draft(
+    facts: CheckpointFacts,
+    robot: RobotSpec,
+    folder: Path | None = None,
+    layout: str | None = None,
+) -> str:
+    """Return the text of a card, to be saved as policy.yaml beside the checkpoint.
+
+    It is a valid card of the checkpoint's sizes. Lines with `CHECK:` are guesses or defaults. Other
+    published layouts of these sizes stand at its end, as comments.
+
+    Args:
+        facts: from `inspect_checkpoint`.
+        robot: the robot that the policy drives.
+        folder: where the card will be saved; None = beside the checkpoint. A checkpoint outside of
+            it gets a card for `--checkpoint`, and a comment that says so.
+        layout: name of the published layout that the card is to have; None = the likeliest.
+
+    Raises:
+        PolicyError: the file holds weights of a network that is not known here, or does not fit
+            `layout`.
+    """
+    if facts.adapter is None:
+        shown = ", ".join(f"{tensor.name} {tensor.shape}" for tensor in facts.tensors[:3])
+        raise PolicyError(
+            f"{facts.path}: weights of an unknown network: {shown}, ...",
+            fix=f"{EXPORT}, which hold the network too",
+        )
+    body, parts = _body(facts, layout, len(robot.joints))
+    frames = [part.fits[0][0] for part in parts if part.fits]
+    # What one of them feeds back clipped, `control` must clip.
+    frame = next((f for f in frames if f.clip is not None), frames[0] if frames else None)
+    lines = [
+        *_summary(facts),
+        "nw-policy: 1",
+        f"name: {_name(facts.path)}",
+        'title: ""  # one line for people',
+        f'licence: ""  {CHECK} under which terms may others run it?',
+        f"robot: {robot.name}",
+        f"adapter: {facts.adapter}",
+        *_checkpoint(facts, folder),
+        "",
+        *control_lines(facts.exporter, robot, frame),
+        "",
+        *body,
+        *other_layouts(parts, robot),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def draft_of(*, checkpoint: str, robot: str, folder: str, layout: str | None = None) -> str:
+    """Return the card of a checkpoint; as `write_card_draft`, from plain values.
+
+    Raises:
+        PolicyError: as `inspect_checkpoint` and `write_card_draft`.
+        UsageError: there is no such robot.
+    """
+    facts = inspect_checkpoint(Path(checkpoint))
+    return write_card_draft(facts, get_robot(robot), folder=Path(folder), layout=layout)
+
+
+def _name(path: Path) -> str:
+    """Return the file's name, or its folder's where the file is called as all of them are."""
+    own = slug(path.stem)
+    folder = slug(path.parent.resolve().name)
+    return (folder if _NAMELESS.fullmatch(path.stem) else own) or own or "policy"
+
+
+def _checkpoint(facts: CheckpointFacts, folder: Path | None) -> list[str]:
+    # A link counts by where it lies, not by what it points to.
+    path = facts.path.parent.resolve() / facts.path.name
+    base = path.parent if folder is None else folder.resolve()
+    beside = path.is_relative_to(base)
+    file = path.relative_to(base).as_posix() if beside else path.name
+    lines = ["checkpoint:", f"  file: {quoted(file)}"]
+    if not beside:
+        note = "it does not lie beside this card: copy it there, or give --checkpoint"
+        lines.insert(1, f"  {CHECK} {note}")
+    return [*lines, f"  sha256: {facts.sha256}"]
+
+
+def _summary(facts: CheckpointFacts) -> list[str]:
+    name = plain(facts.path.name)
+    lines = [f"# Drafted from {name} ({facts.format}). Lines with CHECK are not from it."]
+    for kind, arrays in (("input", facts.inputs), ("output", facts.outputs)):
+        lines += [f"# {kind} {plain(a.name)}: {_shape(a.shape)} {a.dtype}" for a in arrays]
+    if facts.parameters:
+        lines.append(f"# {facts.parameters:,} numbers in its tensors")
+    if facts.recurrent:
+        lines.append(f"# recurrent state: {plain(', '.join(facts.recurrent))}")
+    return lines
+
+
+def _body(
+    facts: CheckpointFacts, layout: str | None, joints: int
+) -> tuple[list[str], list[ObservationDraft]]:
+    """Return command, observations, inputs and output as lines; and the observations."""
+    if (known := known_observations(facts)) is not None:
+        _refuse_unknown(layout, [], facts.path)
+        return known, []
+    by_input = _parts(facts, layout)
+    parts = [part for several in by_input.values() for part in several]
+    body = ["observations:"]
+    for part in parts:
+        body += [f"  {part.name}:", *(f"    {line}" for line in part.lines)]
+    if any("command" in line.split("#")[0] for line in body):
+        follow = "command: {source: trail_follower, speed: 0.8}  # steers towards the next waypoint"
+        body = [follow, "", *body]
+    if len(parts) > 1:
+        listed = {argument.name for argument in facts.script if argument.images}
+        inputs: list[str] = []
+        for name, several in by_input.items():
+            combined = f"[{', '.join(part.name for part in several)}]"
+            inputs.append(
+                f"{quoted(name)}: {f'{{list: {combined}}}' if name in listed else combined}"
+            )
+        body += ["", f"inputs: {{{', '.join(inputs)}}}"]
+    if len(facts.outputs) > 1:
+        first, *rest = sorted(facts.outputs, key=lambda output: _unlikeness(output, joints))
+        others = plain(", ".join(array.name for array in rest))
+        body += ["", f"output: {quoted(first.name)}  {CHECK} or {others}"]
+    return body, parts
+
+
+def _unlikeness(output: ArrayFacts, joints: int) -> tuple[bool, bool]:
+    """Return what an output is sorted by that may be the action: the likeliest comes first."""
+    return output.shape[-1:] not in {(joints,), (None,)}, not _ACTION.search(output.name)
+
+
+def _parts(facts: CheckpointFacts, layout: str | None) -> dict[str, list[ObservationDraft]]:
+    """Return the observations that make each input, all of one layout where they can be."""
+    likely = Likely(names=(layout,)) if layout else likely_layouts(facts)
+    by_input = _parts_of_layout(facts, likely)
+    fits = [part.fits[0] for several in by_input.values() for part in several if part.fits]
+    if fits and not likely.names:
+        # Frames before the present one tell more than a frame alone.
+        frame, _ = max(fits, key=lambda fit: fit[1])
+        by_input = _parts_of_layout(facts, Likely(names=(frame.name,)))
+    _refuse_unknown(layout, [part for several in by_input.values() for part in several], facts.path)
+    return by_input
+
+
+def _parts_of_layout(facts: CheckpointFacts, likely: Likely) -> dict[str, list[ObservationDraft]]:
+    terms = facts.exporter.observation_terms if facts.exporter else ()
+    by_input: dict[str, list[ObservationDraft]] = {}
+    names: set[str] = set()
+    for wanted in wanted_inputs(facts):
+        # The exporter's terms are those of the first input that is no image and no scan.
+        plain_row = not (wanted.seen or is_scan(wanted.array.name))
+        parts = parts_of(wanted, terms if plain_row else (), likely)
+        by_input[wanted.array.name] = [_renamed(part, names) for part in parts]
+        terms = () if plain_row else terms
+    return by_input
+
+
+def _refuse_unknown(layout: str | None, parts: Sequence[ObservationDraft], path: Path) -> None:
+    known = dict.fromkeys(frame.name for part in parts for frame, _ in part.fits)
+    if layout is not None and layout not in known:
+        raise PolicyError(
+            f"{path}: its inputs do not fit the layout {layout!r}",
+            fix=nearest(layout, known) if known else "none is guessed here: leave --layout out",
+        )
+
+
+def _renamed(part: ObservationDraft, taken: set[str]) -> ObservationDraft:
+    """Return a part by a name that no other has, which is then taken."""
+    name, count = part.name, 2
+    while name in taken:
+        name, count = f"{part.name}_{count}", count + 1
+    taken.add(name)
+    return replace(part, name=name)
+
+
+def _shape(shape: Sequence[int | None]) -> str:
+    return " x ".join("?" if size is None else str(size) for size in shape) or "scalar"
+
+
+def control_lines(
+    exporter: ExporterMetadata | None, robot: RobotSpec, frame: Frame | None
+) -> list[str]:
+    """Return the lines of `control`.
+
+    Args:
+        exporter: what the file says.
+        robot: whose own values stand where nobody says anything.
+        frame: the layout of what the policy sees, if it is guessed: its training says the rest.
+    """
+    known = exporter or ExporterMetadata()
+    theirs = published(frame, robot) if frame else {}
+    of = f"{CHECK} as {frame.name};" if frame else CHECK
+    lines = [
+        "control:",
+        f"  rate: 50  {CHECK} actions per second of the training",
+        f"  action: joint_position_offset  {CHECK} target = default_pose + scale * action",
+    ]
+    if known.action_scale:
+        lines.append(f"  scale: {one_or_list(known.action_scale)}")
+    else:
+        lines.append(f"  scale: {theirs.get('scale', '0.25')}  {of} rad for each unit of action")
+    if "clip" in theirs:
+        lines.append(f"  clip: {theirs['clip']}  {of} limits of actions, before scaling")
+    lines += _joints(known, robot, frame)
+    if known.default_joint_pos:
+        lines.append(f"  default_pose: {one_or_list(known.default_joint_pos)}")
+    elif "default_pose" in theirs:
+        lines.append(f"  default_pose: {theirs['default_pose']}  {of} rad")
+    else:
+        pose = _by_joint(robot, robot.default_pose)
+        lines.append(f"  # default_pose: {pose}  {CHECK} the {robot.name}'s own is used")
+    for name, values, own in (
+        ("kp", known.joint_stiffness, robot.kp),
+        ("kd", known.joint_damping, robot.joint_damping),
+    ):
+        if values:
+            lines.append(f"  {name}: {one_or_list(values)}")
+        elif name in theirs:
+            note = f"{of} the {robot.name}'s own is {number(own)}"
+            lines.append(f"  {name}: {theirs[name]}  {note}")
+        else:
+            lines.append(f"  {name}: {number(own)}  {CHECK} the {robot.name}'s own")
+    if known.default_joint_pos or known.joint_stiffness:
+        lines.append("  # The exporter rounds these numbers to three decimals.")
+    for name, own, unit in (
+        ("torque_limits", _by_joint(robot, robot.torque_limits), "N m"),
+        ("armature", number(robot.armature), "kg m^2"),
+        ("friction_loss", number(robot.friction_loss), "N m"),
+    ):
+        note = f"{unit}; not in the file: the {robot.name}'s own is used"
+        lines.append(f"  # {name}: {own}  {CHECK} {note}")
+    late = theirs.get("delay_steps", "0")
+    lines.append(f"  delay_steps: {late}  {CHECK} control steps between an action and its effect")
+    return lines
+
+
+def published(frame: Frame, robot: RobotSpec) -> dict[str, str]:
+    """Return what a layout's training says of actions and motors, as a card writes it."""
+    joints = frame.joints or [short_name(joint) for joint in robot.joints]
+    values = {"scale": frame.scale, "joints": f"[{', '.join(joints)}]"}
+    if frame.clip is not None:
+        values["clip"] = number(frame.clip)
+    if frame.pose is not None:
+        values["default_pose"] = frame.pose
+    if frame.gains is not None:
+        values["kp"], values["kd"] = map(number, frame.gains)
+    if frame.delay:
+        values["delay_steps"] = str(frame.delay)
+    return values
+
+
+def _joints(known: ExporterMetadata, robot: RobotSpec, frame: Frame | None) -> list[str]:
+    own = [short_name(joint) for joint in robot.joints]
+    names = [short_name(name) for name in known.joint_names]
+    if names and sorted(names) == sorted(own):
+        return [f"  joints: [{', '.join(names)}]"]
+    if names:
+        return [
+            f"  # The file names the joints {', '.join(known.joint_names)[:400]}",
+            f"  joints: [{', '.join(own)}]  {CHECK} they are not the {robot.name}'s",
+        ]
+    if frame is not None and frame.joints:
+        return [f"  joints: {published(frame, robot)['joints']}  {CHECK} as {frame.name}"]
+    return [f"  joints: [{', '.join(own)}]  {CHECK} the order of the checkpoint"]
+
+
+def _by_joint(robot: RobotSpec, values: Sequence[float]) -> str:
+    """Return values as a mapping, by the kind of joint where that says it all."""
+    names = [short_name(joint) for joint in robot.joints]
+    kinds = [name.rpartition("_")[2] for name in names]
+    by_kind = dict(zip(kinds, values, strict=True))
+    if all(by_kind[kind] == value for kind, value in zip(kinds, values, strict=True)):
+        pairs = by_kind.items()
+    else:
+        pairs = zip(names, values, strict=True)
+    return f"{{{', '.join(f'{name}: {number(value)}' for name, value in pairs)}}}"
+
+
+def other_layouts(parts: Sequence[ObservationDraft], robot: RobotSpec) -> list[str]:
+    """Return lines that say each of them in full; none where there is but one.
+
+    Args:
+        parts: the observations of the draft.
+        robot: whose joints they order.
+    """
+    drafted = {part.fits[0][0].name for part in parts if part.fits}
+    others = {frame.name: frame for part in parts for frame, _ in part.fits[1:]}
+    others = {name: frame for name, frame in others.items() if name not in drafted}
+    if not others:
+        return []
+    command = f"nw-eval policies init CHECKPOINT --robot {robot.name} --layout NAME --out NAME.yaml"
+    lines = [
+        "",
+        f"# This card is of {' and '.join(sorted(drafted))}. Other published layouts of its sizes:",
+        f"# {', '.join(others)}. To write the card of one, whose lines stand below:",
+        f"#     {command}",
+        "# `nw-eval policies check` tells which of them walks.",
+    ]
+    for name, frame in others.items():
+        lines += ["#", f"# {name} ({frame.source}): {frame.traits}", "#   control:"]
+        values = published(frame, robot)
+        lines += [f"#     {key}: {value}" for key, value in values.items()]
+        lines.append("#   observations:")
+        for part in parts:
+            if name in part.ways:
+                lines.append(f"#     {part.name}:")
+                lines += [f"#       {line}" for line in map(_uncommented, part.ways[name]) if line]
+    return lines
+
+
+def _uncommented(line: str) -> str:
+    return line.partition(CHECK)[0].rstrip()
+
+
+_ADAPTERS = {
+    ".jit": "torchscript",
+    ".onnx": "onnx",
+    ".pt": "torchscript",
+    ".pt2": "torch-export",
+    ".pth": "torchscript",
+}
+_MOST = 8
+"""Files that are named; a folder of saved steps of a training holds thousands."""
+
+
+def files_beside(checkpoint: Path) -> str:
+    """Return the lines under which other files would feed a checkpoint; empty if there are none.
+
+    Nothing of them is read but their digest.
+    """
+    beside = sorted(checkpoint.parent.glob("*"))
+    found = [path for path in beside if _may_feed(path, checkpoint)]
+    if not found or len(found) > _MOST:
+        return ""
+    lines = [
+        "",
+        "# If a file beside it feeds it, say so, and name it in `inputs` as an observation:",
+        "# networks:",
+    ]
+    for path in found:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        lines += [
+            f"#   {key(path.stem)}:",
+            f"#     adapter: {_ADAPTERS[path.suffix]}",
+            f"#     checkpoint: {{file: {quoted(plain(path.name))}, sha256: {digest}}}",
+            "#     inputs: []  # of the names under `observations`",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _may_feed(path: Path, checkpoint: Path) -> bool:
+    try:
+        return (
+            path.suffix in _ADAPTERS
+            and not path.is_symlink()
+            and what_is(path) == "file"
+            and not path.samefile(checkpoint)
+            and path.stat().st_size <= SIZE_LIMIT
+        )
+    except OSError:  # It is gone, or not ours to read.
+        return False

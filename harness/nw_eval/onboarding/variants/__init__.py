@@ -1,1 +1,0 @@
-"""Cards that differ from a given one in one respect."""

@@ -1,1 +1,0 @@
-"""What a session of pytest shows of suites."""

@@ -1,1 +1,0 @@
-"""Sensors of the robot's own body."""

@@ -1,1 +1,0 @@
-"""Sensors that give images."""

@@ -1,1 +1,0 @@
-"""Sensors of the ground and of what stands on it."""

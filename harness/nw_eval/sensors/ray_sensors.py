@@ -1,0 +1,318 @@
+"""Sensors that cast rays at the scene, the cones and the robot: depth, semantics, lidar."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.cards.observations import DepthObservation, LidarObservation, SemanticsObservation
+from nw_eval.errors import PolicyError, nearest
+from nw_eval.robots import RobotSpec
+from nw_eval.sensors.drawing.cones import TrailCones
+from nw_eval.sensors.drawing.overlay import ray_directions
+from nw_eval.sensors.drawing.palette import CONE, FACE_CLASSES, NOTHING, PALETTE, ROBOT
+from nw_eval.sensors.heights import Rays
+from nw_eval.sensors.sensor import Measurement, Moment, Plain, Sample, Shot
+from nw_eval.splat.camera import Camera, Pixels
+
+Array = NDArray[np.float64]
+
+# Nearer than this, m, nothing is told apart: it keeps inverse depth finite.
+_NEAREST = 1e-3
+
+_HALF_RECTANGLE = 0.6  # rad to each side, unless the card says otherwise
+
+
+class Surroundings:
+    """Geometry around a sensor that the robot carries.
+
+    Embree answers for the static scene and for the cones, MuJoCo for the robot; the nearest
+    answer counts.
+
+    Args:
+        rays: the scene's static geometry.
+        cones: whether a cone stands on each waypoint.
+        robot: whether the robot's body is there, but for the trunk, which carries the sensor.
+    """
+
+    def __init__(self, rays: Rays, *, cones: bool, robot: bool) -> None:
+        self._rays = rays
+        self._cones = TrailCones() if cones else None
+        self._robot = robot
+
+    def distance(self, moment: Moment, origin: Array, directions: Array) -> Array:
+        """Return distances along rays, (N,) m, inf for a miss.
+
+        Args:
+            moment: where robot and cones stand.
+            origin: (3,) of all rays, world, m.
+            directions: (N, 3) unit vectors, world.
+        """
+        starts = np.broadcast_to(origin, directions.shape)
+        distance = self._rays().distance(starts, directions)
+        if self._cones is not None:
+            cones = self._cones.on(moment.cones)
+            distance = np.minimum(distance, cones.distance(origin, directions))
+        if self._robot:
+            hit = moment.world.ray_robot(origin, directions, exclude="trunk")
+            distance = np.minimum(distance, hit.distance)
+        return distance
+
+    def classes(
+        self, moment: Moment, origin: Array, directions: Array
+    ) -> tuple[Array, NDArray[np.uint8]]:
+        """Return distances as `distance` does, and what was met: indices into `CLASSES`, (N,)."""
+        rays = self._rays()
+        starts = np.broadcast_to(origin, directions.shape)
+        distance, face = rays.cast(starts, directions)
+        kinds = rays.mesh.kinds
+        met = np.full(len(directions), NOTHING, dtype=np.uint8)
+        seen = np.flatnonzero(face >= 0)
+        met[seen] = FACE_CLASSES[kinds[face[seen]]]
+        others: list[tuple[int, Array]] = []
+        if self._cones is not None:
+            cones = self._cones.on(moment.cones)
+            others.append((CONE, cones.distance(origin, directions)))
+        if self._robot:
+            hit = moment.world.ray_robot(origin, directions, exclude="trunk")
+            others.append((ROBOT, hit.distance))
+        for number, other in others:
+            nearer = other < distance
+            met[nearer] = number
+            distance = np.where(nearer, other, distance)
+        return distance, met
+
+
+def require_camera(name: str, camera: str, robot: RobotSpec) -> None:
+    """Check that a robot has a camera.
+
+    Args:
+        name: of the observation, for the error.
+        camera: from the card.
+        robot: whose camera it should be.
+
+    Raises:
+        PolicyError: it has no such camera.
+    """
+    if camera not in robot.cameras:
+        raise PolicyError(
+            f"`{name}`: {robot.name} has no camera {camera!r}", fix=nearest(camera, robot.cameras)
+        )
+
+
+class PixelRays:
+    """One ray for each pixel of a pinhole camera, row by row from the top left.
+
+    Args:
+        name: of the observation, for errors.
+        camera: which of the robot's.
+        robot: who carries it.
+        width: pixels.
+        height: pixels.
+
+    Attributes:
+        along_axis: (N,) how far a ray gets along the optical axis in each metre of its own.
+
+    Raises:
+        PolicyError: the robot has no such camera.
+    """
+
+    def __init__(
+        self, name: str, camera: str, robot: RobotSpec, *, width: int, height: int
+    ) -> None:
+        require_camera(name, camera, robot)
+        self._camera = camera
+        pinhole = Camera.from_fovy(
+            width=width, height=height, fovy=robot.cameras[camera].fovy, T_world_camera=np.eye(4)
+        )
+        self._directions = ray_directions(pinhole, Pixels()).reshape(-1, 3)
+        self.along_axis = self._directions[:, 2].copy()
+
+    def rays(self, moment: Moment) -> tuple[Array, Array]:
+        """Return the origin (3,) m and unit directions (N, 3) in the world."""
+        T_world_camera = moment.world.camera_pose(self._camera)
+        return T_world_camera[:3, 3], self._directions @ T_world_camera[:3, :3].T
+
+
+class Depth(Measurement):
+    """Metres along the optical axis, (H, W) float32, inf where a ray meets nothing.
+
+    `DepthForm` makes of them what the card asks for, so that noise is that of the measured metres.
+    """
+
+    unit = "m"
+    is_image = True
+    nothing = math.inf
+
+    def __init__(
+        self, name: str, observation: DepthObservation, robot: RobotSpec, rays: Rays
+    ) -> None:
+        """Prepare the rays.
+
+        Raises:
+            PolicyError: the robot has no such camera.
+        """
+        fine = observation.supersample
+        self.shape: tuple[int, ...] = (observation.height * fine, observation.width * fine)
+        self.dtype = np.dtype(np.float32)
+        self.form = (DepthForm(observation),)
+        height, width = self.shape
+        self._view = PixelRays(name, observation.camera, robot, width=width, height=height)
+        self._around = Surroundings(rays, cones=observation.cones, robot=observation.robot)
+
+    def measure(self, moment: Moment) -> NDArray[Any]:
+        """Cast the rays."""
+        distance = self._around.distance(moment, *self._view.rays(moment))
+        depth = distance * self._view.along_axis
+        return depth.astype(np.float32).reshape(self.shape)
+
+
+class DepthForm(Plain):
+    """Metres, a share of a clipping distance, or stretched inverse depth."""
+
+    def __init__(self, observation: DepthObservation) -> None:
+        self._observation = observation
+
+    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
+        """Return (height, width) float32."""
+        seen = self._observation
+        depth = np.clip(np.nan_to_num(sample, nan=seen.far, posinf=seen.far), 0.0, seen.far)
+        match seen.mode:
+            case "metres":
+                pass
+            case "linear":
+                depth = np.minimum(depth, np.float32(seen.clip)) / np.float32(seen.clip)
+            case "midas":
+                depth = stretched_inverse(depth)
+            case _:
+                assert_never(seen.mode)
+        fine = seen.supersample
+        if fine > 1:
+            # In float64: the mean of pixels must not depend on the order in which they are added.
+            blocks = depth.astype(np.float64).reshape(seen.height, fine, seen.width, fine)
+            depth = blocks.mean(axis=(1, 3))
+        return depth.astype(np.float32)
+
+
+def stretched_inverse(depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return 1 / depth stretched to 0..1 over the image; zeros for an image without relief."""
+    inverse = 1.0 / np.maximum(depth, np.float32(_NEAREST))
+    low, high = inverse.min(), inverse.max()
+    if high <= low:
+        return np.zeros_like(depth)
+    return ((inverse - low) / (high - low)).astype(np.float32)
+
+
+class Semantics(Measurement):
+    """Class ids (H, W) uint8, or colours (H, W, 3); see `drawing.palette`."""
+
+    is_image = True
+
+    def __init__(
+        self, name: str, observation: SemanticsObservation, robot: RobotSpec, rays: Rays
+    ) -> None:
+        """Prepare the rays.
+
+        Raises:
+            PolicyError: the robot has no such camera.
+        """
+        size = (observation.height, observation.width)
+        self._in_colour = observation.values == "colors"
+        self.unit = "rgb" if self._in_colour else "class"
+        self.shape: tuple[int, ...] = (*size, 3) if self._in_colour else size
+        self.dtype = np.dtype(np.uint8)
+        self._view = PixelRays(name, observation.camera, robot, width=size[1], height=size[0])
+        self._around = Surroundings(rays, cones=observation.cones, robot=observation.robot)
+
+    def measure(self, moment: Moment) -> NDArray[Any]:
+        """Cast the rays."""
+        _, met = self._around.classes(moment, *self._view.rays(moment))
+        return (PALETTE[met] if self._in_colour else met).reshape(self.shape)
+
+
+class Lidar(Measurement):
+    """Distances along the rays, (channels, columns) float32 m, inf where there is no return.
+
+    Points are made of them by `LidarForm`, so that noise acts along the rays.
+    """
+
+    unit = "m"
+    nothing = math.inf
+
+    def __init__(self, observation: LidarObservation, rays: Rays) -> None:
+        self.shape: tuple[int, ...] = (observation.channels, observation.columns)
+        self.dtype = np.dtype(np.float32)
+        self.form = (LidarForm(observation),)
+        mount = observation.mount
+        self._position = np.array(mount.position)
+        self._directions = pattern(observation).reshape(-1, 3) @ rotation(*mount.rpy).T
+        self._around = Surroundings(rays, cones=observation.cones, robot=observation.robot)
+
+    def measure(self, moment: Moment) -> NDArray[Any]:
+        """Cast the rays."""
+        origin = moment.position + moment.rotation @ self._position
+        distance = self._around.distance(moment, origin, self._directions @ moment.rotation.T)
+        return distance.astype(np.float32).reshape(self.shape)
+
+
+class LidarForm(Plain):
+    """Returns within range as points or ranges, and something for all others."""
+
+    def __init__(self, observation: LidarObservation) -> None:
+        self._range = (observation.min_range, observation.max_range)
+        self._miss = np.nan if observation.miss == "nan" else observation.max_range
+        self._in_points = observation.values == "points"
+        self._pattern = pattern(observation).astype(np.float32)
+
+    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
+        """Return (channels, columns, 3) or (channels, columns) float32."""
+        nearest, farthest = self._range
+        found = (sample >= nearest) & (sample <= farthest)
+        ranges = np.where(found, sample, np.float32(self._miss))
+        return self._pattern * ranges[..., np.newaxis] if self._in_points else ranges
+
+
+def pattern(observation: LidarObservation) -> Array:
+    """Return the unit directions of all rays in the sensor's frame, (channels, columns, 3)."""
+    spins = observation.pattern == "spinning"
+    low, high = observation.elevation
+    if observation.azimuth is not None:
+        right, left = observation.azimuth
+        whole = left - right >= 2.0 * math.pi
+    else:
+        right, left = (-math.pi, math.pi) if spins else (-_HALF_RECTANGLE, _HALF_RECTANGLE)
+        whole = spins
+    rows, columns = observation.channels, observation.columns
+    if spins:
+        elevation = _spaced(low, high, rows)[:, np.newaxis]
+        # A whole turn ends where it begins, so its last column is left out.
+        azimuth = np.linspace(right, left, columns, endpoint=not whole)
+        x, y = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
+        return np.stack([x, y, np.broadcast_to(np.sin(elevation), x.shape)], axis=-1)
+    left_right = _spaced(math.tan(right), math.tan(left), columns)
+    up = _spaced(math.tan(low), math.tan(high), rows)[:, np.newaxis]
+    ahead = np.ones((rows, columns))
+    directions = np.stack([ahead, ahead * left_right, ahead * up], axis=-1)
+    return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> Array:
+    """Return R_trunk_sensor (3, 3) = Rz(yaw) Ry(pitch) Rx(roll); angles in rad."""
+    cr, sr = math.cos(roll), math.sin(roll)
+    cp, sp = math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def _spaced(first: float, last: float, count: int) -> Array:
+    """Return equally spaced numbers; a single one stands in the middle."""
+    return np.linspace(first, last, count) if count > 1 else np.array([0.5 * (first + last)])

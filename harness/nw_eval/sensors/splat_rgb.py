@@ -1,0 +1,233 @@
+"""Camera images of the scene's splat, as the policy sees them.
+
+Rendered floats become the array that a checkpoint takes: bytes, averages, axes, stacks.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.cards.observations import SplatRgbObservation
+from nw_eval.memory import Arrays
+from nw_eval.robots import CameraMount, RobotSpec
+from nw_eval.scenes.scene import Nearness
+from nw_eval.sensors.drawing.cones import TrailCones
+from nw_eval.sensors.drawing.insert import insert
+from nw_eval.sensors.drawing.overlay import cone_mask, draw, ray_directions
+from nw_eval.sensors.ray_sensors import require_camera
+from nw_eval.sensors.sensor import CLEAR, Measurement, Moment, Shot, TrialPlace
+from nw_eval.splat.camera import Camera, Pixels
+from nw_eval.splat.image import Image, paste
+from nw_eval.splat.render import Renderer
+
+Bytes = NDArray[np.uint8]
+
+# The published image: 80 x 45 from the middles of the 16 x 16 cells of a 1280 x 720 view.
+_PUBLISHED_SIZE = (1280, 720)
+_PUBLISHED_PIXELS = Pixels(stride=16, block=2, offset=7)
+
+
+class SplatRgb(Measurement):
+    """Images of the splat from a camera of the robot, with cones and robot where the card asks.
+
+    A measurement is one image (H, W, 3) of bytes; axes, type and stack of the card are a
+    wrapper behind it, `Arrange`.
+    """
+
+    unit = "rgb"
+    is_image = True
+
+    def __init__(self, name: str, observation: SplatRgbObservation, robot: RobotSpec) -> None:
+        """Prepare the camera.
+
+        Args:
+            name: of the observation, for errors.
+            observation: from the card.
+            robot: whose camera it is.
+
+        Raises:
+            PolicyError: the robot has no such camera.
+        """
+        require_camera(name, observation.camera, robot)
+        self._observation = observation
+        self._mount: CameraMount = robot.cameras[observation.camera]
+        self._published = observation.sampling == "published"
+        self._pixels = _PUBLISHED_PIXELS if self._published else Pixels()
+        pinhole = self._camera(np.eye(4))
+        size = f"{pinhole.width}x{pinhole.height}"
+        self._key = f"splat of {observation.camera}, {size}, {self._pixels}"
+        self._directions = ray_directions(pinhole, self._pixels)
+        self._pitch = (1.0 / pinhole.fx, 1.0 / pinhole.fy)
+        self._cones = TrailCones()
+        self._renderer: Renderer | None = None
+        self.shape: tuple[int, ...] = (observation.height, observation.width, 3)
+        self.dtype = np.dtype(np.uint8)
+        self.form = (Arrange(observation),)
+
+    def attach(self, place: TrialPlace) -> None:
+        """Open the renderer of the scene's splat.
+
+        Raises:
+            SceneError: the scene has none.
+        """
+        self._renderer = place.renderer()
+        self._rays = place.rays
+        self._air = place.air
+        self._captures = place.world.scene.captures
+        self._T_splat_world = np.linalg.inv(place.world.scene.T_world_splat)
+
+    def reset(self) -> None:
+        """Forget how much the last image was covered, and from where it was taken."""
+        self.coverage = None
+        self.nearness = None
+
+    def measure(self, moment: Moment) -> NDArray[Any]:
+        """Render an image."""
+        T_world_camera = moment.world.camera_pose(self._observation.camera)
+        image = self._rendered(moment, T_world_camera)
+        self.coverage = float(image.alpha.mean())
+        if self._captures is not None:
+            self.nearness = self._captures.nearest(T_world_camera)
+        trail = moment.cones
+        if self._published and self._observation.cones:
+            seen = cone_mask(
+                self._directions,
+                T_world_camera,
+                cones=self._cones.on(trail),
+                static=self._rays(),
+                robot=moment.world,
+            )
+            image = paste(image, *seen)
+        elif self._observation.cones or self._observation.robot:
+            overlay = draw(
+                self._directions,
+                T_world_camera,
+                cones=self._cones.on(trail) if self._observation.cones else None,
+                robot=moment.world if self._observation.robot else None,
+                static=self._rays(),
+                pitch=self._pitch,
+            )
+            image = insert(
+                image,
+                overlay,
+                directions=self._directions,
+                T_world_camera=T_world_camera,
+                static=self._rays(),
+            )
+        if self._air is not CLEAR:
+            image = self._air.seen(image)
+        return average_blocks(image.bytes()) if self._published else image.bytes()
+
+    def state(self) -> Arrays:
+        """Return the last coverage and nearness."""
+        state: Arrays = {} if self.coverage is None else {"coverage": np.array(self.coverage)}
+        if self.nearness is not None:
+            state["nearness"] = np.array(self.nearness)
+        return state
+
+    def restore(self, state: Arrays) -> None:
+        """Go back to a coverage and a nearness."""
+        self.coverage = float(state["coverage"]) if state else None
+        near = state.get("nearness")
+        self.nearness = None if near is None else Nearness(*near.tolist())
+
+    def _rendered(self, moment: Moment, T_world_camera: NDArray[np.float64]) -> Image:
+        """Return the splat alone; sensors that look the same way at a moment share a picture."""
+        assert self._renderer is not None, "attach comes before measure"
+        image: Image | None = moment.shared.get(self._key)
+        if image is None:
+            # The splat's scale stays in the matrix: the renderer then measures depth in metres.
+            camera = self._camera(self._T_splat_world @ T_world_camera)
+            image = moment.shared[self._key] = self._renderer.render(camera, self._pixels)
+            for part in (image.rgb, image.depth, image.alpha):
+                part.flags.writeable = False
+        return image
+
+    def _camera(self, T: NDArray[np.float64]) -> Camera:
+        width, height = self._observation.width, self._observation.height
+        if self._published:
+            width, height = _PUBLISHED_SIZE
+        return Camera.from_fovy(width=width, height=height, fovy=self._mount.fovy, T_world_camera=T)
+
+
+def image_shape(observation: SplatRgbObservation) -> tuple[int, ...]:
+    """Return the shape of an observation, stack included."""
+    size = (observation.height, observation.width)
+    channels = 3 * (observation.stack if observation.stack_axis == "channel" else 1)
+    frame = (*size, channels) if observation.axes == "hwc" else (channels, *size)
+    if observation.stack > 1 and observation.stack_axis == "new":
+        return (observation.stack, *frame)
+    return frame
+
+
+class Arrange:
+    """Lays images out as the card says, with those before them."""
+
+    def __init__(self, observation: SplatRgbObservation) -> None:
+        self._observation = observation
+        self._frames: deque[Bytes] = deque(maxlen=observation.stack)
+        # What the next observations share with this one.
+        self._laid_out: deque[NDArray[Any]] = deque(maxlen=observation.stack)
+
+    def __call__(self, sample: Bytes, shot: Shot) -> NDArray[Any]:  # noqa: ARG002 - as every wrapper.
+        """Add an image (H, W, 3) and return the observation."""
+        # The first image stands for those before it.
+        self._add([sample] * (1 if self._frames else self._observation.stack))
+        return _stacked(self._laid_out, self._observation)
+
+    def reset(self, rng: np.random.Generator) -> None:  # noqa: ARG002 - nothing here is random.
+        """Forget earlier images."""
+        self._frames.clear()
+        self._laid_out.clear()
+
+    def state(self) -> Arrays:
+        """Return the images."""
+        return {"frames": np.stack(self._frames)} if self._frames else {}
+
+    def restore(self, state: Arrays) -> None:
+        """Go back to images."""
+        self._frames.clear()
+        self._laid_out.clear()
+        if state:
+            self._add(state["frames"])
+
+    def _add(self, frames: Iterable[Bytes]) -> None:
+        for frame in frames:
+            self._frames.append(frame)
+            self._laid_out.append(_laid_out(frame, self._observation))
+
+
+def average_blocks(image: Bytes) -> Bytes:
+    """Return the mean of each 2 x 2 block, halves up: (2H, 2W, 3) to (H, W, 3) bytes.
+
+    floor((a + b + c + d + 2) / 4) is what OpenCV's bilinear resize by a factor of 16 gives for the
+    four pixels at the centre of each cell.
+    """
+    wide = image.astype(np.uint16)
+    total = wide[0::2, 0::2] + wide[0::2, 1::2] + wide[1::2, 0::2] + wide[1::2, 1::2]
+    return ((total + 2) // 4).astype(np.uint8)
+
+
+def arrange(frames: list[Bytes], observation: SplatRgbObservation) -> NDArray[Any]:
+    """Return frames (H, W, 3), oldest first, as the card lays them out."""
+    return _stacked([_laid_out(frame, observation) for frame in frames], observation)
+
+
+def _laid_out(frame: Bytes, observation: SplatRgbObservation) -> NDArray[Any]:
+    image: NDArray[Any] = frame
+    if observation.dtype == "float32":
+        image = (frame.astype(np.float32) - np.float32(observation.mean)) / np.float32(
+            observation.std
+        )
+    return image.transpose(2, 0, 1) if observation.axes == "chw" else image
+
+
+def _stacked(images: Sequence[NDArray[Any]], observation: SplatRgbObservation) -> NDArray[Any]:
+    if observation.stack_axis == "channel":
+        return np.concatenate(images, axis=-1 if observation.axes == "hwc" else 0)
+    return np.stack(images) if observation.stack > 1 else np.ascontiguousarray(images[0])

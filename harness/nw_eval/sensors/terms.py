@@ -1,0 +1,225 @@
+"""How the numbers of each proprioceptive term are read from a moment, before scale and clip.
+
+The gait clock paces the feet, as policies see it that were trained to one. With `frequency` f,
+`stance` d and the gait's phase, offset and bound in `offsets`, it is `clock_inputs` of
+walk-these-ways (Margolis and Agrawal 2022, `_step_contact_targets`); with one offset of 0 the sine
+and cosine of unitree_rl_gym, and with a cosine first and a `standing` phase of 0.5 the `phase` of
+MuJoCo Playground.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import assert_never
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nw_eval.cards import terms
+from nw_eval.cards.command import Command, ConstantCommand
+from nw_eval.cards.joint_control import JointControl
+from nw_eval.cards.model import CONTROL_RATE
+from nw_eval.cards.terms import GaitClock, term_size
+from nw_eval.sensors.sensor import Array, Moment
+
+Reader = Callable[[Moment], ArrayLike]
+
+_FEET = ("FR", "FL", "RR", "RL")
+
+# Of Python, not of NumPy, whose vectorised ones differ in the last bit from processor to processor.
+_FUNCTIONS: dict[str, Callable[[float], float]] = {
+    "sine": lambda phase: math.sin(2.0 * math.pi * phase),
+    "cosine": lambda phase: math.cos(2.0 * math.pi * phase),
+    "phase": lambda phase: phase,
+}
+
+
+def fixed_values(term: terms.AnyTerm, command: Command) -> ArrayLike | None:
+    """Return the numbers of a term that never changes during a trial; None for all others."""
+    match term:
+        case terms.Constant():
+            return term.values
+        case terms.Speed():
+            return commanded_speed(command)
+        case _:
+            return None
+
+
+def reader(  # noqa: C901, PLR0912 - one short case for each term.
+    term: terms.AnyTerm, command: Command, control: JointControl
+) -> Reader:
+    """Return the function that reads a term.
+
+    Args:
+        term: from the card.
+        command: the card's, for commanded speeds.
+        control: joint order, default pose and limits of actions.
+    """
+    pose, order = control.default_pose, _index(control.order)
+    match term:
+        case terms.AngularVelocity():
+            return _angular_velocity if term.frame == "trunk" else _angular_velocity_in_world
+        case terms.LinearVelocity():
+            return _linear_velocity(term)
+        case terms.Gravity():
+            return lambda moment: -moment.rotation[2]
+        case terms.RollPitch():
+            return lambda moment: moment.roll_pitch_yaw[:2]
+        case terms.Imu():
+            return lambda moment: (*moment.roll_pitch_yaw[:2], 0.0)
+        case terms.Yaw():
+            return _yaw(term)
+        case terms.Acceleration():
+            return lambda moment: moment.world.specific_force(term.at)
+        case terms.DeltaYaw():
+            return lambda moment: moment.delta_yaw
+        case terms.Command():
+            return lambda moment: velocity_command(command, moment)
+        case terms.JointPosition():
+            zero = pose if term.relative else np.zeros_like(pose)
+            return lambda moment: moment.world.joint_positions[order] - zero
+        case terms.JointVelocity():
+            return lambda moment: moment.world.joint_velocities[order]
+        case terms.AppliedAction():
+            return _fed_back(lambda moment: moment.applied_action, term, control)
+        case terms.LastOutput():
+            return _fed_back(_last_output(term), term, control)
+        case terms.FootContacts():
+            return _foot_contacts(term)
+        case terms.GaitClock():
+            return gait_clock(term, command)
+        case terms.Constant() | terms.Speed():
+            values = np.array(fixed_values(term, command))
+            return lambda moment: values  # noqa: ARG005 - as every reader.
+        case _:
+            assert_never(term)
+
+
+def _angular_velocity(moment: Moment) -> Array:
+    return moment.world.trunk_angular_velocity
+
+
+def _angular_velocity_in_world(moment: Moment) -> Array:
+    return moment.rotation @ moment.world.trunk_angular_velocity
+
+
+def _linear_velocity(term: terms.LinearVelocity) -> Reader:
+    px, py, pz = term.at
+
+    def read(moment: Moment) -> Array:
+        rotation = moment.rotation
+        # A cross product in plain numbers: `np.cross` takes longer than all the rest.
+        wx, wy, wz = moment.world.trunk_angular_velocity.tolist()
+        turning = np.array([wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px])
+        in_world = moment.world.trunk_linear_velocity + rotation @ turning
+        match term.frame:
+            case "world":
+                return in_world
+            case "trunk":
+                return rotation.T @ in_world
+            case "yaw":
+                yaw = moment.roll_pitch_yaw[2]
+                c, s = math.cos(yaw), math.sin(yaw)
+                x, y, z = in_world.tolist()
+                return np.array([c * x + s * y, c * y - s * x, z])
+            case _:
+                assert_never(term.frame)
+
+    return read
+
+
+def _yaw(term: terms.Yaw) -> Reader:
+    def read(moment: Moment) -> ArrayLike:
+        yaw = moment.roll_pitch_yaw[2]
+        if term.relative_to == "start":
+            yaw -= moment.world.start_yaw
+        if term.values == "sine_cosine":
+            return math.sin(yaw), math.cos(yaw)
+        return (yaw + math.pi) % (2.0 * math.pi) - math.pi
+
+    return read
+
+
+def _last_output(term: terms.LastOutput) -> Callable[[Moment], Array]:
+    def read(moment: Moment) -> Array:
+        outputs = (moment.last_output, *moment.earlier_outputs)
+        return outputs[term.ago] if term.ago < len(outputs) else np.zeros_like(outputs[0])
+
+    return read
+
+
+def _fed_back(
+    read: Callable[[Moment], Array],
+    term: terms.AppliedAction | terms.LastOutput,
+    control: JointControl,
+) -> Reader:
+    if not term.clipped:
+        return read
+    return lambda moment: read(moment).clip(control.low, control.high)
+
+
+def _foot_contacts(term: terms.FootContacts) -> Reader:
+    order = _index(np.array([_FEET.index(foot) for foot in term.feet]))
+    if term.filter == "none":
+        return lambda moment: moment.world.foot_contacts[order]
+    return lambda moment: (moment.world.foot_contacts | moment.world.previous_foot_contacts)[order]
+
+
+def _index(order: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """Return what indexes an array in some order; a slice, which is faster, where it is its own."""
+    return slice(None) if (np.diff(order) > 0).all() else order
+
+
+def velocity_command(command: Command, moment: Moment) -> tuple[float, float, float]:
+    """Return vx, vy (m/s, yaw frame) and yaw rate (rad/s)."""
+    return velocity_at(command, moment.delta_yaw)
+
+
+def velocity_at(command: Command, error: float) -> tuple[float, float, float]:
+    """Return the same for a heading error: the angle to the next waypoint, rad to the left."""
+    if command.source == "constant":
+        return command.velocity
+    if command.source == "waypoint":
+        return command.speed, 0.0, 0.0
+    forward = max(0.0, math.cos(error)) if command.slow_in_turns else 1.0
+    turn, limit = command.yaw_gain * error, command.yaw_limit
+    return command.speed * forward, 0.0, min(max(turn, -limit), limit)
+
+
+def commanded_speed(command: Command) -> float:
+    """Return the forward speed that a command asks for on a straight trail, m/s."""
+    return command.velocity[0] if isinstance(command, ConstantCommand) else command.speed
+
+
+def gait_clock(term: GaitClock, command: Command) -> Callable[[Moment], list[float]]:
+    """Return the function that reads a clock.
+
+    It follows from the number of control steps alone, so a trial continued from its middle reads
+    the same.
+
+    Args:
+        term: from the card.
+        command: the card's, for clocks that rest while it asks for no step.
+    """
+    functions = [_FUNCTIONS[name] for name in term.values]
+    standing = term.standing
+
+    def read(moment: Moment) -> list[float]:
+        if standing is not None and math.hypot(*velocity_command(command, moment)) < standing.below:
+            if standing.phase is None:
+                return [0.0] * term_size(term)
+            phases = [standing.phase] * len(term.offsets)
+        else:
+            cycles = term.frequency * moment.step / CONTROL_RATE
+            phases = [_warped((cycles + offset) % 1.0, term.stance) for offset in term.offsets]
+        return [function(phase) for function in functions for phase in phases]
+
+    return read
+
+
+def _warped(phase: float, stance: float) -> float:
+    """Return a phase with [0, stance) mapped to [0, 0.5) and the rest to [0.5, 1)."""
+    if phase < stance:
+        return phase * (0.5 / stance)
+    return 0.5 + (phase - stance) * (0.5 / (1.0 - stance))

@@ -1,0 +1,338 @@
+"""Which way is up and where the floor is: cameras are held level, floors are level, walls upright.
+
+What each cue says is one quadratic form A, in units of its own uncertainty: a direction u is the
+less likely the larger u' A u is. Forms add up, and their smallest eigenvector is what all of them
+together take for up. The floor is the level plane below all cameras with little below it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import SceneError
+from nw_eval.plural import plural
+from nw_eval.twin.align.alignment import GravityCue
+from nw_eval.twin.align.consensus import (
+    LEVEL,
+    UPRIGHT,
+    Consensus,
+    Horizon,
+    consensus,
+    horizon,
+    level_form,
+    smallest,
+    upright_form,
+)
+from nw_eval.twin.align.planes import FittedPlane, find_planes, fit_plane
+from nw_eval.twin.capture import Capture
+
+Values = NDArray[np.float64]
+Mesh = tuple[NDArray[np.floating], NDArray[np.integer]]
+"""Vertices (V, 3) in the capture's frame, and faces (F, 3)."""
+
+_TOLERANCE = 0.01
+"""How far off a plane a point may be, of the distance from which it was photographed."""
+_MESH = LEVEL / 4
+"""Of a mesh's floor: what the points say is of the same floor, and of less of it."""
+_LEAST_POINTS = 12
+_SURE = 5.0
+"""Degrees: cameras that know up worse than this are worth a word where no plane helps."""
+_RAMP = 0.1
+"""Share of points of a slope that is worth a word."""
+
+_ABOVE = 0.95
+"""Share of the cameras that are above a floor."""
+_BELOW = 0.15
+"""Largest share of the points below it: reflections, and what matching got wrong."""
+_LOWEST = 0.05
+"""Where no plane is a floor, this share of the points below the cameras lies under it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownUp:
+    """Up as a source of poses has it.
+
+    Attributes:
+        name: of its cue.
+        up: (3,) unit vector in the capture's frame.
+        sigma: its standard deviation, radians.
+        reason: for people.
+    """
+
+    name: str
+    up: Values
+    sigma: float
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class GravityAnswer:
+    """Up and the floor.
+
+    Attributes:
+        up: (3,) unit vector in the capture's frame.
+        floor: height of the floor along it below the first camera, in the capture's unit.
+        floor_share: of the points, which lies on it.
+        has_floor: whether a level plane was found there; else it is as high as the lowest points.
+        cues: what each says.
+        warnings: what somebody should look at, disagreements aside.
+    """
+
+    up: Values
+    floor: float
+    floor_share: float
+    has_floor: bool
+    cues: tuple[GravityCue, ...]
+    warnings: tuple[str, ...]
+
+
+def find_gravity(
+    capture: Capture,
+    mesh: Mesh | None,
+    known: Sequence[KnownUp],
+    rng: np.random.Generator,
+    say: Callable[[str], None],
+) -> GravityAnswer:
+    """Return up and the floor of a capture.
+
+    Raises:
+        SceneError: it has no shots, or too few points to find a floor in.
+    """
+    if not capture.shots or len(capture.points) < _LEAST_POINTS:
+        raise SceneError(
+            f"a capture with {plural(len(capture.shots), 'shot')} and "
+            f"{plural(len(capture.points), 'point')} cannot be aligned",
+            fix=f"calibrate it with more photographs: {_LEAST_POINTS} points at least",
+        )
+    poses = np.array([shot.camera.T_world_camera[:3, :3] for shot in capture.shots])
+    level = horizon(poses / np.linalg.norm(poses[:, :, :1], axis=1, keepdims=True), rng)
+    tolerance = _TOLERANCE * _distance(capture)
+    planes = find_planes(capture.points, tolerance, rng)
+    points, centres = capture.points, capture.centres
+    doubts = [doubt(one, points, centres, level.up, 3.0 * tolerance) for one in planes]
+    found = consensus(level, planes, doubts, [(one.up, one.sigma) for one in known])
+    floor = find_floor(points, centres, found.up, found.level, tolerance)
+    by_mesh = None
+    up = found.up
+    if mesh is not None:
+        begin = floor.plane or FittedPlane(normal=up, offset=floor.height, share=0.0, sigma=0.0)
+        vertices, faces = mesh
+        by_mesh = floor_of_mesh(vertices.astype(np.float64), faces, begin, tolerance)
+        if by_mesh is not None:
+            sigma = math.hypot(_MESH, by_mesh.sigma)
+            up = smallest(found.form + level_form(by_mesh.normal, sigma), up)
+    for plane in planes:
+        slope = math.degrees(math.acos(min(1.0, abs(float(plane.normal @ up)))))
+        if plane.share > _RAMP and math.degrees(LEVEL) * 12 < slope < 40:
+            say(f"a plane with {plane.share:.0%} of the points slopes by {slope:.1f} degrees")
+    plane = by_mesh or floor.plane
+    return GravityAnswer(
+        up=up,
+        floor=floor.height if plane is None else _below(centres[0], up, plane),
+        floor_share=floor.share,
+        has_floor=plane is not None,
+        cues=_cues(up, level, found, floor, by_mesh, known),
+        warnings=_warnings(level, floor, known),
+    )
+
+
+def _distance(capture: Capture) -> float:
+    """Return the distance from which points are usually photographed."""
+    centres = capture.centres
+    seen = [
+        float(np.median(np.linalg.norm(capture.points[shot.seen] - centre, axis=1)))
+        for shot, centre in zip(capture.shots, centres, strict=True)
+        if len(shot.seen)
+    ]
+    if not seen:
+        away = np.linalg.norm(capture.points - centres.mean(axis=0), axis=1)
+        return float(np.median(away))
+    return float(np.median(seen))
+
+
+def _below(centre: Values, up: Values, plane: FittedPlane) -> float:
+    """Return the height of a plane along `up`, on the line below a camera."""
+    drop = (float(plane.normal @ centre) - plane.offset) / float(plane.normal @ up)
+    return float(centre @ up) - drop
+
+
+def _cues(
+    up: Values,
+    level: Horizon,
+    found: Consensus,
+    floor: FloorLevel,
+    by_mesh: FittedPlane | None,
+    known: Sequence[KnownUp],
+) -> tuple[GravityCue, ...]:
+    lie = ", pictures on their sides" if level.sideways else ""
+    reason = (
+        f"the cameras' sideways axes, rolled by {level.roll:.1f} degrees{lie}; known to "
+        f"{level.degrees:.1f} degrees"
+    )
+    cues = [_cue("horizon", level.up, up, math.radians(level.degrees), reason)]
+    if floor.plane is not None:
+        reason = f"a plane below the cameras with {floor.share:.0%} of the points"
+        sigma = math.hypot(LEVEL, floor.plane.sigma)
+        cues.append(_cue("floor", floor.plane.normal, up, sigma, reason))
+    if found.walls:
+        form = 1e-3 * level_form(level.up, UPRIGHT)
+        for plane in found.walls:
+            form = form + upright_form(plane.normal, math.hypot(UPRIGHT, plane.sigma))
+        sigma = 1.0 / math.sqrt(float(np.linalg.eigvalsh(form)[1]))
+        reason = f"{plural(len(found.walls), 'upright plane')}"
+        cues.append(_cue("walls", smallest(form, up), up, sigma, reason))
+    if by_mesh is not None:
+        reason = f"the mesh's faces along the floor, {by_mesh.share:.0%} of its area"
+        cues.append(_cue("mesh", by_mesh.normal, up, math.hypot(LEVEL, by_mesh.sigma), reason))
+    cues += [_cue(one.name, one.up, up, one.sigma, one.reason) for one in known]
+    return tuple(cues)
+
+
+def _cue(name: str, own: Values, up: Values, sigma: float, reason: str) -> GravityCue:
+    own = own / np.linalg.norm(own)
+    sine = float(np.linalg.norm(np.cross(own, up)))
+    x, y, z = own.tolist()
+    return GravityCue(
+        name=name,
+        up=(x, y, z),
+        degrees=math.degrees(math.atan2(sine, float(own @ up))),
+        uncertain=math.degrees(sigma),
+        reason=reason,
+    )
+
+
+def _warnings(level: Horizon, floor: FloorLevel, known: Sequence[KnownUp]) -> tuple[str, ...]:
+    warnings: list[str] = []
+    if floor.plane is None:
+        warnings.append(
+            "no level plane lies below the cameras with little below it: the floor's height is "
+            "that of the lowest points. Does the floor mirror, or has it no texture? Lay something "
+            "matt with a pattern on it, and photograph again"
+        )
+        if level.degrees > _SURE and not known:
+            warnings.append(
+                f"up is known to {level.degrees:.0f} degrees only: all cameras look one way"
+            )
+    if level.sideways:
+        warnings.append("the pictures seem to lie on their sides: check which way is up")
+    return tuple(warnings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FloorLevel:
+    """The floor of a capture, in its unit.
+
+    Attributes:
+        height: along up.
+        plane: of its points; None where none was found, and the height is that of low points.
+        share: of the points that lie on it.
+    """
+
+    height: float
+    plane: FittedPlane | None
+    share: float
+
+
+def doubt(plane: FittedPlane, points: Values, centres: Values, up: Values, far: float) -> float:
+    """Return how little a plane looks like a floor: 0 for one with all above it, 2 for a ramp.
+
+    The share of the cameras and of the points below it; what has points of a floor below itself is
+    none.
+
+    Args:
+        plane: in question.
+        points: (N, 3).
+        centres: (V, 3) of the cameras.
+        up: (3,) roughly.
+        far: how far below it a point has to be.
+    """
+    sense = 1.0 if plane.normal @ up >= 0 else -1.0
+    under = float((sense * plane.distances(points) < -far).mean())
+    cameras = float((sense * plane.distances(centres) < 0).mean())
+    return 15.0 * under + 5.0 * cameras
+
+
+def find_floor(
+    points: Values,
+    centres: Values,
+    up: Values,
+    level: Sequence[FittedPlane],
+    tolerance: float,
+) -> FloorLevel:
+    """Return the floor among level planes; a ceiling is above the cameras, a table has a floor.
+
+    Args:
+        points: (N, 3), one at least.
+        centres: (V, 3) of the cameras.
+        up: (3,) unit vector.
+        level: planes, normals upwards.
+        tolerance: how far off a point of the floor may be.
+    """
+    heights = np.einsum("ni,i->n", points, up)
+    cameras = np.einsum("ni,i->n", centres, up)
+    floors: list[tuple[float, float, FittedPlane]] = []
+    for plane in level:
+        on_it = np.abs(plane.distances(points)) <= tolerance
+        if not on_it.any():
+            continue
+        height = settled(heights[on_it])
+        below = float((heights < height - 3.0 * tolerance).mean())
+        if (cameras > height).mean() >= _ABOVE and below <= _BELOW:
+            floors.append((plane.share, height, plane))
+    if floors:
+        share, height, plane = max(floors, key=lambda one: one[0])
+        return FloorLevel(height=height, plane=plane, share=share)
+    under = heights[heights < cameras.min()]
+    lowest = float(np.quantile(under if len(under) else heights, _LOWEST))
+    share = float((np.abs(heights - lowest) <= tolerance).mean())
+    return FloorLevel(height=lowest, plane=None, share=share)
+
+
+def floor_of_mesh(
+    vertices: Values, faces: NDArray[np.integer], floor: FittedPlane, tolerance: float
+) -> FittedPlane | None:
+    """Return the floor by the faces of a mesh that lie along it, each by its area.
+
+    Args:
+        vertices: (V, 3) in the capture's frame.
+        faces: (F, 3).
+        floor: by the points.
+        tolerance: how far off a face of it may be.
+
+    Returns:
+        None where less than a hundredth of the mesh lies there.
+    """
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normals, axis=1)
+    along = np.abs(np.einsum("ni,i->n", normals, floor.normal)) > np.cos(np.radians(15.0)) * area
+    middles = corners.mean(axis=1)
+    near = along & (area > 0) & (np.abs(floor.distances(middles)) <= 2.0 * tolerance)
+    if area[near].sum() < 0.01 * area.sum() or np.count_nonzero(near) < 3:
+        return None
+    plane = fit_plane(
+        np.repeat(middles[near], 3, axis=0) / 2 + corners[near].reshape(-1, 3) / 2,
+        floor.normal,
+        floor.offset,
+        tolerance,
+        np.repeat(area[near], 3),
+    )
+    share = float(area[near].sum() / area.sum())
+    if plane.normal @ floor.normal < 0:
+        return replace(plane, normal=-plane.normal, offset=-plane.offset, share=share)
+    return replace(plane, share=share)
+
+
+def settled(heights: Values) -> float:
+    """Return the height at which most of some heights lie: a mean that leaves out what is off."""
+    height = float(np.median(heights))
+    spread = max(1.4826 * float(np.median(np.abs(heights - height))), 1e-12)
+    for _ in range(5):
+        weights = np.clip(1.0 - ((heights - height) / (4.0 * spread)) ** 2, 0.0, None) ** 2
+        height = float((weights * heights).sum() / max(float(weights.sum()), 1e-300))
+    return height

@@ -1,0 +1,337 @@
+"""The stages of a build as its verbs run them: what each reads, leaves, and depends on.
+
+Each runs only where its result is not there already. How long the slow ones will take, and how much
+memory, is said before they begin.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.api import check_scenes
+from nw_eval.errors import SceneError, StoreError
+from nw_eval.scenes.finding import SceneFinding, has_errors
+from nw_eval.scenes.folder import load_folder
+from nw_eval.survey import survey_lines
+from nw_eval.twin.align.align import align
+from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
+from nw_eval.twin.building.appearance import AppearanceOptions, train_splat
+from nw_eval.twin.building.folder import BuildFolder, digest_of_files
+from nw_eval.twin.building.unlike import seen_depths, unlike_photographs
+from nw_eval.twin.calibrate.calibrate import calibrate
+from nw_eval.twin.calibrate.options import CalibrateOptions
+from nw_eval.twin.capture import Capture, read_capture
+from nw_eval.twin.moved import moved_capture, moved_mesh
+from nw_eval.twin.place import SUITE, Route, write_place
+from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh
+from nw_eval.twin.reconstruct.options import ReconstructOptions
+from nw_eval.twin.reconstruct.reconstruct import reconstruct
+from nw_eval.twin.trail import FLOOR, TrailProposal, propose_trail
+from nw_eval.words import Robot
+
+Say = Callable[[str], None]
+
+_SWEEP_S = 6.0 / (640 * 360 * 128 * 5)
+"""Seconds of one core for a pixel, a plane and a neighbour of the sweep, matching included."""
+_PLANES_S = 3.0 / (640 * 360 * 5)
+"""Seconds of one core for a pixel and a neighbour, of giving each pixel its plane."""
+_SWEEP_BYTES = 14
+"""Of a pixel and a plane: costs, their sums over four directions, and the best so far."""
+_STEP_S = (0.02, 0.7e-6, 0.9e-6)
+"""Seconds of one core for a step of training: at least, for a Gaussian, and for a pixel."""
+_GAUSSIAN_BYTES = 1500
+"""Of a Gaussian in training: values, gradients, moments, and room to grow."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuildSettings:
+    """Options of each stage, and what the place is called.
+
+    Attributes:
+        calibrate: of calibration.
+        reconstruct: of the mesh.
+        align: gravity and scale.
+        splat: of the Gaussians.
+        name: of the scene; the folder's name if None.
+        licence: of the photographs, which the place shows.
+        robot: of the scene's suite, by which the place is checked.
+        threads: that share the work; no result depends on them.
+    """
+
+    calibrate: CalibrateOptions = field(default_factory=CalibrateOptions)
+    reconstruct: ReconstructOptions = field(default_factory=ReconstructOptions)
+    align: AlignOptions = field(default_factory=AlignOptions)
+    splat: AppearanceOptions = field(default_factory=AppearanceOptions)
+    name: str | None = None
+    licence: str = "unknown"
+    robot: Robot = "go1"
+    threads: int = 2
+
+
+def facts_of(options: Any) -> str:
+    """Return options as text that is the same whenever they ask for the same."""
+    return repr(sorted((k, v) for k, v in asdict(options).items() if k != "threads"))
+
+
+class Build:
+    """A build of a place from photographs, in the folder of its scene.
+
+    Each method is a stage. What is there already, of the same photographs and options, stays; what
+    was cut off goes on.
+
+    Args:
+        scene: the folder of the scene.
+        settings: what is asked for.
+        say: takes a line for people.
+    """
+
+    def __init__(self, scene: Path, settings: BuildSettings, say: Say) -> None:
+        self.folder = BuildFolder(scene)
+        self._settings = settings
+        self._say = say
+
+    def whole(self, photographs: Path) -> bool:
+        """Run all stages, one after another; return whether the check finds no error.
+
+        Raises:
+            NwEvalError: as the stages.
+        """
+        self.calibrate(photographs)
+        self.reconstruct()
+        self.align()
+        self.splat()
+        self.place()
+        return self.check()
+
+    def calibrate(self, photographs: Path) -> None:
+        """Find where each photograph was taken from; see `nw_eval.twin.calibrate`."""
+        options = self._settings.calibrate
+        if not photographs.exists():
+            raise StoreError(f"there is nothing at {photographs}", fix="check the path")
+        self.folder.carry_out(
+            "calibrate",
+            [facts_of(options), digest_of_files(photographs)],
+            lambda: calibrate(photographs, self.folder.capture, options, self._say),
+            self._say,
+        )
+
+    def reconstruct(self) -> None:
+        """Measure depths and make the mesh; see `nw_eval.twin.reconstruct`."""
+        self.folder.needs("calibrate")
+        options, threads = self._settings.reconstruct, self._settings.threads
+        self.folder.carry_out(
+            "reconstruct",
+            [facts_of(options), digest_of_files(self.folder.capture)],
+            lambda: (
+                say_ahead("reconstruct", self.folder, self._settings, self._say),
+                reconstruct(
+                    self.folder.capture, self.folder.mesh, options, self._say, threads=threads
+                ),
+            ),
+            self._say,
+        )
+
+    def align(self) -> None:
+        """Find gravity, scale and the floor; see `nw_eval.twin.align`."""
+        self.folder.needs("reconstruct")
+        options = self._settings.align
+        mesh_file = self.folder.mesh / "mesh.ply"
+
+        def work() -> None:
+            mesh = read_colour_mesh(mesh_file)
+            found = align(
+                read_capture(self.folder.capture),
+                self.folder.capture,
+                (mesh.vertices.astype(np.float64), mesh.faces),
+                options,
+                self._say,
+            )
+            for warning in found.warnings:
+                self._say(f"align: look at this: {warning}")
+            write_alignment(found, self.folder.align)
+
+        of = [facts_of(options), digest_of_files(self.folder.capture, mesh_file)]
+        self.folder.carry_out("align", of, work, self._say)
+
+    def splat(self) -> None:
+        """Train the Gaussians; see `nw_eval.twin.building.appearance`."""
+        self.folder.needs("reconstruct")
+        options, threads = self._settings.splat, self._settings.threads
+        self.folder.carry_out(
+            "splat",
+            [facts_of(options), digest_of_files(self.folder.capture, self.folder.mesh)],
+            lambda: (
+                say_ahead("splat", self.folder, self._settings, self._say),
+                train_splat(
+                    self.folder.capture,
+                    self.folder.mesh,
+                    self.folder.splat,
+                    options,
+                    self._say,
+                    threads=threads,
+                ),
+            ),
+            self._say,
+        )
+
+    def place(self) -> None:
+        """Write the scene folder, with the trail that the place itself suggests."""
+        for stage in ("reconstruct", "align", "splat"):
+            self.folder.needs(stage)
+        settings, folder = self._settings, self.folder
+        name = settings.name or folder.scene.resolve().name.lower()
+        mesh_file, splat_file = folder.mesh / "mesh.ply", folder.splat / "splat.ply"
+        of = [name, settings.licence, digest_of_files(folder.align, mesh_file, splat_file)]
+        of += [] if settings.robot == "go1" else [settings.robot]
+        folder.carry_out("place", of, lambda: self._write(name), self._say)
+
+    def _write(self, name: str) -> None:
+        folder = self.folder
+        world = read_alignment(folder.align).T_metric_capture
+        mesh = read_colour_mesh(folder.mesh / "mesh.ply")
+        capture = read_capture(folder.capture)
+        try:
+            proposal = _proposal(world, mesh, capture)
+            height = proposal.spawn.position[2]
+            if abs(height) > FLOOR:
+                # A walk over platforms has its floor below them, and robots start above z = 0.
+                world = np.vstack([world[:2], world[2] - height * world[3], world[3]])
+                proposal = _proposal(world, mesh, capture)
+                self._say(f"place: moved by {-height:+.2f} m: the ground under the start is z = 0")
+            route = self._route(proposal)
+        except SceneError as error:
+            route = self._no_route(error)
+        write_place(
+            folder.scene,
+            name=name,
+            licence=self._settings.licence,
+            mesh=folder.mesh / "mesh.ply",
+            splat=folder.splat / "splat.ply",
+            T_world_capture=world,
+            capture=capture,
+            course=route,
+            robot=self._settings.robot,
+        )
+        self._say(f"place: {folder.scene} is a scene: nw-eval scenes check {folder.scene}")
+
+    def check(self) -> bool:
+        """Say what is measured and wrong along the trail, and how the place is run.
+
+        Returns whether no error is found. The place stays as it is, whatever is found: most is
+        mended by hand.
+
+        Raises:
+            SceneError: what an earlier stage has left is damaged.
+        """
+        (checked,) = check_scenes([str(self.folder.scene)], robot=self._settings.robot)
+        if checked.survey is not None:
+            for line in survey_lines(checked.survey):
+                self._say(f"check: {line}")
+        findings = list(checked.findings)
+        if all(finding.code != "unreadable" for finding in findings):
+            findings += self._unlike_photographs()
+        for finding in findings:
+            self._say(f"check: {finding}")
+        suite, wrong = shlex.quote(str(self.folder.scene / SUITE)), has_errors(findings)
+        if wrong:
+            self._say(f"check: mend the errors, then: nw-eval run {suite}")
+        else:
+            self._say(f"check: ready: nw-eval run {suite}")
+        return not wrong
+
+    def _unlike_photographs(self) -> list[SceneFinding]:
+        """Return where the mesh along the trail is not as its own photographs show it."""
+        scene, depths = load_folder(self.folder.scene), self.folder.mesh / "depth"
+        captured = (self.folder.capture / "capture.json").is_file() and depths.is_dir()
+        if scene.splat is None or not captured:
+            return []  # A place from elsewhere, or whose build was cleared away: nobody knows.
+        line = np.array([scene.spawn.position, *scene.trail])
+        # The splat is in the capture's frame, wherever the place was moved to since.
+        seen = seen_depths(read_capture(self.folder.capture), scene.T_world_splat, depths)
+        return unlike_photographs(scene.mesh(), line, seen)
+
+    def _no_route(self, error: SceneError) -> Route:
+        """Return a step ahead, and say why."""
+        self._say(f"place: no trail: {error}")
+        self._say(
+            "place: its trail is one waypoint a metre from the start: write trail, spawn and "
+            f"task into {self.folder.scene / 'scene.yaml'}"
+        )
+        return Route(task="hurdles", trail=np.array([[1.0, 0.0, 0.0]]))
+
+    def _route(self, proposal: TrailProposal) -> Route:
+        """Return the trail that the place suggests, and say what lies on it."""
+        for line in (*proposal.reasons, *proposal.warnings):
+            self._say(f"place: {line}")
+        spawn = proposal.spawn
+        return Route(
+            task=proposal.task,
+            trail=np.array(proposal.trail),
+            spawn=spawn.position,
+            yaw=spawn.yaw,
+        )
+
+
+def _proposal(
+    T_metric_capture: NDArray[np.float64], mesh: ColourMesh, capture: Capture
+) -> TrailProposal:
+    moved = moved_mesh(T_metric_capture, mesh.vertices, mesh.faces)
+    return propose_trail(moved, moved_capture(T_metric_capture, capture).centres)
+
+
+def say_ahead(
+    stage: Literal["reconstruct", "splat"],
+    folder: BuildFolder,
+    settings: BuildSettings,
+    say: Callable[[str], None],
+) -> None:
+    """Say what a stage will take: by what was measured on a core of 2026, to a factor of two.
+
+    Args:
+        stage: which.
+        folder: with the capture.
+        settings: of the build.
+        say: takes a line for people.
+
+    Raises:
+        SceneError: the capture cannot be read.
+    """
+    capture = read_capture(folder.capture)
+    if stage == "reconstruct":
+        seconds, memory = _sweep(capture, settings)
+    else:
+        seconds, memory = _training(capture, settings)
+    minutes = max(1, round(seconds / min(settings.threads, 2) / 60))
+    say(
+        f"{stage}: {len(capture.shots)} photographs, about {minutes} min and {memory / 1e9:.1f} GB "
+        f"on {settings.threads} cores"
+    )
+
+
+def _sweep(capture: Capture, settings: BuildSettings) -> tuple[float, float]:
+    depth = settings.reconstruct.depth
+    pixels = _pixels(capture, depth.side)
+    work = len(capture.shots) * pixels * depth.neighbours
+    each = depth.planes * _SWEEP_S + (_PLANES_S if settings.reconstruct.planes else 0.0)
+    return work * each, 0.4e9 + pixels * depth.planes * _SWEEP_BYTES * settings.threads
+
+
+def _training(capture: Capture, settings: BuildSettings) -> tuple[float, float]:
+    options = settings.splat
+    least, each, pixel = _STEP_S
+    step = least + each * options.most / 2 + pixel * _pixels(capture, options.longest)
+    return options.iterations * step, 0.4e9 + options.most * _GAUSSIAN_BYTES
+
+
+def _pixels(capture: Capture, longest: int) -> float:
+    """Return the pixels of a picture that is reduced so that no side is longer."""
+    camera = capture.shots[0].camera
+    scale = min(1.0, longest / max(camera.width, camera.height))
+    return camera.width * camera.height * scale * scale

@@ -1,0 +1,256 @@
+"""A capture: photographs without distortion, where each was taken from, and points they share.
+
+It is what `calibrate` leaves and every later stage reads: capture.json, points.npz, and pictures
+beside them.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from nw_eval.errors import NwEvalError, SceneError
+from nw_eval.files.cache import atomic_path
+from nw_eval.files.inside import OutsideError, inside, regular
+from nw_eval.files.pictures import open_picture
+from nw_eval.splat.camera import Camera
+
+_JSON, _POINTS = "capture.json", "points.npz"
+_MOST_BYTES = 64 * 2**20
+"""Of a capture.json that is read."""
+_MOST_PIXELS = 100_000_000
+"""Of a picture that is read."""
+_DAMAGE = (
+    *(OSError, ValueError, LookupError, TypeError, EOFError, MemoryError),
+    *(BadZipFile, zlib.error, RuntimeError, SyntaxError, Image.DecompressionBombError),
+)
+"""What NumPy and Pillow raise at damaged files; RuntimeError at zips that claim a password."""
+_KINDS = {
+    "points": np.float64,
+    "colours": np.uint8,
+    "errors": np.float32,
+    "seen": np.int32,
+    "firsts": np.int64,
+}
+"""Arrays of points.npz."""
+_FIX = "calibrate again: `nw-eval twin calibrate`"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedShot:
+    """One photograph of a capture.
+
+    Attributes:
+        name: of the photograph that was taken, e.g. `IMG_0012.jpg`.
+        file: of the picture without distortion, relative to the capture's folder.
+        camera: in the capture's frame.
+        seen: (K,) int32, sorted: numbers of the points that it shows.
+        mask: file of its mask, (H, W) where 0 is no part of the place; None without.
+    """
+
+    name: str
+    file: str
+    camera: Camera
+    seen: NDArray[np.int32]
+    mask: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capture:
+    """Shots and sparse points in one frame: any rotation, any scale, until it is aligned.
+
+    Attributes:
+        shots: in the order of their names.
+        points: (N, 3) float64.
+        colours: (N, 3) uint8.
+        errors: (N,) float32, mean reprojection error of each point, pixels.
+    """
+
+    shots: tuple[PlacedShot, ...]
+    points: NDArray[np.float64]
+    colours: NDArray[np.uint8]
+    errors: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        """Check that all of it fits together.
+
+        Raises:
+            SceneError: naming what does not.
+        """
+        n = len(self.points)
+        shapes = (self.points.shape, self.colours.shape, self.errors.shape)
+        if shapes != ((n, 3), (n, 3), (n,)) or not np.isfinite(self.points).all():
+            raise SceneError(
+                f"a capture's points, colours and errors have the shapes {shapes}, or points are "
+                "not finite",
+                fix="calibrate again",
+            )
+        names = [shot.name for shot in self.shots]
+        if len(set(names)) < len(names):
+            raise SceneError("two shots of a capture have one name", fix="calibrate again")
+        for shot in self.shots:
+            if len(shot.seen) and not 0 <= shot.seen.min() <= shot.seen.max() < n:
+                raise SceneError(
+                    f"{shot.name} shows point {shot.seen.max()} of {n}", fix="calibrate again"
+                )
+
+    @property
+    def centres(self) -> NDArray[np.float64]:
+        """Where each shot was taken from, (shots, 3)."""
+        return np.array([shot.camera.T_world_camera[:3, 3] for shot in self.shots]).reshape(-1, 3)
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Shot(_Model):
+    name: str
+    file: str
+    mask: str | None = None
+    width: int
+    height: int
+    fx: FiniteFloat
+    fy: FiniteFloat
+    cx: FiniteFloat
+    cy: FiniteFloat
+    T_world_camera: Annotated[
+        tuple[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], ...],
+        Field(min_length=4, max_length=4),
+    ]
+
+
+class _File(_Model):
+    version: int = Field(alias="nw-capture", default=1, ge=1, le=1)
+    shots: tuple[_Shot, ...]
+
+
+@dataclass(frozen=True)
+class _Lists:
+    """Lists of numbers as one array and where each begins."""
+
+    numbers: NDArray[np.int32]
+    firsts: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, lists: list[NDArray[np.int32]]) -> _Lists:
+        firsts = np.cumsum([0, *map(len, lists)], dtype=np.int64)
+        return cls(np.concatenate([np.zeros(0, np.int32), *lists]).astype(np.int32), firsts)
+
+    def __getitem__(self, place: int) -> NDArray[np.int32]:
+        return self.numbers[self.firsts[place] : self.firsts[place + 1]]
+
+
+def write_capture(capture: Capture, folder: Path) -> None:
+    """Write a capture; its pictures are there already. capture.json appears last.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    seen = _Lists.of([shot.seen for shot in capture.shots])
+    with atomic_path(folder / _POINTS) as temporary:
+        np.savez_compressed(
+            temporary,
+            allow_pickle=False,
+            points=capture.points.astype(np.float64),
+            colours=capture.colours.astype(np.uint8),
+            errors=capture.errors.astype(np.float32),
+            seen=seen.numbers,
+            firsts=seen.firsts,
+        )
+    shots = [
+        {
+            "name": shot.name,
+            "file": shot.file,
+            "mask": shot.mask,
+            "T_world_camera": shot.camera.T_world_camera.tolist(),
+            **{k: getattr(shot.camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")},
+        }
+        for shot in capture.shots
+    ]
+    with atomic_path(folder / _JSON) as temporary:
+        text = json.dumps({"nw-capture": 1, "shots": shots}, indent=1)
+        temporary.write_text(text, encoding="utf-8")
+
+
+def read_capture(folder: Path) -> Capture:
+    """Read a capture, not its pictures.
+
+    Raises:
+        SceneError: there is none, or it is damaged; nothing outside the folder is named.
+    """
+    path = folder / _JSON
+    try:
+        if regular(path).stat().st_size > _MOST_BYTES:
+            raise SceneError(f"{path} is larger than {_MOST_BYTES} bytes", fix=_FIX)
+        file = _File.model_validate_json(path.read_bytes())
+        with np.load(regular(folder / _POINTS), allow_pickle=False) as arrays:
+            points, colours, errors, numbers, firsts = (
+                arrays[key].astype(kind, casting="same_kind") for key, kind in _KINDS.items()
+            )
+        seen = _Lists(numbers, firsts)
+        if len(seen.firsts) != len(file.shots) + 1:
+            raise ValueError(f"{len(file.shots)} shots, {len(seen.firsts) - 1} lists of points")
+        shots = [_shot(one, seen[place], folder) for place, one in enumerate(file.shots)]
+        return Capture(shots=tuple(shots), points=points, colours=colours, errors=errors)
+    except FileNotFoundError as error:
+        raise SceneError(
+            f"no capture in {folder}: {error.filename} is not there", fix=_FIX
+        ) from None
+    except NwEvalError:
+        raise
+    except (*_DAMAGE, ValidationError, OutsideError) as error:
+        raise SceneError(f"{path} is no capture: {error}", fix=_FIX) from None
+
+
+def _shot(one: _Shot, seen: NDArray[np.int32], folder: Path) -> PlacedShot:
+    for name in (one.file, one.mask):
+        if name is not None:
+            inside(folder, name)
+    return PlacedShot(
+        name=one.name,
+        file=one.file,
+        mask=one.mask,
+        seen=seen,
+        camera=Camera(
+            width=one.width,
+            height=one.height,
+            fx=one.fx,
+            fy=one.fy,
+            cx=one.cx,
+            cy=one.cy,
+            T_world_camera=np.array(one.T_world_camera),
+        ),
+    )
+
+
+def read_picture(shot: PlacedShot, folder: Path) -> NDArray[np.uint8]:
+    """Return a shot's picture, (H, W, 3) uint8.
+
+    Raises:
+        SceneError: it is not there, is no picture, or has another size than its camera.
+    """
+    path = folder / shot.file
+    try:
+        path = inside(folder, shot.file)
+        with open_picture(path) as image:
+            if image.size != (shot.camera.width, shot.camera.height):
+                raise SceneError(
+                    f"{path} has {image.size} pixels, its camera "
+                    f"{(shot.camera.width, shot.camera.height)}",
+                    fix=_FIX,
+                )
+            if image.width * image.height > _MOST_PIXELS:
+                raise SceneError(f"{path} has more than {_MOST_PIXELS} pixels", fix=_FIX)
+            return np.asarray(image.convert("RGB"))
+    except _DAMAGE as error:
+        raise SceneError(f"{path} cannot be read: {error}", fix=_FIX) from None

@@ -1,1 +1,0 @@
-"""How Gaussians come and go."""

@@ -1,0 +1,252 @@
+"""How Gaussians come and go: not at all, by the 3DGS paper, or by Markov Chain Monte Carlo.
+
+`DefaultDensity` is the adaptive density control of the 3DGS paper (Kerbl et al. 2023, section 5.2).
+Where the loss pulls a Gaussian about on the screen, there is too little of it: a small one is
+cloned, a large one split in two that are drawn from it and are 1.6 times smaller. What has become
+transparent is removed, and now and then opacities are lowered, so that only what is needed returns.
+Like gsplat, we leave out the paper's limit on screen size, which its code never applies.
+
+`McmcDensity` is 3D Gaussian Splatting as Markov Chain Monte Carlo (Kheradmand et al. 2024). The
+number of Gaussians is given, and where they are is sampled: noise moves faint ones about, dead ones
+move to where living ones are, and new ones come there too. N Gaussians in the place of one of
+opacity o have opacity 1 - (1 - o)^(1/N) each and another size, so that the picture stays what it
+was (equation 9 of the paper; its double sum is one, since sum_i C(i - 1, k) = C(N, k + 1)).
+"""
+
+# ruff: noqa: ARG002 - what strategies are told; this one needs none of it.
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.splat.camera import Camera
+from nw_eval.splat.gaussians import ARRAYS, Gaussians
+from nw_eval.twin.gaussians.config import Default, Mcmc
+from nw_eval.twin.gaussians.images import Gradients
+from nw_eval.twin.gaussians.kernels.rows import perturb
+from nw_eval.twin.gaussians.population import Population
+
+MOST_IN_PLACE = 50
+"""Gaussians that one is replaced by at most; more count as so many, as in the paper's code."""
+
+_BELOW_ONE = 1.0 - 2.0**-23
+
+
+class Density:
+    """A strategy, called three times at each step."""
+
+    remembered: tuple[str, ...] = ()
+    """Attributes that are arrays and all that it knows from one step to the next."""
+
+    def weigh(self, population: Population, gradients: Gradients) -> float:
+        """Add the gradient of terms of its own; return what they add to the loss."""
+        return 0.0
+
+    def observe(self, gradients: Gradients, camera: Camera) -> None:
+        """Note what a view's gradient tells."""
+
+    def after(
+        self,
+        population: Population,
+        iteration: int,
+        means_rate: float,
+        generator: np.random.Generator,
+    ) -> None:
+        """Change the population where it is time for it.
+
+        Args:
+            population: that is changed.
+            iteration: steps done.
+            means_rate: learning rate of the means at this step.
+            generator: of this step.
+        """
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return what is remembered, by name."""
+        return {name: getattr(self, name) for name in self.remembered}
+
+
+class DefaultDensity(Density):
+    """What is known of each Gaussian since the last time some came and went.
+
+    Args:
+        settings: of the strategy.
+        extent: size of the capture.
+        most: Gaussians that there may be.
+        count: Gaussians that there are.
+    """
+
+    remembered = ("pull", "views")
+
+    def __init__(self, settings: Default, *, extent: float, most: int, count: int) -> None:
+        self._settings, self._extent, self._most = settings, extent, most
+        self.pull = np.zeros(count, dtype=np.float32)
+        self.views = np.zeros(count, dtype=np.int32)
+
+    def observe(self, gradients: Gradients, camera: Camera) -> None:
+        """Note how far the loss would move each visible centre, in half images."""
+        half = np.array([camera.width / 2.0, camera.height / 2.0], dtype=np.float32)
+        self.pull += np.linalg.norm(gradients.centres * half, axis=1)
+        self.views += gradients.visible
+
+    def after(
+        self,
+        population: Population,
+        iteration: int,
+        means_rate: float,
+        generator: np.random.Generator,
+    ) -> None:
+        """Clone, split, remove and reset; see `Density.after`."""
+        settings = self._settings
+        if iteration >= settings.last:
+            return
+        if iteration > settings.first and iteration % settings.every == 0:
+            self._grow(population, generator)
+            gone = population.opacities() < settings.faint
+            if iteration > settings.reset_every:
+                gone |= population.largest() > settings.large * self._extent
+            if not gone.all():
+                population.keep(~gone)
+            self.pull = np.zeros(len(population), dtype=np.float32)
+            self.views = np.zeros(len(population), dtype=np.int32)
+        if iteration % settings.reset_every == 0:
+            population.limit_opacity(2.0 * settings.faint)
+
+    def _grow(self, population: Population, generator: np.random.Generator) -> None:
+        mean = self.pull / np.maximum(self.views, 1)
+        growing = mean > self._settings.gradient
+        room = max(0, self._most - len(population))
+        if growing.sum() > room:  # Each adds one: those that are pulled most.
+            growing[np.argsort(-mean, kind="stable")[room:]] = False
+        is_small = population.largest() <= self._settings.small * self._extent
+        cloned = population.gaussians.take(growing & is_small)
+        splitting = growing & ~is_small
+        parts = split(population.gaussians.take(splitting), self._settings.shrink, generator)
+        population.keep(~splitting)
+        population.append(cloned)
+        population.append(parts)
+
+
+def split(gaussians: Gaussians, shrink: float, generator: np.random.Generator) -> Gaussians:
+    """Return two Gaussians for each: means drawn from it, axes `shrink` times shorter."""
+    rows = np.tile(np.arange(len(gaussians)), 2)
+    twice = gaussians.take(rows)
+    own = generator.standard_normal((len(twice), 3)) * np.exp(twice.log_scales)
+    return replace(
+        twice,
+        means=twice.means + turned(twice.quats, own),
+        log_scales=twice.log_scales - np.float32(np.log(shrink)),
+    )
+
+
+def turned(quats: NDArray[np.float32], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return vectors (N, 3) along own axes in the world, by quaternions (N, 4) of any length."""
+    q = quats.astype(np.float64)
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    w, axis = q[:, :1], q[:, 1:]
+    across = np.cross(axis, vectors)
+    return vectors + 2.0 * (w * across + np.cross(axis, across))
+
+
+class McmcDensity(Density):
+    """Moves, adds and shakes Gaussians.
+
+    Args:
+        settings: of the strategy.
+        most: Gaussians that there are to be at last.
+    """
+
+    def __init__(self, settings: Mcmc, *, most: int) -> None:
+        self._settings, self._most = settings, most
+
+    def weigh(self, population: Population, gradients: Gradients) -> float:
+        """Add the gradient of the weights on opacity and size; return what they add to the loss."""
+        settings, n = self._settings, len(population)
+        opacity = population.opacities()
+        scales = np.exp(population.gaussians.log_scales)
+        slope = settings.opacity_weight / n * opacity * (1.0 - opacity)
+        np.add(gradients.opacity_logits, slope, out=gradients.opacity_logits, casting="unsafe")
+        np.add(
+            gradients.log_scales,
+            scales * np.float32(settings.scale_weight / (3 * n)),
+            out=gradients.log_scales,
+        )
+        weighed = settings.opacity_weight * opacity.mean()
+        return float(weighed + settings.scale_weight * scales.mean(dtype=np.float64))
+
+    def after(
+        self,
+        population: Population,
+        iteration: int,
+        means_rate: float,
+        generator: np.random.Generator,
+    ) -> None:
+        """Relocate and add where it is time for it, then shake; see `Density.after`."""
+        settings = self._settings
+        if settings.first < iteration < settings.last and iteration % settings.every == 0:
+            opacity = population.opacities()
+            dead = opacity <= settings.dead
+            if dead.any() and not dead.all():
+                self._replace(
+                    population, np.flatnonzero(dead), np.where(dead, 0.0, opacity), generator
+                )
+            wanted = min(self._most, int(settings.growth * len(population)))
+            more = wanted - len(population)
+            if more > 0:
+                self._replace(population, more, population.opacities(), generator)
+        noise = generator.standard_normal((len(population), 3), dtype=np.float32)
+        g = population.gaussians
+        perturb(
+            g.means, g.log_scales, g.quats, g.opacity_logits, noise, means_rate * settings.noise
+        )
+
+    def _replace(
+        self,
+        population: Population,
+        places: NDArray[np.int64] | int,
+        weights: NDArray[np.float64],
+        generator: np.random.Generator,
+    ) -> None:
+        """Put a copy of sampled Gaussians into these rows, or so many behind all rows.
+
+        A Gaussian is sampled with a chance proportional to its weight; it and its copies share
+        what it was.
+        """
+        count = places if isinstance(places, int) else len(places)
+        chosen = generator.choice(len(population), count, p=weights / weights.sum())
+        sampled, copies = np.unique(chosen, return_counts=True)
+        g = population.gaussians
+        opacity, factor = relocated(population.opacities()[sampled], copies + 1)
+        opacity = np.clip(opacity, self._settings.dead, _BELOW_ONE)
+        population.change(
+            sampled,
+            opacity_logits=np.log(opacity / (1.0 - opacity)),
+            log_scales=g.log_scales[sampled] + np.log(factor)[:, None],
+        )
+        if isinstance(places, int):
+            population.append(population.gaussians.take(chosen))
+        else:
+            copy = population.gaussians.take(chosen)
+            population.change(places, **{name: getattr(copy, name) for name in ARRAYS})
+
+
+def relocated(
+    opacity: NDArray[np.float64], number: NDArray[np.integer[Any]]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return opacity and factor on the size of each of `number` Gaussians in the place of one.
+
+    Args:
+        opacity: (n,) of the one.
+        number: (n,) how many take its place, at least 1.
+    """
+    number = np.minimum(number, MOST_IN_PLACE)
+    shared = 1.0 - (1.0 - opacity) ** (1.0 / number)
+    area = np.zeros_like(opacity)
+    for k in range(1, MOST_IN_PLACE + 1):
+        binomial = np.array([float(math.comb(int(n), k)) for n in range(MOST_IN_PLACE + 1)])
+        area += binomial[number] * (-1.0) ** (k - 1) * shared**k / math.sqrt(k)
+    return shared, opacity / area

@@ -1,1 +1,0 @@
-"""Pictures of Gaussians, and gradients back to them."""

@@ -1,1 +1,0 @@
-"""Scene folders, read and written for labelling."""

@@ -1,0 +1,256 @@
+"""A labelling back into its scene folder: whole, or not at all.
+
+Its scene.yaml stays as a person wrote it, with what a labelling decides changed in it and nothing
+else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+import shutil
+from collections.abc import Generator
+from contextlib import ExitStack, contextmanager, suppress
+from io import StringIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+
+from nw_eval.errors import SceneError, StoreError
+from nw_eval.files.cache import atomic_path
+from nw_eval.files.inside import what_is
+from nw_eval.scenes.capture_file import write_captures
+from nw_eval.scenes.folder import SCENE_FILE, folder_files, load_folder
+from nw_eval.scenes.mesh import TriangleMesh, rotation_matrix
+from nw_eval.scenes.neverwhere.scan import check_similarity
+from nw_eval.splat.transform import quaternions
+from nw_eval.twin.label.opening import OpenedPlace
+from nw_eval.twin.label.state import Placement, mapped
+from nw_eval.twin.moved import similarity_entry
+from nw_eval.twin.place import Route, rounded, write_collision
+
+_OURS = re.compile(r"collision-[0-9a-f]{12}\.ply|captures-[0-9a-f]{12}\.json")
+"""Moved or cropped meshes, and moved cameras. Those that a build wrote stay as they are: a crop can
+be taken back."""
+
+
+def save_label(
+    place: OpenedPlace,
+    *,
+    course: Route,
+    mesh: TriangleMesh | None,
+    T_world_opened: NDArray[np.float64],
+) -> None:
+    """Rewrite scene.yaml of a folder; its other keys and its comments stay where they can.
+
+    The new scene is loaded from beside before anything is changed, and scene.yaml, which names the
+    mesh and the cameras that belong to it, is replaced last.
+
+    Args:
+        place: as it was opened; its folder is written.
+        course: task, trail and start.
+        mesh: what can be touched now, world, m; None = it is still the one that was opened.
+        T_world_opened: (4, 4) similarity by which splat and cameras are moved.
+
+    Raises:
+        SceneError: scene.yaml is wrong, or what would be saved cannot be loaded.
+        StoreError: it cannot be written.
+    """
+    folder = place.folder
+    files = folder_files(folder)
+    text = SceneText(folder / SCENE_FILE)
+    try:
+        with TemporaryDirectory(dir=folder, prefix=".label-") as name, ExitStack() as moves:
+            staged = Path(name)
+            collision, captures = place.collision, place.captures
+            if mesh is not None:
+                collision = _write_mesh(staged, mesh)
+            else:
+                _copy(collision, folder, staged)
+            if captures is not None and not np.array_equal(T_world_opened, np.eye(4)):
+                captures = _write_cameras(staged, place, T_world_opened)
+            elif captures is not None:
+                _copy(captures, folder, staged)
+            written = text.edit(
+                course,
+                collision=collision,
+                captures=captures,
+                T_world_splat=T_world_opened @ place.T_world_splat,
+            )
+            (staged / SCENE_FILE).write_text(written, encoding="utf-8")
+            splat = text.splat
+            if splat is not None and what_is(files[splat]) == "file":
+                # It is large, and loading a scene only looks whether it is there.
+                (staged / splat).parent.mkdir(parents=True, exist_ok=True)
+                (staged / splat).touch()
+            load_folder(staged)
+            for old, new in ((place.collision, collision), (place.captures, captures)):
+                if new is not None and new != old:
+                    moves.enter_context(_moved_in(staged / new, folder / new))
+            temporary = moves.enter_context(atomic_path(folder / SCENE_FILE))
+            temporary.write_text(written, encoding="utf-8")
+    except OSError as error:
+        raise StoreError(
+            f"cannot write {folder}: {error.strerror or error}",
+            fix="free disk space, or allow writing there",
+        ) from error
+    needed = {collision, captures, place.collision, place.captures}
+    for path in folder.iterdir():
+        if _OURS.fullmatch(path.name) and path.name not in needed:
+            with suppress(OSError):
+                path.unlink()
+
+
+def _copy(name: str, folder: Path, staged: Path) -> None:
+    (staged / name).parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(folder / name, staged / name)
+
+
+@contextmanager
+def _moved_in(staged: Path, path: Path) -> Generator[None]:
+    """Move a file to its place, and away again if what follows fails; not if it was there."""
+    is_new = what_is(path) == "nothing"
+    if is_new:
+        staged.replace(path)
+    try:
+        yield
+    except BaseException:
+        if is_new:
+            path.unlink(missing_ok=True)
+        raise
+
+
+def _write_mesh(staged: Path, mesh: TriangleMesh) -> str:
+    if len(mesh.faces) == 0:
+        raise SceneError("the crop leaves nothing of the place", fix="make the crop larger")
+    path = staged / "mesh.ply"
+    write_collision(path, mesh.vertices, mesh.faces)
+    return _named_by_content(path, "collision")
+
+
+def _write_cameras(staged: Path, place: OpenedPlace, T: NDArray[np.float64]) -> str:
+    rotation = T[:3, :3] / check_similarity(T, "the place")
+    path = staged / "cameras.json"
+    moved = [
+        (mapped(np.array([position]), T)[0], quaternions(rotation @ rotation_matrix(quat)))
+        for position, quat in place.cameras
+    ]
+    write_captures(path, [(at.tolist(), quat.tolist()) for at, quat in moved])
+    return _named_by_content(path, "captures")
+
+
+def _named_by_content(path: Path, word: str) -> str:
+    """Rename a file after what is in it; return the name."""
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    return path.replace(path.with_name(f"{word}-{digest[:12]}{path.suffix}")).name
+
+
+class SceneText:
+    """The content of a scene.yaml, checked already, its comments and spelling with it.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        SceneError: it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._yaml, self._text = _round_trip(path)
+
+    @property
+    def splat(self) -> str | None:
+        """The name of the splat's file; None = it has none."""
+        return self._text.get("splat")
+
+    def edit(
+        self,
+        course: Route,
+        *,
+        collision: str,
+        captures: str | None,
+        T_world_splat: NDArray[np.float64],
+    ) -> str:
+        """Return the text with what a labelling decides; what is as it was keeps its spelling."""
+        _edit(self._text, course, collision, captures, T_world_splat)
+        stream = StringIO()
+        self._yaml.dump(self._text, stream)
+        return stream.getvalue()
+
+
+def _edit(
+    text: CommentedMap,
+    course: Route,
+    collision: str,
+    captures: str | None,
+    T_world_splat: NDArray[np.float64],
+) -> None:
+    _put(text, "task", course.task)
+    _put_trail(text, [rounded(point) for point in course.trail])
+    spawn = text.setdefault("spawn", CommentedMap())
+    _put(spawn, "position", rounded(course.spawn))
+    yaw = math.remainder(course.yaw, 2 * math.pi)
+    _put(spawn, "yaw", round(yaw, 4))
+    if text.get("collision", "collision.yaml") != collision:
+        text["collision"] = collision
+    if captures is not None:
+        _put(text, "captures", captures)
+    if text.get("splat") is not None:
+        entry = text.setdefault("T_world_splat", CommentedMap())
+        if not np.allclose(Placement(**entry).matrix, T_world_splat, rtol=0.0, atol=1e-12):
+            for name, value in similarity_entry(T_world_splat).items():
+                _put(entry, name, value)
+
+
+def _put(mapping: CommentedMap, name: str, value: Any) -> None:
+    if name in mapping and _plain(mapping[name]) == _plain(value):
+        return
+    mapping[name] = _flow(value) if isinstance(value, list) else value
+
+
+def _put_trail(text: CommentedMap, trail: list[list[float]]) -> None:
+    """Replace points in place, so that comments between them stay."""
+    points: Any = text["trail"]
+    for i, point in enumerate(trail):
+        if i >= len(points):
+            points.append(_flow(point))
+        elif _plain(points[i]) != point:
+            comments = getattr(points[i], "ca", None)
+            points[i] = _flow(point)
+            if comments is not None:
+                points[i].ca.comment = comments.comment
+                points[i].ca.end = comments.end
+    while len(points) > len(trail):
+        points.pop()
+
+
+def _plain(value: Any) -> Any:
+    return [float(part) for part in value] if isinstance(value, list) else value
+
+
+def _flow(values: list[float]) -> CommentedSeq:
+    sequence = CommentedSeq(values)
+    sequence.fa.set_flow_style()
+    return sequence
+
+
+def _round_trip(path: Path) -> tuple[YAML, CommentedMap]:
+    """Return the content of a file, and what writes it in the same manner."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read: {error.strerror or error}") from None
+    yaml = YAML()  # The round trip's; folder_files has refused tags, and it runs none anyway.
+    yaml.preserve_quotes = True
+    yaml.width = 100
+    if (item := re.search(r"^trail:.*\n(?: *#.*\n)*( +)- ", text, re.MULTILINE)) is not None:
+        offset = len(item[1])
+        yaml.indent(mapping=2, sequence=offset + 2, offset=offset)
+    return yaml, yaml.load(text)

@@ -1,0 +1,228 @@
+"""Writing a scene folder: collision mesh in metres, splat, trail, and a suite that runs it.
+
+Edges of a mesh that hang over are cut off: a rim of centimetres stands on what it is the rim of.
+Photographs are taken from above, and none shows what is below a rim. There a mesh closes as it
+likes, mostly askew and under the edge: a platform gets a lip, thin and with air below, that a foot
+would find to be a plank of its own. A lip as narrow as an edge is uncertain is taken for the edge.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from ruamel.yaml import YAML
+
+from nw_eval.errors import SceneError
+from nw_eval.files.cache import atomic_path
+from nw_eval.scenes.capture_file import write_captures
+from nw_eval.scenes.folder import SCENE_FILE, load_folder
+from nw_eval.scenes.limits import checked_name
+from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
+from nw_eval.scenes.rays import RayScene
+from nw_eval.splat.transform import quaternions
+from nw_eval.suite.ready import write_ready_suite
+from nw_eval.twin.capture import Capture
+from nw_eval.twin.moved import moved_capture, moved_points, similarity_entry
+from nw_eval.words import Robot, Task
+
+COLLISION, SPLAT, CAPTURES, SUITE = "collision.ply", "splat.ply", "captures.json", "suite.yaml"
+
+F64 = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_DOWN = -0.02
+"""Upward part of the normal of a face below which it looks down."""
+_THICK = 0.15
+"""Of a lip at most, metres: what is higher is a wall that leans, or a bridge."""
+_REACH = (0.03, 0.06, 0.09)
+"""Metres within which a lip must meet what it is the rim of."""
+_LEVEL = 0.03
+"""Difference in height of a lip and that, metres."""
+_BELOW = 2e-4
+"""From a surface on which a ray goes on, metres."""
+_WAYS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Route:
+    """What the robot is to do in a place.
+
+    Attributes:
+        task: what the trail asks of it.
+        trail: (N, 3) waypoints on top of what it steps on, in order; world, m.
+        spawn: x, y, z of the start, on the ground; world, m.
+        yaw: where it looks at the start, rad; 0 = along x.
+    """
+
+    task: Task
+    trail: NDArray[np.float64]
+    spawn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw: float = 0.0
+
+
+def write_place(
+    out: Path,
+    *,
+    name: str,
+    licence: str,
+    mesh: Path,
+    splat: Path | None,
+    T_world_capture: NDArray[np.float64],
+    course: Route,
+    capture: Capture | None = None,
+    title: str = "",
+    robot: Robot = "go1",
+) -> None:
+    """Write a scene folder, and a suite of it beside; scene.yaml appears last.
+
+    Args:
+        out: the folder, made if it is not there.
+        name: of the scene, as `scene.yaml` wants it.
+        licence: of the photographs, which the place shows.
+        mesh: PLY in the capture's frame.
+        splat: PLY in the capture's frame; None = the place has no looks.
+        T_world_capture: (4, 4) similarity to metres, z up.
+        course: trail, task and start.
+        capture: whose cameras say from where the place was photographed; None = nobody knows.
+        title: one line for people.
+        robot: of the suite.
+
+    Raises:
+        SceneError: the name is none, the mesh cannot be read, or the place cannot be loaded.
+        StoreError: it cannot be written.
+    """
+    try:
+        checked_name(name)
+    except ValueError as error:
+        raise SceneError(f"name {name!r}: {error}", fix="give another --name") from None
+    similarity = similarity_entry(T_world_capture)
+    _write_collision(mesh, out / COLLISION, T_world_capture)
+    text: dict[str, Any] = {
+        "nw-scene": 1,
+        "name": name,
+        "task": course.task,
+        "licence": licence,
+        "collision": COLLISION,
+        "trail": [rounded(point) for point in course.trail],
+        "spawn": {"position": rounded(course.spawn), "yaw": round(float(course.yaw), 4)},
+    }
+    if title:
+        text["title"] = title
+    if splat is not None:
+        with atomic_path(out / SPLAT) as temporary:
+            shutil.copyfile(splat, temporary)
+        text["splat"] = SPLAT
+        text["T_world_splat"] = similarity
+    if capture is not None:
+        moved = moved_capture(T_world_capture, capture)
+        poses = [shot.camera.T_world_camera for shot in moved.shots]
+        cameras = [(pose[:3, 3].tolist(), quaternions(pose[:3, :3]).tolist()) for pose in poses]
+        write_captures(out / CAPTURES, cameras)
+        text["captures"] = CAPTURES
+    write_yaml(out / SCENE_FILE, text)
+    load_folder(out)
+    write_ready_suite(out / SUITE, name, ["."], robot=robot)
+
+
+def _write_collision(mesh: Path, path: Path, T: NDArray[np.float64]) -> None:
+    import trimesh
+
+    try:
+        read = trimesh.load_mesh(mesh, process=False)
+        vertices = moved_points(T, np.asarray(read.vertices))
+        faces = without_lips(vertices, np.asarray(read.faces))
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise SceneError(f"{mesh} is no mesh: {error}", fix="reconstruct again") from None
+    write_collision(path, vertices, faces)
+
+
+def write_yaml(path: Path, text: dict[str, Any]) -> None:
+    """Write a mapping as YAML, each point on one line, whole or not at all.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = None
+    yaml.sort_base_mapping_type_on_output = False  # pyright: ignore[reportAttributeAccessIssue]
+    stream = StringIO()
+    yaml.dump(text, stream)
+    with atomic_path(path) as temporary:
+        temporary.write_text(stream.getvalue(), encoding="utf-8")
+
+
+def rounded(point: Iterable[float]) -> list[float]:
+    """Return metres, to a tenth of a millimetre."""
+    return [round(float(part), 4) for part in point]
+
+
+def write_collision(
+    path: Path, vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]
+) -> None:
+    """Write vertices (V, 3), world, m, and faces (F, 3) as a PLY file, whole or not at all.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    import trimesh
+
+    mesh = trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
+    with atomic_path(path) as temporary:
+        mesh.export(temporary, file_type="ply")
+
+
+def without_lips(vertices: F64, faces: NDArray[np.integer]) -> NDArray[np.integer]:
+    """Return the faces without the undersides of lips; without one, what is below is solid.
+
+    Args:
+        vertices: (V, 3) world, m, z up.
+        faces: (F, 3), counter-clockwise from outside.
+    """
+    kinds = np.full(len(faces), FACE_KINDS.index("ground"), np.uint8)
+    mesh = TriangleMesh(vertices=vertices, faces=faces.astype(np.int32), kinds=kinds)
+    corners = mesh.triangles
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    up = normal[:, 2] / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
+    rays = RayScene(mesh)
+    rows = np.flatnonzero(up < _DOWN)
+    middles = corners[rows].mean(axis=1)
+    above, face = _cast(rays, middles, 1.0)
+    thin = (above < _THICK) & (up[face] > 0.0)
+    rows, tops = rows[thin], middles[thin] + above[thin, None] * (0.0, 0.0, 1.0)
+    lip = np.zeros(len(rows), dtype=bool)
+    for reach in _REACH:
+        for turn in 2.0 * np.pi * np.arange(_WAYS) / _WAYS:
+            lip |= _solid(rays, up, tops + reach * np.array([np.cos(turn), np.sin(turn), 0.0]))
+    kept = np.ones(len(faces), dtype=bool)
+    kept[rows[lip]] = False
+    return faces[kept]
+
+
+def _solid(rays: RayScene, up: F64, places: F64) -> Mask:
+    """Return at which places (N, 3) ground is about as high, and thicker than a lip.
+
+    Args:
+        rays: of the mesh.
+        up: (F,) upward part of the normals of its faces.
+        places: metres.
+    """
+    start = places + np.array([0.0, 0.0, _LEVEL])
+    depth, face = _cast(rays, start, -1.0)
+    there = (depth < 2.0 * _LEVEL) & (up[face] > 0.0)
+    top = start - np.minimum(depth, 1.0)[:, None] * (0.0, 0.0, 1.0)
+    thick, below = _cast(rays, top, -1.0)
+    return there & ((up[below] > 0.0) | (thick >= _THICK))
+
+
+def _cast(rays: RayScene, places: F64, way: float) -> tuple[F64, NDArray[np.int32]]:
+    """Return the distance of the next face straight up or down, and which it is, -1 for none."""
+    step = np.array([0.0, 0.0, way])
+    distance, face = rays.cast(places + _BELOW * step, np.broadcast_to(step, places.shape))
+    return distance + _BELOW, face

@@ -1,0 +1,297 @@
+"""What makes a surface a place to walk in: one piece, flat where it is flat, of few faces.
+
+Floors and walls that are flat are made flat, where the evidence agrees. What lies within a voxel of
+a plane is compared with it patch by patch: noise is mean-free in a patch, a threshold, a mat or a
+step is not. Only patches whose mean is as near to the plane as a single vertex is to its patch are
+moved.
+
+Small planes are made flat too, where photographs or edges speak for them. A slope, a tread or the
+top of a box is a hundredth of all that photographs show: too little to be told from a rounded
+corner by its area alone. But pixels were given planes that views agree on; what lies on one of
+those is flat.
+
+Then the parts that hang together are kept or dropped, and faces become fewer: flat parts become
+coarse, edges stay fine (Garland and Heckbert 1997).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.twin.reconstruct.mesh import ColourMesh
+from nw_eval.twin.reconstruct.packages import package
+from nw_eval.twin.reconstruct.planes import PlaneSearch, SupposedPlane
+
+F64 = NDArray[np.float64]
+
+_PLANES = 12
+_LEAST_AREA = 0.03
+"""Of all area, below which a plane is not looked for: what is small may be a rounded corner."""
+_RINGS = 16
+"""Steps of averaging with neighbours: a patch is about four edges in radius."""
+_LEAST_NOISE = 0.15
+"""Voxels: agreement is not asked to be better than a voxel can show."""
+
+ROOM = 480.0
+"""Area of a small plane, in squares of a voxel's edge: about a step that a foot has room on."""
+
+_CRUMB, _ISLAND = 0.8, 0.5
+"""Share of a part's vertices that lie on a plane, if it is an island of it: chance puts most of a
+crumb near one of a place's many planes, and seldom half of what a foot has room on."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlatPlane:
+    """A plane n . x = offset that vertices were moved to.
+
+    Attributes:
+        normal: unit vector, out of the surface.
+        offset: along it.
+        area: of the vertices within a voxel of it.
+        noise: standard deviation of a vertex from its patch, before.
+        moved: share of those vertices that were moved all the way.
+    """
+
+    normal: tuple[float, float, float]
+    offset: float
+    area: float
+    noise: float
+    moved: float
+
+
+def flatten(mesh: ColourMesh, voxel: float) -> tuple[ColourMesh, list[FlatPlane]]:
+    """Return the mesh with flat planes flat, and the planes, the largest first.
+
+    No vertex moves by more than a voxel. The same mesh gives the same bits.
+
+    Args:
+        mesh: of about one vertex to a voxel's face, not simplified.
+        voxel: edge of a voxel.
+    """
+    search = PlaneSearch.of(mesh, voxel)
+    area = search.area
+    free = area > 0
+    vertices, planes = mesh.vertices.copy(), []
+    rng = np.random.default_rng(0)
+    for _ in range(_PLANES):
+        plane = search.best(free, rng)
+        if plane is None:
+            break
+        normal, offset = plane
+        near = free & search.near(normal, offset)
+        if area[near].sum() < _LEAST_AREA * area.sum():
+            break
+        shift, flat = flattened(search, near, normal, offset)
+        vertices += shift
+        free &= ~near
+        planes.append(flat)
+    planes.sort(key=lambda plane: -plane.area)
+    return ColourMesh(vertices=vertices, faces=mesh.faces, colours=mesh.colours), planes
+
+
+def flattened(
+    search: PlaneSearch, near: NDArray[np.bool_], normal: F64, offset: float
+) -> tuple[F64, FlatPlane]:
+    """Return how vertices (V, 3) move that are made flat, and the plane.
+
+    Args:
+        search: the mesh.
+        near: (V,) which vertices are of the plane.
+        normal: (3,) of it.
+        offset: along it.
+    """
+    off = search.points @ normal - offset
+    share, noise = _agreement(search.links, off, near, search.voxel)
+    x, y, z = (float(part) for part in normal)
+    plane = FlatPlane(
+        normal=(x, y, z),
+        offset=offset,
+        area=float(search.area[near].sum()),
+        noise=noise,
+        moved=float((share[near] == 1.0).mean()),
+    )
+    return -(share * off)[:, None] * normal, plane
+
+
+def _agreement(links: Any, off: F64, near: NDArray[np.bool_], voxel: float) -> tuple[F64, float]:
+    """Return which share of its distance each vertex is to be moved, and the noise of one."""
+    inner = near.astype(np.float64)
+    patch = off * inner
+    for _ in range(_RINGS):
+        total = links @ inner + inner
+        patch = np.where(near, (links @ patch + patch) / np.maximum(total, 1.0), 0.0)
+    noise = 1.4826 * float(np.median(np.abs(off - patch)[near]))
+    bound = max(noise, _LEAST_NOISE * voxel)
+    beyond = np.clip(np.abs(patch) / bound - 1.0, 0.0, 1.0)
+    return np.where(near, 1.0 - beyond * beyond * (3.0 - 2.0 * beyond), 0.0), noise
+
+
+def flatten_small(
+    mesh: ColourMesh,
+    planes: Sequence[FlatPlane],
+    supposed: Sequence[SupposedPlane],
+    voxel: float,
+) -> tuple[ColourMesh, list[FlatPlane]]:
+    """Return the mesh with supposed planes flat that it shows, and those, the largest first.
+
+    No vertex moves by more than a voxel. The same mesh gives the same bits.
+
+    Args:
+        mesh: of `flatten`.
+        planes: that it is flat on already.
+        supposed: planes that pixels may have been given.
+        voxel: edge of a voxel.
+    """
+    search = PlaneSearch.of(mesh, voxel)
+    free = search.area > 0
+    for plane in planes:
+        free &= ~search.near(np.array(plane.normal), plane.offset)
+    sides = [
+        side
+        for plane in supposed
+        for side in ((plane,) if plane.one_sided else (plane, plane.turned()))
+    ]
+    areas = [float(search.area[free & search.near(s.normal, s.offset)].sum()) for s in sides]
+    vertices, small = mesh.vertices.copy(), list[FlatPlane]()
+    for number in np.argsort(-np.array(areas), kind="stable"):
+        side = sides[number]
+        near = free & search.near(side.normal, side.offset)
+        if search.area[near].sum() < ROOM * voxel**2:
+            continue
+        shift, flat = flattened(search, near, side.normal, side.offset)
+        vertices += shift
+        free &= ~near
+        small.append(flat)
+    small.sort(key=lambda plane: -plane.area)
+    return ColourMesh(vertices=vertices, faces=mesh.faces, colours=mesh.colours), small
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartsKept:
+    """What became of a mesh's parts.
+
+    Attributes:
+        kept: how many.
+        dropped: how many.
+        dropped_area: of those, a share of all area.
+    """
+
+    kept: int
+    dropped: int
+    dropped_area: float
+
+
+def large_parts(
+    mesh: ColourMesh, least: float, flat: NDArray[np.bool_] | None = None, room: float = np.inf
+) -> tuple[ColourMesh, PartsKept]:
+    """Return a mesh of the largest part, of those with at least a share of its area, and flat ones.
+
+    Args:
+        mesh: to choose from.
+        least: share.
+        flat: (V,) whether a vertex lies on a plane of the place; parts that do for the most are
+            islands of a floor or a wall that is plain between them. None = nobody knows.
+        room: area from which on a part is no crumb: nobody photographs the sides of a platform
+            that stands in a pit, so that its top hangs together with nothing.
+    """
+    count, part = parts_of(mesh.faces, len(mesh.vertices))
+    own = part[mesh.faces[:, 0]]
+    area = np.bincount(own, 0.5 * np.linalg.norm(mesh.normals, axis=1), minlength=count)
+    large = area >= max(least * area.max(), 1e-300)
+    if flat is not None:
+        vertices = np.bincount(part, minlength=count)
+        share = np.where(area < room, _CRUMB, _ISLAND)
+        large |= np.bincount(part, flat, minlength=count) > share * vertices
+    facts = PartsKept(
+        kept=int(large.sum()),
+        dropped=int(count - large.sum()),
+        dropped_area=float(area[~large].sum() / max(area.sum(), 1e-300)),
+    )
+    return mesh.keep(large[own]), facts
+
+
+def parts_of(links: NDArray[np.integer], count: int) -> tuple[int, NDArray[np.int32]]:
+    """Return how many parts `count` vertices are in, and the part of each.
+
+    Args:
+        links: (N, K), K >= 2: vertices in a row belong together.
+        count: of vertices.
+    """
+    sparse, graph = package("scipy.sparse"), package("scipy.sparse.csgraph")
+    one = np.repeat(links[:, 0], links.shape[1] - 1)
+    other = links[:, 1:].ravel()
+    ones = np.ones(len(one), np.int8)
+    matrix = sparse.coo_array((ones, (one, other)), shape=(count, count))
+    return graph.connected_components(matrix, directed=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hole:
+    """A closed border of the surface; the longest one is usually its rim.
+
+    Attributes:
+        centre: (x, y, z) mean of the border.
+        length: of the border.
+        across: diagonal of the box about it.
+    """
+
+    centre: tuple[float, float, float]
+    length: float
+    across: float
+
+
+def holes(mesh: ColourMesh) -> list[Hole]:
+    """Return the borders, the longest first: edges of one face. Borders that touch are one."""
+    edges = np.concatenate([mesh.faces[:, [k, (k + 1) % 3]] for k in range(3)]).astype(np.int64)
+    count = len(mesh.vertices)
+    keys = np.sort(edges, axis=1) @ np.array([count, 1])
+    _, place, uses = np.unique(keys, return_index=True, return_counts=True)
+    border = edges[place[uses == 1]]
+    if len(border) == 0:
+        return []
+    used, local = np.unique(border, return_inverse=True)
+    local = local.reshape(-1, 2)
+    loops, whose = parts_of(local, len(used))
+    ends = mesh.vertices[border]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    own = whose[local[:, 0]]
+    order = np.argsort(own, kind="stable")
+    found: list[Hole] = []
+    for rows in np.split(order, np.searchsorted(own[order], np.arange(1, loops))):
+        points = ends[rows].reshape(-1, 3)
+        x, y, z = points.mean(axis=0)
+        span = points.max(axis=0) - points.min(axis=0)
+        found.append(
+            Hole(
+                centre=(float(x), float(y), float(z)),
+                length=float(lengths[rows].sum()),
+                across=float(np.linalg.norm(span)),
+            )
+        )
+    return sorted(found, key=lambda hole: (-hole.length, hole.centre))
+
+
+def simplify(mesh: ColourMesh, most: int) -> ColourMesh:
+    """Return the mesh with about `most` faces at most, coloured by the nearest of its vertices.
+
+    Raises:
+        PrerequisiteError: fast-simplification or SciPy is not installed.
+    """
+    if len(mesh.faces) <= most:
+        return mesh
+    # About its middle, for it works in single precision.
+    middle = mesh.vertices.mean(axis=0)
+    points, faces = package("fast_simplification").simplify(
+        mesh.vertices - middle, mesh.faces, target_count=most, agg=5
+    )
+    vertices = np.asarray(points, np.float64) + middle
+    _, nearest = package("scipy.spatial").cKDTree(mesh.vertices).query(vertices)
+    simple = ColourMesh(
+        vertices=vertices, faces=np.asarray(faces, np.int32), colours=mesh.colours[nearest]
+    )
+    return simple.keep((simple.normals != 0.0).any(axis=1))

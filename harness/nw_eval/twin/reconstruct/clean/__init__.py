@@ -1,1 +1,0 @@
-"""What makes a surface a place to walk in: one piece, flat where it is flat, of few faces."""

@@ -1,1 +1,0 @@
-"""The loops of a reconstruction, compiled. None of them knows of files."""

@@ -1,0 +1,392 @@
+"""A trail through a place that was photographed on a walk, proposed for a person to agree with.
+
+It is as the shipped scenes have them: waypoints on top of things, a spawn, and a task. What the
+trail leads over is told from the profile of the ground: hurdles, gaps, slopes, leaning boards and
+stairs, each with its size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.errors import SceneError
+from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.scenes.rays import RayScene
+from nw_eval.scenes.scene import Spawn, Vector
+from nw_eval.sim.trail import REACH_RADIUS
+from nw_eval.twin.trail_profile import (
+    STEP,
+    GroundProfile,
+    Stretch,
+    ground_along,
+    stretches_of,
+    way_of,
+)
+from nw_eval.words import Task
+
+Values = NDArray[np.float64]
+
+_FINISH = 1.4
+"""From the last feature to the last waypoint, metres, where there is as much way."""
+_APART = 0.25
+"""Waypoints that are closer are one, metres."""
+_APPROACH = 1.5
+"""Level way before the first feature, at most, metres: as much as in the shipped scenes."""
+_CLEAR = REACH_RADIUS + 0.3
+"""From the spawn to the first waypoint at least, metres: beyond reach of where any trial begins."""
+_ARRIVE = 0.6
+"""Of ground behind the last waypoint, metres: a robot's length."""
+_RUN_UP = 0.5
+"""Metres of level way that a robot needs before the first feature."""
+FLOOR = 0.02
+"""A spawn may be so far from z = 0, metres."""
+
+_LONGEST_BAR = 0.9
+"""Of a hurdle along the way, metres; what is longer is a platform."""
+_WIDEST_GAP = 1.3
+"""That a robot is asked to leap, metres."""
+_ALIKE = 0.06
+"""Two heights that differ by less are the same ground, metres."""
+_STEPS = 3
+"""Edges one way that make a flight of stairs."""
+_LONGEST_TREAD = 1.6
+"""Landings within a flight included, metres."""
+_TALLEST_STEP = 0.28
+_LEAN = math.tan(math.radians(6.0))
+_LEAST_BOARD = 0.4
+"""Of a board that leans to a side, metres along the way."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrailProposal:
+    """What somebody may take for a scene's trail, or change.
+
+    Attributes:
+        task: that the trail seems to ask for.
+        reasons: for it, and what else was found.
+        spawn: on the way, `_APPROACH` before the first feature or at its start, looking along it.
+        trail: waypoints on top of what the robot steps on, metres.
+        features: in order.
+        warnings: what somebody should look at.
+    """
+
+    task: Task
+    reasons: tuple[str, ...]
+    spawn: Spawn
+    trail: tuple[Vector, ...]
+    features: tuple[TrailFeature, ...]
+    warnings: tuple[str, ...]
+
+
+def propose_trail(mesh: TriangleMesh, centres: Values) -> TrailProposal:
+    """Return a trail along the way that the cameras went, over what lies there.
+
+    Args:
+        mesh: of the place in metres, z up.
+        centres: (V, 3) of the cameras in the order of the walk, in the same frame.
+
+    Raises:
+        SceneError: the cameras went less than a metre, the mesh has no ground below them, or too
+            little for a waypoint that a robot has to walk to.
+    """
+    way = way_of(centres)
+    below = float(centres[:, 2].max())
+    profile = ground_along(mesh, way, below)
+    features = features_of(profile, stretches_of(profile))
+    if features and features[0].start > _APPROACH:
+        profile = profile.after(features[0].start - _APPROACH)
+        features = features_of(profile, stretches_of(profile))
+    task, reasons = guess_task(features)
+    return TrailProposal(
+        task=task,
+        reasons=reasons,
+        spawn=_spawn(profile),
+        trail=_waypoints(profile, features, _last(mesh, profile, below)),
+        features=tuple(features),
+        warnings=_warnings(profile, features),
+    )
+
+
+def guess_task(features: Sequence[TrailFeature]) -> tuple[Task, tuple[str, ...]]:
+    """Return the task of the most features, and why; a flat trail is one of hurdles without bars.
+
+    Of tasks with as many features the one whose features are longer along the way wins.
+    """
+    if not features:
+        return "hurdles", ("the way is flat: a trail without obstacles",)
+    counts = Counter[Task](feature.task for feature in features)
+    length = {
+        one: sum(feature.end - feature.start for feature in features if feature.task == one)
+        for one in counts
+    }
+    steps = any(feature.task == "stairs" for feature in features)
+    # A flight is one feature of many steps.
+    task: Task = "stairs"
+    if not steps:
+        task = max(counts, key=lambda one: (counts[one], length[one]))
+    ordered = sorted(features, key=lambda feature: feature.task != task)
+    return task, tuple(f"{one.words}, {one.start:.1f} m along" for one in ordered)
+
+
+def _spawn(profile: GroundProfile) -> Spawn:
+    ahead = profile.xy[min(len(profile.xy) - 1, round(_RUN_UP / STEP))] - profile.xy[0]
+    x, y, z = _point(profile, 0.0)
+    yaw = round(math.atan2(float(ahead[1]), float(ahead[0])), 4)
+    return Spawn(position=(x, y, z), yaw=yaw)
+
+
+def _last(mesh: TriangleMesh, profile: GroundProfile, below: float) -> float:
+    """Return how far along the way a waypoint may stand: with `_ARRIVE` of ground behind it."""
+    xy = profile.xy
+    ahead = xy[-1] - xy[max(0, len(xy) - 1 - round(_RUN_UP / STEP))]
+    ahead = ahead / max(float(np.hypot(*ahead)), 1e-12)
+    stations = np.arange(0.0, _ARRIVE + STEP / 2, STEP)
+    sides = np.array([-0.1, 0.0, 0.1])[:, None] * np.array([-ahead[1], ahead[0]])
+    places = xy[-1] + stations[:, None, None] * ahead + sides
+    heights = RayScene(mesh).height(places.reshape(-1, 2), z_from=below)
+    there = np.isfinite(heights).reshape(places.shape[:2]).any(axis=1)
+    room = _ARRIVE if there.all() else float(stations[int(np.argmin(there))])
+    return float(profile.along[-1]) - (_ARRIVE - room)
+
+
+def _waypoints(
+    profile: GroundProfile, features: Sequence[TrailFeature], end: float
+) -> tuple[Vector, ...]:
+    """Return a waypoint where each feature is stood on, and one behind the last.
+
+    None is within reach of the spawn.
+
+    Args:
+        profile: of the way.
+        features: in order.
+        end: how far along the way a waypoint may stand.
+
+    Raises:
+        SceneError: none is left.
+    """
+    stands = sorted(stand for feature in features for stand in feature.stands)
+    last = max((feature.end for feature in features), default=None)
+    stands.append(end if last is None else min(end, max([last, *stands]) + _FINISH))
+    kept: list[float] = []
+    for stand in stands:
+        if stand > end or _from_start(profile, stand) < _CLEAR:
+            continue
+        if kept and stand - kept[-1] < _APART:
+            continue
+        kept.append(stand)
+    if not kept:
+        raise SceneError(
+            f"there are {profile.along[-1]:.2f} m of ground along the way: too little for a "
+            f"waypoint {_CLEAR:g} m from the start, with {_ARRIVE:g} m behind it to arrive in",
+            fix="capture more ground ahead of the start, or write the trail by hand",
+        )
+    return tuple(_point(profile, stand) for stand in kept)
+
+
+def _from_start(profile: GroundProfile, along: float) -> float:
+    """Return how far a place along the way is from its start, seen from above, metres."""
+    there = np.array(_point(profile, along)) - np.array(_point(profile, 0.0))
+    return float(np.hypot(there[0], there[1]))
+
+
+def _point(profile: GroundProfile, along: float) -> Vector:
+    """Return the ground at a place along the way, to a millimetre."""
+    place = min(len(profile.along) - 1, max(0, round(along / STEP)))
+    x, y = profile.xy[place].tolist()
+    return round(x, 3), round(y, 3), round(float(profile.height[place]), 3)
+
+
+def _warnings(profile: GroundProfile, features: Sequence[TrailFeature]) -> tuple[str, ...]:
+    warnings: list[str] = []
+    height = float(profile.height[0])
+    if abs(height) > FLOOR:
+        warnings.append(
+            f"the ground under the spawn is at z = {height:.2f} m: robots start above z = 0, so "
+            f"move the scene by {-height:+.2f} m"
+        )
+    if features and features[0].start < _RUN_UP:
+        warnings.append(
+            f"{features[0].words} begins {features[0].start:.2f} m after the spawn: start farther "
+            "back"
+        )
+    if features and float(profile.along[-1]) - features[-1].end < _RUN_UP:
+        warnings.append("the way ends at the last feature: no room to arrive in")
+    if profile.known < 1.0 - 1e-9:
+        warnings.append(f"{1.0 - profile.known:.0%} of the way is over holes of the mesh")
+    return tuple(warnings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrailFeature:
+    """One thing that a trail leads over. Lengths in metres along the way.
+
+    Attributes:
+        task: whose scenes have such things.
+        start, end: along the way.
+        stands: where along the way a robot stands on it, in order: bars' tops, treads, decks, or
+            what lies behind a gap.
+        size: height of a bar or a flight, width of a gap, metres; or angle of a slope, degrees.
+        words: what it is, for people.
+    """
+
+    task: Task
+    start: float
+    end: float
+    stands: tuple[float, ...]
+    size: float
+    words: str
+
+
+def features_of(profile: GroundProfile, stretches: Sequence[Stretch]) -> list[TrailFeature]:
+    """Return what a profile leads over, in order.
+
+    A flight of stairs is three edges one way or more with treads between them; a hurdle goes up and
+    down again within 0.9 m, a gap down and up again within 1.3 m, to about the same height. So bars
+    on the ground are no gaps: of the two readings, ground is what lies at the height of the start.
+    """
+    flights = _flights(stretches)
+    taken = [(flight.start, flight.end) for flight in flights]
+    free = [s for s in stretches if not any(a <= s.middle <= b for a, b in taken)]
+    boards = _boards(profile)
+    # A board that leans has edges before and behind it; that makes no bar of it.
+    level = [
+        feature
+        for feature in _bars_and_gaps(free)
+        if not any(b.start < feature.stands[0] < b.end for b in boards)
+        and not any(feature.start < b.stands[0] < feature.end for b in boards)
+    ]
+    found = [*flights, *level, *_slopes(free), *boards]
+    return sorted(found, key=lambda feature: feature.start)
+
+
+def _flights(stretches: Sequence[Stretch]) -> list[TrailFeature]:
+    edges = [s for s in stretches if s.kind == "edge"]
+    groups: list[list[Stretch]] = []
+    for edge in edges:
+        last = groups[-1][-1] if groups else None
+        follows = (
+            last is not None
+            and edge.rise * last.rise > 0
+            and edge.start - last.end <= _LONGEST_TREAD
+            and max(abs(edge.rise), abs(last.rise)) <= _TALLEST_STEP
+        )
+        if follows:
+            groups[-1].append(edge)
+        else:
+            groups.append([edge])
+    return [_flight(group) for group in groups if len(group) >= _STEPS]
+
+
+def _flight(edges: Sequence[Stretch]) -> TrailFeature:
+    rises = [abs(edge.rise) for edge in edges]
+    treads = tuple((a.end + b.start) / 2 for a, b in pairwise(edges))
+    way = "up" if edges[0].rise > 0 else "down"
+    return TrailFeature(
+        task="stairs",
+        start=edges[0].start,
+        end=edges[-1].end,
+        stands=treads[::2],
+        size=sum(rises),
+        words=f"{len(edges)} steps {way}, {sum(rises) / len(rises):.2f} m each",
+    )
+
+
+def _bars_and_gaps(stretches: Sequence[Stretch]) -> list[TrailFeature]:
+    levels = [s for s in stretches if s.kind == "level"]
+    ground = levels[0].before if levels else 0.0
+    edges = [s for s in stretches if s.kind == "edge"]
+    found: list[TrailFeature] = []
+    for first, second in pairwise(edges):
+        alike = abs(first.before - second.after) <= max(_ALIKE, 0.3 * abs(first.rise))
+        apart = second.start - first.end
+        at, beside = (first.start, second.end), abs(first.before - ground)
+        if not alike or first.rise * second.rise >= 0:
+            continue
+        if first.rise > 0 and apart <= _LONGEST_BAR and beside <= _ALIKE:
+            found.append(_bar(first, second))
+        elif first.rise < 0 and apart <= _WIDEST_GAP and beside <= _ALIKE:
+            behind = [s for s in levels if s.start >= at[1] - STEP]
+            found.append(_gap(first, second, behind[0] if behind else None))
+    return found
+
+
+def _bar(up: Stretch, down: Stretch) -> TrailFeature:
+    height = max(up.rise, -down.rise)
+    return TrailFeature(
+        task="hurdles",
+        start=up.start,
+        end=down.end,
+        stands=((up.end + down.start) / 2,),
+        size=height,
+        words=f"a bar {height:.2f} m high and {down.start - up.end:.2f} m long",
+    )
+
+
+def _gap(down: Stretch, up: Stretch, behind: Stretch | None) -> TrailFeature:
+    width = up.end - down.start
+    # On the middle of a platform, or where a long one has been gained.
+    stand = up.end + 0.5 if behind is None else min(behind.middle, behind.start + 1.2)
+    return TrailFeature(
+        task="gaps",
+        start=down.start,
+        end=up.end,
+        stands=(stand,),
+        size=width,
+        words=f"a gap {width:.2f} m wide and {-down.rise:.2f} m deep",
+    )
+
+
+def _slopes(stretches: Sequence[Stretch]) -> list[TrailFeature]:
+    """Return slopes along the way; one that leads up is stood on behind its crest."""
+    found: list[TrailFeature] = []
+    for number, stretch in enumerate(stretches):
+        if stretch.kind != "slope":
+            continue
+        degrees = math.degrees(math.atan2(abs(stretch.rise), stretch.length))
+        following = stretches[number + 1] if number + 1 < len(stretches) else None
+        crest = stretch.end
+        if following is not None and following.kind == "level":
+            crest = min(following.middle, following.start + 0.6)
+        found.append(
+            TrailFeature(
+                task="ramps",
+                start=stretch.start,
+                end=stretch.end,
+                stands=(crest,) if stretch.rise > 0 else (),
+                size=degrees,
+                words=f"a slope {'up' if stretch.rise > 0 else 'down'} of {degrees:.0f} degrees "
+                f"over {stretch.length:.2f} m",
+            )
+        )
+    return found
+
+
+def _boards(profile: GroundProfile) -> list[TrailFeature]:
+    """Return what leans to a side."""
+    leans = np.where(np.abs(profile.lean) >= _LEAN, np.sign(profile.lean), 0.0)
+    breaks = np.flatnonzero(np.diff(leans, prepend=0.0, append=0.0)).tolist()
+    found: list[TrailFeature] = []
+    for first, last in pairwise(breaks):
+        length = STEP * (last - 1 - first)
+        if leans[first] == 0 or length < _LEAST_BOARD:
+            continue
+        degrees = math.degrees(math.atan(abs(float(np.median(profile.lean[first:last])))))
+        side = "right" if leans[first] > 0 else "left"
+        found.append(
+            TrailFeature(
+                task="ramps",
+                start=STEP * first,
+                end=STEP * (last - 1),
+                stands=(STEP * (first + last - 1) / 2,),
+                size=degrees,
+                words=f"a board that leans {degrees:.0f} degrees down to the {side}",
+            )
+        )
+    return found
