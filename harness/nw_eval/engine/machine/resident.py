@@ -23,7 +23,7 @@ _SHARE_HOLDS = 1.0
 of 700 MB takes the kernel 3 ms, in which the process cannot map memory; `statm` takes 5 us."""
 _BETWEEN_LOOKS = 2**30
 """Bytes by which a process may go beyond its limit until somebody looks. Libraries reserve up to
-280 MB that they never touch (`confinement.limits`)."""
+280 MB that they never touch (`confinement.rules`)."""
 _FIRST = b"1000"
 """Of the kernel's scale: whoever has it ends before all others."""
 

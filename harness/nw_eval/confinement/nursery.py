@@ -1,24 +1,35 @@
-"""The nursery as its owner sees it, and the children that it has there."""
+"""Processes that are forked from one that has imported what they need, each in some milliseconds.
+
+A `Nursery` is what its owner sees, with a `Child` for each process. The other half of this file
+runs in the nursery: it imports, forks, and says how a child ended. It opens no stranger's file.
+
+`multiprocessing` has a fork server, which would not do. It listens at an address where a policy
+that has left its fence could have it start a process without one; it collects the dead at once, so
+that their numbers, by which groups are killed, may belong to somebody else; and each child keeps it
+alive when its owner is gone. This one has a pair of sockets and no address.
+"""
 
 from __future__ import annotations
 
 import errno
+import gc
+import importlib
 import os
 import signal
 import subprocess
 import sys
 import threading
 from contextlib import suppress
+from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
-from multiprocessing.reduction import send_handle
+from multiprocessing.reduction import recv_handle, send_handle
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 from nw_eval.confinement.environment import environment_of_child
-from nw_eval.confinement.family import interrupts_blocked
-from nw_eval.confinement.nursery.process import Circumstances, Wish, serve
+from nw_eval.confinement.family import interrupts_blocked, leave_terminal, set_parent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,6 +41,8 @@ _LOOKS, _STOPPED = 0.5, 6
 stops a whole run, this process too, and goes on with it later is not meant."""
 _GONE = -signal.SIGKILL
 """How a child ended of which nobody can say: it went with the nursery."""
+_FAILED = 70
+"""Exit code of a child whose function raised."""
 
 
 class Nursery:
@@ -185,3 +198,116 @@ class Child:
         if self._watch >= 0:
             os.close(self._watch)
             self._watch = -1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Circumstances:
+    """What a child takes over from the process that asked for it, as it is at that moment."""
+
+    environment: dict[str, str]
+    folder: Path | None
+    path: list[str]
+
+    @classmethod
+    def here(cls) -> Circumstances:
+        """Return those of this process."""
+        folder = None
+        with suppress(OSError):  # It was removed; nothing that a child is given is relative to it.
+            folder = Path.cwd()
+        return cls(environment=dict(os.environ), folder=folder, path=list(sys.path))
+
+    def enter(self) -> None:
+        """Make them this process's."""
+        os.environ.clear()
+        os.environ.update(self.environment)
+        sys.path[:] = self.path
+        if self.folder is not None:
+            with suppress(OSError):
+                os.chdir(self.folder)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wish:
+    """What the nursery is to do next. Its owner sends it, and nobody else can."""
+
+    kind: Literal["import", "fork", "collect"]
+    modules: tuple[str, ...] = ()
+    connections: int = 0
+    """How many follow. From the first the child hears its surroundings and what it is to call; the
+    others are its last arguments."""
+    process: int = 0
+    """Whose end is asked for."""
+
+
+def begin(line: int, life: int) -> NoReturn:
+    """Serve an owner: the program of the nursery.
+
+    Args:
+        line: file descriptor of the line to the owner.
+        life: file descriptor of the lifeline, which children have no use for.
+    """
+    serve(Connection(line), life)
+
+
+def serve(owner: Connection, life: int) -> NoReturn:
+    """Do what the owner wishes until it is gone."""
+    leave_terminal(None)
+    while True:
+        try:
+            wish: Wish = owner.recv()
+            if wish.kind == "import":
+                _import(wish.modules)
+            elif wish.kind == "fork":
+                owner.send(_fork(wish, owner, life))
+            else:
+                owner.send(_collected(wish.process))
+        except (EOFError, OSError):
+            os._exit(0)  # Children go with it: see `family.die_with_parent`.
+
+
+def _import(modules: tuple[str, ...]) -> None:
+    gc.disable()
+    for module in modules:
+        with suppress(Exception):  # The child that needs it says what is wrong.
+            importlib.import_module(module)
+    # What is there by now is hardly ever garbage, and children wait for this: to look for some
+    # takes a tenth of a second. A child that looked for it would copy every page.
+    gc.freeze()
+    gc.enable()
+
+
+def _fork(wish: Wish, owner: Connection, life: int) -> int:
+    """Return the number of a new child; where there is none to be had, the error's, negative."""
+    own = os.getpid()
+    handles = [recv_handle(owner) for _ in range(wish.connections)]
+    try:
+        child = os.fork()
+    except OSError as error:
+        child = -(error.errno or errno.EAGAIN)
+    if child == 0:
+        os.close(life)
+        _be_child(owner, handles, parent=own)
+    for handle in handles:
+        os.close(handle)
+    return child
+
+
+def _be_child(owner: Connection, handles: list[int], *, parent: int) -> NoReturn:
+    try:
+        owner.close()
+        set_parent(parent)
+        orders, *connections = map(Connection, handles)
+        with orders:
+            surroundings: Circumstances = orders.recv()
+            surroundings.enter()
+            function, arguments = orders.recv()
+        function(*arguments, *connections)
+    except BaseException:  # noqa: BLE001 - nobody is there to hear of it.
+        os._exit(_FAILED)
+    os._exit(0)
+
+
+def _collected(process: int) -> int:
+    """Return how a child that has ended did so: as `multiprocessing` says it, negative = signal."""
+    _, status = os.waitpid(process, 0)
+    return os.waitstatus_to_exitcode(status)
