@@ -43,7 +43,7 @@ from nw_eval.cards.terms import (
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.remote.client import RemoteOptions
 from nw_eval.robots import get_robot
-from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.rollout.confined.vetting import check_bundle
 from nw_eval.sensors import check_card
 from nw_eval.sensors.heights import grid
 

@@ -15,7 +15,7 @@ from nw_eval.results.parquet import SCHEMA, columns_table
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import MEASURED, OF_THE_PLAN
 from nw_eval.results.run_folder import RunFolder
-from nw_eval.rollout.episode.actions import HUGE
+from nw_eval.rollout.episode import HUGE
 from nw_eval.rollout.mcap.topics import topics_table
 from nw_eval.words import FAULTS, OUTCOMES, POLICY_FAULTS
 

@@ -21,7 +21,7 @@ from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.confined import start
-from nw_eval.rollout.spawn import draw_start
+from nw_eval.rollout.prepare import draw_start
 from nw_eval.suite.model import new_suite
 from nw_eval.suite.trials import expand
 

@@ -43,7 +43,7 @@ ELSEWHERE = {
     "results/merge.py": "fills a temporary folder that appears by one rename",
     "results/tables.py": "closes a pipe",
     "rollout/mcap/file.py": "writes a partial log as a trial goes on, and renames it",
-    "rollout/replaying/film/encoder.py": "runs confined, in a scratch folder",
+    "rollout/replaying/film.py": "runs confined, in a scratch folder",
     "api/cause.py": "writes into a temporary folder",
     "api/evidence.py": "marks a file of the cache as used",
     "cli/process.py": "opens the null device in place of a closed stream",

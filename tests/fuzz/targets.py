@@ -329,7 +329,7 @@ def _bundles(contents, adapter, file):
 def _open_bundle(folder, file):
     """Load a bundle with the mutated weights, as `--checkpoint` does, and ask it for an action."""
     from nw_eval.policies import load_bundle
-    from nw_eval.rollout.check_bundle import check_bundle
+    from nw_eval.rollout.confined.vetting import check_bundle
 
     check_bundle(load_bundle(folder / "policy.yaml", checkpoint=folder / file))
 

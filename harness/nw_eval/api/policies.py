@@ -166,7 +166,7 @@ def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
     from nw_eval.policies.onnx.fold import fold
     from nw_eval.rollout.confined.access import folding_rules
     from nw_eval.rollout.confined.isolated import call_isolated
-    from nw_eval.rollout.replaying.readied import fetch, scratch_folder
+    from nw_eval.rollout.replaying.apart import fetch, scratch_folder
 
     if what_is(followed(out)) == "file":
         raise UsageError(f"{out} exists already", fix="move it away, or name another with --out")

@@ -1,19 +1,29 @@
-"""What a policy was given in a control step: its digest, and its rows of numbers."""
+"""What a policy was given in a control step: its digest, and its rows of numbers.
+
+Rows are `nw.Observation` messages, which are read back here too.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from hashlib import sha256
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.rollout.mcap.content.numbers import Terms, observation_form
-from nw_eval.rollout.mcap.form import Form
+from nw_eval.rollout.mcap.batch import BLANK_TIME, Form
+from nw_eval.rollout.mcap.messages import Observation, Term, stamp
 
 Rows = NDArray[np.uint8]
+# Bits of floats that stand for what is filled in. All four bytes of none lie across two others.
+_BLANK = 0x7F000000
+
+
+Terms = tuple[tuple[str, int], ...]
+"""Name and number of values of each part of an observation, in their order."""
 
 
 class SeenRow(NamedTuple):
@@ -112,3 +122,44 @@ def _title(name: str, kind: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
 
 
 _NOTHING = observation_digest({})
+
+
+@lru_cache(maxsize=32)
+def observation_form(shape: tuple[int, ...], terms: Terms) -> Form:
+    """Return the form of an observation: float32, last axis fastest, by terms.
+
+    Args:
+        shape: of the observation, with some thousand numbers at most.
+        terms: its parts.
+
+    Raises:
+        ValueError: there are too many numbers for a form.
+    """
+    blanks: list[bytes] = []
+    first = _BLANK
+    message = Observation(timestamp=BLANK_TIME, shape=shape)
+    for name, size in terms:
+        blank = np.arange(first, first + size, dtype="<u4")
+        first += size
+        blanks.append(blank.tobytes())
+        message.terms.append(Term(name=name, values=blank.view("<f4").tolist()))
+    return Form(message, blanks)
+
+
+def observation_message(time_ns: int, name: str, array: NDArray[Any]) -> Any:
+    """Return an observation of any size, as one term of its own name."""
+    term = Term(name=name, values=array.ravel().astype(np.float32).tolist())
+    return Observation(timestamp=stamp(time_ns), shape=array.shape, terms=[term])
+
+
+def values_of(message: Any) -> NDArray[np.float32]:
+    """Return an observation's numbers in its shape.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    parts = [np.array(term.values, np.float32) for term in message.terms]
+    values = np.concatenate(parts) if parts else np.empty(0, np.float32)
+    if values.size != prod(message.shape):
+        raise ValueError(f"an observation of {tuple(message.shape)} has {values.size} numbers")
+    return values.reshape(tuple(message.shape))

@@ -14,7 +14,7 @@ from PIL import Image as PillowImage
 
 from nw_eval.clean import clean
 from nw_eval.files.pictures import open_picture
-from nw_eval.rollout.mcap.stamps import stamp
+from nw_eval.rollout.mcap.messages import stamp
 from nw_eval.sensors.drawing.palette import PALETTE
 
 Form = Literal["photo", "drawing", "grey", "classes", "metres", "numbers"]

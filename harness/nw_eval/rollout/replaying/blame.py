@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from nw_eval.errors import StoreError
-from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.messages import SimState
 from nw_eval.rollout.prepare import OpenTrial, open_trial
-from nw_eval.rollout.replaying.blame.report import BlameReport, Try
-from nw_eval.rollout.replaying.blame.search import search
+from nw_eval.rollout.replaying.led import driver, lead, run_on
 from nw_eval.rollout.replaying.logged import read_logged_trial
-from nw_eval.rollout.replaying.run_on import run_on
-from nw_eval.rollout.replaying.takeover.handover import driver
-from nw_eval.rollout.replaying.takeover.led import lead
-from nw_eval.rollout.replaying.takeover.report import Ending
-from nw_eval.rollout.replaying.takeover.takeover import second_job
+from nw_eval.rollout.replaying.reports import BlameReport, Ending, Try
+from nw_eval.rollout.replaying.takeover import second_job
+from nw_eval.rollout.result import StageClock
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -26,6 +25,8 @@ if TYPE_CHECKING:
 
 _MOST_KEPT = 256 * 2**20
 """Bytes of states that are kept; those of policies with stacked images have some 100 kB each."""
+COARSE = 8
+"""Intervals into which the moments are divided first."""
 
 
 def blame(
@@ -99,3 +100,36 @@ def _tried(trial: OpenTrial, state: bytes) -> Try:
         reason=result.end_reason or result.error_text,
         steps=result.steps,
     )
+
+
+def search(moments: Sequence[int], holds: Callable[[int], bool]) -> dict[int, bool]:
+    """Try some of many moments, so that the last one at which something holds is among them.
+
+    First as many as divide all of them evenly, whatever comes of it; then by bisection between the
+    last of these at which it holds and the next. It need not hold at all moments before: of what
+    lies between two that were tried, nothing is known.
+
+    Args:
+        moments: in their order, at least one.
+        holds: whether it does at a moment.
+
+    Returns:
+        What was tried, in the order of the moments, and whether it held.
+    """
+    last = len(moments) - 1
+    grid = np.unique(np.linspace(0, last, COARSE + 1).round().astype(int)).tolist()
+    tried = {place: holds(moments[place]) for place in grid}
+    held = [place for place in grid if tried[place]]
+    if held and held[-1] != last:
+        low = held[-1]
+        high = grid[grid.index(low) + 1]
+        while high - low > 1:
+            middle = (low + high) // 2
+            tried[middle] = holds(moments[middle])
+            low, high = (middle, high) if tried[middle] else (low, middle)
+    return {moments[place]: tried[place] for place in sorted(tried)}
+
+
+def most_tries(count: int) -> int:
+    """Return how many of `count` moments `search` tries at most."""
+    return min(count, COARSE + 1 + max(0, int(np.ceil(np.log2(max(1.0, count / COARSE))))))

@@ -3,42 +3,91 @@
     reset -> [ observe -> policy -> delay queue -> physics -> trail -> termination ] x 50 per second
 
 A policy that acts at less than 50 Hz is asked at every `hold`-th step.
+
+Here is also what an episode shows to those who look on: an `Observer` sees each `Decision` and
+`Step`.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import json
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.arrays import read_only
+from nw_eval.cards.model import CONTROL_RATE
+from nw_eval.cards.terms import EARLIER_OUTPUTS
 from nw_eval.errors import DivergedError, TrialError
+from nw_eval.policies import ActionDelay
 from nw_eval.policies.policy import all_finite
-from nw_eval.rollout.episode.actions import Actions
-from nw_eval.rollout.episode.captured import CapturedViews
-from nw_eval.rollout.episode.coverage import ImageCoverage
-from nw_eval.rollout.episode.digest import ChainDigest
-from nw_eval.rollout.episode.observer import Decision, Observer, Step
+from nw_eval.results.row import VIEW_RATE
 from nw_eval.rollout.fault import PolicyFailedError, policy_at_fault
-from nw_eval.rollout.mcap.content.sim_state import Saved
 from nw_eval.rollout.mcap.messages import SimState, StatePart
+from nw_eval.rollout.mcap.states import Saved
+from nw_eval.scenes.scene import Nearness
 from nw_eval.sensors.sensor import Moment
 from nw_eval.sim import Limits
+from nw_eval.words import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from nw_eval.cards import JointControl
     from nw_eval.memory import Memory
     from nw_eval.policies import ActionFilter, Policy
-    from nw_eval.rollout.clock import StageClock
-    from nw_eval.rollout.episode.pushes import Pushes
+    from nw_eval.rollout.perturbed import Pushes
+    from nw_eval.rollout.result import StageClock
     from nw_eval.sensors.sensor import Sensor
     from nw_eval.sim import Termination, TrailProgress, World
-    from nw_eval.words import Outcome
 
 Array = NDArray[np.float64]
+HUGE = 1e6
+"""A joint target, rad, or torque, N m, beyond any sense, after the card's own scale and clip.
+
+Joints turn by less than 2 pi, and motors of such robots give some hundred N m. Training stacks clip
+raw actions at 100 (legged_gym's `clip_actions`), which is some 25 rad; MuJoCo itself gives up at
+1e10. A target this large is a network that ran away.
+"""
+_STEPS = CONTROL_RATE // VIEW_RATE
+_SENSOR = "sensor."
+
+
+class Decision(NamedTuple):
+    """What the policy saw and answered at one control step, and what is applied in it."""
+
+    observation: Mapping[str, NDArray[Any]]
+    action: Array  # (12,) raw output
+    applied: Array  # (12,) raw action that this step applies
+    targets: Array  # (12,) joint targets of this step, rad; or torques, N m
+    moment: Moment | None = None  # what was observed; None where nothing was
+
+
+class Step(NamedTuple):
+    """One control step that was made."""
+
+    decision: Decision
+    outcome: Outcome | None  # how the trial ends with it; None if it goes on
+    credited: bool  # whether a waypoint was credited in it
+
+
+class Observer:
+    """Looks on as an episode runs, at three places of each control step, and changes nothing.
+
+    Its own methods look away: a subclass has those that it wants.
+    """
+
+    def before(self) -> None:
+        """A control step begins: the episode can be saved."""
+
+    def decided(self, decision: Decision) -> None:
+        """The policy has decided, and nothing has moved yet."""
+
+    def advanced(self, step: Step) -> None:
+        """The world has moved, and the trail and the judge have seen it."""
 
 
 class Episode:
@@ -294,3 +343,239 @@ class Episode:
                 fix="check the checkpoint, and the observations' scales on its card",
             )
         return action
+
+
+class Actions:
+    """The actions of one trial, between its policy and its motors.
+
+    Each is applied `delay_steps` actions after it was taken; before the first, zeros are. What is
+    applied stays so until the next action is taken.
+
+    Args:
+        control: what actions mean.
+        joints: names of the robot's, in its own order.
+        delay_steps: actions that are applied before a new one is.
+        action_filter: that applied actions pass through, at rest; None = none.
+
+    Attributes:
+        delay: the actions that wait.
+        applied: the raw action that is applied, (12,).
+        output: what the policy returned last, (12,).
+        earlier: what it returned before that, (12,) each of `EARLIER_OUTPUTS`, the newest first.
+        filter: what they pass through.
+    """
+
+    def __init__(
+        self,
+        control: JointControl,
+        joints: tuple[str, ...],
+        *,
+        delay_steps: int,
+        action_filter: ActionFilter | None,
+    ) -> None:
+        count = len(joints)
+        self.delay = ActionDelay(delay_steps, count)
+        self.applied = Held(np.zeros(count))
+        self.output = Held(np.zeros(count))
+        self.earlier = HeldRow([np.zeros(count)] * EARLIER_OUTPUTS)
+        self.filter = action_filter
+        self._control = control
+        self._joints = joints
+
+    def take(self, action: Array) -> None:
+        """Take a new action of the policy, (12,) raw."""
+        self.earlier.arrays = (self.output.array, *self.earlier.arrays[:-1])
+        # A policy may write into what it has returned, and a sensor into what it is shown.
+        self.output.array = read_only(action.copy())
+        self.applied.array = read_only(self.delay.push(action))
+        if self.filter is not None:
+            self.filter.push(self.applied.array)
+
+    def targets(self) -> Array:
+        """Return what the motors are told, (12,) rad or N m, as long as there is sense in it.
+
+        Raises:
+            PolicyFailedError: a target is huge.
+        """
+        applied = self.applied.array if self.filter is None else self.filter.output
+        targets = self._control.targets(applied)
+        # No square is larger than the sum of all, which one call gives.
+        if not targets.dot(targets) < HUGE * HUGE and (index := _first_huge(targets)) is not None:
+            raise PolicyFailedError(
+                f"the policy's action makes a target of {targets[index]:.3g} for joint "
+                f"{self._joints[index]}",
+                kind="action",
+                fix="check the checkpoint, and `scale` and `clip` on its card",
+            )
+        return targets
+
+
+class Held:
+    """An array of float64 that is replaced as a whole, never written into."""
+
+    def __init__(self, array: Array) -> None:
+        self.array = read_only(array)
+
+    def state(self) -> bytes:
+        """Return its numbers."""
+        return self.array.tobytes()
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state` of an array of the same shape."""
+        self.array = np.frombuffer(state).reshape(self.array.shape)  # bytes: read-only, too
+
+
+class HeldRow:
+    """Several arrays of float64 of one shape, likewise."""
+
+    def __init__(self, arrays: Sequence[Array]) -> None:
+        self.arrays = tuple(map(read_only, arrays))
+
+    def state(self) -> bytes:
+        """Return their numbers."""
+        return b"".join(map(np.ndarray.tobytes, self.arrays))
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state` of as many arrays of the same shape."""
+        rows = np.frombuffer(state).reshape(len(self.arrays), *self.arrays[0].shape)
+        self.arrays = tuple(rows)
+
+
+def _first_huge(targets: Array) -> int | None:
+    """Return which target is the largest, if there is no sense in it."""
+    index = int(np.abs(targets).argmax())
+    return None if abs(targets[index]) < HUGE else index
+
+
+class CapturedViews:
+    """The worst camera image of the splat in each tenth of a second, of all that were up to date.
+
+    An image is up to date from when it is taken until the next one of its camera: a slow camera's
+    counts in each tenth that it lasts.
+
+    Attributes:
+        distance: m from the nearest capture camera, the largest of each tenth.
+        angle: between the optical axes of both, rad, likewise.
+        alpha: share of the image that the splat covers, 0 to 1, the smallest of each tenth.
+    """
+
+    def __init__(self) -> None:
+        self.distance: list[float] = []
+        self.angle: list[float] = []
+        self.alpha: list[float] = []
+
+    def add(self, step: int, nearness: Nearness, alpha: float) -> None:
+        """Add one camera's newest image at a control step; steps only go on."""
+        tenth = step // _STEPS
+        while len(self.alpha) <= tenth:
+            self.distance.append(0.0)
+            self.angle.append(0.0)
+            self.alpha.append(1.0)
+        self.distance[tenth] = max(self.distance[tenth], nearness.distance)
+        self.angle[tenth] = max(self.angle[tenth], nearness.angle)
+        self.alpha[tenth] = min(self.alpha[tenth], alpha)
+
+    def state(self) -> bytes:
+        """Return all three, in single precision, as a row has them."""
+        return np.array([self.distance, self.angle, self.alpha], dtype="<f4").tobytes()
+
+    def restore(self, state: bytes) -> None:
+        """Go back, or on, to a `state`."""
+        numbers: NDArray[np.float32] = np.frombuffer(state, dtype="<f4").reshape(3, -1)
+        self.distance, self.angle, self.alpha = (line.tolist() for line in numbers)
+
+
+class ImageCoverage:
+    """Smallest and mean splat coverage of the images that the policy was shown."""
+
+    def __init__(self) -> None:
+        self._count, self._smallest, self._total = 0, 1.0, 0.0
+
+    def add(self, share: float) -> None:
+        """Add one image's coverage, 0..1."""
+        self._count += 1
+        self._smallest = min(self._smallest, share)
+        self._total += share
+
+    @property
+    def smallest(self) -> float | None:
+        """The least covered image; None without images."""
+        return self._smallest if self._count else None
+
+    @property
+    def mean(self) -> float | None:
+        """None without images."""
+        return self._total / self._count if self._count else None
+
+    def state(self) -> bytes:
+        """Return count, smallest and sum."""
+        numbers = [self._count, self._smallest, self._total]
+        return repr(numbers).encode()  # the JSON of finite numbers, as in `TrailProgress`
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`."""
+        self._count, self._smallest, self._total = json.loads(state)
+
+
+class ChainDigest:
+    """SHA-256 of (previous digest, new bytes), over and over.
+
+    hashlib cannot save a hash half way; a chain of 32-byte values can, so a trial that is restored
+    from a state in its middle ends with the same digest as the one that ran through.
+    """
+
+    def __init__(self) -> None:
+        self._value = bytes(32)
+
+    def update(self, *arrays: np.ndarray) -> None:
+        """Append arrays; each is hashed as little-endian float64."""
+        link = sha256(self._value)
+        for array in arrays:
+            link.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        self._value = link.digest()
+
+    @property
+    def hex(self) -> str:
+        """The digest so far, 64 hexadecimal digits."""
+        return self._value.hex()
+
+    def state(self) -> bytes:
+        """Return the digest so far, 32 bytes."""
+        return self._value
+
+    def restore(self, state: bytes) -> None:
+        """Go on from a `state`."""
+        self._value = state
+
+
+def carry_over(before: Episode, after: Episode) -> bool:
+    """Let an episode go on from where another one of the same robot and policy stands.
+
+    Args:
+        before: between two control steps.
+        after: in another cell of the perturbations, or another place; at its first control step.
+
+    Returns:
+        Whether its sensors go on too. They begin anew where a perturbation makes them remember more
+        or less, as a latency does.
+
+    Raises:
+        TrialError: the state is of another policy.
+    """
+    own, theirs = after.saved().parts, before.saved().parts
+    parts = {name: theirs.get(name, data) for name, data in own.items()}
+    goes_on = True
+    try:
+        _restore(before, after, parts)
+    except TrialError:
+        goes_on = False
+        fresh = {name: data for name, data in own.items() if name.startswith(_SENSOR)}
+        _restore(before, after, parts | fresh)
+    after.world.adopt(before.world)
+    return goes_on
+
+
+def _restore(before: Episode, after: Episode, parts: Mapping[str, bytes]) -> None:
+    found = [StatePart(name=name, data=data) for name, data in parts.items()]
+    world, policy = after.world.state(), before.saved().policy
+    after.restore(SimState(step=before.step, world=world, policy=policy, parts=found))

@@ -7,23 +7,22 @@ from typing import TYPE_CHECKING
 
 from nw_eval.errors import StoreError
 from nw_eval.robots import get_robot
-from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.trial_log import TrialLog
 from nw_eval.rollout.prepare import OpenTrial, open_trial
 from nw_eval.rollout.record import verdict_metadata as as_metadata
 from nw_eval.rollout.recorder import Recorder
-from nw_eval.rollout.replaying.logged import LoggedTrial, agreed, read_logged_trial
-from nw_eval.rollout.replaying.moment import check_inside, check_start, step_at
-from nw_eval.rollout.replaying.run_on import run_on
-from nw_eval.rollout.replaying.takeover.handover import (
-    Handover,
-    carried,
-    driver,
-    new_handover,
+from nw_eval.rollout.replaying.led import Handover, carried, driver, lead_to, new_handover, run_on
+from nw_eval.rollout.replaying.logged import (
+    LoggedTrial,
+    agreed,
+    check_inside,
+    check_start,
+    read_logged_trial,
+    step_at,
 )
-from nw_eval.rollout.replaying.takeover.led import lead_to
-from nw_eval.rollout.replaying.takeover.report import Ending, TakeoverReport
+from nw_eval.rollout.replaying.reports import Ending, TakeoverReport
+from nw_eval.rollout.result import StageClock
 from nw_eval.sensors.check import check_card
 
 if TYPE_CHECKING:
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
 
     from nw_eval.rollout.episode import Observer
     from nw_eval.rollout.job import TrialJob
-    from nw_eval.rollout.replaying.film.film import Film
+    from nw_eval.rollout.replaying.film import Film
     from nw_eval.rollout.result import TrialResult
     from nw_eval.sim import World
 
