@@ -12,9 +12,9 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.catalogue import FoundScene
+from nw_eval.engine.local import LocalProcesses
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.rounds import run_trials
-from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.policies import load_bundle
 from nw_eval.protocol import STRICT
 from nw_eval.request import Request

@@ -21,11 +21,11 @@ from nw_eval.files.cache import atomic_path, followed, is_stream, open_own
 HARNESS = Path(nw_eval.__file__).parent
 
 ELSEWHERE = {
-    "engine/cache/entry.py": "fills a folder of the cache that appears by one rename",
-    "engine/cache/known.py": "marks an entry of the cache as used",
-    "engine/machine/resident.py": "tells the kernel, in /proc",
-    "engine/workers/ray/connection.py": "turns the output of a library away",
-    "engine/workers/ray/received.py": "fills a folder of the cache that appears by one rename",
+    "engine/cache.py": "fills a folder of the cache that appears by one rename",
+    "engine/known.py": "marks an entry of the cache as used",
+    "engine/machine.py": "tells the kernel, in /proc; appends to what `open_own` opened",
+    "engine/ray_connection.py": "turns the output of a library away",
+    "engine/ray_parcels.py": "fills a folder of the cache that appears by one rename",
     "files/cache.py": "is the one that writes",
     "files/traceback_file.py": "writes what nobody foresaw, perhaps in the one that writes",
     "gate/ledger.py": "appends, under a lock, to what `open_own` opened",
@@ -48,7 +48,6 @@ ELSEWHERE = {
     "api/evidence.py": "marks a file of the cache as used",
     "cli/process.py": "opens the null device in place of a closed stream",
     "confinement/family.py": "opens the null device",
-    "engine/machine/output.py": "appends to what `open_own` opened",
     "splat/files/spz.py": "is given the temporary path by `write_splat`",
     "splat/files/gsplat_pt.py": "is given the temporary path by `write_splat`",
     "splat/files/ply.py": "is given the temporary path by `write_splat`",

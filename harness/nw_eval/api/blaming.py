@@ -96,7 +96,7 @@ def blame(
         IncomparableError: the bank's policy is not the one that is there.
         PolicyError: the policy cannot be used.
     """
-    from nw_eval.engine.machine.cores import worker_count
+    from nw_eval.engine.machine import worker_count
     from nw_eval.errors import UsageError
     from nw_eval.reporting.tables.trials import worst_trials
     from nw_eval.results.evidence_check import present_logs

@@ -73,7 +73,7 @@ class TrialResult:
     """One attempt at a trial. An error has no outcome; it says who failed.
 
     Where the policy itself failed, `end_reason` of the error is how, a `PolicyFault`. That is an
-    error until it has happened twice (`engine.trials.repeat`). An `exit` leaves nobody to say how
+    error until it has happened twice (`engine.rounds`). An `exit` leaves nobody to say how
     far the trial was: it has reached 0 of 0 waypoints in 0 steps, whatever was reached in truth.
 
     Digests chain SHA-256 over the control steps: `state_digest` over qpos and qvel,

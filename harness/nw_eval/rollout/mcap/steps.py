@@ -259,7 +259,6 @@ def command_form() -> Form:
     return Form.of_doubles(message, 4)
 
 
-Array = NDArray[np.float64]
 _RATES = 6  # numbers of a velocity and an angular velocity
 
 

@@ -4,30 +4,35 @@ A key may lack something that changes results, a file may have been tampered wit
 faulty. So some results that could be taken over are computed again, drawn by chance that nobody can
 foresee, and compared. Until those have agreed nothing is taken over. If one differs, all entries of
 the same conditions are void, the run makes no further use of the cache, and says so for good.
+
+`known_trials` says whether a run uses the cache at all.
 """
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from hashlib import sha256
 from math import floor
 from random import Random, SystemRandom
 from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
-from nw_eval.engine.cache.entry import NO_ENTRY, CacheEntry
-from nw_eval.engine.trials.rows import taken_over
+from nw_eval.engine.cache import NO_ENTRY, CacheEntry, Conditions, TrialStore, limit_bytes, system
+from nw_eval.engine.provenance import journal_header
+from nw_eval.engine.rows import taken_over
 from nw_eval.errors import StoreError
 from nw_eval.plural import plural
 from nw_eval.results.ended import of_plan
 from nw_eval.results.provenance import CacheInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Generator, Sequence
     from pathlib import Path
 
-    from nw_eval.engine.cache.key import Conditions
-    from nw_eval.engine.cache.store import TrialStore
+    from nw_eval.engine.listener import Listener
+    from nw_eval.engine.plan import Plan
+    from nw_eval.policies import Bundle
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
@@ -35,6 +40,85 @@ if TYPE_CHECKING:
 
 SHARE = 0.02
 """Of the results that could be taken over, how many run all the same; at least one does."""
+
+
+@contextmanager
+def known_trials(
+    plan: Plan,
+    folder: RunFolder,
+    *,
+    off: str,
+    listener: Listener,
+    doubted: Callable[[], None],
+) -> Generator[KnownTrials | NothingKnown]:
+    """Open the cache for a run, and keep it within its size afterwards.
+
+    A cache that cannot be used is told, and never fails a run.
+
+    Args:
+        plan: what is to be run.
+        folder: of the run, absolute.
+        off: why the cache is not to be used; empty if it is.
+        listener: told of what cannot be done.
+        doubted: called when a result of the cache turns out to be wrong.
+
+    Raises:
+        UsageError: `NW_EVAL_CACHE_GB` is no size.
+    """
+    limit = limit_bytes()
+    off = off or _unfit(plan) or ("NW_EVAL_CACHE_GB=0" if limit == 0 else "")
+    if off:
+        yield NothingKnown(off)
+        return
+    try:
+        store = TrialStore.of_user()
+    except StoreError as error:
+        listener.message(f"no result is taken over from earlier runs, or kept for later: {error}")
+        yield NothingKnown(error.message)
+        return
+    known = KnownTrials(
+        store,
+        Conditions(policy=plan.bundle.digest, engine=journal_header(plan).engine, system=system()),
+        still_hold=_unchanged(plan.bundle),
+        folder=folder,
+        policy=plan.bundle.name,
+        arm=plan.arm,
+        say=listener.message,
+        doubted=doubted,
+        again=plan.again,
+    )
+    yield known
+    if known.has_added:
+        store.prune(limit)
+
+
+def _unfit(plan: Plan) -> str:
+    """Return why a plan's results may depend on more than is known of it; empty if they do not."""
+    if plan.bundle.instance is not None:
+        return "the policy is an object"
+    if plan.bundle.card.adapter == "remote":
+        return "the policy is on a server"
+    if plan.bundle.code_sha256:
+        return "the policy imports code"  # It may read other files, and import from other folders.
+    if plan.render != "cpu":
+        return f"--render {plan.render}"  # Pictures depend on the device and on its driver.
+    return ""
+
+
+def _unchanged(bundle: Bundle) -> Callable[[], bool]:
+    """Return what says whether a policy's card is as it was: workers read it for themselves.
+
+    That weights and scenes are, each trial looks for itself.
+    """
+
+    def digest() -> str:
+        try:
+            return sha256(bundle.card_text.encode()).hexdigest()
+        except OSError:
+            return ""
+
+    before = digest()
+    return lambda: digest() == before
 
 
 class KnownTrials:
@@ -236,3 +320,29 @@ def _is_worth_keeping(row: Row) -> bool:
     """
     is_plain = row.status == "ok" and row.outcome != "policy_failed" and row.attempt == 1
     return is_plain and row.mcap_bytes > 0
+
+
+class NothingKnown:
+    """Knows no trial and keeps none: every job runs. In place of a `KnownTrials`.
+
+    Args:
+        why: the cache is not used.
+    """
+
+    def __init__(self, why: str = "") -> None:
+        self.info = CacheInfo(off=why)
+
+    def to_run(self, jobs: Sequence[TrialJob]) -> list[TrialJob]:
+        """Return all jobs."""
+        return list(jobs)
+
+    def ended(self, job: TrialJob, row: Row) -> None:
+        """Forget it."""
+
+    def agreed(self, *, at_last: bool = False) -> list[Row]:  # noqa: ARG002 - nothing waits.
+        """Return nothing."""
+        return []
+
+    def unconfirmed(self) -> list[TrialJob]:
+        """Return nothing."""
+        return []

@@ -4,6 +4,8 @@ What a worker says is text and never an object of Python's: one that a hostile f
 can say something wrong, but run nothing here. Parent and worker share no lock, so none is left
 behind in shared memory by a group that is killed, and nobody waits for one that a dead process
 holds.
+
+The end of this file runs inside it.
 """
 
 from __future__ import annotations
@@ -13,24 +15,26 @@ import os
 import signal
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import cache
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from time import monotonic
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from pydantic import TypeAdapter, ValidationError
 
 from nw_eval.amounts import in_words
 from nw_eval.clean import clean
-from nw_eval.confinement import Rules, kill_group
-from nw_eval.engine.machine.descendants import descendants, kill, left_by
-from nw_eval.engine.machine.resident import Resident
+from nw_eval.confinement import Rules, confine, kill_group
+from nw_eval.engine.machine import Resident, descendants, kill, left_by
 from nw_eval.policies.apart import use_line
 from nw_eval.rollout.confined.start import parts_of, start_pair
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import TrialResult
+
+if TYPE_CHECKING:
+    from nw_eval.rollout.library import Library
 
 # What a worker says as soon as it has a job: from here on its end is the job's.
 _TAKEN = b"taken"
@@ -42,6 +46,7 @@ _START_LIMIT = 120.0
 _LAST_MOMENTS = 5.0
 # Exit code of a worker that cannot even say what went wrong.
 _SPEECHLESS = 70
+_library: Library | None = None
 
 
 class UnstartedError(Exception):
@@ -274,3 +279,45 @@ def _say(results: Connection, line: bytes) -> None:
     rest = memoryview(line + b"\n")
     while rest:
         rest = rest[os.write(results.fileno(), rest) :]
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerStart:
+    """What a worker starts with, before it has a job."""
+
+    rules: Rules
+    """What it may do."""
+    renders: bool
+    """Whether it draws splats: it loads kernels before their cache is out of its reach."""
+    policy: Rules | None = None
+    """What the process may do that opens its policies; None = it opens them."""
+
+
+def start(settings: WorkerStart, output: Connection) -> None:
+    """Prepare and confine a worker; what it prints goes to `output`.
+
+    It must not outlive the process that started it, however that died. And SIGTERM must end it at
+    once: a handler in Python waits for a policy that hangs in native code, and there is nothing to
+    tidy up. Ctrl-C is the parent's business.
+    """
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if settings.renders:
+        with suppress(Exception):  # The trial that wants them says what is wrong.
+            from nw_eval.splat.warmup import warmup
+
+            warmup()
+    confine(settings.rules, output=output.fileno())
+    output.close()
+
+
+def run_job(job: TrialJob) -> TrialResult:
+    """Run one trial with this process's cache of scenes and policies."""
+    # Here and not above: a worker that is only being started needs none of it.
+    from nw_eval.rollout.library import Library
+    from nw_eval.rollout.trial import run_trial
+
+    global _library  # noqa: PLW0603 - one cache a process is the point.
+    if _library is None:
+        _library = Library()
+    return run_trial(job, library=_library)

@@ -14,7 +14,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from nw_eval.engine.workers.protocol import Finished
+from nw_eval.engine.workers import Finished
 from nw_eval.policies.apart import trusting
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial

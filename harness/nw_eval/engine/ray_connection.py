@@ -1,4 +1,7 @@
-"""A Ray cluster that is joined, or one on this machine that is started and ends with the run."""
+"""A Ray cluster that is joined, or one on this machine that is started and ends with the run.
+
+It is the only module that imports ray.
+"""
 
 from __future__ import annotations
 

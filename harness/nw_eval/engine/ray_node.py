@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_eval import __version__
-from nw_eval.engine.workers.ray import received
-from nw_eval.engine.workers.ray.parcels import Parcel
+from nw_eval.engine import ray_parcels
+from nw_eval.engine.ray_parcels import Parcel
 from nw_eval.words import Backend, Collision
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def facts(render: Backend, *, adapter: str, code: bool) -> dict[str, str]:
 
 def lacking(parcels: tuple[Parcel, ...]) -> tuple[str, ...]:
     """Return the sha256 of the files that this node does not have."""
-    return received.missing(parcels)
+    return ray_parcels.missing(parcels)
 
 
 def make_ready(orders: Orders, pieces: Mapping[str, Sequence[Any]]) -> None:
@@ -79,8 +79,8 @@ def make_ready(orders: Orders, pieces: Mapping[str, Sequence[Any]]) -> None:
         for piece in pieces.get(sha256, ()):
             yield ray.get(piece)
 
-    received.receive(orders.parcels, fetch)
-    places = received.places(orders.parcels)
+    ray_parcels.receive(orders.parcels, fetch)
+    places = ray_parcels.places(orders.parcels)
     scenes = [open_scene(places.get(name, name), collision) for name, collision in orders.scenes]
     ready_scans(scenes, Silence())
     if orders.renders:

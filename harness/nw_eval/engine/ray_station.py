@@ -3,6 +3,8 @@
 They are the local engine's, with its fence, its limits, its ways to die, and what it shares between
 them. This process only supervises them, as a run's main process does on one machine, and hands
 results and logs to the head.
+
+Scenes and policies there go by the names that the head has for them.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import os
 import platform
 import stat
 import tempfile
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,22 +21,28 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from nw_eval.engine.workers.local import LocalProcesses
-from nw_eval.engine.workers.ray import library, node, received
+from nw_eval.engine import ray_node, ray_parcels
+from nw_eval.engine.local import LocalProcesses
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.rollout.library import Library
 from nw_eval.rollout.result import TrialResult
+from nw_eval.rollout.trial import run_trial
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from nw_eval.engine.workers.protocol import Finished
-    from nw_eval.engine.workers.ray.node import Orders
+    from nw_eval.engine.ray_node import Orders
+    from nw_eval.engine.workers import Finished
+    from nw_eval.policies import Bundle
     from nw_eval.rollout.job import TrialJob
+    from nw_eval.scenes import Scene
+    from nw_eval.words import Collision
 
 LARGEST_LOG = 2**28
 """Bytes of a log that travels; one of a minute with images has 20 MB. The head holds it whole."""
 
 _TURN = 1.0  # s after which the head is heard again, at the latest
+_library: Library | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,15 +77,15 @@ class Station:
     def __init__(
         self, orders: Orders, jobs: Sequence[TrialJob], workers: int, *, fresh: bool
     ) -> None:
-        places = received.places(orders.parcels)
-        root = node.scratch(orders.token)
+        places = ray_parcels.places(orders.parcels)
+        root = ray_node.scratch(orders.token)
         root.mkdir(mode=0o700, exist_ok=True)
         self._folder = RunFolder(path=Path(tempfile.mkdtemp(dir=root)))
         self._folder.logs.mkdir()
         hire = LocalProcesses(
             [_at_home(job, places) for job in jobs],
             self._folder,
-            run=partial(library.run_job, places),
+            run=partial(run_job, places),
             memory_limit=orders.memory_limit,
         )
         self._workers = hire(workers, fresh=fresh).__enter__()
@@ -137,7 +146,7 @@ class Station:
 
 def _at_home(job: TrialJob, places: Mapping[str, str]) -> TrialJob:
     """Return a job whose references are paths of this node."""
-    checkpoint = None if job.checkpoint is None else library.here(job.checkpoint, places)
+    checkpoint = None if job.checkpoint is None else here(job.checkpoint, places)
     return replace(
         job,
         scene=places.get(job.scene, job.scene),
@@ -157,3 +166,41 @@ def _taken(path: Path) -> bytes:
                 data = file.read(LARGEST_LOG)
         path.unlink()
     return data
+
+
+class LibraryHere(Library):
+    """A library whose references are those of another machine.
+
+    Jobs stay as the head wrote them, so that a trial's log names scene and policy as they are found
+    by whoever replays it there, and has the bytes that it would have there.
+
+    Args:
+        places: where on this machine lies what jobs refer to; what is not in it is the same
+            everywhere, such as the name of a built-in scene.
+    """
+
+    def __init__(self, places: Mapping[str, str]) -> None:
+        super().__init__()
+        self._places = places
+
+    def scene(self, reference: str, collision: Collision = "terrain") -> Scene:
+        """Return the scene of a reference; errors are those of `Library.scene`."""
+        return super().scene(self._places.get(reference, reference), collision)
+
+    def bundle(self, reference: str, checkpoint: Path | None) -> Bundle:
+        """Return the bundle of a reference; errors are those of `Library.bundle`."""
+        weights = None if checkpoint is None else here(checkpoint, self._places)
+        return super().bundle(self._places.get(reference, reference), weights)
+
+
+def here(path: Path, places: Mapping[str, str]) -> Path:
+    """Return where on this machine lies what the head calls by a path."""
+    return Path(places.get(str(path), path))
+
+
+def run_job(places: Mapping[str, str], job: TrialJob) -> TrialResult:
+    """Run one trial with this process's cache of scenes and policies."""
+    global _library  # noqa: PLW0603 - one cache a process is the point.
+    if _library is None:
+        _library = LibraryHere(places)
+    return run_trial(job, library=_library)

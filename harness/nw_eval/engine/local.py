@@ -13,14 +13,12 @@ from functools import partial
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
 
-from nw_eval.engine.machine.descendants import can_be_listed
-from nw_eval.engine.machine.output import WorkerOutput
+from nw_eval.engine import worker
+from nw_eval.engine.machine import WorkerOutput, can_be_listed
 from nw_eval.engine.order import next_place
 from nw_eval.engine.prepare import needs_splats
-from nw_eval.engine.workers import worker
-from nw_eval.engine.workers.process import UnstartedError, WorkerProcess
-from nw_eval.engine.workers.protocol import Finished
-from nw_eval.engine.workers.worker import WorkerStart
+from nw_eval.engine.worker import UnstartedError, WorkerProcess, WorkerStart
+from nw_eval.engine.workers import Finished
 from nw_eval.errors import PrerequisiteError, TrialError
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.confined.access import policy_rules, running_rules
