@@ -35,7 +35,7 @@ ELSEWHERE = {
     "learn/curve.py": "appends events as a training goes on",
     "learn/student/trajectory.py": "writes a part file in its own data folder and renames it",
     "machine_code.py": "marks a folder of the cache",
-    "policies/onnx/fold.py": "runs confined, in a scratch folder, and may not set rights",
+    "policies/onnx_fold.py": "runs confined, in a scratch folder, and may not set rights",
     "pytest_plugin/runs.py": "holds a lock, and writes nothing",
     "reporting/github.py": "appends to a file of GitHub's runner",
     "reporting/trackers/mlflow.py": "writes into a temporary folder",

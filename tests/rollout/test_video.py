@@ -35,7 +35,9 @@ def band(picture):
 @pytest.fixture(autouse=True)
 def _drawn_small(monkeypatch):
     """Pictures from outside take half a second each at their true size."""
-    monkeypatch.setattr(filming, "VIEW", (128, 72))
+    real = filming.Spectator.beside
+    small = {"width": 128, "height": 72}
+    monkeypatch.setattr(filming.Spectator, "beside", lambda *where, **_: real(*where, **small))
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, StoreError, UsageError
 from nw_eval.files.inside import what_is
-from nw_eval.policies.instance import was_instance
+from nw_eval.policies.bundle import was_instance
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.reader import LogReader

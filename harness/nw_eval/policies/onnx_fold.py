@@ -12,8 +12,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, StoreError
 from nw_eval.files.inside import OutsideError, inside, regular
 from nw_eval.policies.safety import FileLimits, check_onnx
-from nw_eval.policies.safety.onnx.fields import ONNX
-from nw_eval.policies.safety.onnx.protobuf import ProtobufMessage, Reader, encoded
+from nw_eval.policies.safety.onnx_format import ONNX, ProtobufMessage, Reader, encoded
 
 _NESTED = 56
 """Messages in messages, as `check_onnx` takes them."""

@@ -13,14 +13,12 @@ from torch import Tensor
 from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.errors import PolicyError
-from nw_eval.policies.adapters.acting import ActingNetwork
 from nw_eval.policies.apart import check_program
-from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.memory import unpacked
-from nw_eval.policies.network import Wanted, place_of
+from nw_eval.policies.bundle import Bundle, NoOptions, read_options
+from nw_eval.policies.network import ActingNetwork, Wanted, place_of
 from nw_eval.policies.networks.exported import ExportedGraph
-from nw_eval.policies.networks.policy import TorchNetwork
-from nw_eval.policies.options import NoOptions, read_options
+from nw_eval.policies.policy import unpacked
+from nw_eval.policies.torch_network import TorchNetwork
 
 
 class TorchExportNetwork(TorchNetwork):

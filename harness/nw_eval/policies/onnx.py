@@ -14,14 +14,10 @@ from nw_eval.cards.inputs import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.memory import Arrays
-from nw_eval.policies.adapters.acting import ActingNetwork
-from nw_eval.policies.assembler import InputAssembler
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.memory import unfitting, unpacked
-from nw_eval.policies.network import Wanted, place_of
-from nw_eval.policies.onnx.recurrence import state_pairs
-from nw_eval.policies.onnx.session import open_session
-from nw_eval.policies.policy import Observation
+from nw_eval.policies.network import ActingNetwork, InputAssembler, Wanted, place_of
+from nw_eval.policies.networks.onnx_graph import open_session, state_pairs
+from nw_eval.policies.policy import Observation, unfitting, unpacked
 from nw_eval.policies.safety import check_onnx
 
 if TYPE_CHECKING:

@@ -13,10 +13,9 @@ from torch import Tensor
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
 from nw_eval.errors import PolicyError, TrialError
-from nw_eval.policies.assembler import InputAssembler
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.memory import unfitting
-from nw_eval.policies.policy import Observation, checked_action
+from nw_eval.policies.network import InputAssembler
+from nw_eval.policies.policy import Observation, checked_action, unfitting
 from nw_eval.policies.safety import read_tensors
 
 

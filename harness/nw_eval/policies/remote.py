@@ -20,9 +20,8 @@ from nw_eval.cards.model import CardModel
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, PrerequisiteError, ServerError, TrialError
 from nw_eval.policies.apart import AskedPolicy, Served
-from nw_eval.policies.bundle import NOTHING, Bundle
-from nw_eval.policies.options import read_options
-from nw_eval.policies.remote.wire import MESSAGE_LIMIT, PROTOCOL, WAITING, decode, encode
+from nw_eval.policies.bundle import NOTHING, Bundle, read_options
+from nw_eval.policies.wire import MESSAGE_LIMIT, PROTOCOL, WAITING, decode, encode
 from nw_eval.robots import get_robot
 
 try:
@@ -99,7 +98,7 @@ class RemotePolicy(AskedPolicy):
             self.close()
             raise PolicyError(
                 f"{bundle.where}: cannot read the greeting of {self._options.url}: {error}",
-                fix="speak the protocol of nw_eval.policies.remote.wire",
+                fix="speak the protocol of nw_eval.policies.wire",
             ) from None
 
     def no_state(self) -> ServerError:
@@ -146,7 +145,7 @@ class RemotePolicy(AskedPolicy):
             self.close()
             raise ServerError(
                 f"policy {self._name!r}: cannot read what {self._options.url} sends: {error}",
-                fix="speak the protocol of nw_eval.policies.remote.wire",
+                fix="speak the protocol of nw_eval.policies.wire",
             ) from None
         except (WebSocketException, OSError) as error:
             raise self._lost(error) from error
@@ -265,6 +264,6 @@ def _map(hello: Mapping[str, Any], key: str, where: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise PolicyError(
             f"{where} greets with {key!r} as a {type(value).__name__}, not a map",
-            fix="speak the protocol of nw_eval.policies.remote.wire",
+            fix="speak the protocol of nw_eval.policies.wire",
         )
     return value

@@ -5,21 +5,30 @@ numbers lie in another file, operators are known arithmetic or functions of the 
 the graph is small also when its functions are written out. What a graph computes cannot be
 foreseen here, a huge `Expand` or a `Loop` without an end: the process that opens and runs it has
 limits of time and memory for that.
+
+Functions of a file are written out by onnxruntime where they are called: thirty functions, each of
+which calls the one before it twice, are a billion nodes.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from typing import NoReturn
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
-from nw_eval.policies.safety.kind import file_kind, kind_said
-from nw_eval.policies.safety.limits import FileLimits
-from nw_eval.policies.safety.onnx.calls import Operator, check_calls, operator_said
-from nw_eval.policies.safety.onnx.fields import FUSED, MICROSOFT, ONNX, STANDARD
-from nw_eval.policies.safety.onnx.protobuf import ProtobufMessage, Reader, integers
+from nw_eval.policies.safety.archive import FileLimits, file_kind, kind_said
+from nw_eval.policies.safety.onnx_format import (
+    FUSED,
+    MICROSOFT,
+    ONNX,
+    STANDARD,
+    ProtobufMessage,
+    Reader,
+    integers,
+)
 
 _NESTED = 56
 """Messages in messages: 16 graphs within each other. protobuf itself stops at 100."""
@@ -43,6 +52,11 @@ _REFUSED = {
     "segment": "a tensor is cut into segments",
 }
 _EXPORT = "export the policy for inference, with dense weights and standard operators"
+Operator = tuple[str, str, str]
+"""Domain, name and overload of an operator or function."""
+
+_NESTED_CALLS = 64
+"""Functions that call functions: exporters write one for each module of a network."""
 
 
 def check_onnx(data: bytes, where: str, limits: FileLimits | None = None) -> None:
@@ -216,3 +230,59 @@ class _MessageWalk:
 def _operator(message: ProtobufMessage, name: str) -> Operator:
     domain = message.text("domain")
     return "" if domain == "ai.onnx" else domain, message.text(name), message.text("overload")
+
+
+def check_calls(
+    functions: Mapping[Operator, Counter[Operator]],
+    main: Counter[Operator],
+    most: int,
+    where: str,
+) -> None:
+    """Check that a graph stays small when every call is replaced by its function's nodes.
+
+    Args:
+        functions: how often each function of the file has each operator.
+        main: likewise the main graph.
+        most: nodes that the graph, or a function on its own, may become.
+        where: the file, for errors.
+
+    Raises:
+        PolicyError: a function calls itself, through others perhaps; calls are nested deeper than
+            exporters nest them; there are more nodes than `most`.
+    """
+    known: dict[Operator, tuple[int, int]] = {}  # Nodes, and how deep calls are nested.
+
+    def written_out(calls: Counter[Operator], path: tuple[Operator, ...]) -> tuple[int, int]:
+        nodes = depth = 0
+        for key, times in calls.items():
+            if key in functions and key not in known:
+                if key in path:
+                    raise PolicyError(
+                        f"{where}: the function {operator_said(key)} calls itself", fix=_FIX
+                    )
+                if len(path) < _NESTED_CALLS:
+                    known[key] = written_out(functions[key], (*path, key))
+            inner, below = known.get(key, (0, _NESTED_CALLS if key in functions else -1))
+            nodes += times * (1 + inner)
+            depth = max(depth, below + 1)
+        if depth > _NESTED_CALLS:
+            raise PolicyError(f"{where}: over {_NESTED_CALLS} functions call each other", fix=_FIX)
+        if nodes > most:
+            raise PolicyError(
+                f"{where}: over {most} nodes when its functions are written out", fix=_FIX
+            )
+        return nodes, depth
+
+    for key, calls in functions.items():
+        if key not in known:
+            known[key] = written_out(calls, (key,))
+    written_out(main, ())
+
+
+def operator_said(key: Operator) -> str:
+    """Return an operator as errors say it: `domain::name`."""
+    domain, name, _ = key
+    return repr(clean(f"{domain}::{name}" if domain else name, at_most=100))
+
+
+_FIX = "export the policy again, its actor alone and without functions of its own"

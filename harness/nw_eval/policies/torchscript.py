@@ -1,12 +1,17 @@
-"""TorchScript checkpoints, run on the CPU on one thread."""
+"""TorchScript checkpoints, run on the CPU on one thread.
+
+The recurrent state of a module is its buffers, and attributes that its code sets.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from io import BytesIO
 from typing import Any
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 
@@ -16,21 +21,17 @@ from nw_eval.cards.networks import listed_inputs
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.plural import plural
-from nw_eval.policies.adapters.acting import ActingNetwork
-from nw_eval.policies.adapters.script_state import (
-    read_state,
-    same,
-    state_slots,
-    write_state,
-)
 from nw_eval.policies.apart import check_program
-from nw_eval.policies.assembler import InputAssembler
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.memory import unfitting, unpacked
-from nw_eval.policies.network import Wanted
-from nw_eval.policies.policy import Observation
+from nw_eval.policies.network import ActingNetwork, InputAssembler, Wanted
+from nw_eval.policies.policy import Observation, unfitting, unpacked
 from nw_eval.policies.safety import file_kind, tensor_facts
-from nw_eval.policies.safety.kind import kind_said
+from nw_eval.policies.safety.archive import kind_said
+
+_SETS = re.compile(r'prim::SetAttr\[name="(\w+)"\]')
+
+Slots = dict[str, tuple[str, str]]
+"""Paths of state to (path of the submodule, name of its attribute)."""
 
 
 class TorchScriptNetwork:
@@ -206,3 +207,64 @@ def _open(bundle: Bundle) -> Any:
             fix="save it with torch.jit.save",
         ) from None
     return module
+
+
+def state_slots(module: Any, where: str) -> Slots:
+    """Return where a scripted module keeps what changes from step to step.
+
+    Raises:
+        PolicyError: its code changes a list or another object, which cannot be saved.
+    """
+    parts: list[tuple[str, Any]] = list(module.named_modules())
+    changed = set[str]().union(*(_names_set_by(part) for _, part in parts))
+    slots: Slots = {}
+    for path, part in parts:
+        buffers = {name for name, _ in part.named_buffers(recurse=False)}
+        for name in sorted(buffers | {name for name in changed if part._c.hasattr(name)}):  # noqa: SLF001 - torch shows a script's attributes nowhere else.
+            value = getattr(part, name)
+            if not isinstance(value, torch.Tensor | int | float | bool):
+                raise PolicyError(
+                    f"{where}: its code changes `{name}`, a {type(value).__name__}, which cannot "
+                    "be saved with a trial",
+                    fix="keep recurrent state in buffers: register_buffer",
+                )
+            slots[f"{path}.{name}" if path else name] = (path, name)
+    return slots
+
+
+def read_state(module: Any, slots: Slots) -> dict[str, NDArray[Any]]:
+    """Return the state by path, as arrays of their own memory."""
+    state: dict[str, NDArray[Any]] = {}
+    for key, (path, name) in slots.items():
+        value = getattr(_part(module, path), name)
+        if isinstance(value, torch.Tensor):
+            value = value.detach().numpy()
+        state[key] = np.array(value)
+    return state
+
+
+def write_state(module: Any, slots: Slots, state: Mapping[str, NDArray[Any]]) -> None:
+    """Set the state that `read_state` returned, or one of the same types."""
+    for key, (path, name) in slots.items():
+        part = _part(module, path)
+        is_tensor = isinstance(getattr(part, name), torch.Tensor)
+        value = state[key]
+        setattr(part, name, torch.from_numpy(value.copy()) if is_tensor else value.item())
+
+
+def same(a: NDArray[Any], b: NDArray[Any]) -> bool:
+    """Whether two arrays hold the same bits."""
+    return a.shape == b.shape and a.tobytes() == b.tobytes()
+
+
+def _part(module: Any, path: str) -> Any:
+    for name in path.split(".") if path else ():
+        module = getattr(module, name)
+    return module
+
+
+def _names_set_by(part: Any) -> set[str]:
+    """Return the names of attributes that any method of a submodule assigns."""
+    script = part._c  # noqa: SLF001 - as above.
+    graphs = (script._get_method(name).graph for name in script._method_names())  # noqa: SLF001
+    return {name for graph in graphs for name in _SETS.findall(str(graph))}

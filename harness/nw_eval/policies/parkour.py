@@ -8,6 +8,15 @@ Inputs on the card:
     depth       (45, 80) or (58, 87) in place of scandots: makes it the student
 
 The student looks at a depth image every fifth control step and keeps what it saw between them.
+
+LucidSim's transformer from its published state dict.
+
+Inputs on its card:
+    proprio    53 numbers (layout parkour53), or 371: seven such frames, oldest first
+    frames     (7, 3, 45, 80), the last seven images, oldest first, (byte - 127.5) / 255
+
+With 53 numbers the network sees the present frame seven times. That is how the published
+checkpoints are evaluated, and what they expect.
 """
 
 from __future__ import annotations
@@ -19,18 +28,22 @@ from torch import Tensor
 
 from nw_eval.arrays import pack
 from nw_eval.cards.model import CardModel
-from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.memory import unpacked
-from nw_eval.policies.networks.parkour_expert import (
+from nw_eval.errors import TrialError
+from nw_eval.policies.bundle import Bundle, NoOptions, read_options
+from nw_eval.policies.networks.lucidsim import FRAMES, IMAGE, LucidSimTransformer
+from nw_eval.policies.networks.lucidsim import PROPRIO as FRAME_NUMBERS
+from nw_eval.policies.networks.parameters import build
+from nw_eval.policies.networks.parkour import (
+    HIDDEN,
     HISTORY,
     LATENT,
     PROPRIO,
     SCANDOTS,
     ParkourExpert,
+    ParkourStudent,
 )
-from nw_eval.policies.networks.parkour_student import HIDDEN, ParkourStudent
-from nw_eval.policies.networks.policy import NetworkPolicy, checkpoint_tensors, input_spec
-from nw_eval.policies.options import NoOptions, read_options
+from nw_eval.policies.policy import unpacked
+from nw_eval.policies.torch_network import NetworkPolicy, checkpoint_tensors, input_spec
 
 _BODY = (input_spec("proprio", PROPRIO), input_spec("history", HISTORY * PROPRIO))
 
@@ -119,3 +132,29 @@ class StudentPolicy(NetworkPolicy):
             self._hidden = torch.from_numpy(arrays["hidden"]).view(1, 1, HIDDEN)
             self._seen = torch.from_numpy(arrays["seen"]).view(1, LATENT + 2)
             self._step = int(arrays["step"])
+
+
+class LucidSimPolicy(NetworkPolicy):
+    """The transformer. Its heading head takes no part, so its weights may be missing."""
+
+    def __init__(self, bundle: Bundle, *, joints: int) -> None:
+        read_options(bundle, NoOptions)
+        tensors = checkpoint_tensors(bundle)
+        network = build(LucidSimTransformer, tensors, str(bundle.checkpoint), unused=("yaw",))
+        self._session = network.open()
+        inputs = (input_spec("proprio", None), input_spec("frames", FRAMES, *IMAGE))
+        super().__init__(bundle, inputs, joints=joints)
+
+    def infer(self, inputs: dict[str, Tensor]) -> Tensor:
+        """Return the action token's projection."""
+        proprio = inputs["proprio"]
+        numbers = proprio.shape[-1]
+        if numbers not in {FRAME_NUMBERS, FRAMES * FRAME_NUMBERS}:
+            raise TrialError(
+                f"input `proprio` is {numbers} numbers; the transformer wants {FRAME_NUMBERS}, or "
+                f"{FRAMES} x {FRAME_NUMBERS} = {FRAMES * FRAME_NUMBERS}",
+                fix="use `layout: parkour53` on the card",
+            )
+        vectors = proprio.view(-1, FRAME_NUMBERS).expand(FRAMES, FRAME_NUMBERS)
+        feeds = {"proprio": vectors.numpy(), "frames": inputs["frames"][0].numpy()}
+        return torch.from_numpy(self._session.run(None, feeds)[0])

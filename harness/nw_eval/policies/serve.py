@@ -19,12 +19,12 @@ from urllib.parse import urlsplit
 
 from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError, PrerequisiteError, UsageError
-from nw_eval.policies.adapters import open_policy
 from nw_eval.policies.apart import trusting, trusts
 from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.opening import open_policy
 from nw_eval.policies.policy import Policy
 from nw_eval.policies.policy_process import CALLS, respond
-from nw_eval.policies.remote.wire import MESSAGE_LIMIT, PROTOCOL, WAITING, decode, encode
+from nw_eval.policies.wire import MESSAGE_LIMIT, PROTOCOL, WAITING, decode, encode
 from nw_eval.robots import get_robot
 
 if TYPE_CHECKING:
