@@ -123,9 +123,7 @@ from nw_eval.request import Request
 from nw_eval.results.bank import SavedBank
 from nw_eval.results.bank_changes import BankChange
 from nw_eval.results.row import Row
-from nw_eval.rollout.replaying.blame.report import BlameReport
-from nw_eval.rollout.replaying.report import ReplayReport
-from nw_eval.rollout.replaying.takeover.report import TakeoverReport
+from nw_eval.rollout.replaying.reports import BlameReport, ReplayReport, TakeoverReport
 from nw_eval.scenes.overview import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
 from nw_eval.splat.gaussians import SplatFigures

@@ -23,7 +23,7 @@ from nw_eval.api.plans import rechecked
 from nw_eval.cli import main
 from nw_eval.cli.verbs.check import forecast_page
 from nw_eval.engine import session
-from nw_eval.engine.trials.attempts import Attempts
+from nw_eval.engine.rounds import Attempts
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.files.shipped import shipped
 from nw_eval.reporting.headline import headline

@@ -8,11 +8,10 @@ import pytest
 
 from nw_eval import api
 from nw_eval.cli.verbs.options import summary
-from nw_eval.engine import provenance
-from nw_eval.engine.cache import key, opening
-from nw_eval.engine.cache.entry import read_entry, write_entry
-from nw_eval.engine.cache.opening import known_trials
-from nw_eval.engine.cache.store import TrialStore
+from nw_eval.engine import cache, provenance
+from nw_eval.engine import known as knowing
+from nw_eval.engine.cache import TrialStore, read_entry, write_entry
+from nw_eval.engine.known import known_trials
 from nw_eval.engine.listener import Silence
 from nw_eval.engine.plan import plan_jobs
 from nw_eval.errors import TrialError, UsageError
@@ -235,13 +234,13 @@ def test_another_engine_knows_nothing(place, module, monkeypatch):
 @pytest.mark.usefixtures("filled")
 @pytest.mark.parametrize("name", ["python", "libc", "architecture"])
 def test_another_system_knows_nothing(place, name, monkeypatch):
-    monkeypatch.setattr(opening, "system", lambda: key.system() | {name: "another"})
+    monkeypatch.setattr(knowing, "system", lambda: cache.system() | {name: "another"})
     assert misses(place)
 
 
 def test_what_is_not_known_by_its_bytes_is_never_taken_over(place):
     plan = api.plan("tiny.yaml")
-    assert not opening._unfit(plan)
+    assert not knowing._unfit(plan)
     bundles = {
         "the policy imports code": replace(plan.bundle, code_sha256="0" * 64),
         "the policy is an object": replace(plan.bundle, instance=object()),
@@ -250,7 +249,7 @@ def test_what_is_not_known_by_its_bytes_is_never_taken_over(place):
         ),
     }
     for why, bundle in bundles.items():
-        assert opening._unfit(replace(plan, bundle=bundle)) == why
+        assert knowing._unfit(replace(plan, bundle=bundle)) == why
     _, known = jobs_and_known(place, render="cuda")
     assert known.info.off == "--render cuda"
     jobs, known = jobs_and_known(place, off="--no-cache")

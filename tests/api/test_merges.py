@@ -18,8 +18,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.cli import main
-from nw_eval.engine.order import in_order
-from nw_eval.engine.shards import shard_of
+from nw_eval.engine.order import in_order, shard_of
 from nw_eval.errors import IncomparableError, NwEvalError, StoreError, UsageError
 from nw_eval.request import Request, Shard
 from nw_eval.results.ended import write_trials

@@ -10,7 +10,7 @@ import pytest
 import nw_eval
 from nw_eval.api.saved_run import saved_trials
 from nw_eval.cli import main
-from nw_eval.engine.shards import shard_of
+from nw_eval.engine.order import shard_of
 from nw_eval.errors import UsageError
 from nw_eval.request import Shard
 from nw_eval.results.journal import Journal, JournalHeader

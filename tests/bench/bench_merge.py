@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from nw_eval.engine.shards import shard_of
+from nw_eval.engine.order import shard_of
 from nw_eval.request import Shard
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader

@@ -34,11 +34,10 @@ from nw_eval.policies import Policy, load_bundle, open_policy
 from nw_eval.policies.networks.act import Act, read_sizes
 from nw_eval.policies.networks.lucidsim import LucidSimTransformer
 from nw_eval.policies.networks.onnx_graph import Graph
-from nw_eval.policies.networks.parkour_expert import Estimator, ParkourActor, ParkourExpert
-from nw_eval.policies.networks.parkour_student import DepthEncoder
-from nw_eval.rollout.clock import StageClock
+from nw_eval.policies.networks.parkour import DepthEncoder, Estimator, ParkourActor, ParkourExpert
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.prepare import open_trial
+from nw_eval.rollout.result import StageClock
 from nw_eval.suite.trials import Trial
 
 PATH_TARGET = 60.0

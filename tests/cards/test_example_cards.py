@@ -18,10 +18,9 @@ from nw_eval.onboarding.probe.recording import record
 from nw_eval.policies import load_bundle
 from nw_eval.policies.networks.act import Act, ActSizes
 from nw_eval.policies.networks.lucidsim import LucidSimTransformer
-from nw_eval.policies.networks.parkour_expert import Estimator, ParkourActor
-from nw_eval.policies.networks.parkour_student import DepthEncoder
+from nw_eval.policies.networks.parkour import DepthEncoder, Estimator, ParkourActor
 from nw_eval.robots import get_robot
-from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.rollout.confined.vetting import check_bundle
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "policies" / "examples"
 CARDS = sorted(EXAMPLES.glob("*/policy.yaml"))

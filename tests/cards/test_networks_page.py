@@ -13,7 +13,7 @@ from torch import nn
 
 from nw_eval.cards.networks import Network, NetworkOutput
 from nw_eval.policies import load_bundle, open_policy
-from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.rollout.confined.vetting import check_bundle
 
 # torch recommends torch.export for new files; people have these.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")

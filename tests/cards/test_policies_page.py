@@ -41,9 +41,9 @@ from nw_eval.cards.terms import (
     Yaw,
 )
 from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.remote.client import RemoteOptions
+from nw_eval.policies.remote import RemoteOptions
 from nw_eval.robots import get_robot
-from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.rollout.confined.vetting import check_bundle
 from nw_eval.sensors import check_card
 from nw_eval.sensors.heights import grid
 

@@ -45,7 +45,7 @@ def test_that_is_the_one_that_the_run_goes_on_with():
 
 def test_nobody_waits_for_the_simulator_before_the_first_trial_starts():
     modules = ("nw_eval.api.runs", "nw_eval.api.plans", "nw_eval.engine.session")
-    modules += ("nw_eval.rollout.confined.vetting", "nw_eval.engine.cache.opening")
+    modules += ("nw_eval.rollout.confined.vetting", "nw_eval.engine.known")
     code = f"import sys, {', '.join(modules)}; print(*sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120

@@ -4,8 +4,7 @@ import errno
 
 import pytest
 
-from nw_eval.confinement.calls import MACHINES
-from nw_eval.confinement.seccomp import program
+from nw_eval.confinement.seccomp import MACHINES, program
 
 ALLOW, FAIL, KILL = 0x7FFF0000, 0x00050000, 0x80000000
 REFUSED = FAIL | errno.EPERM

@@ -16,10 +16,10 @@ import torch
 from nw_eval.api import check_policy, init_policy
 from nw_eval.catalogue import FoundScene, get_scene
 from nw_eval.confinement import child_environment, offered
-from nw_eval.engine.machine.output import LARGEST, WorkerOutput
+from nw_eval.engine.local import LocalProcesses
+from nw_eval.engine.machine import LARGEST, WorkerOutput
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.rounds import run_trials
-from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.files.cache import cache_dir
 from nw_eval.policies import load_bundle
 from nw_eval.request import Request

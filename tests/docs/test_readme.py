@@ -12,7 +12,7 @@ from nw_eval import api, cli
 from nw_eval.cards import load_card
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle
-from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.rollout.confined.vetting import check_bundle
 from nw_eval.sensors import check_card
 
 README = Path(__file__).parents[2] / "README.md"

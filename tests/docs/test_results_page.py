@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from nw_eval.confinement import environment
-from nw_eval.engine.machine import cpu
+from nw_eval.engine import machine
 from nw_eval.errors import UsageError
 from nw_eval.gate.verdict import EXIT_CODES
 from nw_eval.results.parquet import SCHEMA, columns_table
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import MEASURED, OF_THE_PLAN
 from nw_eval.results.run_folder import RunFolder
-from nw_eval.rollout.episode.actions import HUGE
+from nw_eval.rollout.episode import HUGE
 from nw_eval.rollout.mcap.topics import topics_table
 from nw_eval.words import FAULTS, OUTCOMES, POLICY_FAULTS
 
@@ -94,7 +94,7 @@ def test_every_variable_that_the_code_looks_at_or_sets_is_told():
     sources = "\n".join(path.read_text("utf-8") for path in (ROOT / "harness").rglob("*.py"))
     names = set(re.findall(r'environ(?:\.get\(|\[)"(\w+)"', sources))
     assert "NW_EVAL_CACHE" in names
-    names |= {*re.findall(r'"(NW_EVAL_\w+)"', sources), *cpu._SETTINGS}
+    names |= {*re.findall(r'"(NW_EVAL_\w+)"', sources), *machine._SETTINGS}
     names |= {*environment._CHILDREN, *environment._FENCED}
     # One word stands for the numbers of threads.
     wanted = {name for name in names if not name.endswith("_THREADS")} | {"OMP_NUM_THREADS"}

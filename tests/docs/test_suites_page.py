@@ -14,7 +14,7 @@ from nw_eval.built_in.splits import Split
 from nw_eval.catalogue import names
 from nw_eval.protocol import STRICT
 from nw_eval.robots import get_robot
-from nw_eval.rollout.spawn import PUBLISHED_FIRST_SEED
+from nw_eval.rollout.prepare import PUBLISHED_FIRST_SEED
 from nw_eval.sim import Limits
 from nw_eval.sim.course import REACH_RADIUS, REACH_STEPS
 from nw_eval.sim.model import GRAVITY, compile_model

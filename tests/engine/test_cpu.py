@@ -6,10 +6,10 @@ import sys
 
 import pytest
 
-from nw_eval.engine.machine.cpu import cpu_kind
+from nw_eval.engine.machine import cpu_kind
 
 SCRIPT = """
-from nw_eval.engine.machine.cpu import cpu_kind
+from nw_eval.engine.machine import cpu_kind
 from numba.core.registry import cpu_target
 
 _, name, features = cpu_target.target_context.codegen().magic_tuple()

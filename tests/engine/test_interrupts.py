@@ -8,7 +8,7 @@ import time
 import pytest
 
 from nw_eval.confinement import child_environment, interrupts_blocked
-from nw_eval.engine.machine.interrupts import Interrupts
+from nw_eval.engine.machine import Interrupts
 
 
 def test_the_first_signal_asks_and_the_second_ends():

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from nw_eval.engine.meanwhile import Meanwhile
+from nw_eval.engine.session import Meanwhile
 from nw_eval.errors import StoreError
 
 

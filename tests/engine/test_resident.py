@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.engine.machine.descendants import can_be_listed
-from nw_eval.engine.machine.resident import Resident
+from nw_eval.engine.machine import Resident, can_be_listed
 
 pytestmark = pytest.mark.skipif(not can_be_listed(), reason="no /proc that says it")
 

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.engine.order import in_order
-from nw_eval.engine.shards import plan_digest, shard_of, shards_of
+from nw_eval.engine.order import in_order, plan_digest, shard_of, shards_of
 from nw_eval.errors import UsageError
 from nw_eval.request import Request, Shard
 from nw_eval.suite import expand, new_suite

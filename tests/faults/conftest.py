@@ -12,16 +12,16 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.catalogue import FoundScene
+from nw_eval.engine.local import LocalProcesses
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.rounds import run_trials
-from nw_eval.engine.workers.local import LocalProcesses
 from nw_eval.policies import load_bundle
 from nw_eval.protocol import STRICT
 from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.confined import start
-from nw_eval.rollout.spawn import draw_start
+from nw_eval.rollout.prepare import draw_start
 from nw_eval.suite.model import new_suite
 from nw_eval.suite.trials import expand
 

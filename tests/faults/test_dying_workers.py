@@ -51,7 +51,7 @@ def test_no_worker_outlives_a_run(tiny_run, workers):
 
 
 def test_workers_that_cannot_even_start_end_the_run_in_one_sentence(tiny_run, monkeypatch, workers):
-    monkeypatch.setattr("nw_eval.engine.workers.local.worker.start", os.abort)
+    monkeypatch.setattr("nw_eval.engine.local.worker.start", os.abort)
     run = tiny_run("fine", trials=2)
     with pytest.raises(TrialError, match="before they could take a trial") as caught:
         run.go(workers=2)

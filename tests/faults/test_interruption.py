@@ -17,7 +17,7 @@ SCRIPT = """
 import pickle, sys
 from pathlib import Path
 from nw_eval.engine.rounds import run_trials
-from nw_eval.engine.workers.local import LocalProcesses
+from nw_eval.engine.local import LocalProcesses
 from nw_eval.results.journal import Journal
 
 if __name__ == "__main__":

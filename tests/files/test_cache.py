@@ -229,8 +229,8 @@ def test_a_variable_that_is_empty_is_as_good_as_unset(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["NW_EVAL_CACHE_GB", "NW_EVAL_KERNELS"])
 def test_other_variables_that_are_empty_are_as_good_as_unset_too(tmp_path, name):
     code = (
-        "from nw_eval.engine.cache.store import *; from nw_eval.machine_code import *; "
-        "import nw_eval.engine.cache.store as s, nw_eval.machine_code as k; "
+        "from nw_eval.engine.cache import *; from nw_eval.machine_code import *; "
+        "import nw_eval.engine.cache as s, nw_eval.machine_code as k; "
         "print(s.limit_bytes(), bool(k.folder_note()))"
     )
     environment = {**os.environ, "NW_EVAL_CACHE": str(tmp_path)}

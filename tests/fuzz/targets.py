@@ -329,7 +329,7 @@ def _bundles(contents, adapter, file):
 def _open_bundle(folder, file):
     """Load a bundle with the mutated weights, as `--checkpoint` does, and ask it for an action."""
     from nw_eval.policies import load_bundle
-    from nw_eval.rollout.check_bundle import check_bundle
+    from nw_eval.rollout.confined.vetting import check_bundle
 
     check_bundle(load_bundle(folder / "policy.yaml", checkpoint=folder / file))
 
@@ -643,7 +643,7 @@ def _bank(folder):
 
 
 def _wire_seeds(_folder):
-    from nw_eval.policies.remote.wire import encode
+    from nw_eval.policies.wire import encode
 
     hello = {
         "protocol": 2, "policy": "x", "joints": 12, "digest": "ab" * 32,
@@ -673,8 +673,7 @@ class _Server:
 
 def _wire(folder):
     """Hold a conversation with a server that says what the files say; no socket is needed."""
-    from nw_eval.policies import load_bundle
-    from nw_eval.policies.remote import client as remote
+    from nw_eval.policies import load_bundle, remote
 
     text = CARD.format(adapter="remote", file="x").replace("checkpoint: {file: x}\n", "")
     card = folder / "policy.yaml"

@@ -5,7 +5,7 @@ import pytest
 from nw_eval import api
 from nw_eval.cli.verbs.check import forecast_page
 from nw_eval.errors import IncomparableError, PolicyError
-from nw_eval.policies import code_digest as code
+from nw_eval.policies import bundle as code
 from nw_eval.policies import load_bundle
 
 CARD = """\

@@ -12,8 +12,8 @@ from torch import nn
 
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.remote.serve import serving
-from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.policies.serve import serving
+from nw_eval.rollout.confined.vetting import check_bundle
 
 # torch recommends torch.export for new files; people have these.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")

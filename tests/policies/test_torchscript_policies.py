@@ -15,9 +15,9 @@ from nw_eval.onboarding.draft import write_card_draft
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.apart import line_to, trusting
 from nw_eval.robots import get_robot
-from nw_eval.rollout.check_bundle import check_bundle
 from nw_eval.rollout.confined.access import policy_rules
 from nw_eval.rollout.confined.start import PolicyProcess
+from nw_eval.rollout.confined.vetting import check_bundle
 
 CARD = """\
 nw-policy: 1

@@ -77,7 +77,7 @@ def test_a_process_that_may_run_on_one_core_counts_one():
     code = (
         "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); "
         "from nw_eval.results.machine import machine_info, usable_cores; "
-        "from nw_eval.engine.machine.cores import worker_count; "
+        "from nw_eval.engine.machine import worker_count; "
         "print(usable_cores(), machine_info().cores, worker_count(None, 9))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -50,7 +50,7 @@ def test_a_report_may_be_worded_anew_on_the_same_class_of_machine(digests, name)
 
 @pytest.mark.parametrize(
     "name",
-    ["sim/world.py", "rollout/episode/episode.py", "engine/trials/repeat.py", "protocol.py"],
+    ["sim/world.py", "rollout/episode.py", "engine/rounds.py", "protocol.py"],
 )
 def test_whatever_makes_rows_makes_another_class_of_machine(digests, name):
     assert digests()[0] != digests(name)[0]
@@ -58,8 +58,8 @@ def test_whatever_makes_rows_makes_another_class_of_machine(digests, name):
 
 _LOADED = """
 import sys
-import nw_eval.engine.session, nw_eval.engine.workers.worker, nw_eval.rollout.trial
-import nw_eval.rollout.observed.seen, nw_eval.engine.workers.in_process
+import nw_eval.engine.session, nw_eval.engine.worker, nw_eval.rollout.trial
+import nw_eval.rollout.observed, nw_eval.engine.in_process
 print(*sorted({name.split(".")[1] for name in sys.modules if name.startswith("nw_eval.")}))
 """
 

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from nw_eval.rollout.clock import StageClock
+from nw_eval.rollout.result import StageClock
 
 
 def test_an_inner_stage_stops_the_outer_one():

@@ -3,9 +3,9 @@
 import pytest
 
 from nw_eval.errors import TrialError
-from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.episode import Observer
 from nw_eval.rollout.prepare import open_trial
+from nw_eval.rollout.result import StageClock
 
 
 class Notes(Observer):

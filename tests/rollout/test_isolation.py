@@ -8,7 +8,6 @@ import torch
 
 from nw_eval.errors import CrashError, PolicyError, SceneError
 from nw_eval.policies import load_bundle
-from nw_eval.rollout import check_bundle
 from nw_eval.rollout.confined import vetting
 from nw_eval.rollout.confined.isolated import call_isolated
 
@@ -97,7 +96,7 @@ def test_a_script_is_vetted_without_being_loaded_here(tmp_path, monkeypatch):
         raise AssertionError("a script was loaded in the parent")
 
     monkeypatch.setattr(torch.jit, "load", refuse)
-    monkeypatch.setattr(check_bundle, "check_bundle", refuse)  # Of this process alone.
+    monkeypatch.setattr(vetting, "check_bundle", refuse)  # Of this process alone.
     (tmp_path / "policy.yaml").write_text(CARD % "joint_vel")
     vetting.vet_bundle(load_bundle(tmp_path, checkpoint=tmp_path / "policy.pt"), "go1")
     (tmp_path / "policy.yaml").write_text(CARD % "gravity")

@@ -14,9 +14,8 @@ from mcap.stream_reader import StreamReader
 from nw_eval.rollout.library import Recent
 from nw_eval.rollout.mcap import file as file_module
 from nw_eval.rollout.mcap.batch import filled
-from nw_eval.rollout.mcap.content.body import odom_form
-from nw_eval.rollout.mcap.file import McapFile
-from nw_eval.rollout.mcap.writer import CHUNK_BYTES
+from nw_eval.rollout.mcap.file import CHUNK_BYTES, McapFile
+from nw_eval.rollout.mcap.steps import odom_form
 
 STEP = 20_000_000  # ns
 

@@ -13,22 +13,20 @@ from mcap.reader import SeekingReader
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
-from nw_eval.rollout.mcap.batch import filled, merged, record, records
-from nw_eval.rollout.mcap.content.body import (
+from nw_eval.rollout.mcap.batch import BLANK_TIME, Form, filled, long_times, merged, record, records
+from nw_eval.rollout.mcap.file import CHUNK_BYTES, McapWriter
+from nw_eval.rollout.mcap.messages import Observation, PolicyStep, SimState, StatePart, stamp
+from nw_eval.rollout.mcap.observations import observation_form, values_of
+from nw_eval.rollout.mcap.states import Saved, sim_state
+from nw_eval.rollout.mcap.steps import (
     BodyForms,
     joints_form,
     mounted_poses,
     odom_form,
+    policy_steps,
     transforms_form,
     trunk_rates,
 )
-from nw_eval.rollout.mcap.content.numbers import observation_form, values_of
-from nw_eval.rollout.mcap.content.policy_step import policy_steps
-from nw_eval.rollout.mcap.content.sim_state import Saved, sim_state
-from nw_eval.rollout.mcap.form import BLANK_TIME, Form, long_times
-from nw_eval.rollout.mcap.messages import Observation, PolicyStep, SimState, StatePart
-from nw_eval.rollout.mcap.stamps import stamp
-from nw_eval.rollout.mcap.writer import CHUNK_BYTES, McapWriter
 
 TIMES = [0, 20_000_000, 980_000_000, 1_000_000_000, 12_340_000_000, 599_980_000_000]
 

@@ -8,11 +8,10 @@ from pydantic import ValidationError
 
 from nw_eval.cards import Card
 from nw_eval.errors import UsageError
-from nw_eval.rollout.clock import StageClock
-from nw_eval.rollout.episode.pushes import EVERY, Pushes
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.perturbed import perturbed_robot, unfelt
+from nw_eval.rollout.perturbed import EVERY, Pushes, perturbed_robot, unfelt
 from nw_eval.rollout.prepare import open_trial
+from nw_eval.rollout.result import StageClock
 from nw_eval.rollout.trial import run_trial
 from nw_eval.sensors.sensor import FOG, Air
 from nw_eval.splat.image import Image

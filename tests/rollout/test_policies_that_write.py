@@ -19,15 +19,13 @@ from torch import nn
 
 from nw_eval.cards.checkpoint import ADAPTERS, NetworkAdapter
 from nw_eval.policies import instance_bundle, load_bundle
-from nw_eval.policies.adapters.act import ActPolicy
-from nw_eval.policies.adapters.extreme_parkour import StudentPolicy
-from nw_eval.policies.adapters.lucidsim import LucidSimPolicy
-from nw_eval.policies.adapters.zero import ZeroPolicy
+from nw_eval.policies.act import ActPolicy
 from nw_eval.policies.networks.act import Act, ActSizes
 from nw_eval.policies.networks.lucidsim import LucidSimTransformer
-from nw_eval.policies.networks.parkour_expert import Estimator, ParkourActor
-from nw_eval.policies.networks.parkour_student import DepthEncoder
-from nw_eval.policies.remote.serve import serving
+from nw_eval.policies.networks.parkour import DepthEncoder, Estimator, ParkourActor
+from nw_eval.policies.opening import ZeroPolicy
+from nw_eval.policies.parkour import LucidSimPolicy, StudentPolicy
+from nw_eval.policies.serve import serving
 from nw_eval.rollout.trial import run_trial
 
 # torch recommends torch.export for new files; people have these.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import PolicyError, ServerError, UsageError
-from nw_eval.policies.adapters.zero import ZeroPolicy
+from nw_eval.policies.opening import ZeroPolicy
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.record import verdict_metadata

@@ -6,11 +6,11 @@ import pytest
 
 from nw_eval.cli.verbs.replay import replay_line
 from nw_eval.errors import PolicyError, StoreError, UsageError
-from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.replaying.logged import read_logged_trial
 from nw_eval.rollout.replaying.replay import replay, run_on
+from nw_eval.rollout.result import StageClock
 from nw_eval.rollout.trial import run_trial
 
 

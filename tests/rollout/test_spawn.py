@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.rollout.spawn import draw_start
+from nw_eval.rollout.prepare import draw_start
 from nw_eval.suite.trials import Trial
 
 # Measured on the published evaluation (MuJoCo 3.1.6), seeds 10000 and 10001: the spawn offsets of

@@ -13,7 +13,7 @@ from nw_eval import api, cli
 from nw_eval.catalogue import get_scene
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle
-from nw_eval.policies.remote.serve import serving
+from nw_eval.policies.serve import serving
 from nw_eval.rollout.record import TRIAL, VERDICT, trial_metadata
 from nw_eval.rollout.replaying.replay import replay
 

@@ -13,10 +13,9 @@ from nw_eval.errors import UsageError
 from nw_eval.policies import load_bundle
 from nw_eval.robots import get_robot
 from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.pictures.contact_shadow import ContactShadow
-from nw_eval.rollout.pictures.third_person import Spectator
 from nw_eval.rollout.replaying import contact_sheet
 from nw_eval.rollout.replaying.logged import read_logged_trial
+from nw_eval.rollout.replaying.third_person import ContactShadow, Spectator
 from nw_eval.rollout.trial import run_trial
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.sheet import draw_sheet

@@ -67,7 +67,7 @@ def test_physics_that_fails_is_an_error_with_what_was_reached_so_far(
     ids=["nan", "eleven numbers", "raises"],
 )
 def test_a_policy_that_misbehaves_is_a_policy_error(make_job, library, monkeypatch, action, said):
-    from nw_eval.policies.adapters.zero import ZeroPolicy
+    from nw_eval.policies.opening import ZeroPolicy
 
     monkeypatch.setattr(ZeroPolicy, "act", lambda _self, _observation: action())
     result = run_trial(make_job(policy="stand"), library=library)
@@ -80,7 +80,7 @@ def test_a_policy_that_misbehaves_is_a_policy_error(make_job, library, monkeypat
 def test_a_policy_that_fails_beside_its_actions_is_a_policy_error_too(
     make_job, library, monkeypatch, tmp_path, method
 ):
-    from nw_eval.policies.adapters.zero import ZeroPolicy
+    from nw_eval.policies.opening import ZeroPolicy
 
     def broken(*_):
         raise RuntimeError("no connection")
@@ -93,7 +93,7 @@ def test_a_policy_that_fails_beside_its_actions_is_a_policy_error_too(
 
 
 def test_a_fault_after_the_outcome_costs_the_log_alone(make_job, library, monkeypatch, tmp_path):
-    from nw_eval.policies.adapters.zero import ZeroPolicy
+    from nw_eval.policies.opening import ZeroPolicy
 
     calls = []
 

@@ -8,11 +8,10 @@ import pytest
 from nw_eval import api
 from nw_eval.errors import PrerequisiteError, StoreError, UsageError
 from nw_eval.rollout.record import attachments
-from nw_eval.rollout.replaying.film import film as filming
-from nw_eval.rollout.replaying.film.film import Film
-from nw_eval.rollout.replaying.film.frame import FRAME, VIEW, Words, composed
+from nw_eval.rollout.replaying import film as filming
+from nw_eval.rollout.replaying.film import FRAME, VIEW, Film, Words, composed
 from nw_eval.rollout.replaying.replay import replay
-from nw_eval.rollout.replaying.takeover.takeover import take_over
+from nw_eval.rollout.replaying.takeover import take_over
 from nw_eval.rollout.trial import run_trial
 
 av = pytest.importorskip("av")
@@ -36,7 +35,9 @@ def band(picture):
 @pytest.fixture(autouse=True)
 def _drawn_small(monkeypatch):
     """Pictures from outside take half a second each at their true size."""
-    monkeypatch.setattr(filming, "VIEW", (128, 72))
+    real = filming.Spectator.beside
+    small = {"width": 128, "height": 72}
+    monkeypatch.setattr(filming.Spectator, "beside", lambda *where, **_: real(*where, **small))
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from nw_eval.cards.observations import DepthObservation, SemanticsObservation
 from nw_eval.cards.observations import SplatRgbObservation as Photo
 from nw_eval.cards.wrappers import Wrapper
 from nw_eval.robots import get_robot
-from nw_eval.rollout.observed.views import View, views_of
+from nw_eval.rollout.observed import View, views_of
 from nw_eval.sensors.splat_rgb import arrange
 from nw_eval.sensors.wrappers import Chain, Shot, Spec, make_wrappers
 

@@ -9,7 +9,7 @@ from onnx import TensorProto, helper, numpy_helper
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle
 from nw_eval.robots import get_robot
-from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.rollout.confined.vetting import check_bundle
 from nw_eval.sensors import check_card
 
 CARD = """\

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.replaying.blame.report import BlameReport
+    from nw_eval.rollout.replaying.reports import BlameReport
 
 AT_MOST = 10
 """Trials that are blamed unless more are asked for: each takes as long as some ten others."""
@@ -96,12 +96,12 @@ def blame(
         IncomparableError: the bank's policy is not the one that is there.
         PolicyError: the policy cannot be used.
     """
-    from nw_eval.engine.machine.cores import worker_count
+    from nw_eval.engine.machine import worker_count
     from nw_eval.errors import UsageError
     from nw_eval.reporting.tables.trials import worst_trials
     from nw_eval.results.evidence_check import present_logs
     from nw_eval.rollout.confined.vetting import vet_bundle
-    from nw_eval.rollout.replaying.blame.apart import blame_apart
+    from nw_eval.rollout.replaying.apart import blame_apart
 
     if at_most < 1:
         raise UsageError(f"--at-most {at_most}", fix="give at least 1 trial")
@@ -162,7 +162,7 @@ def _read(run: Path) -> tuple[RunFolder, RunInfo, Sequence[Row]]:
 
 
 def _tries(rows: Sequence[Row]) -> int:
-    from nw_eval.rollout.replaying.blame.search import most_tries
+    from nw_eval.rollout.replaying.blame import most_tries
 
     return max(most_tries(row.steps) for row in rows)
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 from nw_eval.errors import UsageError
 
 if TYPE_CHECKING:
-    from nw_eval.engine.cache.entry import CacheEntry
-    from nw_eval.engine.cache.store import Kept, TrialStore
+    from nw_eval.engine.cache import CacheEntry, Kept, TrialStore
 
 _GB = 10**9
 
@@ -53,7 +52,7 @@ def cache_info() -> CacheUse:
         StoreError: its folder cannot be used.
         UsageError: `NW_EVAL_CACHE_GB` is no size.
     """
-    from nw_eval.engine.cache.store import limit_bytes
+    from nw_eval.engine.cache import limit_bytes
 
     limit, store = limit_bytes(), _store()
     found = [(kept, _entry(kept)) for kept in store]
@@ -80,7 +79,7 @@ def prune_cache(limit_gb: float | None = None) -> CacheCleanup:
         StoreError: its folder cannot be used.
         UsageError: a size that is none.
     """
-    from nw_eval.engine.cache.store import limit_bytes
+    from nw_eval.engine.cache import limit_bytes
 
     if limit_gb is not None and not 0.0 <= limit_gb < float("inf"):
         raise UsageError(f"--limit {limit_gb:g}", fix="give a size in GB, 0 or more")
@@ -99,7 +98,7 @@ def verify_cache() -> CacheCleanup:
     Raises:
         StoreError: its folder cannot be used.
     """
-    from nw_eval.engine.cache.entry import remove
+    from nw_eval.engine.cache import remove
 
     store = _store()
     kept = list(store)
@@ -115,13 +114,13 @@ def verify_cache() -> CacheCleanup:
 
 
 def _store() -> TrialStore:
-    from nw_eval.engine.cache.store import TrialStore
+    from nw_eval.engine.cache import TrialStore
 
     return TrialStore.of_user()
 
 
 def _entry(kept: Kept) -> CacheEntry | None:
-    from nw_eval.engine.cache.entry import NO_ENTRY, read_entry
+    from nw_eval.engine.cache import NO_ENTRY, read_entry
 
     try:
         return read_entry(kept.path)
@@ -130,7 +129,7 @@ def _entry(kept: Kept) -> CacheEntry | None:
 
 
 def _is_whole(kept: Kept) -> bool:
-    from nw_eval.engine.cache.entry import NO_ENTRY
+    from nw_eval.engine.cache import NO_ENTRY
 
     entry = _entry(kept)
     if entry is None:

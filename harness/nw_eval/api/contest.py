@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.api.banks import control_rows
 from nw_eval.api.plans import rechecks
-from nw_eval.engine.machine.cores import worker_count
+from nw_eval.engine.machine import worker_count
 from nw_eval.engine.rounds import RunStanding
 from nw_eval.errors import IncomparableError, PolicyError, TrialError
 from nw_eval.files.inside import what_is

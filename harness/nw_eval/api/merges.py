@@ -67,8 +67,7 @@ def _read(
 ) -> tuple[list[MergeSource], tuple[Trial, ...], list[str]]:
     """Return what is merged, the trials of the whole plan in order, and remarks."""
     from nw_eval.api.saved_run import saved_suite, whole_plan
-    from nw_eval.engine.order import in_order
-    from nw_eval.engine.shards import plan_digest
+    from nw_eval.engine.order import in_order, plan_digest
     from nw_eval.request import Shard
     from nw_eval.results.ended import read_trials, wanted
     from nw_eval.results.merge import MergeSource, check_parts

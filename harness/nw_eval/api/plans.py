@@ -91,10 +91,10 @@ def plan_of(
     Raises:
         IncomparableError: the bank does not hold for it.
     """
+    from nw_eval.engine.order import shard_of
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.prepare import check_splats
     from nw_eval.engine.provenance import policy_info
-    from nw_eval.engine.shards import shard_of
     from nw_eval.suite import expand, override
 
     suite = None if draft.suite is None else override(draft.suite, request)

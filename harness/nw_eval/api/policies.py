@@ -163,10 +163,10 @@ def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
     """
     from nw_eval.files.cache import followed
     from nw_eval.files.inside import what_is
-    from nw_eval.policies.onnx.fold import fold
+    from nw_eval.policies.onnx_fold import fold
     from nw_eval.rollout.confined.access import folding_rules
     from nw_eval.rollout.confined.isolated import call_isolated
-    from nw_eval.rollout.replaying.readied import fetch, scratch_folder
+    from nw_eval.rollout.replaying.apart import fetch, scratch_folder
 
     if what_is(followed(out)) == "file":
         raise UsageError(f"{out} exists already", fix="move it away, or name another with --out")
@@ -213,7 +213,7 @@ def serve_policy(
     # Before anything is imported that starts threads, which would stay outside of the fence.
     with child_environment() if confined and not allow_code else nullcontext():
         from nw_eval.policies import load_bundle
-        from nw_eval.policies.remote.serve import serving
+        from nw_eval.policies.serve import serving
         from nw_eval.rollout.confined.access import fence_in_server
         from nw_eval.rollout.confined.vetting import vet_bundle
         from nw_eval.sensors import check_card

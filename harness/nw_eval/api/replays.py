@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nw_eval.rollout.replaying.report import ReplayReport
-    from nw_eval.rollout.replaying.takeover.report import TakeoverReport
+    from nw_eval.rollout.replaying.reports import ReplayReport, TakeoverReport
     from nw_eval.viewing.recording.track import WrittenRecording
 
 
@@ -90,7 +89,7 @@ def take_over(
         SceneError: the scene is missing.
         TrialError: the policy fails while it looks on.
     """
-    from nw_eval.rollout.replaying.takeover.apart import take_over_apart
+    from nw_eval.rollout.replaying.apart import take_over_apart
 
     log = _found(log)
     _check_video(video)
@@ -170,7 +169,7 @@ def rerun_recording(log: Path, out: Path) -> WrittenRecording:
 def _check_video(video: Path | None) -> None:
     """Refuse a video that cannot be made, before anything runs."""
     from nw_eval.errors import UsageError
-    from nw_eval.rollout.replaying.film.encoder import video_library
+    from nw_eval.rollout.replaying.film import video_library
 
     if video is None:
         return

@@ -268,7 +268,7 @@ def judged(folder: RunFolder) -> RunReport:
     Raises:
         StoreError: its folder was removed, or the report cannot be written.
     """
-    from nw_eval.engine.workers.presence import Presence
+    from nw_eval.engine.rounds import Presence
 
     try:
         with TracebackIn(folder.path):

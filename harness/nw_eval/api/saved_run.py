@@ -176,7 +176,7 @@ def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     Raises:
         StoreError: run.json contradicts itself about them.
     """
-    from nw_eval.engine.shards import shard_of
+    from nw_eval.engine.order import shard_of
     from nw_eval.results.ended import wanted
 
     trials = whole_plan(info, suite)

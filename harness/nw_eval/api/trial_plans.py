@@ -301,7 +301,7 @@ def plan_shards(
     """
     from nw_eval.api.plans import check_workers, plan
     from nw_eval.engine.forecast import forecast
-    from nw_eval.engine.shards import shards_of
+    from nw_eval.engine.order import shards_of
     from nw_eval.request import Request
 
     check_workers(workers)

@@ -19,7 +19,7 @@ from nw_eval.errors import NwEvalError, StoreError, UsageError
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.results.evidence_check import CheckedFiles
-    from nw_eval.rollout.replaying.report import Difference
+    from nw_eval.rollout.replaying.reports import Difference
 
 SAMPLE = "5%"
 """Of the trials with a result that run again, where nothing else is asked for."""

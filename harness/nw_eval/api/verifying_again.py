@@ -30,7 +30,7 @@ from nw_eval.results.provenance import read_run_info
 from nw_eval.results.row import COLUMNS, MEASURED
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.replaying.report import Difference
+from nw_eval.rollout.replaying.reports import Difference
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener

@@ -14,7 +14,7 @@ from nw_eval.files.inside import OutsideError, checked
 NetworkAdapter = Literal["onnx", "torchscript", "torch-export"]
 """What runs a file that may also be a network which feeds another."""
 BuiltInAdapter = Literal[NetworkAdapter, "lucidsim", "extreme-parkour", "act", "remote", "zero"]
-"""The table of adapters; what opens each of them stands in `policies.adapters`."""
+"""The table of adapters; what opens each of them stands in `policies.opening`."""
 
 ADAPTERS: tuple[str, ...] = get_args(BuiltInAdapter)
 

@@ -1,24 +1,21 @@
 """Processes that open strangers' files: confined before the first of these is opened.
 
-rules.py        what a process may do; `confine` makes it so
-fence.py        Landlock and seccomp together, and what they came to
+rules.py        what a process may do, its memory and time; `confine` makes it so
+fence.py        Landlock and seccomp together, what libraries read on their own, what it came to
 landlock.py     which files may be opened
-seccomp.py      which system calls are refused
-calls.py        their numbers
+seccomp.py      which system calls are refused, and their numbers
 kernel.py       calls that Python has no function for
-libraries.py    what Python and its libraries read on their own
-limits.py       memory and time
 family.py       parents, children and the terminal
 environment.py  what children inherit
-nursery/        children that need not import anything
+nursery.py      children that need not import anything
+files.py        what each kind of a stranger's file may do
 """
 
 from nw_eval.confinement.environment import child_environment
 from nw_eval.confinement.family import GONE, LEFT, interrupts_blocked, kill_group, without_script
 from nw_eval.confinement.fence import Fence, fence_stands, offered, raise_fence
-from nw_eval.confinement.limits import memory_to_open, memory_to_run, processor_time
 from nw_eval.confinement.nursery import Child, Nursery
-from nw_eval.confinement.rules import Rules, confine
+from nw_eval.confinement.rules import Rules, confine, memory_to_open, memory_to_run, processor_time
 
 __all__ = [
     "GONE",

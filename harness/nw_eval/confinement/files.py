@@ -1,7 +1,7 @@
 """What each kind of a stranger's file may do; `docs/security.md` shows this table.
 
 A confined process is behind the fence of the operating system, with limits of time and memory.
-Numbers stand where they are held to: `limits.py`, `rollout/confined/access.py`, `policies/safety`.
+Numbers stand where they are held to: `rules.py`, `rollout/confined/access.py`, `policies/safety`.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from nw_eval.confinement import kernel
-from nw_eval.confinement.calls import Network
+from nw_eval.confinement.seccomp import Network
 
 _CREATE, _ADD_RULE, _RESTRICT = 444, 445, 446  # The same numbers on every machine.
 _ASK_VERSION = 1

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import ceil
 from typing import TYPE_CHECKING
 
-from nw_eval.engine.machine.cores import worker_count
+from nw_eval.engine.machine import worker_count
 from nw_eval.engine.provenance import engine_of
 from nw_eval.plural import plural
 from nw_eval.results.bank import machine_in

@@ -11,7 +11,7 @@ from nw_eval.built_in.entries import parted
 from nw_eval.built_in.splits import split_of
 from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
-from nw_eval.engine.machine.cpu import cpu_kind
+from nw_eval.engine.machine import cpu_kind
 from nw_eval.policies.bundle import senses_by_code
 from nw_eval.results.journal import JournalHeader
 from nw_eval.results.machine import (

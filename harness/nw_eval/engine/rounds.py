@@ -1,31 +1,47 @@
-"""Runs all trials of a plan: workers, journal, retries, resume, and an orderly stop."""
+"""Runs all trials of a plan: workers, journal, retries, resume, and an orderly stop.
+
+Attempts at trials are given to workers, written down as they end, and made again after an error. A
+trial that ends in an error is run once more, in a process of its own. If the policy itself failed
+both times in the same way (`words.PolicyFault`), that is what the policy does, and the trial's
+result. Everything else stays an error: a machine's fault is never a failure of the policy. Since it
+says nothing about the policy at all, a policy's failure that comes only after one has its second
+attempt still to come.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
-from nw_eval.engine.cache.nothing import NothingKnown
+from nw_eval.clean import clean
+from nw_eval.engine.known import NothingKnown
 from nw_eval.engine.listener import Listener, Silence
-from nw_eval.engine.machine.cores import worker_count
-from nw_eval.engine.machine.interrupts import Interrupts
-from nw_eval.engine.trials.attempts import Attempts
+from nw_eval.engine.machine import Interrupts, worker_count
+from nw_eval.engine.rows import make_row
+from nw_eval.errors import StoreError
 from nw_eval.plural import plural
+from nw_eval.rollout.result import as_outcome, policy_fault
 
 if TYPE_CHECKING:
     import signal
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from nw_eval.engine.cache.known import KnownTrials
-    from nw_eval.engine.workers.protocol import Hire
+    from nw_eval.engine.known import KnownTrials
+    from nw_eval.engine.workers import Finished, Hire, Workers
     from nw_eval.results.journal import Journal
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
+    from nw_eval.rollout.result import TrialResult
     from nw_eval.words import Arm
 
     Enough = Callable[[Mapping[int, Row]], "RunStanding"]
+
+_BEFORE = "; the attempt before: "
+_NOW, _EARLIER = 600, 300  # Characters of each, so that no later cut loses one of them.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +90,7 @@ def run_trials(
 ) -> RunOutcome:
     """Run every job that the journal has no result of, and write each result to it at once.
 
-    A trial that ends in an error is run again in a process of its own (`engine.trials.repeat`). The
+    A trial that ends in an error is run again in a process of its own (`engine.rounds`). The
     first Ctrl-C or SIGTERM stops the workers and returns what is finished; the journal can be
     resumed. A second one raises KeyboardInterrupt.
 
@@ -186,3 +202,314 @@ def _ahead(
     now = standing()
     judged = now.first + len(now.followed)
     return now if judged < len(jobs) else None
+
+
+class Attempts:
+    """All attempts of one run; a context manager that stops its workers.
+
+    Args:
+        journal: open.
+        folder: of the run.
+        policy: the policy's name, for rows.
+        arm: whether it is the one that is judged, for rows.
+        listener: told of progress.
+        hire: gets workers.
+        workers: how many.
+        known: what need not be run, because an earlier run has its result.
+    """
+
+    def __init__(
+        self,
+        *,
+        journal: Journal,
+        folder: RunFolder,
+        policy: str,
+        arm: Arm,
+        listener: Listener,
+        hire: Hire,
+        workers: int,
+        known: KnownTrials | NothingKnown,
+    ) -> None:
+        self.presence = Presence(journal.path)
+        self._journal = journal
+        self._folder = folder
+        self._policy = policy
+        self._arm: Arm = arm
+        self._listener = listener
+        self._hire = hire
+        self.workers = workers
+        self._known = known
+        self._staff: Workers | None = None  # They make first attempts, one round after the other.
+        self._cleanup = ExitStack()
+        latest = {row.trial_id: row for row in journal.rows}
+        self._errors = {name: row for name, row in latest.items() if row.status == "error"}
+        self._finished = {name for name, row in latest.items() if row.status == "ok"}
+        self._lost = {name: row for name, row in latest.items() if row.lost_its_log}
+        self._latest = {name: latest[name] for name in self._finished}
+        self._ended: dict[str, Row] = {}  # In this session.
+        self._is_enough = False
+        self._is_held = False  # A trial is to run again before any further one begins.
+
+    def __enter__(self) -> Self:
+        with suppress(OSError):  # Each trial says that its log cannot be written.
+            self._folder.logs.mkdir(parents=True, exist_ok=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._dismiss()
+
+    def finished_of(self, jobs: Iterable[TrialJob]) -> int:
+        """Return how many of the jobs had a result when the run began."""
+        return sum(self._is_finished(job) for job in jobs)
+
+    def ended_row(self, job: TrialJob) -> Row | None:
+        """Return the row of a trial that needs no further attempt; None of one that does."""
+        name = job.trial.id
+        if (row := self._ended.get(name)) is not None:
+            return row
+        return self._latest[name] if self._is_finished(job) else None
+
+    def settle(
+        self,
+        jobs: Sequence[TrialJob],
+        interrupts: Interrupts,
+        more: Callable[[], list[TrialJob] | None] | None = None,
+    ) -> None:
+        """Run jobs that have no result until none deserves another attempt, or a signal came.
+
+        What the cache knows is written down as soon as what it was compared with has agreed.
+
+        Args:
+            jobs: any.
+            interrupts: heard whenever workers say something, and some ten times a second.
+            more: asked whenever one has ended which others are to run as well; None: nothing that
+                runs is needed any more. What it says is dropped once a trial is to run again.
+        """
+        self._is_held = False
+        todo = [job for job in jobs if not self._is_finished(job)]
+        # An error deserves to be run again, whatever the cache knows.
+        new = self._known.to_run([job for job in todo if job.trial.id not in self._errors])
+        self._run([job for job in todo if job.trial.id in self._errors] + new, interrupts, more)
+        if self._is_enough:
+            self._known.unconfirmed()
+        elif interrupts.requested is None:
+            self._take_over(at_last=True)
+            self._run(self._known.unconfirmed(), interrupts, more)
+
+    def _is_finished(self, job: TrialJob) -> bool:
+        """Whether a trial had a result when the run began, and the log that it is to have."""
+        name = job.trial.id
+        return name in self._finished and not (name in self._lost and job.mcap is not None)
+
+    def _run(
+        self,
+        todo: Sequence[TrialJob],
+        interrupts: Interrupts,
+        more: Callable[[], list[TrialJob] | None] | None,
+    ) -> None:
+        # Where a policy failed before a run was cut, what is missing is the attempt in a fresh
+        # process.
+        again = [job for job in todo if self._awaits_repeat(job)]
+        first = [job for job in todo if not self._awaits_repeat(job)]
+        self._is_held |= bool(again)
+        if first and interrupts.requested is None:
+            if self._staff is None:
+                self._staff = self._cleanup.enter_context(self._hire(self.workers, fresh=False))
+            again += self._work(self._staff, first, interrupts, more, fresh=False)
+        while again and interrupts.requested is None and not self._is_enough:
+            self._dismiss()  # What they hold in memory may be what the others lack.
+            repeated = [_with_evidence(job) for job in again]
+            with self._hire(min(self.workers, len(again)), fresh=True) as workers:
+                again = self._work(workers, repeated, interrupts, None, fresh=True)
+
+    def _take_over(self, *, at_last: bool = False) -> None:
+        """Write down what the cache knows, unless that has yet to be compared."""
+        if rows := self._known.agreed(at_last=at_last):
+            self._journal.extend(rows)
+        for row in rows:
+            self._ended[row.trial_id] = row
+            self._listener.trial(row)
+
+    def _dismiss(self) -> None:
+        self._staff = None
+        self._cleanup.close()
+
+    def _awaits_repeat(self, job: TrialJob) -> bool:
+        """Whether the policy failed in a trial's latest attempt."""
+        row = self._errors.get(job.trial.id)
+        return row is not None and policy_fault(row) is not None
+
+    def _work(
+        self,
+        workers: Workers,
+        jobs: Sequence[TrialJob],
+        interrupts: Interrupts,
+        more: Callable[[], list[TrialJob] | None] | None,
+        *,
+        fresh: bool,
+    ) -> list[TrialJob]:
+        """Make one attempt at each job; return those that are to run again.
+
+        Args:
+            workers: idle.
+            jobs: any.
+            interrupts: after the first of them, the rest is left.
+            more: as for `settle`.
+            fresh: these are further attempts, each in a process of its own.
+        """
+        again: list[TrialJob] = []
+        workers.submit(jobs)
+        for ended in workers.finished():
+            if ended is not None:
+                before = self._errors.get(ended.job.trial.id)
+                row = self._keep(ended, before)
+                if is_open(row, before if fresh else None):
+                    again.append(ended.job)
+                    self._is_held = True
+                    self._announce_retry(row)
+                else:
+                    self._announce_failure(row)
+                    self._ended[row.trial_id] = row
+                    self._listener.trial(row)
+                    self._take_over()
+                if more is not None and not self._go_on(workers, more):
+                    self._dismiss()  # What runs was given ahead of what is judged.
+                    return []
+            self.presence.check()
+            if interrupts.requested is not None:
+                break
+        return again
+
+    def _go_on(self, workers: Workers, more: Callable[[], list[TrialJob] | None]) -> bool:
+        """Give the workers what comes next; return whether anything is needed any more.
+
+        Nothing is given once a trial is to run again after an error: its place in the order counts
+        only when it has, and what ran meanwhile might not be needed. `settle` is to be called anew.
+        """
+        while (jobs := more()) is not None:
+            self._is_held |= any(job.trial.id in self._errors for job in jobs)
+            if self._is_held:
+                return True
+            todo = [job for job in jobs if not self._is_finished(job)]
+            run = self._known.to_run(todo)
+            workers.submit(run)
+            self._take_over()
+            if all(self.ended_row(job) is None for job in jobs):
+                return True
+        self._is_enough = True
+        return False
+
+    def _keep(self, ended: Finished, before: Row | None) -> Row:
+        """Write an attempt down."""
+        name = ended.job.trial.id
+        row = make_row(
+            ended.job,
+            settled(ended.result, before),
+            attempt=1 if before is None else before.attempt + 1,
+            policy=self._policy,
+            arm=self._arm,
+            folder=self._folder,
+            host=ended.host,
+        )
+        lost = self._lost.pop(name, None)
+        if lost is not None and row.status == "ok" and lost.digest != row.digest:
+            return self._as_before(ended.job, lost)
+        self._journal.append(row)
+        self._known.ended(ended.job, row)
+        if row.status == "error":
+            self._errors[name] = row
+        if ended.result.mcap_error:
+            self._listener.message(f"trial {name}: the log is lost: {ended.result.mcap_error}")
+        return row
+
+    def _as_before(self, job: TrialJob, lost: Row) -> Row:
+        """Return the result that a trial had when its log was lost: a later one does not count."""
+        if job.mcap is not None:
+            job.mcap.unlink(missing_ok=True)  # It is of the other result.
+        self._listener.message(
+            f"trial {lost.trial_id} came out otherwise than before, when its log was lost: its "
+            "first result stands, without a log"
+        )
+        return lost
+
+    def _announce_retry(self, row: Row) -> None:
+        self._listener.message(
+            f"trial {row.trial_id}: {row.error_type}: {row.error_text}; it will run again "
+            f"{self._hire.again}"
+        )
+
+    def _announce_failure(self, row: Row) -> None:
+        if row.outcome == "policy_failed":
+            self._listener.message(
+                f"trial {row.trial_id}: the policy failed again ({row.end_reason}): that is its "
+                "result"
+            )
+
+
+def _with_evidence(job: TrialJob) -> TrialJob:
+    """Return a job whose log is written as it goes, and not held back until the trial's end.
+
+    If the trial kills its process again, what it did until then is on disk.
+    """
+    return replace(job, record="all") if job.record == "failures" else job
+
+
+def settled(result: TrialResult, before: Row | None) -> TrialResult:
+    """Return what an attempt comes to in the light of the one before.
+
+    Args:
+        result: of this attempt.
+        before: the row of the attempt before, an error; None if there was none.
+    """
+    if result.status == "ok" or before is None:
+        return result
+    fault = policy_fault(result)
+    if fault is not None and fault == policy_fault(before):
+        return as_outcome(result)
+    if (result.error_type, fault) == (before.error_type, policy_fault(before)):
+        return result
+    earlier = clean(before.error_text.partition(_BEFORE)[0], at_most=_EARLIER)
+    return replace(result, error_text=f"{clean(result.error_text, at_most=_NOW)}{_BEFORE}{earlier}")
+
+
+def is_open(row: Row, before: Row | None) -> bool:
+    """Whether a trial deserves another attempt after the one of this row.
+
+    Args:
+        row: of an attempt.
+        before: the row of the attempt before it in the same run; None if this was the first.
+    """
+    if row.status == "ok":
+        return False
+    return before is None or (policy_fault(row) is not None and policy_fault(before) is None)
+
+
+class Presence:
+    """Remembers which file a journal is, to find out whether it still lies where it did.
+
+    A process may go on writing to a file that has been removed; what it writes is lost.
+    """
+
+    def __init__(self, journal: Path) -> None:
+        self._journal = journal
+        self._known = _identity(journal)
+
+    def check(self) -> None:
+        """Do nothing while the file is in its place.
+
+        Raises:
+            StoreError: it is not.
+        """
+        if self._known is None or _identity(self._journal) != self._known:
+            raise StoreError(
+                f"{self._journal.parent} was removed or replaced while the run went on",
+                fix="put it back and continue with --resume, or run again",
+            )
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
-from nw_eval.engine.cache.opening import known_trials
-from nw_eval.engine.cache.store import limit_bytes
+from nw_eval.engine.cache import limit_bytes
+from nw_eval.engine.known import known_trials
 from nw_eval.engine.listener import Listener, Silence
-from nw_eval.engine.meanwhile import Meanwhile
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
 from nw_eval.engine.provenance import journal_header, now, run_info
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from nw_eval.engine.rounds import Enough, RunStanding
-    from nw_eval.engine.workers.protocol import Hire
+    from nw_eval.engine.workers import Hire, Workers
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.rollout.job import TrialJob
@@ -68,14 +68,14 @@ def carry_out(
         resume: the folder of an interrupted run, whose finished trials are kept.
         command: what was typed.
         listener: hears of progress.
-        in_process: whether trials run in this very process: see `engine.workers.in_process`.
+        in_process: whether trials run in this very process: see `engine.in_process`.
         cluster: the address of the Ray cluster on whose nodes trials run: see
-            `engine.workers.ray.connection`; None = in processes of this machine.
+            `engine.ray_connection`; None = in processes of this machine.
         prelude: called before the first trial, with the run's folder and run.json, of which it
             returns what it is to say from then on; a `stop` with no trial, or `interrupted`, ends
             the run there.
         enough: asked after each trial what comes next: see `run_trials`.
-        cache: whether results of earlier runs are taken over: see `engine.cache.known`.
+        cache: whether results of earlier runs are taken over: see `engine.known`.
         meanwhile: called in a thread while trials run in other processes; it raises nothing.
 
     Raises:
@@ -288,3 +288,45 @@ def _finish(
             }
         ),
     )
+
+
+class Meanwhile:
+    """Gets workers, and does something else once it has; a context manager.
+
+    Before it has, whatever else this process does keeps the first trial waiting.
+
+    Args:
+        hire: gets the workers.
+        work: done once, in a thread of its own; at the block's end if there was nothing to run. The
+            block's end waits for it, and raises what it raises.
+    """
+
+    def __init__(self, hire: Hire, work: Callable[[], None]) -> None:
+        self._hire = hire
+        self._work = work
+        self._thread = ThreadPoolExecutor(max_workers=1)
+        self._done: Future[None] | None = None
+
+    @property
+    def again(self) -> str:
+        """Where a job that is run again runs."""
+        return self._hire.again
+
+    def __call__(self, count: int, *, fresh: bool) -> Workers:
+        """Return workers."""
+        workers = self._hire(count, fresh=fresh)
+        self._begin()
+        return workers
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, failure: object, *_: object) -> None:
+        with self._thread:
+            if failure is None:
+                self._begin().result()
+
+    def _begin(self) -> Future[None]:
+        if self._done is None:
+            self._done = self._thread.submit(self._work)
+        return self._done

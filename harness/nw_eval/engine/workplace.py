@@ -6,15 +6,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from nw_eval.engine.workers.local import LocalProcesses
+from nw_eval.engine.local import LocalProcesses
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence
 
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
-    from nw_eval.engine.workers.protocol import Hire
-    from nw_eval.engine.workers.ray.connection import Joined
+    from nw_eval.engine.ray_connection import Joined
+    from nw_eval.engine.workers import Hire
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
 
@@ -26,7 +26,7 @@ class Workplace:
     workers: int | None
     """How many at a time; None = one for each core of this machine."""
     in_process: bool = False
-    """Whether it is this process: see `engine.workers.in_process`."""
+    """Whether it is this process: see `engine.in_process`."""
     joined: Joined | None = None
     """The cluster that it is, if it is one."""
 
@@ -40,11 +40,11 @@ class Workplace:
             UsageError: what the run needs cannot be brought there.
         """
         if self.in_process:
-            from nw_eval.engine.workers.in_process import InProcess  # It knows the simulator.
+            from nw_eval.engine.in_process import InProcess  # It knows the simulator.
 
             yield InProcess(plan.bundle)
         elif self.joined is not None:
-            from nw_eval.engine.workers.ray.workers import RayProcesses
+            from nw_eval.engine.ray_workers import RayProcesses
 
             with RayProcesses(plan, jobs, folder, joined=self.joined, listener=listener) as hire:
                 yield hire
@@ -70,7 +70,7 @@ def workplace(
     if cluster is None:
         yield Workplace(workers=1 if in_process else workers, in_process=in_process)
         return
-    from nw_eval.engine.workers.ray.connection import joined
+    from nw_eval.engine.ray_connection import joined
 
     with joined(cluster, cores=workers) as found:
         yield Workplace(workers=found.cores if workers is None else workers, joined=found)

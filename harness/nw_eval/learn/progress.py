@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self
 
-from nw_eval.engine.machine.interrupts import Interrupts
+from nw_eval.engine.machine import Interrupts
 from nw_eval.learn.curve import Curve
 from nw_eval.learn.folder import State, TrainFolder
 

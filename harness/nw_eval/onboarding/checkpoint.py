@@ -25,7 +25,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.files.inside import regular
 from nw_eval.onboarding.notation import plain
-from nw_eval.policies.onnx.recurrence import state_pairs
+from nw_eval.policies.networks.onnx_graph import state_pairs
 from nw_eval.policies.safety import (
     FileKind,
     FileLimits,
@@ -198,7 +198,7 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
 
 
 def _onnx(data: bytes, path: Path, sha256: str) -> CheckpointFacts:
-    from nw_eval.policies.onnx.session import open_session
+    from nw_eval.policies.networks.onnx_graph import open_session
 
     check_onnx(data, str(path))
     try:

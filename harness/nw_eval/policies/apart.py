@@ -495,7 +495,7 @@ def serve_policies(
 
 
 def _opened(words: Mapping[str, Any]) -> tuple[Policy, dict[str, Any]]:
-    from nw_eval.policies.adapters import open_policy
+    from nw_eval.policies.opening import open_policy
 
     bundle, allow_code = _loaded(words["bundle"])
     policy = open_policy(bundle, allow_code=allow_code)

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
+
+from pydantic import ValidationError
 
 from nw_eval.cards.card import Card
 from nw_eval.cards.checkpoint import Checkpoint
 from nw_eval.cards.load import CARD_FILE, load_card
+from nw_eval.cards.model import CardModel
 from nw_eval.cards.plugins import is_code
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.files.inside import OutsideError, inside, regular, what_is
 from nw_eval.files.shipped import available, shipped
-from nw_eval.policies.code_digest import code_digest
 from nw_eval.policies.computes import computed_digest
 
 if TYPE_CHECKING:
@@ -40,6 +43,12 @@ _WHEREABOUTS = frozenset({"url", "timeout", "connect_timeout"})
 
 _NO_MEANING = {"title", "licence", "trained_on", "checkpoint", "python"}
 """Keys of a card that change no action; what is installed counts for no policy's identity."""
+Options = TypeVar("Options", bound=CardModel)
+CODE_LIMIT = 2**26
+"""Bytes of all files together: 64 MiB, more than any policy's code."""
+
+SCOPE = "code outside the card's folder is not part of it"
+"""What every text that shows the digest says beside it."""
 
 
 class Weights(NamedTuple):
@@ -425,3 +434,115 @@ def _read(path: Path, folder: Path, source: str | None = None, *, is_own: bool =
             f"{(isinstance(error, OSError) and error.strerror) or error}",
             fix="check the path",
         ) from None
+
+
+class NoOptions(CardModel):
+    """An adapter that has nothing to choose."""
+
+
+def read_options(bundle: Bundle, model: type[Options]) -> Options:
+    """Return the card's `options` as its adapter understands them.
+
+    Raises:
+        PolicyError: an unknown option, or a value that cannot be used; all of them at once.
+    """
+    try:
+        return model.model_validate(dict(bundle.card.options))
+    except ValidationError as error:
+        problems: list[str] = []
+        for problem in error.errors():
+            name = ".".join(str(part) for part in problem["loc"])
+            if problem["type"] == "extra_forbidden":
+                problems.append(f"unknown option {name!r} ({nearest(name, model.model_fields)})")
+            else:
+                problems.append(f"option {name!r}: {problem['msg']}, not {problem['input']!r}")
+        raise PolicyError(
+            f"{bundle.where}: {'; '.join(problems)}",
+            fix=f"correct `options` for the adapter `{bundle.card.adapter}`",
+        ) from None
+
+
+def was_instance(reference: str) -> bool:
+    """Whether a bundle's `reference` is that of an object: nobody can load it."""
+    return reference.startswith(NO_FILE)
+
+
+def instance_bundle(policy: object, card: Card, *, digest: str = "") -> Bundle:
+    """Return the bundle of a policy that the caller has at hand.
+
+    It runs only in this process (`engine.in_process`), all trials with the same object,
+    which is never closed. It must have `act(observation) -> 12 numbers`, or be a function that does
+    that. Whatever else of `Policy` it has is used, as for a `python:` adapter: a trial depends on
+    those before it unless `reset(seed)` forgets them, or there is nothing to forget.
+
+    Args:
+        policy: the object or function.
+        card: what it sees and what its actions mean; its adapter is `python:module:Class`, for the
+            record, and it names no files.
+        digest: what tells this policy from others, such as the hex SHA-256 of its weights; empty =
+            nobody knows, and its rows say so.
+
+    Raises:
+        PolicyError: the card is of another kind of policy.
+    """
+    named = {"checkpoint": card.checkpoint is not None, "networks": bool(card.networks)}
+    if not card.adapter.startswith("python:"):
+        raise PolicyError(
+            f"card {card.name!r}: adapter {card.adapter!r} opens files, the policy is an object",
+            fix="write `python:module:Class`, where its class comes from",
+        )
+    for key, is_there in named.items():
+        if is_there:
+            raise PolicyError(
+                f"card {card.name!r} names `{key}`, the policy is an object",
+                fix=f"remove `{key}`",
+            )
+    return Bundle(
+        card=card, card_path=None, checkpoint=None, checkpoint_sha256=digest, instance=policy
+    )
+
+
+def code_digest(folder: Path) -> str:
+    """Return the hex SHA-256 of names and bytes of all `*.py` files below a folder, sorted.
+
+    A link counts by where it points; what it points to counts only inside the folder.
+
+    Raises:
+        PolicyError: the files are too large together, or cannot be read.
+    """
+    root, total = folder.resolve(), 0
+    digest = hashlib.sha256()
+    try:
+        for path in _python_files(root):
+            target = os.fsencode(path.readlink()) if path.is_symlink() else b""
+            data = b""
+            if path.is_file() and path.resolve().is_relative_to(root):
+                total += path.stat().st_size
+                if total > CODE_LIMIT:
+                    raise PolicyError(
+                        f"{folder}: the Python files below the card are over "
+                        f"{CODE_LIMIT // 2**20} MiB, and all count for the policy's identity",
+                        fix="put the card and its code into a folder of their own",
+                    )
+                data = path.read_bytes()
+            for part in (os.fsencode(path.relative_to(root).as_posix()), target, data):
+                digest.update(len(part).to_bytes(8, "big") + part)
+    except OSError as error:
+        raise PolicyError(
+            f"{error.filename}: the policy's code cannot be read: {error.strerror}",
+            fix="make it readable: it counts for the policy's identity",
+        ) from None
+    return digest.hexdigest()
+
+
+def _python_files(root: Path) -> list[Path]:
+    """Return all files that end in `.py`, and all links to folders, which are not entered."""
+    found: list[Path] = []
+    for folder, folders, files in os.walk(root, onerror=_raise):
+        found += [Path(folder, name) for name in files if name.endswith(".py")]
+        found += [path for name in folders if (path := Path(folder, name)).is_symlink()]
+    return sorted(found, key=lambda path: os.fsencode(path.relative_to(root).as_posix()))
+
+
+def _raise(error: OSError) -> None:
+    raise error

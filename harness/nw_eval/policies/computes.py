@@ -23,10 +23,8 @@ from hashlib import sha256
 from typing import Any, cast
 
 from nw_eval.errors import PolicyError
-from nw_eval.policies.safety.archive import Archive, open_archive
-from nw_eval.policies.safety.kind import file_kind
-from nw_eval.policies.safety.onnx.fields import ONNX
-from nw_eval.policies.safety.onnx.protobuf import ProtobufMessage, Reader, integers
+from nw_eval.policies.safety.archive import Archive, file_kind, open_archive
+from nw_eval.policies.safety.onnx_format import ONNX, ProtobufMessage, Reader, integers
 
 _FAULTS = (PolicyError, ValueError, LookupError, TypeError, RecursionError, OverflowError)
 _NESTED = 16

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from nw_eval.confinement import fence_stands
-from nw_eval.policies.memory import unfitting
+from nw_eval.policies.policy import unfitting
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
+from nw_eval.arrays import unpack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
 from nw_eval.errors import ActionError, CodeError, NotFiniteError, NwEvalError, TrialError
-from nw_eval.memory import Memory
+from nw_eval.memory import Arrays, Memory
 from nw_eval.policies.policy_process import FaultError, all_finite, as_action
 
 __all__ = ["Observation", "Policy", "all_finite", "checked_action", "raised"]
@@ -72,3 +74,29 @@ def checked_action(raw: Any, *, joints: int, policy: str) -> Action:
 def raised(fault: FaultError) -> NwEvalError:
     """Return a fault of a policy as the error that it is here."""
     return _KINDS[fault.kind](str(fault), fix=fault.fix)
+
+
+@contextmanager
+def unpacked(state: bytes, policy: str) -> Generator[Arrays]:
+    """Give the arrays that `arrays.pack` made a state of, to be taken in the `with` block.
+
+    Raises:
+        TrialError: the bytes are no such state, or the block finds that the arrays do not fit.
+    """
+    try:
+        arrays = unpack(state)
+    except ValueError as error:
+        raise unfitting(policy, str(error)) from None
+    found = {name: (array.shape, array.dtype) for name, array in arrays.items()}
+    try:
+        yield arrays
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise unfitting(policy, f"{error!r}, it has {found}") from None
+
+
+def unfitting(policy: str, reason: str) -> TrialError:
+    """Return the error for a state that belongs to something else."""
+    return TrialError(
+        f"the state does not fit policy {policy!r}: {reason}",
+        fix="continue a trial with the checkpoint and card that began it",
+    )

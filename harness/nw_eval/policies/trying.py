@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from nw_eval.cards.inputs import InputSpec, shape_problems, sized
 from nw_eval.errors import NotFiniteError, NwEvalError, PolicyError
-from nw_eval.policies.adapters import open_policy
 from nw_eval.policies.apart import current_line
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.drawing import DrawingPolicy
-from nw_eval.policies.feeding.fed_policy import FedPolicy
+from nw_eval.policies.fed_policy import FedPolicy
+from nw_eval.policies.opening import open_policy
 from nw_eval.policies.policy import Policy
 
 Answer = TypeVar("Answer")

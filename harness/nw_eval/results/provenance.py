@@ -156,7 +156,7 @@ class ShardInfo(_Saved):
 
     index: int = Field(ge=1)
     count: int = Field(ge=1)
-    plan: str  # Hex sha256 of the whole plan: see `engine.shards`.
+    plan: str  # Hex sha256 of the whole plan: see `engine.order`.
 
     @model_validator(mode="after")
     def _in_range(self) -> Self:

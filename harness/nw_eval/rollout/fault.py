@@ -76,7 +76,8 @@ def fault_of(error: BaseException) -> PolicyFault | None:
 def is_interrupt(error: BaseException) -> bool:
     """Whether an exception is the user's Ctrl-C, which must end more than a trial.
 
-    Workers ignore Ctrl-C (`engine.worker`), so a KeyboardInterrupt in one of them is the policy's.
+    Workers ignore Ctrl-C (`engine.worker.start`), so a KeyboardInterrupt in one of them is of the
+    policy.
     """
     hears = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
     return hears and isinstance(error, KeyboardInterrupt)

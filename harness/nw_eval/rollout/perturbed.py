@@ -25,7 +25,6 @@ from nw_eval.cards.wrappers import Noise
 from nw_eval.errors import UsageError, nearest
 from nw_eval.robots import RobotSpec
 from nw_eval.robots.spec import remounted
-from nw_eval.rollout.episode.pushes import Pushes
 from nw_eval.sensors.sensor import CLEAR, Air
 from nw_eval.sim import Actuators
 from nw_eval.suite.perturb import NEUTRAL
@@ -40,6 +39,12 @@ _WHITE = 255.0
 _CAMERAS = frozenset({"camera_pitch", "camera_height", "field_of_view"})
 _COLOURS = frozenset({"exposure", "fog"})
 _VIEWS = (SplatRgbObservation, DepthObservation, SemanticsObservation)
+EVERY = 150
+"""Control steps from one push to the next: 3 s."""
+_FIRST = 50
+"""Control steps before the first at least."""
+_LONGEST = 600 * 50
+"""Control steps of the longest trial."""
 
 
 def cell_of(trial: Trial) -> Cell:
@@ -129,3 +134,22 @@ def standing_cones(trial: Trial, cell: Cell, trail: Array) -> Array | None:
     if share == 0.0:
         return None
     return trail[trial.generator("missing cones").random(len(trail)) >= share]
+
+
+class Pushes:
+    """When and whereto a trial's robot is pushed: known before it begins, so nothing to remember.
+
+    Args:
+        speed: that a push adds to the trunk's, m/s.
+        generator: draws the first step, then a direction for each push.
+    """
+
+    def __init__(self, speed: float, generator: np.random.Generator) -> None:
+        self._first = int(generator.integers(_FIRST, EVERY))
+        angles = generator.uniform(-math.pi, math.pi, _LONGEST // EVERY + 1)
+        self._velocities = speed * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+    def at(self, step: int) -> NDArray[np.float64] | None:
+        """Return the velocity (2,) m/s, world frame, that is added before a step; mostly None."""
+        since = step - self._first
+        return self._velocities[since // EVERY] if since >= 0 and since % EVERY == 0 else None

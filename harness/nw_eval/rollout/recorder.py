@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from nw_eval.rollout.episode import Observer
 from nw_eval.rollout.mcap.steps import Call, StepNote
 from nw_eval.rollout.mcap.topics import ELEMENTS
-from nw_eval.rollout.observed.events import Events
-from nw_eval.rollout.observed.seen import Seen
-from nw_eval.rollout.pictures.cameras import LOG_CAMERA, LogCamera
+from nw_eval.rollout.observed import LOG_CAMERA, LogCamera, Seen
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
 from nw_eval.rollout.result import policy_fault
 from nw_eval.sensors.terms import velocity_at
@@ -22,11 +20,10 @@ from nw_eval.sim.binding import mujoco
 
 if TYPE_CHECKING:
     from nw_eval.robots.spec import CameraMount
-    from nw_eval.rollout.clock import StageClock
-    from nw_eval.rollout.episode import Decision, Step
-    from nw_eval.rollout.mcap.trial_log import TrialLog
+    from nw_eval.rollout.episode import Decision, Episode, Step
+    from nw_eval.rollout.mcap.trial_log import EventKind, TrialLog
     from nw_eval.rollout.prepare import OpenTrial
-    from nw_eval.rollout.result import TrialResult
+    from nw_eval.rollout.result import StageClock, TrialResult
 
 Array = NDArray[np.float64]
 
@@ -36,6 +33,8 @@ STATE_PERIOD, LARGE_STATE_PERIOD = 10, 25
 LARGE_STATE = 32 * 1024  # bytes
 # The walked path has a point at 10 Hz, and is written at 2 Hz.
 PATH_PERIOD, PATH_SHOWN = 5, 25
+# A camera image that the splat covers less than this is an event in the log.
+LOW_COVERAGE = 0.9
 
 
 class Recorder(Observer):
@@ -169,3 +168,66 @@ def _pose(camera: CameraMount) -> Array:
     pose[:3] = camera.position
     mujoco.mju_mat2Quat(pose[3:], np.array(camera.R_trunk_camera, np.float64).ravel())
     return pose
+
+
+class Events:
+    """Writes an event when something begins, not again while it lasts.
+
+    Args:
+        episode: that is watched.
+        log: where events are written.
+    """
+
+    def __init__(self, episode: Episode, log: TrialLog) -> None:
+        self._episode = episode
+        self._log = log
+        self._cameras = [each for each in episode.sensors.values() if each.is_image]
+        self._touching = False
+        self._covered = True
+
+    def is_due(self, *, credited: bool) -> bool:
+        """Whether `notice` might find anything: it is cheaper to ask."""
+        touches = self._episode.world.monitored_force() > 0.0
+        return credited or touches != self._touching or bool(self._cameras)
+
+    def notice(self, *, credited: bool) -> bool:
+        """Write what began in the step that was just made.
+
+        Args:
+            credited: whether a waypoint was.
+
+        Returns:
+            Whether it is worth a restartable state: a waypoint, or a contact.
+        """
+        episode = self._episode
+        progress = episode.progress
+        if credited:
+            number = progress.reached - 1
+            self._log.waypoints(episode.world.time, reached=progress.reached)
+            self.write("waypoint", f"waypoint {number + 1} of {progress.total}", number=number)
+        force = episode.world.monitored_force()
+        touches = force > 0.0 and not self._touching
+        if touches:
+            forces = episode.world.monitored_forces()
+            geom = max(forces, key=forces.__getitem__)
+            self.write("contact", f"{geom} touches with {force:.1f} N", value=force)
+        self._touching = force > 0.0
+        self._notice_coverage()
+        return credited or touches
+
+    def write(self, kind: EventKind, text: str, *, number: int = -1, value: float = 0.0) -> None:
+        """Write an event of now."""
+        episode = self._episode
+        self._log.event(
+            episode.world.time, kind, text, step=episode.step, waypoint=number, value=value
+        )
+
+    def _notice_coverage(self) -> None:
+        if not self._cameras:
+            return
+        shares = [camera.coverage for camera in self._cameras if camera.coverage is not None]
+        share = min(shares, default=1.0)
+        covered = share >= LOW_COVERAGE
+        if self._covered and not covered:
+            self.write("coverage", f"the splat covers {share:.0%} of the image", value=share)
+        self._covered = covered

@@ -7,13 +7,12 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import PolicyError, ServerError, TrialError
-from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.fault import fault_of, is_interrupt, one_line
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.trial_log import TrialLog
 from nw_eval.rollout.prepare import OpenTrial, open_trial
 from nw_eval.rollout.recorder import Recorder
-from nw_eval.rollout.result import TrialResult
+from nw_eval.rollout.result import StageClock, TrialResult
 
 if TYPE_CHECKING:
     from nw_eval.rollout.job import TrialJob

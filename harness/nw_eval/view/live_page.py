@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from nw_eval.errors import NwEvalError, StoreError, UsageError
 from nw_eval.files.inside import what_is
 from nw_eval.plural import plural
-from nw_eval.rollout.mcap.content.entities import place_update, robot_update
-from nw_eval.rollout.observed.views import View, views_of
+from nw_eval.rollout.mcap.drawn import place_update, robot_update
+from nw_eval.rollout.observed import View, views_of
 from nw_eval.sensors.drawing.pictures import picture_of
 from nw_eval.splat.files import read_splat
 from nw_eval.suite.perturb import NEUTRAL, UNITS

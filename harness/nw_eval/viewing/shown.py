@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 from nw_eval.cards.wrappers import Flatten, PluginWrap
 from nw_eval.errors import StoreError
-from nw_eval.rollout.observed.names import (
+from nw_eval.rollout.observed import (
+    LOG_TOPIC,
     action_names,
     element_names,
     term_sizes,
+    topic_names,
     value_paths,
+    views_of,
 )
-from nw_eval.rollout.observed.views import topic_names, views_of
-from nw_eval.rollout.pictures.cameras import LOG_TOPIC
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

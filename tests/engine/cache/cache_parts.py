@@ -3,10 +3,10 @@
 from collections import deque
 from dataclasses import dataclass, replace
 
-from nw_eval.engine.cache.key import Conditions
+from nw_eval.engine.cache import Conditions
 from nw_eval.engine.order import in_order
-from nw_eval.engine.trials.rows import make_row
-from nw_eval.engine.workers.protocol import Finished
+from nw_eval.engine.rows import make_row
+from nw_eval.engine.workers import Finished
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import TrialResult
 from nw_eval.suite.model import new_suite

@@ -11,8 +11,7 @@ from cache_parts import DONE, conditions_of, finish, jobs_of, row_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_eval.engine.cache.entry import NO_ENTRY, read_entry
-from nw_eval.engine.cache.store import limit_bytes
+from nw_eval.engine.cache import NO_ENTRY, limit_bytes, read_entry
 from nw_eval.errors import UsageError
 from nw_eval.results.seal import seal
 

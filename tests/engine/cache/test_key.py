@@ -8,7 +8,7 @@ from cache_parts import conditions_of, jobs_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.engine.cache import key
+from nw_eval.engine import cache
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.job import TrialJob
 from nw_eval.suite.trials import Trial
@@ -62,8 +62,8 @@ def test_every_field_of_a_job_is_known_to_count_or_not_to_count():
 
 
 def test_a_field_that_is_added_counts():
-    assert names(TrialJob) - key._CIRCUMSTANCE == {*COUNTING}
-    assert names(Trial) - key._LABELS == {*COUNTING_OF_TRIAL}
+    assert names(TrialJob) - cache._CIRCUMSTANCE == {*COUNTING}
+    assert names(Trial) - cache._LABELS == {*COUNTING_OF_TRIAL}
 
 
 def changed(data, changes, changes_of_trial):
@@ -100,10 +100,10 @@ def test_other_conditions_make_other_keys_and_lie_elsewhere(data):
 
 
 def test_what_lies_beneath_the_libraries_is_told():
-    assert all(key.system().values())
+    assert all(cache.system().values())
 
 
 @pytest.mark.parametrize("kind", [TrialJob, Trial])
 def test_no_field_is_left_out_by_a_name_that_is_none(kind):
-    known = key._CIRCUMSTANCE if kind is TrialJob else key._LABELS
+    known = cache._CIRCUMSTANCE if kind is TrialJob else cache._LABELS
     assert known <= names(kind)

@@ -6,8 +6,8 @@ from random import Random
 import pytest
 from cache_parts import DONE, Office, conditions_of, jobs_of, row_of
 
-from nw_eval.engine.cache.known import KnownTrials
-from nw_eval.engine.machine import interrupts
+from nw_eval.engine import machine
+from nw_eval.engine.known import KnownTrials
 from nw_eval.engine.rounds import RunStanding, run_trials
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.row import rows_digest
@@ -362,14 +362,14 @@ def test_a_cache_that_cannot_be_written_is_one_sentence_and_no_failure(go, store
 
 def test_an_interrupted_run_takes_over_nothing_that_was_not_compared(go, monkeypatch):
     go("first")
-    real = interrupts.Interrupts.__enter__
+    real = machine.Interrupts.__enter__
 
     def heard(self):
         real(self)
-        self.requested = interrupts.signal.SIGINT
+        self.requested = machine.signal.SIGINT
         return self
 
-    monkeypatch.setattr(interrupts.Interrupts, "__enter__", heard)
+    monkeypatch.setattr(machine.Interrupts, "__enter__", heard)
     cut = go("again")
     assert (cut.rows, len(cut.missing)) == ((), 4)
     monkeypatch.undo()

@@ -6,7 +6,7 @@ import pytest
 from cache_parts import conditions_of, jobs_of, row_of
 
 from nw_eval.cli.process import end_of
-from nw_eval.engine.cache.store import TrialStore
+from nw_eval.engine.cache import TrialStore
 
 HERE = conditions_of()
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from nw_eval.engine.trials.repeat import is_open, settled
-from nw_eval.engine.trials.rows import make_row
+from nw_eval.engine.rounds import is_open, settled
+from nw_eval.engine.rows import make_row
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import TrialResult

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.engine.trials.rows import make_row
+from nw_eval.engine.rows import make_row
 from nw_eval.results.run_folder import RunFolder
-from nw_eval.rollout.clock import StageSeconds
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.record import job_from_metadata, trial_metadata, verdict_metadata
-from nw_eval.rollout.result import TrialResult
+from nw_eval.rollout.result import StageSeconds, TrialResult
 from nw_eval.suite.trials import Trial
 
 

@@ -15,10 +15,10 @@ from nw_eval.learn.student.network import StudentNetwork, write_policy
 from nw_eval.learn.student.train import body_size
 from nw_eval.learn.student.trajectory import read_trajectory
 from nw_eval.policies import load_bundle
-from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.episode import Observer
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
+from nw_eval.rollout.result import StageClock
 from nw_eval.rollout.trial import run_trial
 
 SCENE = "hurdles/one_low_carpet"

@@ -14,7 +14,7 @@ from nw_eval.learn.student.driving import training_scenes
 from nw_eval.learn.student.network import StudentNetwork, write_policy
 from nw_eval.learn.student.train import body_size
 from nw_eval.policies import load_bundle
-from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.rollout.confined.vetting import check_bundle
 from nw_eval.sensors import check_card
 
 TRAINING = Path(__file__).parents[3] / "training"

@@ -8,10 +8,10 @@ from nw_eval.learn.teacher.lanes import lane_of
 from nw_eval.learn.teacher.senses import FRAME, SCANDOTS, Senses, bodies
 from nw_eval.learn.teacher.simulation import Simulation, Trails
 from nw_eval.robots import get_robot
-from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
+from nw_eval.rollout.result import StageClock
 from nw_eval.sim import TrailProgress, World
 from nw_eval.sim.course import distance_to_polyline
 from nw_eval.suite.trials import Trial

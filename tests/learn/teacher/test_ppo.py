@@ -14,7 +14,7 @@ from nw_eval.learn.teacher.networks import Actor, Critic, new_networks, read_act
 from nw_eval.learn.teacher.ppo import PpoLearner, SampleCollector, Samples, log_probability
 from nw_eval.learn.teacher.senses import PRIVILEGED
 from nw_eval.policies import load_bundle
-from nw_eval.policies.onnx.session import open_session
+from nw_eval.policies.networks.onnx_graph import open_session
 
 
 def settings(**changes):

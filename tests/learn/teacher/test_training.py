@@ -16,7 +16,7 @@ from nw_eval.learn.teacher.networks import Actor
 from nw_eval.learn.teacher.policy import export_checkpoint
 from nw_eval.learn.teacher.training import resume_teacher, train_teacher
 from nw_eval.policies import load_bundle
-from nw_eval.policies.onnx.session import open_session
+from nw_eval.policies.networks.onnx_graph import open_session
 
 SAVES_AT_ONCE = """
 import os, signal, sys

@@ -20,8 +20,7 @@ from nw_eval.onboarding.draft import write_card_draft
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.networks.act import Act, read_sizes
 from nw_eval.policies.networks.lucidsim import LucidSimTransformer
-from nw_eval.policies.networks.parkour_expert import Estimator, ParkourActor
-from nw_eval.policies.networks.parkour_student import DepthEncoder
+from nw_eval.policies.networks.parkour import DepthEncoder, Estimator, ParkourActor
 from nw_eval.robots import get_robot
 
 GO1 = get_robot("go1")

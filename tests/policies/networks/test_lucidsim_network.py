@@ -16,7 +16,7 @@ from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.networks.lucidsim import LucidSimTransformer
 from nw_eval.policies.networks.parameters import build
-from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.rollout.confined.vetting import check_bundle
 
 CARD = """\
 nw-policy: 1

@@ -11,9 +11,8 @@ import torch
 
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.networks.parkour_expert import Estimator, ParkourActor
-from nw_eval.policies.networks.parkour_student import DepthEncoder
-from nw_eval.rollout.check_bundle import check_bundle
+from nw_eval.policies.networks.parkour import DepthEncoder, Estimator, ParkourActor
+from nw_eval.rollout.confined.vetting import check_bundle
 
 # The frames before the present one, oldest first; training kept the heading out of them.
 HISTORY = """\

@@ -13,8 +13,8 @@ from nw_eval import api
 from nw_eval.engine.plan import plan_jobs
 from nw_eval.errors import IncomparableError, PolicyError
 from nw_eval.policies import load_bundle
-from nw_eval.policies.adapters.zero import ZeroPolicy
-from nw_eval.policies.remote.serve import serving
+from nw_eval.policies.opening import ZeroPolicy
+from nw_eval.policies.serve import serving
 from nw_eval.results.provenance import read_run_info
 from nw_eval.results.run_folder import RunFolder, open_run_folder
 from nw_eval.rollout.result import policy_fault
@@ -187,7 +187,7 @@ def test_without_the_extra_the_error_says_what_to_install(missing):
     code = (
         f"import sys; sys.modules[{missing!r}] = None\n"
         "from nw_eval.errors import PrerequisiteError\n"
-        "try:\n    import nw_eval.policies.remote.client\n"
+        "try:\n    import nw_eval.policies.remote\n"
         "except PrerequisiteError as error:\n    print(error)\n"
     )
     shown = subprocess.run(

@@ -11,9 +11,9 @@ from nw_eval.policies import load_bundle
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.record import attachments
+from nw_eval.rollout.replaying import led
 from nw_eval.rollout.replaying.replay import replay
-from nw_eval.rollout.replaying.takeover import led
-from nw_eval.rollout.replaying.takeover.takeover import take_over
+from nw_eval.rollout.replaying.takeover import take_over
 from nw_eval.rollout.trial import run_trial
 from nw_eval.suite.trials import Trial
 

@@ -5,7 +5,7 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from nw_eval.rollout.mcap.content.clouds import cloud_points
+from nw_eval.rollout.mcap.drawn import cloud_points
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.viewing.shown import shown_in_log
 

@@ -16,7 +16,7 @@ from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import BlamedTrial, BlamePlan, Blames
-    from nw_eval.rollout.replaying.blame.report import BlameReport
+    from nw_eval.rollout.replaying.reports import BlameReport
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,8 +16,7 @@ from nw_eval.words import Viewer
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from nw_eval.rollout.replaying.report import Difference, ReplayReport
-    from nw_eval.rollout.replaying.takeover.report import Ending, TakeoverReport
+    from nw_eval.rollout.replaying.reports import Difference, Ending, ReplayReport, TakeoverReport
     from nw_eval.viewing.recording.track import WrittenRecording
 
 

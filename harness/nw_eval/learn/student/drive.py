@@ -47,8 +47,8 @@ class Pair:
 
     def _drive(self, job: TrialJob, library: Library) -> TrialResult:
         from nw_eval.learn.student.trajectory import Watcher
-        from nw_eval.rollout.clock import StageClock
         from nw_eval.rollout.prepare import open_trial
+        from nw_eval.rollout.result import StageClock
         from nw_eval.rollout.trial import ended
 
         assert job.mcap is not None, "that is where the trajectory goes"

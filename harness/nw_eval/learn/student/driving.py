@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING
 from nw_eval.built_in.splits import split_of
 from nw_eval.catalogue import FoundScene, references
 from nw_eval.engine.listener import Silence
-from nw_eval.engine.machine.cores import worker_count
-from nw_eval.engine.machine.output import WorkerOutput
+from nw_eval.engine.local import LocalWorkers
+from nw_eval.engine.machine import WorkerOutput, worker_count
 from nw_eval.engine.plan import default_time_limit
 from nw_eval.engine.prepare import build_splats, check_splats, open_backend, ready_scans
-from nw_eval.engine.workers.local import LocalWorkers
-from nw_eval.engine.workers.worker import WorkerStart
+from nw_eval.engine.worker import WorkerStart
 from nw_eval.errors import UsageError
 from nw_eval.learn.progress import EVERY
 from nw_eval.learn.student.drive import Pair

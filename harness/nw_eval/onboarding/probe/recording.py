@@ -17,12 +17,12 @@ from nw_eval.catalogue import parse_reference
 from nw_eval.policies import Bundle
 from nw_eval.policies.apart import ApartPolicy
 from nw_eval.policies.drawing import DrawingPolicy
-from nw_eval.policies.feeding.fed_policy import FedPolicy
-from nw_eval.rollout.clock import StageClock
+from nw_eval.policies.fed_policy import FedPolicy
 from nw_eval.rollout.episode import Episode, Observer, Step
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
+from nw_eval.rollout.result import StageClock
 from nw_eval.sim import World
 from nw_eval.suite.trials import Trial
 from nw_eval.words import Outcome

@@ -34,9 +34,9 @@ from nw_eval.onboarding.probe.parts import parts_of
 from nw_eval.onboarding.probe.recording import Metered, Recording, SceneRig
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.robots import RobotSpec, get_robot
-from nw_eval.rollout.check_bundle import check_bundle
 from nw_eval.rollout.confined.access import OPENING_SECONDS, policy_rules, running_rules
 from nw_eval.rollout.confined.isolated import call_isolated
+from nw_eval.rollout.confined.vetting import check_bundle
 from nw_eval.rollout.fault import PolicyFailedError
 
 SECONDS = 1.0

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from nw_eval.policies.networks.onnx_graph import Graph
-from nw_eval.policies.safety.onnx.fields import MICROSOFT
+from nw_eval.policies.safety.onnx_format import MICROSOFT
 
 if TYPE_CHECKING:
     import onnxruntime as ort

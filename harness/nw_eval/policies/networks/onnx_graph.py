@@ -2,17 +2,23 @@
 
 An ONNX file is a protobuf message: fields of a number, a wire type and a value, some of which are
 messages again. A graph needs few of them, so they are written here without the onnx package.
+
+How every ONNX graph is opened here: on one thread, on the CPU, without a word to anybody.
 """
 
 from __future__ import annotations
 
+import os
+import re
+from collections.abc import Mapping
+from functools import cache
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.policies.onnx.session import open_session
-from nw_eval.policies.safety.onnx.fields import MICROSOFT
+from nw_eval.policies.safety.onnx_format import MICROSOFT
 
 if TYPE_CHECKING:
     import onnxruntime as ort
@@ -21,6 +27,7 @@ _OPSETS = {"": 17, MICROSOFT: 1}
 _IR_VERSION = 8
 _TYPES = {"float32": 1, "int64": 7}
 _INT, _INTS = 2, 7
+Shape = tuple[int | None, ...]
 
 
 class Graph:
@@ -97,3 +104,55 @@ def _varint(value: int) -> bytes:
         groups.append(value & 0x7F | 0x80)
         value >>= 7
     return bytes([*groups, value])
+
+
+@cache
+def _runtime() -> ModuleType:
+    """Return onnxruntime with its telemetry off.
+
+    Importing it is enough for a device id and a database of events to be written into the user's
+    cache folder, so the variable is set before; the call is for versions that do not read it.
+    """
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"
+    import onnxruntime
+
+    onnxruntime.disable_telemetry_events()
+    return onnxruntime
+
+
+def open_session(model: bytes, *, optimise: bool = True) -> ort.InferenceSession:
+    """Return a session that runs a graph; more threads would change the last bits of an action.
+
+    Args:
+        model: the bytes of an ONNX file; a stranger's have passed `check_onnx`.
+        optimise: whether constant parts are computed and nodes fused, which actions to the last
+            bit depend on; without, a graph can be described but nothing of it is computed.
+
+    Raises:
+        Exception: whatever onnxruntime has to say; its exceptions share no public base.
+    """
+    runtime = _runtime()
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.execution_mode = runtime.ExecutionMode.ORT_SEQUENTIAL
+    options.log_severity_level = 4  # What is wrong is raised; a warning would only be noise.
+    if not optimise:
+        options.graph_optimization_level = runtime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    return runtime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+
+
+def state_pairs(inputs: Mapping[str, Shape], outputs: Mapping[str, Shape]) -> dict[str, str]:
+    """Return the inputs whose next value is an output, by their names: `h_in` and `h_out`.
+
+    Exporters write `h_in` and `h_out` (rsl_rl, Isaac Lab), `in_h` and `out_h`, `h` and `h_next`,
+    `prev_state` and `next_state`. The shapes must be the same.
+    """
+    pairs: dict[str, str] = {}
+    for source, shape in inputs.items():
+        stem = re.sub(r"(^|_)(in|input|prev)$|^(prev|in)_", "", source)
+        for target, other_shape in outputs.items():
+            other = re.sub(r"(^|_)(out|output|next)$|^(next|out)_", "", target)
+            if other != target and other == stem and other_shape == shape:
+                pairs[source] = target
+    return pairs

@@ -12,10 +12,8 @@ fails is a `PolicyError` that says what the file is and how to export it.
     onnx_file   the tensors of an ONNX file
 """
 
-from nw_eval.policies.safety.archive import Archive, open_archive
-from nw_eval.policies.safety.kind import FileKind, file_kind
-from nw_eval.policies.safety.limits import FileLimits
-from nw_eval.policies.safety.onnx.file import check_onnx
+from nw_eval.policies.safety.archive import Archive, FileKind, FileLimits, file_kind, open_archive
+from nw_eval.policies.safety.onnx import check_onnx
 from nw_eval.policies.safety.tensors import (
     TensorFacts,
     read_tensors,

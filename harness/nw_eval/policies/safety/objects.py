@@ -16,7 +16,7 @@ from typing import Any
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
-from nw_eval.policies.safety.limits import FileLimits
+from nw_eval.policies.safety.archive import FileLimits
 
 STORAGES = {
     "DoubleStorage": "float64",

@@ -1,18 +1,26 @@
-"""The tensors of a torch or safetensors file: described without memory, then read within limits."""
+"""The tensors of a torch or safetensors file: described without memory, then read within limits.
+
+Which members a torch archive may have, and the same archive written anew from them.
+
+Torch's own reader of archives looks members up without regard to case, takes its root from the
+first of them, and looks for more of them than any policy has. So it is given an archive of ours:
+what was checked, under the names that were checked, and nothing else.
+
+The header of a safetensors file is eight bytes of length, JSON, then plain numbers.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
-from nw_eval.policies.safety.archive import Archive, open_archive
-from nw_eval.policies.safety.kind import file_kind, kind_said
-from nw_eval.policies.safety.limits import FileLimits
-from nw_eval.policies.safety.members import SCRIPT_MEMBERS, STATE_MEMBERS, check_members
+from nw_eval.policies.safety.archive import Archive, FileLimits, file_kind, kind_said, open_archive
 from nw_eval.policies.safety.objects import (
     ITEM_BYTES,
     Index,
@@ -21,10 +29,36 @@ from nw_eval.policies.safety.objects import (
     TensorRef,
     read_index,
 )
-from nw_eval.policies.safety.safetensors import read_header
 
 if TYPE_CHECKING:
     import torch
+
+_NAME = "[A-Za-z_][A-Za-z_0-9]*"
+_CODE = rf"code/__torch__(/{_NAME})*\.py"
+_STATE = r"data\.pkl|data/[0-9]+|version|\.data/version|byteorder"
+_MARKS = r"\.format_version|\.storage_alignment|\.data/serialization_id"
+"""What torch notes about an archive, and nobody needs."""
+STATE_MEMBERS = re.compile(f"{_STATE}|{_MARKS}")
+"""Members of a state dict."""
+SCRIPT_MEMBERS = re.compile(
+    rf"{_STATE}|{_MARKS}|constants\.pkl|constants/[0-9]+|{_CODE}"
+    rf"|{_CODE}\.debug_pkl|extra/.*|traced_inputs(\.pkl|/[0-9]+)"
+)
+"""Members of a TorchScript file; those of the last line are for people, and left out."""
+_KEPT = re.compile(rf"{_STATE}|constants\.pkl|constants/[0-9]+|{_CODE}")
+_MOBILE = re.compile(r"bytecode\.pkl|mobile_debug_handles\.pkl|.*\.ff|.*\.ptl", re.IGNORECASE)
+_DTYPES = {
+    "F64": "float64",
+    "F32": "float32",
+    "F16": "float16",
+    "BF16": "bfloat16",
+    "I64": "int64",
+    "I32": "int32",
+    "I16": "int16",
+    "I8": "int8",
+    "U8": "uint8",
+    "BOOL": "bool",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,3 +287,90 @@ def _tensor(raw: bytes, dtype: str) -> torch.Tensor:
     if not raw:
         return torch.empty(0, dtype=getattr(torch, dtype))
     return torch.frombuffer(bytearray(raw), dtype=getattr(torch, dtype))
+
+
+def check_members(archive: Archive, allowed: re.Pattern[str]) -> None:
+    """Check that all members lie in one folder and are those of their kind, case and all.
+
+    Raises:
+        PolicyError: a member is another, or lies elsewhere.
+    """
+    where = archive.where
+    if not archive.root:
+        raise PolicyError(
+            f"{where}: the archive's members do not lie in one folder, as those of torch do",
+            fix="do not use this file; export the policy again",
+        )
+    for name in archive.names():
+        if allowed.fullmatch(name):
+            continue
+        mobile = _MOBILE.fullmatch(name) is not None
+        raise PolicyError(
+            f"{where}: the archive has a member {clean(name, at_most=200)!r}, which "
+            + ("is for torch's mobile interpreter" if mobile else "such a file does not have"),
+            fix="save the module with torch.jit.save alone"
+            if mobile
+            else "do not use this file; export the policy again",
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TensorEntry:
+    """A tensor, and where in the file its numbers are: bytes `start` to `stop`."""
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: str
+    start: int
+    stop: int
+
+
+def read_header(data: bytes, where: str, limits: FileLimits) -> tuple[TensorEntry, ...]:
+    """Read and check the header.
+
+    Raises:
+        PolicyError: it is damaged, or a tensor's size is not that of its bytes in the file.
+    """
+    length = int.from_bytes(data[:8], "little")
+    begin = 8 + length
+    if length > limits.index_bytes or begin > len(data) or len(data) > limits.file_bytes:
+        raise PolicyError(
+            f"{where}: a safetensors header of {length} bytes in a file of {len(data)}",
+            fix="copy or download the file again",
+        )
+    try:
+        header: dict[str, Any] = json.loads(data[8:begin])
+        entries = [
+            _entry(name, fields, begin) for name, fields in header.items() if name != "__metadata__"
+        ]
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise PolicyError(
+            f"{where}: the safetensors header is damaged: {error}",
+            fix="copy or download the file again",
+        ) from None
+    if len(entries) > limits.tensors:
+        raise PolicyError(
+            f"{where}: {len(entries)} tensors, over the limit of {limits.tensors}",
+            fix="save the actor alone",
+        )
+    for entry in entries:
+        wanted = math.prod(entry.shape) * ITEM_BYTES[entry.dtype]
+        inside = begin <= entry.start <= entry.stop <= len(data)
+        if not inside or entry.stop - entry.start != wanted or min(entry.shape, default=0) < 0:
+            raise PolicyError(
+                f"{where}: tensor {entry.name!r} of shape {entry.shape} is not where the header "
+                "says",
+                fix="the file is truncated or forged: export the policy again",
+            )
+    return tuple(entries)
+
+
+def _entry(name: str, fields: dict[str, Any], begin: int) -> TensorEntry:
+    start, stop = (begin + int(offset) for offset in fields["data_offsets"])
+    return TensorEntry(
+        name=name,
+        shape=tuple(int(size) for size in fields["shape"]),
+        dtype=_DTYPES[fields["dtype"]],
+        start=start,
+        stop=stop,
+    )

@@ -531,7 +531,7 @@ def _load_kernels(nursery: Nursery) -> None:
 def _standing() -> Hashable:
     """Return what of this process its children have from their start on.
 
-    Libraries read the environment once (`engine.machine.cpu`); limits, rights and cores are the
+    Libraries read the environment once (`engine.machine`); limits, rights and cores are the
     system's to know.
     """
     environment = frozenset(

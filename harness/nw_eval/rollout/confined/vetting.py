@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from nw_eval.cards import physics_steps
 from nw_eval.errors import PolicyError
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.protocol import STRICT, EvaluationProtocol
-from nw_eval.robots import get_robot
+from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.confined.access import opening_rules, policy_rules
 from nw_eval.rollout.confined.isolated import TIME_LIMIT, IsolatedCall
 from nw_eval.rollout.confined.start import prepare_for, prepare_kernels
+
+if TYPE_CHECKING:
+    from nw_eval.sensors.check import ObservationSpec
 
 
 def vet_bundle(
@@ -39,8 +43,6 @@ def vet_bundle(
     if bundle.card.adapter == "remote":
         bundle = _with_server(bundle, robot, allow_code=allow_code)
     if bundle.checkpoint is None and not bundle.code_sha256:
-        from nw_eval.rollout.check_bundle import check_bundle
-
         # There is nothing of a stranger's to open but the card, and a server was asked already.
         check_bundle(bundle, get_robot(robot), allow_code=allow_code, may_fail=may_fail)
         return bundle
@@ -67,7 +69,7 @@ def vet_bundle(
 
 def _with_server(bundle: Bundle, robot: str, *, allow_code: bool) -> Bundle:
     """Return a remote bundle with the digest of what is served, which takes what the card makes."""
-    from nw_eval.policies.remote.client import ask_server  # Not everybody has websockets.
+    from nw_eval.policies.remote import ask_server  # Not everybody has websockets.
     from nw_eval.sensors import check_card
 
     code_from = bundle.folder if allow_code else None
@@ -92,8 +94,38 @@ def _size(shape: tuple[int, ...]) -> str:
 def _check(
     *, card: str, checkpoint: str | None, robot: str, allow_code: bool, may_fail: bool
 ) -> None:
-    # It knows sensors, and they the simulator, for which the caller may have no use.
-    from nw_eval.rollout.check_bundle import check_bundle
-
     bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
     check_bundle(bundle, get_robot(robot), allow_code=allow_code, may_fail=may_fail)
+
+
+def check_bundle(
+    bundle: Bundle,
+    robot: RobotSpec | None = None,
+    *,
+    allow_code: bool = False,
+    may_fail: bool = False,
+    seconds: int | None = None,
+) -> tuple[ObservationSpec, ...]:
+    """Check a card against its robot and its files of weights: sizes, and one action on zeros.
+
+    Args:
+        bundle: card and checkpoint.
+        robot: the robot that the suite runs; None = the card's own.
+        allow_code: whether Python code that the card names may be imported.
+        may_fail: whether a NaN or inf that it answers to zeros is left to its trials, which fail
+            of it: it is the policy's own failure, and no fault of the card.
+        seconds: of processor time that the policy's process may take; None = its own limit.
+
+    Raises:
+        PolicyError: as `check_card`; the checkpoint, or a network that feeds it, cannot be loaded,
+            wants another number of values than the card makes, or fails on zeros.
+    """
+    # Sensors know the simulator, for which the process that vets a bundle may have no use.
+    from nw_eval.policies.trying import ShownInput, try_bundle
+    from nw_eval.sensors.check import check_card
+
+    code_from = bundle.folder if allow_code else None
+    specs = check_card(bundle.card, robot, where=bundle.card_path, code_from=code_from)
+    shown = [ShownInput(spec.name, spec.shape, spec.dtype.str, spec.reckoning) for spec in specs]
+    try_bundle(bundle, shown, allow_code=allow_code, may_fail=may_fail, seconds=seconds)
+    return specs

@@ -2,16 +2,23 @@
 
 Built from a table at import, so that no generated file and no protoc are needed. Field numbers are
 a promise to every log ever written: append, never renumber.
+
+Below are the parts of the wire format (https://protobuf.dev/programming-guides/encoding) that are
+put together by hand, for messages that are written in every control step, or of which all but the
+time is known before. Times of a log are simulated time since the trial's start, never the time of
+day.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 from foxglove_schemas_protobuf import Vector3_pb2
 from google.protobuf import descriptor_pool, timestamp_pb2
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
 from google.protobuf.message_factory import GetMessageClass
+from google.protobuf.timestamp_pb2 import Timestamp
 
 _Field = FieldDescriptorProto
 _TYPES = {
@@ -79,6 +86,8 @@ _MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
         ("value", "double"),
     ),
 }
+_SECOND = 1_000_000_000
+_FIRST = b"\x0a"  # field 1, of a length that is said
 
 
 def _file() -> FileDescriptorProto:
@@ -114,3 +123,34 @@ Observation: Any = _BUILT["Observation"]
 Term: Any = _BUILT["Term"]
 Twist: Any = _BUILT["Twist"]
 Command: Any = _BUILT["Command"]
+
+
+def nanoseconds(seconds: float) -> int:
+    """Return simulated seconds as whole nanoseconds."""
+    return round(seconds * _SECOND)
+
+
+def stamp(time_ns: int) -> Timestamp:
+    """Return nanoseconds as protobuf's timestamp."""
+    return Timestamp(seconds=time_ns // _SECOND, nanos=time_ns % _SECOND)
+
+
+@lru_cache(maxsize=4096)  # Most are lengths, and the same from message to message.
+def varint(value: int) -> bytes:
+    """Return a number, at least 0, as a varint."""
+    digits: list[int] = []
+    while value > 0x7F:
+        digits.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes((*digits, value))
+
+
+def sized(data: bytes) -> bytes:
+    """Return data behind its length."""
+    return varint(len(data)) + data
+
+
+@lru_cache(maxsize=4096)
+def time_field(time_ns: int) -> bytes:
+    """Return the timestamp that is field 1 of all our messages, as of Foxglove's."""
+    return _FIRST + sized(stamp(time_ns).SerializeToString(deterministic=True))

@@ -18,19 +18,22 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from nw_eval.clean import clean
 from nw_eval.robots import RobotSpec
-from nw_eval.rollout.mcap.content.body import BodyForms
-from nw_eval.rollout.mcap.content.clouds import TrailClouds, place_cloud, robot_clouds
-from nw_eval.rollout.mcap.content.entities import Discs, place_update, robot_update, trail_update
-from nw_eval.rollout.mcap.content.images import Form as PixelForm
-from nw_eval.rollout.mcap.content.images import calibration_message, image_message
-from nw_eval.rollout.mcap.content.numbers import observation_message
-from nw_eval.rollout.mcap.content.seen import SeenRows
-from nw_eval.rollout.mcap.content.sim_state import Saved
+from nw_eval.rollout.mcap.drawn import (
+    Discs,
+    TrailClouds,
+    place_cloud,
+    place_update,
+    robot_clouds,
+    robot_update,
+    trail_update,
+)
 from nw_eval.rollout.mcap.file import Images, McapFile
-from nw_eval.rollout.mcap.messages import Event
-from nw_eval.rollout.mcap.stamps import nanoseconds, stamp
-from nw_eval.rollout.mcap.states import States
-from nw_eval.rollout.mcap.steps import StepNote, Steps
+from nw_eval.rollout.mcap.images import Form as PixelForm
+from nw_eval.rollout.mcap.images import calibration_message, image_message
+from nw_eval.rollout.mcap.messages import Event, nanoseconds, stamp
+from nw_eval.rollout.mcap.observations import SeenRows, observation_message
+from nw_eval.rollout.mcap.states import Saved, States
+from nw_eval.rollout.mcap.steps import BodyForms, StepNote, Steps
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.words import Record
 

@@ -1,24 +1,48 @@
-"""Replays a trial in a confined process: a log may be a stranger's, and what it names too."""
+"""Replays, takeovers and searches for the blame in a confined process.
+
+A log may be a stranger's, and what it names too. This process reads the log's words and makes the
+scene, whose cache is out of the other's reach.
+"""
 
 from __future__ import annotations
 
+import shutil
+import stat
 from base64 import b64decode, b64encode
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from time import monotonic
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
-from nw_eval.errors import PolicyError
+from nw_eval.errors import NwEvalError, PolicyError, StoreError, UsageError
 from nw_eval.files.cache import atomic_path, followed
-from nw_eval.rollout.confined.isolated import call_isolated
+from nw_eval.rollout.confined.access import policy_rules, running_rules
+from nw_eval.rollout.confined.isolated import IsolatedCall, call_isolated
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.replaying.film.film import Film
-from nw_eval.rollout.replaying.logged import agreed
-from nw_eval.rollout.replaying.moment import check_inside, check_start
-from nw_eval.rollout.replaying.readied import TIME_LIMIT, fetch, readied, scratch_folder
+from nw_eval.rollout.replaying.blame import blame
+from nw_eval.rollout.replaying.film import Film
+from nw_eval.rollout.replaying.logged import agreed, check_inside, check_start, read_logged_trial
 from nw_eval.rollout.replaying.replay import replay
-from nw_eval.rollout.replaying.report import ReplayReport
+from nw_eval.rollout.replaying.reports import BlameReport, ReplayReport, TakeoverReport
+from nw_eval.rollout.replaying.takeover import OPTION, second_job, take_over
+
+if TYPE_CHECKING:
+    from collections.abc import Generator
+
+    from nw_eval.confinement import Rules
+    from nw_eval.rollout.job import TrialJob
+
+_LOG, _VIDEO = "trial.mcap", "trial.mp4"
+Blamed = BlameReport | NwEvalError
+"""What came of one log: an error costs no other one."""
+TIME_LIMIT = 3600.0
+"""Seconds; a trial of 12 s takes 5 to 30, its video some minutes."""
 
 
 def replay_apart(
@@ -106,3 +130,250 @@ def _replay(
 
         drawn = b64encode(contact_sheet(replayed.logged)).decode()
     return {"report": asdict(replayed.report), "picture": drawn}
+
+
+def take_over_apart(
+    path: Path,
+    *,
+    start: float,
+    policy: str | None = None,
+    checkpoint: Path | None = None,
+    allow_code: bool = False,
+    out: Path | None = None,
+    video: Path | None = None,
+) -> TakeoverReport:
+    """As `take_over`, in a process of its own.
+
+    Raises:
+        NwEvalError: as `take_over`; the policy took more time or memory than it may.
+        PrerequisiteError: a video is asked for, and PyAV is not installed.
+        StoreError: log or video cannot be written.
+        UsageError: CUDA must draw what it sees, and the caller does not allow code.
+    """
+    check_start(start, option=OPTION)
+    library = Library()
+    check_inside(start, read_logged_trial(path), option=OPTION)
+    job = second_job(
+        path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
+    )
+    draws = out is not None or video is not None  # A log's own camera draws, too.
+    with scratch_folder() as folder:
+        ready = readied(job, path, library, draws=draws, folder=folder)
+        answer = call_isolated(
+            _take_over,
+            subject=str(path),
+            rules=ready.rules,
+            time_limit=TIME_LIMIT,
+            renders=ready.renders,
+            policy_process=ready.policy,
+            log=str(path.resolve()),
+            start=start,
+            policy=policy,
+            checkpoint=None if checkpoint is None else str(checkpoint),
+            allow_code=allow_code,
+            out=None if out is None else str(folder / _LOG),
+            video=None if video is None else str(folder / _VIDEO),
+        )
+        try:
+            report = TypeAdapter(TakeoverReport).validate_python(answer)
+        except ValueError:
+            raise PolicyError(
+                f"{path}: the take-over gave no answer that can be read",
+                fix="do not use this checkpoint",
+            ) from None
+        if out is not None:
+            fetch(folder / _LOG, out)
+        if video is not None:
+            fetch(folder / _VIDEO, video)
+    return replace(report, log=out, video=video)
+
+
+def _take_over(
+    *,
+    log: str,
+    start: float,
+    policy: str | None,
+    checkpoint: str | None,
+    allow_code: bool,
+    out: str | None,
+    video: str | None,
+) -> dict[str, Any]:
+    taken = take_over(
+        Path(log),
+        start=start,
+        policy=policy,
+        checkpoint=None if checkpoint is None else Path(checkpoint),
+        allow_code=allow_code,
+        out=None if out is None else Path(out),
+        film=None if video is None else Film(Path(video)),
+    )
+    return asdict(taken.report)
+
+
+class _Running(NamedTuple):
+    place: int
+    call: IsolatedCall
+    deadline: float
+
+
+def blame_apart(
+    logs: Sequence[Path],
+    *,
+    policy: str | None,
+    checkpoint: Path | None,
+    allow_code: bool,
+    workers: int,
+) -> Iterator[tuple[int, Blamed]]:
+    """Yield what `blame` says of logs, each in a process of its own, as they end.
+
+    Args:
+        logs: of trials.
+        policy: as for `take_over`; likewise `checkpoint` and `allow_code`.
+        checkpoint: see above.
+        allow_code: see above.
+        workers: how many processes at a time.
+
+    Yields:
+        The log's place in `logs`, and what came of it.
+    """
+    library = Library()
+    todo = list(enumerate(logs))[::-1]
+    running: list[_Running] = []
+    try:
+        while todo or running:
+            while todo and len(running) < workers:
+                place, log = todo.pop()
+                try:
+                    job = second_job(
+                        log,
+                        policy=policy,
+                        checkpoint=checkpoint,
+                        allow_code=allow_code,
+                        library=library,
+                    )
+                    ready = readied(job, log, library, draws=False)
+                except NwEvalError as error:
+                    yield place, error
+                    continue
+                arguments = {
+                    "log": str(log.resolve()),
+                    "policy": policy,
+                    "checkpoint": None if checkpoint is None else str(checkpoint),
+                    "allow_code": allow_code,
+                }
+                call = IsolatedCall(
+                    _blame,
+                    subject=str(log),
+                    rules=ready.rules,
+                    renders=ready.renders,
+                    policy=ready.policy,
+                    arguments=arguments,
+                    is_one_of_many=True,
+                )
+                running.append(_Running(place, call, monotonic() + TIME_LIMIT))
+            if not running:
+                continue
+            nearest = min(each.deadline for each in running) - monotonic()
+            answered = wait([each.call.receiver for each in running], max(0.0, nearest))
+            for each in tuple(running):
+                if each.call.receiver in answered or each.deadline <= monotonic():
+                    running.remove(each)
+                    with each.call:
+                        yield each.place, _answer(each.call, logs[each.place])
+    finally:
+        for each in running:
+            each.call.close()
+
+
+def _answer(call: IsolatedCall, log: Path) -> Blamed:
+    try:
+        return TypeAdapter(BlameReport).validate_python(call.answer(0.0))
+    except ValidationError:
+        return PolicyError(f"{log}: blame gave no answer that can be read")
+    except NwEvalError as error:
+        return error
+
+
+def _blame(
+    *, log: str, policy: str | None, checkpoint: str | None, allow_code: bool
+) -> dict[str, Any]:
+    return asdict(
+        blame(
+            Path(log),
+            policy=policy,
+            checkpoint=None if checkpoint is None else Path(checkpoint),
+            allow_code=allow_code,
+        )
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Readied:
+    """How the processes of a recorded trial are confined."""
+
+    rules: Rules
+    policy: Rules
+    renders: bool
+
+
+def readied(
+    job: TrialJob,
+    log: Path,
+    library: Library,
+    *,
+    draws: bool,
+    folder: Path | None = None,
+) -> Readied:
+    """Make the scene of a trial, whose cache is out of the other process's reach.
+
+    Args:
+        job: the trial, with the policy that is run, and its caller's leave to run code.
+        log: the recorded trial's, which is read.
+        library: scenes and bundles that are loaded already.
+        draws: whether pictures are made that no policy sees.
+        folder: in which the process may write; None = nowhere.
+
+    Raises:
+        NwEvalError: scene or policy are not there.
+        UsageError: CUDA must draw what is seen, and the caller does not allow code.
+    """
+    bundle = library.bundle(job.policy, job.checkpoint)
+    scene = library.scene(job.scene, job.collision)
+    renders = (bool(bundle.card.splat_images) or draws) and scene.splat is not None
+    if renders and job.render == "cuda" and not job.allow_code:
+        # A log's word may not take the fence away, and the driver needs more than it lets through.
+        raise UsageError(
+            f"{log}: its pictures were drawn with CUDA, which cannot be confined",
+            fix="add --allow-code if you trust the log and the policy",
+        )
+    if renders:
+        scene.splat_store()
+    rules = running_rules(
+        bundle, scenes=[job.scene], logs=folder, allow_code=job.allow_code, also=[log]
+    )
+    return Readied(rules=rules, policy=policy_rules(bundle), renders=renders)
+
+
+@contextmanager
+def scratch_folder() -> Generator[Path]:
+    """Give a folder of our own that a confined process may write into, and remove it."""
+    with TemporaryDirectory(prefix="nw-eval-") as folder:
+        yield Path(folder)
+
+
+def fetch(written: Path, destination: Path) -> Path:
+    """Copy a file that a confined process has written to where it belongs; return that.
+
+    Raises:
+        StoreError: there is no such file, or it cannot be copied.
+    """
+    try:
+        if not stat.S_ISREG(written.lstat().st_mode):  # A link may lead anywhere.
+            raise FileNotFoundError
+    except OSError:
+        raise StoreError(
+            f"{destination} was not written by the process that was to", fix="try again"
+        ) from None
+    with atomic_path(followed(destination)) as temporary:
+        shutil.copyfile(written, temporary, follow_symlinks=False)
+    return destination

@@ -11,10 +11,10 @@ from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path, followed
 from nw_eval.plural import plural
 from nw_eval.robots import get_robot
-from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.pictures.third_person import Spectator
 from nw_eval.rollout.prepare import open_trial
+from nw_eval.rollout.replaying.third_person import Spectator
+from nw_eval.rollout.result import StageClock
 from nw_eval.sensors.drawing.sheet import Cell, draw_sheet
 from nw_eval.sim import World
 from nw_eval.splat.render import open_renderer

@@ -7,24 +7,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import StoreError
-from nw_eval.rollout.clock import StageClock
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.record import provenance
 from nw_eval.rollout.record import verdict_metadata as as_metadata
-from nw_eval.rollout.replaying.logged import LoggedTrial, agreed
-from nw_eval.rollout.replaying.moment import check_inside, check_start, step_at
-from nw_eval.rollout.replaying.report import Difference, ReplayReport
-from nw_eval.rollout.replaying.run_on import run_on
-from nw_eval.rollout.replaying.takeover.handover import driver, handover_of
-from nw_eval.rollout.replaying.takeover.led import lead_to
-from nw_eval.rollout.result import TrialResult
+from nw_eval.rollout.replaying.led import driver, handover_of, lead_to, run_on
+from nw_eval.rollout.replaying.logged import LoggedTrial, agreed, check_inside, check_start, step_at
+from nw_eval.rollout.replaying.reports import Difference, ReplayReport
+from nw_eval.rollout.result import StageClock, TrialResult
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from nw_eval.rollout.prepare import OpenTrial
-    from nw_eval.rollout.replaying.film.film import Film
+    from nw_eval.rollout.replaying.film import Film
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import NwEvalError
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.mcap.content.clouds import cloud_points
-from nw_eval.rollout.mcap.content.images import MILLIMETRES, image_of
+from nw_eval.rollout.mcap.drawn import cloud_points
+from nw_eval.rollout.mcap.images import MILLIMETRES, image_of
 from nw_eval.splat.files import read_splat
 from nw_eval.splat.gaussians import SH0, sigmoid, unit_quats
 from nw_eval.splat.transform import transformed

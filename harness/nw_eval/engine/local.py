@@ -1,0 +1,231 @@
+"""Worker processes on this machine: each trial in one of them, each fault in one trial.
+
+A worker that dies costs its trial (`crashed`), one that does not come back within the trial's time
+limit is killed (`hung`), and both are replaced. They come from `rollout.confined.start`: nothing is
+inherited from the parent but one thread for each library.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from contextlib import ExitStack
+from functools import partial
+from multiprocessing.connection import wait
+from typing import TYPE_CHECKING, Self
+
+from nw_eval.engine import worker
+from nw_eval.engine.machine import WorkerOutput, can_be_listed
+from nw_eval.engine.order import next_place
+from nw_eval.engine.prepare import needs_splats
+from nw_eval.engine.worker import UnstartedError, WorkerProcess, WorkerStart
+from nw_eval.engine.workers import Finished
+from nw_eval.errors import PrerequisiteError, TrialError
+from nw_eval.policies import load_bundle
+from nw_eval.rollout.confined.access import policy_rules, running_rules
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.rollout.job import TrialJob
+    from nw_eval.rollout.result import TrialResult
+
+    Run = Callable[[TrialJob], TrialResult]
+
+# Trials that a worker runs before a fresh one takes its place: a leak has an end.
+RECYCLE_AFTER = 100
+# Seconds between two looks at whether somebody asked to stop.
+POLL = 0.1
+# Processes in a row, for each worker, that may die before they take a trial (killed while they
+# start, no memory).
+_STILLBORN = 3
+
+
+class LocalProcesses:
+    """Gets worker processes on this machine.
+
+    Args:
+        jobs: all of the run.
+        folder: of the run.
+        run: called with each job in a worker.
+        memory_limit: bytes that a worker may hold with its children.
+
+    Raises:
+        PolicyError, SceneError: policy or scenes are not where the jobs say.
+        PrerequisiteError: this system cannot hold them to a memory limit.
+    """
+
+    again = "in a fresh process"
+
+    def __init__(
+        self,
+        jobs: Sequence[TrialJob],
+        folder: RunFolder,
+        *,
+        run: Run = worker.run_job,
+        memory_limit: int | None = None,
+    ) -> None:
+        if memory_limit is not None and not can_be_listed():
+            raise PrerequisiteError(
+                "--memory-limit: this system does not say what a process and its children hold",
+                fix="drop it, or run on Linux with /proc",
+            )
+        job = jobs[0]
+        bundle = load_bundle(job.policy, checkpoint=job.checkpoint)
+        rules = running_rules(
+            bundle,
+            scenes=[each.scene for each in jobs],
+            logs=folder.logs,
+            allow_code=job.allow_code,
+            render=job.render,
+        )
+        policy = policy_rules(bundle)
+        draws = any(needs_splats(bundle.card, each.record) for each in jobs)
+        self._start = WorkerStart(rules=rules, renders=draws and not rules.off, policy=policy)
+        self._printed = folder.workers_log
+        self._run = run
+        self._memory_limit = memory_limit
+
+    def __call__(self, count: int, *, fresh: bool) -> LocalWorkers:
+        """Return workers: `count` processes, each for many jobs or for one."""
+        return LocalWorkers(
+            count,
+            start=self._start,
+            run=self._run,
+            output=WorkerOutput(self._printed),
+            recycle_after=1 if fresh else RECYCLE_AFTER,
+            memory_limit=self._memory_limit,
+        )
+
+
+class LocalWorkers:
+    """Worker processes with a queue; a context manager.
+
+    Args:
+        workers: number of processes.
+        start: what each of them starts with.
+        run: called there with each job.
+        output: where what they print goes; not entered yet.
+        recycle_after: jobs that a process runs before it is replaced; 1 = each job in a fresh one.
+        memory_limit: bytes that a process may hold with its children.
+    """
+
+    def __init__(
+        self,
+        workers: int,
+        *,
+        start: WorkerStart,
+        run: Run,
+        output: WorkerOutput,
+        recycle_after: int = RECYCLE_AFTER,
+        memory_limit: int | None = None,
+    ) -> None:
+        self._count = workers
+        self._start_with = start
+        self._run = run
+        self._output = output
+        self._recycle_after = recycle_after
+        self._memory_limit = memory_limit
+        self._cleanup = ExitStack()
+        self._queue: deque[TrialJob] = deque()
+        self._busy: list[WorkerProcess] = []
+        self._idle: list[WorkerProcess] = []  # For jobs to come: they have scenes loaded.
+        self._stillborn = 0
+
+    def __enter__(self) -> Self:
+        self._cleanup.enter_context(self._output)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def submit(self, jobs: Iterable[TrialJob]) -> None:
+        """Queue jobs, in order."""
+        self._queue.extend(jobs)
+
+    def finished(self) -> Iterator[Finished | None]:
+        """Yield jobs as they end, and None about ten times a second while none does.
+
+        Raises:
+            TrialError: workers cannot be kept alive at all.
+        """
+        while self._queue or self._busy:
+            while self._queue and len(self._busy) < self._count:
+                self._busy.append(self._idle.pop() if self._idle else self._started())
+                self._busy[-1].give(self._next(self._busy[-1]))
+            wait([handle for each in self._busy for handle in each.handles], POLL)
+            ended = [done for each in tuple(self._busy) if (done := self._look(each)) is not None]
+            yield from ended or (None,)
+
+    def stop(self) -> None:
+        """End every worker now, running trials included; calling it again does nothing."""
+        self._queue.clear()
+        # A trial holds nothing that needs an orderly end, and one that hangs ignores SIGTERM.
+        for each in (*self._busy, *self._idle):
+            each.kill()
+        for ended in (self._busy, self._idle):
+            while ended:
+                ended.pop().close()
+        self._cleanup.close()
+
+    def _started(self) -> WorkerProcess:
+        """Return one more worker."""
+        try:
+            return WorkerProcess(
+                start=partial(worker.start, self._start_with),
+                run=self._run,
+                rules=self._start_with.rules,
+                policy=self._start_with.policy,
+                output=self._output.end,
+                memory_limit=self._memory_limit,
+            )
+        except OSError as error:
+            raise TrialError(
+                f"worker processes cannot be started: {error.strerror or error}",
+                fix="use fewer --workers",
+            ) from error
+
+    def _next(self, each: WorkerProcess) -> TrialJob:
+        """Take a worker's next job from the queue."""
+        taken = {scene for other in (*self._busy, *self._idle) for scene in other.scenes}
+        place = next_place((job.trial for job in self._queue), own=each.scenes, taken=taken)
+        job = self._queue[place]
+        del self._queue[place]
+        return job
+
+    def _look(self, each: WorkerProcess) -> Finished | None:
+        """Return what a worker's job came to, if it did, and give the worker another one."""
+        job = each.job
+        assert job is not None, "a worker without a job is not in the list"
+        count = each.jobs_done
+        try:
+            result = each.look()
+        except UnstartedError:
+            self._dismiss(each)
+            self._queue.appendleft(job)
+            self._stillborn += 1
+            if self._stillborn > _STILLBORN * self._count:
+                raise TrialError(
+                    f"{self._stillborn} worker processes in a row died before they could take a "
+                    "trial",
+                    fix="look for the out-of-memory killer in the system log, or use fewer "
+                    "--workers",
+                ) from None
+            return None
+        if result is None:
+            return None
+        self._stillborn = 0
+        is_well = each.jobs_done > count and each.jobs_done < self._recycle_after
+        if not is_well:
+            self._dismiss(each)
+        elif self._queue:
+            each.give(self._next(each))
+        else:
+            self._busy.remove(each)
+            self._idle.append(each)
+        return Finished(job=job, result=result)
+
+    def _dismiss(self, each: WorkerProcess) -> None:
+        self._busy.remove(each)
+        each.kill()
+        each.close()

@@ -1,1 +1,0 @@
-"""What the engine asks of the machine and of the terminal."""

@@ -1,0 +1,265 @@
+"""What travels from the head to the nodes of a cluster: files, known by what is in them.
+
+What a node has got from the heads of runs is kept in its cache by digest, and checked at every use.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from tempfile import mkdtemp
+from typing import TYPE_CHECKING
+
+from nw_eval.catalogue import scene_files
+from nw_eval.errors import StoreError, UsageError
+from nw_eval.files.cache import atomic_path, cache_dir, private_dir
+from nw_eval.files.inside import inside
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+
+    from nw_eval.engine.plan import Plan
+    from nw_eval.policies import Bundle
+
+    Fetch = Callable[[str], Iterable[bytes]]
+    """Returns the pieces of the file of a sha256."""
+
+_FILES = 4096
+_BYTES = 2**33
+"""Of one parcel: the largest published scene has 1.3 GB. More is a folder that somebody keeps other
+things in."""
+_UNSENT = frozenset({"__pycache__", ".git"})
+_FOLDER = "received"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Item:
+    """A file of a parcel."""
+
+    name: str
+    """Relative, with slashes."""
+    sha256: str
+    size: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parcel:
+    """Files that lie beside each other."""
+
+    reference: str
+    """What jobs call it; empty for files of the cache, which code finds by their names there."""
+    entry: str = ""
+    """What lies in it under that reference, relative to its folder."""
+    prefix: str = ""
+    """What a reference to it begins with, before the path."""
+    items: tuple[Item, ...]
+
+    @property
+    def digest(self) -> str:
+        """Hex sha256 of names and contents."""
+        content = [(item.name, item.sha256) for item in self.items]
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+
+class Outgoing:
+    """The parcels of a run, and where on this machine their files lie.
+
+    Args:
+        plan: what is to be run; its splats are compiled.
+
+    Raises:
+        UsageError: a folder holds more than a parcel does, or a link in place of a file.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self.sources: dict[str, Path] = {}
+        """By sha256."""
+        self.parcels = tuple(self._parcels(plan))
+
+    def _parcels(self, plan: Plan) -> Iterator[Parcel]:
+        bundle, checkpoint = plan.bundle, plan.request.checkpoint
+        if bundle.card_path is not None:
+            files = _policy_files(bundle, bundle.card_path)
+            yield self._packed(files, reference=bundle.reference, entry=bundle.card_path.name)
+        if checkpoint is not None:
+            name = checkpoint.name
+            yield self._packed({name: checkpoint}, reference=str(checkpoint), entry=name)
+        for found in plan.found:
+            own = scene_files(found.reference)
+            if own is not None:
+                yield self._packed(
+                    own.files, reference=found.reference, entry=own.entry, prefix=own.prefix
+                )
+        if plan.renders:
+            root = cache_dir().resolve()
+            splats = [scene.splat_store() for scene in plan.scenes if scene.splat is not None]
+            for splat in splats:  # One each: a node may have some of them.
+                yield self._packed({splat.resolve().relative_to(root).as_posix(): splat})
+
+    def _packed(
+        self, files: Mapping[str, Path], *, reference: str = "", entry: str = "", prefix: str = ""
+    ) -> Parcel:
+        items: list[Item] = []
+        size = 0
+        for name in sorted(files):
+            items.append(self._item(name, files[name]))
+            size += items[-1].size
+            if len(items) > _FILES or size > _BYTES:
+                raise UsageError(
+                    f"{reference} has over {_FILES} files or {_BYTES // 2**30} GiB beside it, too "
+                    "many to send to other machines",
+                    fix="put what belongs to the run into a folder of its own",
+                )
+        return Parcel(reference=reference, entry=entry, prefix=prefix, items=tuple(items))
+
+    def _item(self, name: str, path: Path) -> Item:
+        try:
+            with path.open("rb") as file:
+                sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+                size = os.fstat(file.fileno()).st_size
+        except OSError as error:
+            raise UsageError(
+                f"{path} cannot be read: {error.strerror or error}", fix="check its rights"
+            ) from error
+        self.sources[sha256] = path
+        return Item(name=name, sha256=sha256, size=size)
+
+
+def _policy_files(bundle: Bundle, card_path: Path) -> dict[str, Path]:
+    """Return card and weights by their names; with Python code, all that lies below the folder.
+
+    Code may read whatever lies beside it, and its digest is that of the whole folder.
+    """
+    if bundle.code_sha256:
+        return _all_below(card_path.parent)
+    named = {} if bundle.card.checkpoint is None else {"": bundle.card.checkpoint.file}
+    named |= {name: network.checkpoint.file for name, network in bundle.card.networks.items()}
+    files = [card_path.name, *(PurePosixPath(file).as_posix() for file in named.values())]
+    # Where a checkpoint of the caller's takes the place of the card's, that one may be missing.
+    return {name: path for name in files if (path := card_path.parent / name).is_file()}
+
+
+def _all_below(folder: Path) -> dict[str, Path]:
+    """Return all files below a folder by their names.
+
+    Raises:
+        UsageError: one is a link, which would be another one elsewhere.
+    """
+    found: dict[str, Path] = {}
+    for where, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if name not in _UNSENT)
+        for path in (Path(where, name) for name in sorted([*names, *folders])):
+            if path.is_symlink():
+                raise UsageError(
+                    f"{path} is a link, and code that has links does not travel",
+                    fix="put the file in its place, or use --engine local",
+                )
+            if path.is_file():
+                found[path.relative_to(folder).as_posix()] = path
+        if len(found) > _FILES:
+            break  # The caller says so.
+    return found
+
+
+def missing(parcels: Iterable[Parcel]) -> tuple[str, ...]:
+    """Return the sha256 of all files that a node lacks, or has only damaged ones of."""
+    lacking = (item.sha256 for parcel in parcels for item in parcel.items if _lacks(parcel, item))
+    return tuple(dict.fromkeys(lacking))
+
+
+def receive(parcels: Iterable[Parcel], fetch: Fetch) -> None:
+    """Keep parcels, each of them whole or not at all.
+
+    Several runs, and several nodes that share a cache, wait for each other: what one of them got,
+    the next one finds.
+
+    Args:
+        parcels: what the run needs.
+        fetch: called for the files that are not there.
+
+    Raises:
+        StoreError: a file is not what was sent, or the cache cannot be written.
+    """
+    with _one_at_a_time():
+        for parcel in parcels:
+            lacking = [item for item in parcel.items if _lacks(parcel, item)]
+            if lacking and parcel.reference:
+                _keep_folder(parcel, fetch)
+            for item in lacking if not parcel.reference else ():
+                with atomic_path(inside(cache_dir(), item.name)) as temporary:
+                    _write(temporary, item, fetch(item.sha256))
+
+
+def places(parcels: Iterable[Parcel]) -> Mapping[str, str]:
+    """Return where on this node lies what jobs refer to."""
+    return {
+        parcel.reference: f"{parcel.prefix}{_place(parcel) / parcel.entry}"
+        for parcel in parcels
+        if parcel.reference
+    }
+
+
+def _place(parcel: Parcel) -> Path:
+    return private_dir(_FOLDER) / parcel.digest[:32] if parcel.reference else cache_dir()
+
+
+def _lacks(parcel: Parcel, item: Item) -> bool:
+    try:
+        with inside(_place(parcel), item.name).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest() != item.sha256
+    except (OSError, ValueError):
+        return True
+
+
+def _keep_folder(parcel: Parcel, fetch: Fetch) -> None:
+    place = _place(parcel)
+    temporary = Path(mkdtemp(dir=place.parent, prefix=".incoming."))
+    try:
+        for item in parcel.items:
+            path = inside(temporary, item.name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _write(path, item, fetch(item.sha256))
+        shutil.rmtree(place, ignore_errors=True)  # Damaged, if there is one.
+        temporary.rename(place)
+    except OSError as error:
+        raise StoreError(
+            f"cannot write {place}: {error.strerror or error}",
+            fix="free space in the cache, or set NW_EVAL_CACHE to another folder",
+        ) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _write(path: Path, item: Item, pieces: Iterable[bytes]) -> None:
+    digest = hashlib.sha256()
+    with path.open("wb") as file:
+        for piece in _bounded(item, pieces):
+            digest.update(piece)
+            file.write(piece)
+    if digest.hexdigest() != item.sha256:
+        raise StoreError(
+            f"{item.name} arrived as {digest.hexdigest()[:12]}, {item.sha256[:12]} was announced",
+            fix="run again once nobody writes to it any more",
+        )
+
+
+def _bounded(item: Item, pieces: Iterable[bytes]) -> Iterator[bytes]:
+    left = item.size
+    for piece in pieces:
+        left -= len(piece)
+        if left < 0:
+            return  # Its digest says the rest.
+        yield piece
+
+
+@contextmanager
+def _one_at_a_time() -> Generator[None]:
+    with (private_dir(_FOLDER) / ".lock").open("wb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield

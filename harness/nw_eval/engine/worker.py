@@ -1,0 +1,323 @@
+"""One worker process: jobs go in through one pipe, results come out of another as lines of JSON.
+
+What a worker says is text and never an object of Python's: one that a hostile file has taken over
+can say something wrong, but run nothing here. Parent and worker share no lock, so none is left
+behind in shared memory by a group that is killed, and nobody waits for one that a dead process
+holds.
+
+The end of this file runs inside it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import cache
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from time import monotonic
+from typing import TYPE_CHECKING, NoReturn
+
+from pydantic import TypeAdapter, ValidationError
+
+from nw_eval.amounts import in_words
+from nw_eval.clean import clean
+from nw_eval.confinement import Rules, confine, kill_group
+from nw_eval.engine.machine import Resident, descendants, kill, left_by
+from nw_eval.policies.apart import use_line
+from nw_eval.rollout.confined.start import parts_of, start_pair
+from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.result import TrialResult
+
+if TYPE_CHECKING:
+    from nw_eval.rollout.library import Library
+
+# What a worker says as soon as it has a job: from here on its end is the job's.
+_TAKEN = b"taken"
+# Bytes of a result that anybody reads; honest ones have about two thousand.
+_LONGEST = 1 << 20
+# Seconds until a new process must have taken its job: it imports next to nothing before.
+_START_LIMIT = 120.0
+# Seconds in which a process that has closed its pipe, or was killed, must be gone.
+_LAST_MOMENTS = 5.0
+# Exit code of a worker that cannot even say what went wrong.
+_SPEECHLESS = 70
+_library: Library | None = None
+
+
+class UnstartedError(Exception):
+    """A worker ended before it took its job, which is not to blame."""
+
+
+class WorkerProcess:
+    """A process that runs one job after the other.
+
+    Args:
+        start: called once in the process, with `output`; it confines it.
+        run: called there with each job.
+        rules: by which it will be confined.
+        policy: by which the process is that opens its policies; None = it does.
+        output: what it prints to; remains the caller's.
+        memory_limit: bytes that it may hold with its children while it runs one.
+
+    Raises:
+        OSError: no process can be started.
+    """
+
+    def __init__(
+        self,
+        *,
+        start: Callable[[Connection], None],
+        run: Callable[[TrialJob], TrialResult],
+        rules: Rules,
+        policy: Rules | None,
+        output: Connection,
+        memory_limit: int | None = None,
+    ) -> None:
+        theirs, self._jobs = Pipe(duplex=False)
+        self._results, back = Pipe(duplex=False)
+        try:
+            self._process = start_pair(
+                _serve,
+                (start, run),
+                (theirs, back, output),
+                rules=rules,
+                policy=policy,
+                is_one_of_many=True,
+                output=output,
+            )
+        except BaseException:
+            self._jobs.close()
+            self._results.close()
+            raise
+        finally:
+            theirs.close()
+            back.close()
+        pids = [part.pid for part in parts_of(self._process)]
+        self._pids = tuple(pid for pid in pids if pid is not None)
+        self._memory_limit = memory_limit
+        self._memory = Resident(*self._pids)
+        self.job: TrialJob | None = None
+        self.jobs_done = 0
+        self.scenes: set[str] = set()  # Those of its jobs, which it keeps loaded.
+        self._is_taken = False
+        self._deadline = 0.0
+        self._heard = b""
+
+    @property
+    def handles(self) -> tuple[Connection | int, ...]:
+        """What to wait for: one of them is ready when there is something to look at."""
+        return self._results, *(part.sentinel for part in parts_of(self._process))
+
+    def give(self, job: TrialJob) -> None:
+        """Hand over a job to a process that has none."""
+        self.job = job
+        self.scenes.add(job.trial.scene)
+        self._is_taken = False
+        self._deadline = monotonic() + _START_LIMIT
+        with suppress(OSError):  # It has died; `look` says so.
+            self._jobs.send(job)
+
+    def look(self) -> TrialResult | None:
+        """Return the result of the job if it has one by now, whichever way it ended.
+
+        Raises:
+            UnstartedError: the process ended, or hangs, before it took the job.
+        """
+        assert self.job is not None, "give it a job first"
+        # Asked before the pipe is read: whatever a dead process wrote is in there.
+        code = self._process.exitcode
+        is_open = self._read()
+        if not self._is_taken and _TAKEN + b"\n" in self._heard:
+            self._is_taken = True
+            self._deadline = monotonic() + self.job.time_limit
+            self._memory.restrain(self._memory_limit)
+        *lines, _ = self._heard.split(b"\n")
+        if len(lines) > 1:
+            self._heard = b""
+            self.jobs_done += 1
+            return _decoded(lines[1])
+        if code is None and not is_open:
+            self._process.join(_LAST_MOMENTS)
+            code = self._process.exitcode
+        if code is None and is_open and monotonic() <= self._deadline:
+            return self._overgrown()
+        if not self._is_taken:
+            raise UnstartedError
+        if code is None and is_open:
+            return _hung(self.job)
+        return _dead(code)
+
+    def _overgrown(self) -> TrialResult | None:
+        """Return what the job comes to if the process, which runs it, holds too much memory."""
+        if self._memory_limit is None or not self._is_taken:
+            return None
+        held = self._memory.beyond(self._memory_limit)
+        return None if held is None else _too_large(held, self._memory_limit)
+
+    def kill(self) -> None:
+        """End the process and all that it started, without waiting; to be called once."""
+        for part, pid in zip(parts_of(self._process), self._pids, strict=True):
+            has_ended = part.exitcode is not None
+            others = left_by(pid) if has_ended else descendants(pid)
+            if not has_ended:  # Else its number may be another's by now.
+                kill_group(pid)
+                part.kill()
+            kill(others)
+
+    def close(self) -> None:
+        """Wait for a killed process, and close its pipes."""
+        self._process.join(_LAST_MOMENTS)
+        if self._process.exitcode is not None:
+            self._process.close()
+        self._jobs.close()
+        self._results.close()
+
+    def _read(self) -> bool:
+        """Take in what the worker has said; return whether it can say more."""
+        with suppress(OSError):
+            while self._results.poll():
+                # Not `recv`, which would wait for the rest of what a stopped process began.
+                piece = os.read(self._results.fileno(), 1 << 16)
+                self._heard += piece
+                if not piece or len(self._heard) > _LONGEST:
+                    return False
+            return True
+        return False
+
+
+@cache
+def _form() -> TypeAdapter[TrialResult]:
+    """Return what reads results: to make it takes longer than to read hundreds."""
+    return TypeAdapter(TrialResult)
+
+
+def _decoded(line: bytes) -> TrialResult:
+    try:
+        return _form().validate_json(line)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"]) or "the line"
+        return _crashed(f"the worker's answer cannot be read: {place}: {first['msg']}")
+
+
+def _hung(job: TrialJob) -> TrialResult:
+    return TrialResult(
+        status="error",
+        error_type="hung",
+        error_text=f"no result within {job.time_limit:g} s; raise --time-limit if the machine "
+        "is slow, or look at the policy",
+    )
+
+
+def _too_large(held: int, limit: int) -> TrialResult:
+    return _crashed(
+        f"the worker and its children held {in_words(held)}, --memory-limit is {in_words(limit)}"
+    )
+
+
+def _dead(code: int | None) -> TrialResult:
+    if code is None:
+        return _crashed("the worker process closed its pipe, or said more than a result holds")
+    if code >= 0:
+        return _crashed(f"the worker process ended with exit code {code}", end_reason="exit")
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:  # A real-time signal has a number only.
+        name = f"signal {-code}"
+    hint = "; the machine may be out of memory" if -code == signal.SIGKILL else ""
+    return _crashed(f"the worker process was killed by {name}{hint}")
+
+
+def _crashed(text: str, *, end_reason: str = "") -> TrialResult:
+    return TrialResult(
+        status="error", error_type="crashed", error_text=clean(text), end_reason=end_reason
+    )
+
+
+def _serve(
+    start: Callable[[Connection], None],
+    run: Callable[[TrialJob], TrialResult],
+    jobs: Connection,
+    results: Connection,
+    output: Connection,
+    *line: Connection,
+) -> NoReturn:
+    """Run jobs until the pipe ends: the main function of the process."""
+    own = os.getpid()
+    try:
+        start(output)
+        use_line(*line)
+        while True:
+            job: TrialJob = jobs.recv()
+            _say(results, _TAKEN)
+            answer = _answer(run, job)
+            if os.getpid() != own:
+                break  # A copy that a policy made with os.fork speaks for nobody.
+            _say(results, answer)
+    except EOFError:
+        os._exit(0)
+    finally:
+        # Nothing is left to tidy up, and nobody to read a traceback.
+        os._exit(_SPEECHLESS)
+
+
+def _answer(run: Callable[[TrialJob], TrialResult], job: TrialJob) -> bytes:
+    try:
+        return json.dumps(asdict(run(job))).encode()
+    except BaseException as error:  # noqa: BLE001 - whatever it is, it costs this trial only.
+        reason = "exit" if isinstance(error, SystemExit) else ""
+        result = _crashed(f"{type(error).__name__}: {error}", end_reason=reason)
+        return json.dumps(asdict(result)).encode()
+
+
+def _say(results: Connection, line: bytes) -> None:
+    rest = memoryview(line + b"\n")
+    while rest:
+        rest = rest[os.write(results.fileno(), rest) :]
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerStart:
+    """What a worker starts with, before it has a job."""
+
+    rules: Rules
+    """What it may do."""
+    renders: bool
+    """Whether it draws splats: it loads kernels before their cache is out of its reach."""
+    policy: Rules | None = None
+    """What the process may do that opens its policies; None = it opens them."""
+
+
+def start(settings: WorkerStart, output: Connection) -> None:
+    """Prepare and confine a worker; what it prints goes to `output`.
+
+    It must not outlive the process that started it, however that died. And SIGTERM must end it at
+    once: a handler in Python waits for a policy that hangs in native code, and there is nothing to
+    tidy up. Ctrl-C is the parent's business.
+    """
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if settings.renders:
+        with suppress(Exception):  # The trial that wants them says what is wrong.
+            from nw_eval.splat.warmup import warmup
+
+            warmup()
+    confine(settings.rules, output=output.fileno())
+    output.close()
+
+
+def run_job(job: TrialJob) -> TrialResult:
+    """Run one trial with this process's cache of scenes and policies."""
+    # Here and not above: a worker that is only being started needs none of it.
+    from nw_eval.rollout.library import Library
+    from nw_eval.rollout.trial import run_trial
+
+    global _library  # noqa: PLW0603 - one cache a process is the point.
+    if _library is None:
+        _library = Library()
+    return run_trial(job, library=_library)

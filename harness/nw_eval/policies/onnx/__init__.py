@@ -1,1 +1,0 @@
-"""ONNX graphs: sessions, recurrence, folding."""

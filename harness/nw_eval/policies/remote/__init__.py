@@ -1,1 +1,0 @@
-"""A policy in another process or on another machine: wire, client, server."""

@@ -1,1 +1,0 @@
-"""What the policy saw, for the log."""

@@ -1,1 +1,0 @@
-"""Pictures of a trial from outside the robot."""

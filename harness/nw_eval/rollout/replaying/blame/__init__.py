@@ -1,1 +1,0 @@
-"""From when on a failure was not to be averted: by letting a baseline take over."""

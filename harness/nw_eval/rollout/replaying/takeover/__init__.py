@@ -1,1 +1,0 @@
-"""A recorded trial that another policy takes over."""
