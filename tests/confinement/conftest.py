@@ -43,6 +43,17 @@ def attempts(*, inside, outside, logs):
     return came
 
 
+def looks_for_accelerators():
+    """Read what JAX reads to find accelerators, and try a device's memory."""
+    devices = sorted(Path("/sys/bus/pci/devices").iterdir())
+    facts = [int((device / "vendor").read_text(), 16) for device in devices]
+    try:
+        came = (devices[0] / "config").read_bytes()
+    except OSError as error:
+        came = type(error).__name__
+    return [len(facts), came]
+
+
 def fills_memory():
     import numpy as np
     return int(np.ones(2**31, np.uint8).sum())

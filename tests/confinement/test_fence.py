@@ -53,6 +53,16 @@ def test_a_confined_process_reads_and_writes_its_own_places_and_no_other(functio
 
 
 @fenced
+@pytest.mark.skipif(
+    not any(Path("/sys/bus/pci/devices").glob("*/vendor")), reason="no PCI bus to look at"
+)
+def test_a_confined_process_is_told_which_devices_there_are_and_reads_no_more_of_them(functions):
+    count, came = call_isolated(functions.looks_for_accelerators, subject="x", rules=Rules())
+    assert count == len(list(Path("/sys/bus/pci/devices").iterdir()))
+    assert came == REFUSED
+
+
+@fenced
 def test_a_policy_that_asks_a_server_gets_sockets_and_nothing_else(functions, places):
     came = attempted(functions, places, network="all")
     assert came["socket"].startswith("<socket.socket")

@@ -29,11 +29,13 @@ _SYSTEM = (
     "/proc/stat",
     "/proc/sys/vm",
     "/sys/devices/system",
-    "/sys/bus/pci/devices",
+    "/sys/bus/pci/devices",  # Its entries are links, which `_pci_facts` follows.
     "/sys/fs/cgroup",
     "/dev/urandom",
     "/dev/random",
 )
+# What JAX and torch ask each device of the machine to find accelerators.
+_PCI_FACTS = ("vendor", "device", "class", "subsystem_vendor", "subsystem_device", "numa_node")
 _NETWORK = (
     "/etc/resolv.conf",
     "/etc/hosts",
@@ -138,4 +140,13 @@ def library_paths(*, network: bool) -> tuple[Path, ...]:
         *os.environ.get("LD_LIBRARY_PATH", "").split(":"),
         str(Path(__file__).resolve().parents[1]),
     ]
-    return tuple(dict.fromkeys(Path(name) for name in names if name))
+    return tuple(dict.fromkeys([*(Path(name) for name in names if name), *_pci_facts()]))
+
+
+def _pci_facts() -> list[Path]:
+    """Return the files that say what each device on the PCI bus is; none of its memory."""
+    return [
+        file.resolve()
+        for name in _PCI_FACTS
+        for file in sorted(Path("/sys/bus/pci/devices").glob(f"*/{name}"))
+    ]
