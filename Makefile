@@ -17,10 +17,11 @@ unexport PYTHONDONTWRITEBYTECODE
 run: $(VENV)/.installed
 	$(BIN)/nw-eval run suites/hurdles.yaml --all-rounds --trials 10
 
-# Types are checked by one core while the other compiles the kernels.
+# Types are checked by one core while the other compiles the kernels. Files of tests keep their order: xdist
+# would run those of one long test last, when the other core has nothing left to do.
 test: $(VENV)/.installed-dev
 	$(MAKE) -j 2 --output-sync=target check warm
-	$(BIN)/pytest -n 2 --dist loadscope $(PYTEST_ARGS)
+	$(BIN)/pytest -n 2 --dist loadscope --no-loadscope-reorder $(PYTEST_ARGS)
 
 check: types lint arrows
 
