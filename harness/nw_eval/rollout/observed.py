@@ -38,7 +38,6 @@ from nw_eval.cards.observations import (
     selected_indices,
 )
 from nw_eval.cards.terms import AnyTerm, term_size
-from nw_eval.rollout.mcap.observations import SeenRow, SeenRows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -112,6 +111,9 @@ class Seen:
     def __init__(
         self, *, card: Card, sensors: Mapping[str, Sensor], world: World, log: TrialLog
     ) -> None:
+        # Whoever only asks for names or views needs no protobuf.
+        from nw_eval.rollout.mcap.observations import SeenRow, SeenRows
+
         self._card = card
         self._sensors = sensors
         self._world = world
