@@ -138,7 +138,7 @@ def _open_network(
 
             return TorchScriptNetwork(bundle, wanted, allow_code=allow_code)
         case "torch-export":
-            from nw_eval.policies.torch_export import TorchExportNetwork
+            from nw_eval.policies.torch_network import TorchExportNetwork
 
             return TorchExportNetwork(bundle, wanted, allow_code=allow_code)
         case _:
