@@ -89,7 +89,7 @@ def raise_fence(*, reads: tuple[Path, ...], writes: tuple[Path, ...], network: N
         What the kernel did. It does less, or nothing, where it is old, is not Linux, or where a
         container forbids it; that is no error.
     """
-    allowed = (*library_paths(network=network == "all"), *reads)
+    allowed = (*_library_paths(network=network == "all"), *reads)
     try:
         known = landlock.restrict(reads=allowed, writes=(*writes, *DEVICES), network=network)
     except OSError:
@@ -123,7 +123,7 @@ def offered(*, network: Network = "none") -> Fence:
     return found[0]
 
 
-def library_paths(*, network: bool) -> tuple[Path, ...]:
+def _library_paths(*, network: bool) -> tuple[Path, ...]:
     """Return files and folders that this process's libraries read.
 
     Args:

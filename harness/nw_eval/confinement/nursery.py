@@ -88,7 +88,7 @@ class Nursery:
     def learn(self, *modules: str) -> None:
         """Let it import modules for all children to come, without waiting for it."""
         with self._lock, suppress(OSError):
-            self._line.send(Wish(kind="import", modules=modules))
+            self._line.send(_Wish(kind="import", modules=modules))
 
     def fork(
         self,
@@ -111,7 +111,7 @@ class Nursery:
         with orders:
             with theirs, self._lock:
                 try:
-                    self._line.send(Wish(kind="fork", connections=len(passed)))
+                    self._line.send(_Wish(kind="fork", connections=len(passed)))
                     for connection in passed:
                         send_handle(self._line, connection.fileno(), self._process.pid)
                     pid: int = self._answer()
@@ -122,7 +122,7 @@ class Nursery:
                 raise OSError(-pid, os.strerror(-pid))
             child = Child(pid, self)
             with suppress(BrokenPipeError):  # It has ended, which its owner will see.
-                orders.send(Circumstances.here())
+                orders.send(_Circumstances.here())
                 orders.send((function, tuple(arguments)))
         return child
 
@@ -130,7 +130,7 @@ class Nursery:
         """Return the exit code of a child that has ended, and forget it; negative = signal."""
         with self._lock:
             try:
-                self._line.send(Wish(kind="collect", process=pid))
+                self._line.send(_Wish(kind="collect", process=pid))
                 code: int = self._answer()
             except (EOFError, OSError):
                 self._process.kill()  # It may be stopped, and its children with it.
@@ -201,7 +201,7 @@ class Child:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Circumstances:
+class _Circumstances:
     """What a child takes over from the process that asked for it, as it is at that moment."""
 
     environment: dict[str, str]
@@ -209,7 +209,7 @@ class Circumstances:
     path: list[str]
 
     @classmethod
-    def here(cls) -> Circumstances:
+    def here(cls) -> _Circumstances:
         """Return those of this process."""
         folder = None
         with suppress(OSError):  # It was removed; nothing that a child is given is relative to it.
@@ -227,7 +227,7 @@ class Circumstances:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wish:
+class _Wish:
     """What the nursery is to do next. Its owner sends it, and nobody else can."""
 
     kind: Literal["import", "fork", "collect"]
@@ -254,7 +254,7 @@ def serve(owner: Connection, life: int) -> NoReturn:
     leave_terminal(None)
     while True:
         try:
-            wish: Wish = owner.recv()
+            wish: _Wish = owner.recv()
             if wish.kind == "import":
                 _import(wish.modules)
             elif wish.kind == "fork":
@@ -276,7 +276,7 @@ def _import(modules: tuple[str, ...]) -> None:
     gc.enable()
 
 
-def _fork(wish: Wish, owner: Connection, life: int) -> int:
+def _fork(wish: _Wish, owner: Connection, life: int) -> int:
     """Return the number of a new child; where there is none to be had, the error's, negative."""
     own = os.getpid()
     handles = [recv_handle(owner) for _ in range(wish.connections)]
@@ -298,7 +298,7 @@ def _be_child(owner: Connection, handles: list[int], *, parent: int) -> NoReturn
         set_parent(parent)
         orders, *connections = map(Connection, handles)
         with orders:
-            surroundings: Circumstances = orders.recv()
+            surroundings: _Circumstances = orders.recv()
             surroundings.enter()
             function, arguments = orders.recv()
         function(*arguments, *connections)

@@ -13,7 +13,7 @@ from nw_eval.confinement.family import die_with_parent, leave_terminal
 from nw_eval.confinement.fence import Fence, raise_fence
 from nw_eval.confinement.seccomp import Network
 
-OPENING = 2**30
+_OPENING = 2**30
 """Bytes to open a small file in. Measured: libraries take 60 to 280 MB of it."""
 
 _RUNNING = 2**31
@@ -35,7 +35,7 @@ class Rules:
     writes: tuple[Path, ...] = ()
     """Folders in which it makes, writes and removes files."""
     network: Network = "none"
-    memory: int | None = OPENING
+    memory: int | None = _OPENING
     """Bytes of its own; None = as many as there are."""
     seconds: int | None = None
     """Of processor time; None = any."""
@@ -66,7 +66,7 @@ def confine(rules: Rules, *, output: int | None = None) -> Fence:
 
 def memory_to_open(size: int) -> int:
     """Return how many bytes a process may hold that opens a file of `size` bytes."""
-    return OPENING + _COPIES * size
+    return _OPENING + _COPIES * size
 
 
 def memory_to_run(size: int, *, scenes: int) -> int:

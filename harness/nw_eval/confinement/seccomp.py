@@ -123,14 +123,14 @@ REFUSED: Numbers = {
 Network = Literal["none", "server", "all"]
 """Which sockets a process may have: none of its own, those that others connect to, any."""
 
-SOCKETS: Numbers = {"socket": (41, 198), "bind": (49, 200), "listen": (50, 201)}
-CONNECT: Numbers = {"connect": (42, 203)}
+_SOCKETS: Numbers = {"socket": (41, 198), "bind": (49, 200), "listen": (50, 201)}
+_CONNECT: Numbers = {"connect": (42, 203)}
 
-ON_PROCESSES: Numbers = {"kill": (62, 129), "tgkill": (234, 131), "prlimit64": (302, 261)}
+_ON_PROCESSES: Numbers = {"kill": (62, 129), "tgkill": (234, 131), "prlimit64": (302, 261)}
 """Whose first argument is a process: allowed on this one only."""
 
-CLONE: Numbers = {"clone": (56, 220)}
-CLONE3: Numbers = {"clone3": (435, 435)}
+_CLONE: Numbers = {"clone": (56, 220)}
+_CLONE3: Numbers = {"clone3": (435, 435)}
 _LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
 _NUMBER, _MACHINE, _FIRST_ARGUMENT = 0, 4, 16  # Offsets in struct seccomp_data; little-endian.
 _ALLOW, _KILL, _FAIL = 0x7FFF0000, 0x80000000, 0x00050000
@@ -208,9 +208,9 @@ def program(machine: str, *, process: int, network: Network) -> tuple[Instructio
 
     refused = numbers(REFUSED)
     if network != "all":
-        refused += numbers(CONNECT)
+        refused += numbers(_CONNECT)
     if network == "none":
-        refused += numbers(SOCKETS)
+        refused += numbers(_SOCKETS)
     return (
         Instruction(_LOAD, _MACHINE),
         Instruction(_EQUAL, MACHINES[machine], if_true=1),
@@ -219,9 +219,9 @@ def program(machine: str, *, process: int, network: Network) -> tuple[Instructio
         *([Instruction(_AT_LEAST, _X32, if_false=1), _fail(errno.EPERM)] if column == 0 else ()),
         *_for_each(refused, [_fail(errno.EPERM)]),
         # The C library then takes `clone`, whose flags can be seen here.
-        *_for_each(numbers(CLONE3), [_fail(errno.ENOSYS)]),
+        *_for_each(numbers(_CLONE3), [_fail(errno.ENOSYS)]),
         *_for_each(
-            numbers(CLONE),
+            numbers(_CLONE),
             [
                 Instruction(_LOAD, _FIRST_ARGUMENT),
                 Instruction(_ANY_BIT, _CLONE_THREAD, if_false=1),
@@ -230,7 +230,7 @@ def program(machine: str, *, process: int, network: Network) -> tuple[Instructio
             ],
         ),
         *_for_each(
-            numbers(ON_PROCESSES),
+            numbers(_ON_PROCESSES),
             [
                 Instruction(_LOAD, _FIRST_ARGUMENT),
                 Instruction(_EQUAL, process, if_true=1),

@@ -51,7 +51,7 @@ _GB = 10**9
 _ABANDONED = 3600.0  # s after which nobody goes on with what is half written.
 _HEADROOM = 0.9  # of the limit to which it is pruned, so that not every run has to.
 _ROW, _LOG = "row.json", "log.mcap"
-_MOST = 2**20
+_MOST_ROW = 2**20
 """Bytes of a row.json that is read; honest ones have about two thousand."""
 # A link leads out of the folder, and a pipe may never end.
 _PLAIN = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -256,7 +256,7 @@ def read_entry(path: Path) -> CacheEntry:
         NO_ENTRY: it is none, or damaged, or another version's, or another trial's.
     """
     with _opened(path) as folder, _plain(_ROW, folder) as stream:
-        data = stream.read(_MOST)
+        data = stream.read(_MOST_ROW)
     saved = json.loads(unseal(data)[0])
     if saved["entry"] != FORMAT or saved["key"] != path.name:
         raise ValueError("it is of another version, or of another trial")

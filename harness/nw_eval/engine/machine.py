@@ -59,15 +59,15 @@ of 700 MB takes the kernel 3 ms, in which the process cannot map memory; `statm`
 _BETWEEN_LOOKS = 2**30
 """Bytes by which a process may go beyond its limit until somebody looks. Libraries reserve up to
 280 MB that they never touch (`confinement.rules`)."""
-_FIRST = b"1000"
+_ENDS_FIRST = b"1000"
 """Of the kernel's scale: whoever has it ends before all others."""
 LARGEST = 2**20
-"""Characters that are kept. What comes later is read and dropped: a checkpoint that prints for
-hours neither fills the disk nor waits for a reader."""
+"""Characters of output that are kept. What comes later is read and dropped: a checkpoint that
+prints for hours neither fills the disk nor waits for a reader."""
 
-_CHUNK = 2**16
+_OUTPUT_CHUNK = 2**16
 _PATIENCE = 5.0  # s for the last words of workers that are gone
-_MORE = "(the run printed more, which was not kept)"
+_MORE_OUTPUT = "(the run printed more, which was not kept)"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -205,7 +205,7 @@ class Resident:
         """
         for process in self._processes:
             with suppress(OSError):
-                Path(f"/proc/{process}/oom_score_adj").write_bytes(_FIRST)
+                Path(f"/proc/{process}/oom_score_adj").write_bytes(_ENDS_FIRST)
             if limit is None:
                 continue
             with suppress(OSError, ValueError):
@@ -259,7 +259,7 @@ class WorkerOutput:
             if left > 0:
                 text = clean(line)
                 left -= len(text) + 1
-                self._append(text if left > 0 else _MORE)
+                self._append(text if left > 0 else _MORE_OUTPUT)
 
     def _append(self, line: str) -> None:
         with suppress(OSError):
@@ -271,9 +271,9 @@ class WorkerOutput:
         """Yield lines as they come, those that are longer than a chunk in pieces."""
         begun = b""
         with self._receiver:
-            while chunk := os.read(self._receiver.fileno(), _CHUNK):
+            while chunk := os.read(self._receiver.fileno(), _OUTPUT_CHUNK):
                 *whole, begun = (begun + chunk).split(b"\n")
-                if len(begun) > _CHUNK:
+                if len(begun) > _OUTPUT_CHUNK:
                     whole, begun = [*whole, begun], b""
                 yield from (line.decode(errors="replace") for line in whole)
         if begun:

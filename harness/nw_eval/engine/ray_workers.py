@@ -287,7 +287,7 @@ class RayWorkers:
         with suppress(OSError):
             os.write(self._output.end.fileno(), answer.printed)
         job, _ = each.jobs.pop(answer.trial)
-        yield Finished(job=job, result=keep_log(answer, job), host=answer.host)
+        yield Finished(job=job, result=_keep_log(answer, job), host=answer.host)
 
     def _lost(self, each: _Staffed, error: Exception) -> Iterator[Finished]:
         """Yield what the jobs of a station that is gone came to: an error, if they were begun."""
@@ -390,11 +390,11 @@ class Nodes:
         node.strikes += 1
         node.rests_until = monotonic() + _REST
         if node.strikes >= _STRIKES and node.stage != "refused":
-            self._refuse(node, reason_of(error))
+            self._refuse(node, _reason_of(error))
 
     def refuse(self, node: Node, error: Exception) -> None:
         """Use a node no more, since workers cannot be kept alive there."""
-        self._refuse(node, reason_of(error))
+        self._refuse(node, _reason_of(error))
 
     def tidy(self) -> None:
         """Have nodes remove what the run left there; wait some seconds at most."""
@@ -446,7 +446,7 @@ class Nodes:
                 node.stage = "ready"
         except self._joined.ray.exceptions.RayError as error:
             if getattr(error, "cause", None) is not None:
-                self._refuse(node, reason_of(error))
+                self._refuse(node, _reason_of(error))
                 return
             # A process of Ray's is lost, or all of the node, which the next look will find missing.
             node.stage = "asked"
@@ -488,7 +488,7 @@ class Nodes:
             )
 
 
-def reason_of(error: Exception) -> str:
+def _reason_of(error: Exception) -> str:
     """Return what happened on a node, in one line."""
     cause: Any = getattr(error, "cause", None) or error
     if isinstance(cause, NwEvalError):
@@ -507,7 +507,7 @@ def _differences(theirs: Mapping[str, str], ours: Mapping[str, str]) -> str:
     return "; ".join(found)
 
 
-def keep_log(answer: Answer, job: TrialJob) -> TrialResult:
+def _keep_log(answer: Answer, job: TrialJob) -> TrialResult:
     """Write the log of a job where the head has planned it, and return its result.
 
     As on one machine, there is then the log of this attempt, or what was written of it until its

@@ -34,7 +34,7 @@ SIZE_LIMIT = 2**30
 NOTHING = hashlib.sha256(b"").hexdigest()
 """The digest of a policy that has neither weights nor code, or whose server gives none."""
 
-NO_FILE = "card "
+_NO_FILE = "card "
 """What the reference of a card without a file begins with."""
 
 _WHEREABOUTS = frozenset({"url", "timeout", "connect_timeout"})
@@ -45,7 +45,7 @@ _NO_MEANING = {"title", "licence", "trained_on", "checkpoint", "python"}
 """Keys of a card that change no action; what is installed counts for no policy's identity."""
 Options = TypeVar("Options", bound=CardModel)
 CODE_LIMIT = 2**26
-"""Bytes of all files together: 64 MiB, more than any policy's code."""
+"""Bytes of all Python files together: 64 MiB, more than any policy's code."""
 
 SCOPE = "code outside the card's folder is not part of it"
 """What every text that shows the digest says beside it."""
@@ -97,7 +97,7 @@ class Bundle:
     @property
     def reference(self) -> str:
         """What `load_bundle` finds it by, from anywhere; a card without a file it does not find."""
-        return f"{NO_FILE}{self.name}" if self.card_path is None else str(self.card_path.resolve())
+        return f"{_NO_FILE}{self.name}" if self.card_path is None else str(self.card_path.resolve())
 
     @property
     def subject(self) -> str:
@@ -464,7 +464,7 @@ def read_options(bundle: Bundle, model: type[Options]) -> Options:
 
 def was_instance(reference: str) -> bool:
     """Whether a bundle's `reference` is that of an object: nobody can load it."""
-    return reference.startswith(NO_FILE)
+    return reference.startswith(_NO_FILE)
 
 
 def instance_bundle(policy: object, card: Card, *, digest: str = "") -> Bundle:

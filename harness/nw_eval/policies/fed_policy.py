@@ -38,12 +38,12 @@ class FedPolicy:
             allow_code: as for `open_policy`.
 
         Raises:
-            PolicyError: as `open_network`.
+            PolicyError: as `_open_network`.
         """
         self._name = bundle.name
         self.policy = policy
         self.feeders = tuple(
-            Feeder(bundle, name, allow_code=allow_code) for name in feeding_order(bundle.card)
+            _Feeder(bundle, name, allow_code=allow_code) for name in feeding_order(bundle.card)
         )
         self._actions = 0
         self.held: dict[str, Array] = {}
@@ -113,7 +113,7 @@ class FedPolicy:
         self.policy.close()
 
 
-def open_network(
+def _open_network(
     adapter: NetworkAdapter, bundle: Bundle, wanted: Wanted, *, allow_code: bool
 ) -> OpenNetwork:
     """Open one file of a bundle for some of its outputs.
@@ -138,14 +138,14 @@ def open_network(
 
             return TorchScriptNetwork(bundle, wanted, allow_code=allow_code)
         case "torch-export":
-            from nw_eval.policies.torch_export import TorchExportNetwork
+            from nw_eval.policies.torch_network import TorchExportNetwork
 
             return TorchExportNetwork(bundle, wanted, allow_code=allow_code)
         case _:
             assert_never(adapter)
 
 
-class Feeder:
+class _Feeder:
     """One network in a trial, with the names under which others take what it gives."""
 
     def __init__(self, bundle: Bundle, name: str, *, allow_code: bool) -> None:
@@ -156,7 +156,7 @@ class Feeder:
         self.every = 1 if network.rate is None else bundle.card.control.rate // network.rate
         """Actions from one time that it is asked to the next."""
         wanted = [output.output for output in self.outputs.values()]
-        self.network = open_network(network.adapter, self.bundle, wanted, allow_code=allow_code)
+        self.network = _open_network(network.adapter, self.bundle, wanted, allow_code=allow_code)
 
     def run(self, observation: Observation) -> dict[str, Array]:
         """Ask it; return what it gives by name, each in memory of its own.

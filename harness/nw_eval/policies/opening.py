@@ -62,7 +62,7 @@ def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
 
             return TorchScriptPolicy(bundle, joints=joints, allow_code=allow_code)
         case "torch-export":
-            from nw_eval.policies.torch_export import TorchExportPolicy
+            from nw_eval.policies.torch_network import TorchExportPolicy
 
             return TorchExportPolicy(bundle, joints=joints, allow_code=allow_code)
         case "lucidsim":

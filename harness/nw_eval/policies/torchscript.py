@@ -30,7 +30,7 @@ from nw_eval.policies.safety.archive import kind_said
 
 _SETS = re.compile(r'prim::SetAttr\[name="(\w+)"\]')
 
-Slots = dict[str, tuple[str, str]]
+_Slots = dict[str, tuple[str, str]]
 """Paths of state to (path of the submodule, name of its attribute)."""
 
 
@@ -62,13 +62,13 @@ class TorchScriptNetwork:
         self._module: Any = _open(bundle)
         _check_signature(self._module, bundle)
         self._assemble = InputAssembler(bundle.card, self.inputs)
-        self._slots = state_slots(self._module, str(bundle.checkpoint))
+        self._slots = _state_slots(self._module, str(bundle.checkpoint))
         self._first = read_state(self._module, self._slots)
 
     def reset(self, seed: int) -> None:  # noqa: ARG002 - `DrawingPolicy` seeds the generator.
         """Begin a trial with the state that the file holds."""
         if self._module is not None:
-            write_state(self._module, self._slots, self._first)
+            _write_state(self._module, self._slots, self._first)
 
     def run(self, observation: Observation) -> tuple[NDArray[Any], ...]:
         """Run the module once."""
@@ -121,7 +121,7 @@ class TorchScriptNetwork:
                 if path not in self._first or self._first[path].dtype != array.dtype:
                     raise unfitting(self._name, f"it has {path!r} of {array.dtype}")
             if self._module is not None:
-                write_state(self._module, self._slots, self._first | arrays)
+                _write_state(self._module, self._slots, self._first | arrays)
 
     def close(self) -> None:
         """Free the module."""
@@ -209,7 +209,7 @@ def _open(bundle: Bundle) -> Any:
     return module
 
 
-def state_slots(module: Any, where: str) -> Slots:
+def _state_slots(module: Any, where: str) -> _Slots:
     """Return where a scripted module keeps what changes from step to step.
 
     Raises:
@@ -217,7 +217,7 @@ def state_slots(module: Any, where: str) -> Slots:
     """
     parts: list[tuple[str, Any]] = list(module.named_modules())
     changed = set[str]().union(*(_names_set_by(part) for _, part in parts))
-    slots: Slots = {}
+    slots: _Slots = {}
     for path, part in parts:
         buffers = {name for name, _ in part.named_buffers(recurse=False)}
         for name in sorted(buffers | {name for name in changed if part._c.hasattr(name)}):  # noqa: SLF001 - torch shows a script's attributes nowhere else.
@@ -232,7 +232,7 @@ def state_slots(module: Any, where: str) -> Slots:
     return slots
 
 
-def read_state(module: Any, slots: Slots) -> dict[str, NDArray[Any]]:
+def read_state(module: Any, slots: _Slots) -> dict[str, NDArray[Any]]:
     """Return the state by path, as arrays of their own memory."""
     state: dict[str, NDArray[Any]] = {}
     for key, (path, name) in slots.items():
@@ -243,7 +243,7 @@ def read_state(module: Any, slots: Slots) -> dict[str, NDArray[Any]]:
     return state
 
 
-def write_state(module: Any, slots: Slots, state: Mapping[str, NDArray[Any]]) -> None:
+def _write_state(module: Any, slots: _Slots, state: Mapping[str, NDArray[Any]]) -> None:
     """Set the state that `read_state` returned, or one of the same types."""
     for key, (path, name) in slots.items():
         part = _part(module, path)

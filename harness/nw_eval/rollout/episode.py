@@ -52,7 +52,7 @@ Joints turn by less than 2 pi, and motors of such robots give some hundred N m. 
 raw actions at 100 (legged_gym's `clip_actions`), which is some 25 rad; MuJoCo itself gives up at
 1e10. A target this large is a network that ran away.
 """
-_STEPS = CONTROL_RATE // VIEW_RATE
+_STEPS_A_VIEW = CONTROL_RATE // VIEW_RATE
 _SENSOR = "sensor."
 
 
@@ -131,7 +131,7 @@ class Episode:
         self.step = 0  # control steps done
         self.state_digest = ChainDigest()
         self.action_digest = ChainDigest()
-        self.coverage = ImageCoverage()
+        self.coverage = _ImageCoverage()
         self.captured = CapturedViews()
         self._hold = hold
         self._termination = termination
@@ -377,7 +377,7 @@ class Actions:
         self.delay = ActionDelay(delay_steps, count)
         self.applied = Held(np.zeros(count))
         self.output = Held(np.zeros(count))
-        self.earlier = HeldRow([np.zeros(count)] * EARLIER_OUTPUTS)
+        self.earlier = _HeldRow([np.zeros(count)] * EARLIER_OUTPUTS)
         self.filter = action_filter
         self._control = control
         self._joints = joints
@@ -425,7 +425,7 @@ class Held:
         self.array = np.frombuffer(state).reshape(self.array.shape)  # bytes: read-only, too
 
 
-class HeldRow:
+class _HeldRow:
     """Several arrays of float64 of one shape, likewise."""
 
     def __init__(self, arrays: Sequence[Array]) -> None:
@@ -466,7 +466,7 @@ class CapturedViews:
 
     def add(self, step: int, nearness: Nearness, alpha: float) -> None:
         """Add one camera's newest image at a control step; steps only go on."""
-        tenth = step // _STEPS
+        tenth = step // _STEPS_A_VIEW
         while len(self.alpha) <= tenth:
             self.distance.append(0.0)
             self.angle.append(0.0)
@@ -485,7 +485,7 @@ class CapturedViews:
         self.distance, self.angle, self.alpha = (line.tolist() for line in numbers)
 
 
-class ImageCoverage:
+class _ImageCoverage:
     """Smallest and mean splat coverage of the images that the policy was shown."""
 
     def __init__(self) -> None:

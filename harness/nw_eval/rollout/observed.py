@@ -38,7 +38,6 @@ from nw_eval.cards.observations import (
     selected_indices,
 )
 from nw_eval.cards.terms import AnyTerm, term_size
-from nw_eval.rollout.mcap.observations import SeenRow, SeenRows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -90,8 +89,8 @@ _IN_PLACE = (
 Bytes = NDArray[np.uint8]
 
 LOG_CAMERA = "ego"
-LOG_SIZE = (160, 90)  # pixels
-LOG_PERIOD = 5  # control steps between two frames: 10 Hz
+_LOG_SIZE = (160, 90)  # pixels
+_LOG_PERIOD = 5  # control steps between two frames: 10 Hz
 LOG_TOPIC = f"/camera/{LOG_CAMERA}"
 
 
@@ -112,6 +111,9 @@ class Seen:
     def __init__(
         self, *, card: Card, sensors: Mapping[str, Sensor], world: World, log: TrialLog
     ) -> None:
+        # Whoever only asks for names or views needs no protobuf.
+        from nw_eval.rollout.mcap.observations import SeenRow, SeenRows
+
         self._card = card
         self._sensors = sensors
         self._world = world
@@ -517,20 +519,20 @@ class LogCamera:
     def calibrate(self) -> None:
         """Write the camera's calibration."""
         if self.is_on:
-            width, height = LOG_SIZE
+            width, height = _LOG_SIZE
             focal = 0.5 * height / float(np.tan(0.5 * self._fovy))
             self._log.calibration(
                 self._world.time,
                 LOG_TOPIC,
                 mount=LOG_CAMERA,
-                size=LOG_SIZE,
+                size=_LOG_SIZE,
                 focal=(focal, focal),
                 center=(0.5 * width, 0.5 * height),
             )
 
     def record(self, step: int) -> None:
         """Write the frame of a control step, if it has one."""
-        if self.is_on and step % LOG_PERIOD == 0:
+        if self.is_on and step % _LOG_PERIOD == 0:
             T_world_camera = self._world.camera_pose(LOG_CAMERA)
             self._log.later_picture(
                 self._world.time, LOG_TOPIC, lambda: self._render(T_world_camera), mount=LOG_CAMERA
@@ -543,7 +545,7 @@ class LogCamera:
     def _render(self, T_world_camera: NDArray[np.float64]) -> Bytes:
         from nw_eval.splat.camera import Camera
 
-        width, height = LOG_SIZE
+        width, height = _LOG_SIZE
         camera = Camera.from_fovy(
             width=width,
             height=height,

@@ -34,7 +34,7 @@ LARGE_STATE = 32 * 1024  # bytes
 # The walked path has a point at 10 Hz, and is written at 2 Hz.
 PATH_PERIOD, PATH_SHOWN = 5, 25
 # A camera image that the splat covers less than this is an event in the log.
-LOW_COVERAGE = 0.9
+_LOW_COVERAGE = 0.9
 
 
 class Recorder(Observer):
@@ -227,7 +227,7 @@ class Events:
             return
         shares = [camera.coverage for camera in self._cameras if camera.coverage is not None]
         share = min(shares, default=1.0)
-        covered = share >= LOW_COVERAGE
+        covered = share >= _LOW_COVERAGE
         if self._covered and not covered:
             self.write("coverage", f"the splat covers {share:.0%} of the image", value=share)
         self._covered = covered

@@ -3,7 +3,7 @@
 From arXiv 2304.13705, inference only: the latent variable of the training is zero. The state dict
 has the names of LeRobot's ACT, whose leading `model.` may be left out:
 
-    backbone.*                          image encoder, see `backbone_for`; none without images
+    backbone.*                          image encoder, see `_backbone_for`; none without images
     encoder_img_feat_input_proj.*       1 x 1 convolution, feature maps to width
     encoder_robot_state_input_proj.*    linear, proprioception to width
     encoder_latent_input_proj.*         linear, latent to width; the latent is zeros
@@ -73,8 +73,8 @@ class Act(nn.Module):
         width = sizes.width
         self.sizes = sizes
         if sizes.backbone:
-            self.backbone = backbone_for(sizes.backbone)
-            maps = output_channels(sizes.backbone)
+            self.backbone = _backbone_for(sizes.backbone)
+            maps = _output_channels(sizes.backbone)
             self.encoder_img_feat_input_proj = nn.Conv2d(maps, width, kernel_size=1)
         self.encoder_robot_state_input_proj = nn.Linear(sizes.proprio, width)
         self.encoder_latent_input_proj = nn.Linear(sizes.latent, width)
@@ -331,12 +331,12 @@ def _layers(shapes: Shapes, part: str) -> int:
     return 1 + max((int(match[1]) for match in found if match), default=-1)
 
 
-def backbone_for(shapes: Shapes) -> nn.Module:
+def _backbone_for(shapes: Shapes) -> nn.Module:
     """Return the encoder whose state dict has these shapes."""
-    return ResNet(shapes) if "conv1.weight" in shapes else ConvStack(shapes)
+    return ResNet(shapes) if "conv1.weight" in shapes else _ConvStack(shapes)
 
 
-def output_channels(shapes: Shapes) -> int:
+def _output_channels(shapes: Shapes) -> int:
     """Return the number of feature maps that an encoder ends with: its last convolution's."""
     kernels = [
         shape for name, shape in shapes.items() if len(shape) == 4 and "downsample" not in name
@@ -344,7 +344,7 @@ def output_channels(shapes: Shapes) -> int:
     return kernels[-1][0] if kernels else 0
 
 
-class ConvStack(nn.Sequential):
+class _ConvStack(nn.Sequential):
     """Convolutions of stride 2 with ReLU; each halves the image, rounding up."""
 
     def __init__(self, shapes: Shapes) -> None:
@@ -359,7 +359,7 @@ class ConvStack(nn.Sequential):
         super().__init__(*layers)
 
 
-class FrozenNorm(nn.Module):
+class _FrozenNorm(nn.Module):
     """Batch norm with fixed statistics."""
 
     weight: Tensor
@@ -377,19 +377,19 @@ class FrozenNorm(nn.Module):
         return functional.batch_norm(x, self.running_mean, self.running_var, self.weight, self.bias)
 
 
-class BasicBlock(nn.Module):
+class _BasicBlock(nn.Module):
     """Two 3 x 3 convolutions and a shortcut."""
 
     def __init__(self, inputs: int, outputs: int, stride: int) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1, bias=False)
-        self.bn1 = FrozenNorm(outputs)
+        self.bn1 = _FrozenNorm(outputs)
         self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1, bias=False)
-        self.bn2 = FrozenNorm(outputs)
+        self.bn2 = _FrozenNorm(outputs)
         self.downsample = None
         if stride != 1 or inputs != outputs:
             self.downsample = nn.Sequential(
-                nn.Conv2d(inputs, outputs, 1, stride=stride, bias=False), FrozenNorm(outputs)
+                nn.Conv2d(inputs, outputs, 1, stride=stride, bias=False), _FrozenNorm(outputs)
             )
 
     def forward(self, x: Tensor) -> Tensor:
@@ -407,13 +407,13 @@ class ResNet(nn.Module):
         super().__init__()
         channels, inputs, _, _ = shapes["conv1.weight"]
         self.conv1 = nn.Conv2d(inputs, channels, 7, stride=2, padding=3, bias=False)
-        self.bn1 = FrozenNorm(channels)
+        self.bn1 = _FrozenNorm(channels)
         for stage in range(1, 5):
             blocks: list[nn.Module] = []
             outputs = 64 * 2 ** (stage - 1)
             for block in range(_count(shapes, f"layer{stage}.")):
                 stride = 2 if stage > 1 and block == 0 else 1
-                blocks.append(BasicBlock(channels, outputs, stride))
+                blocks.append(_BasicBlock(channels, outputs, stride))
                 channels = outputs
             self.add_module(f"layer{stage}", nn.Sequential(*blocks))
 

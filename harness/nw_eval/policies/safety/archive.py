@@ -17,7 +17,7 @@ from typing import Literal
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 
-ZIP_FAULTS = (
+_ZIP_FAULTS = (
     zipfile.BadZipFile,
     zlib.error,
     struct.error,
@@ -84,7 +84,7 @@ class Archive:
             )
         try:
             return self.zip.read(self.root + name)
-        except ZIP_FAULTS as error:
+        except _ZIP_FAULTS as error:
             raise PolicyError(
                 f"{self.where}: {name!r} is damaged: {clean(error, at_most=200)}",
                 fix="copy or download the file again",
@@ -112,7 +112,7 @@ def open_archive(data: bytes, where: str, limits: FileLimits | None = None) -> A
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
         members = archive.infolist()
-    except ZIP_FAULTS as error:
+    except _ZIP_FAULTS as error:
         raise PolicyError(
             f"{where}: not an archive, or a truncated one: {clean(error, at_most=200)}",
             fix="copy or download the file again",
@@ -225,7 +225,7 @@ def kind_said(kind: FileKind) -> str:
 def _archive_kind(data: bytes, where: str) -> FileKind:
     try:
         names = zipfile.ZipFile(io.BytesIO(data)).namelist()
-    except ZIP_FAULTS as error:
+    except _ZIP_FAULTS as error:
         raise PolicyError(
             f"{where}: the archive is truncated or damaged: {clean(error, at_most=200)}",
             fix="copy or download the file again",

@@ -114,8 +114,8 @@ class _MessageWalk:
             domain, name, _ = key
             if domain in STANDARD or (domain == MICROSOFT and name in FUSED):
                 continue
-            self._refuse(f"the operator {operator_said(key)} is not one that policies may use")
-        check_calls(self._functions, self._main, self._limits.nodes, self._where)
+            self._refuse(f"the operator {_operator_said(key)} is not one that policies may use")
+        _check_calls(self._functions, self._main, self._limits.nodes, self._where)
 
     def _visit(self, data: memoryview, kind: str, depth: int) -> None:
         if depth > _NESTED:
@@ -232,7 +232,7 @@ def _operator(message: ProtobufMessage, name: str) -> Operator:
     return "" if domain == "ai.onnx" else domain, message.text(name), message.text("overload")
 
 
-def check_calls(
+def _check_calls(
     functions: Mapping[Operator, Counter[Operator]],
     main: Counter[Operator],
     most: int,
@@ -258,7 +258,7 @@ def check_calls(
             if key in functions and key not in known:
                 if key in path:
                     raise PolicyError(
-                        f"{where}: the function {operator_said(key)} calls itself", fix=_FIX
+                        f"{where}: the function {_operator_said(key)} calls itself", fix=_FIX
                     )
                 if len(path) < _NESTED_CALLS:
                     known[key] = written_out(functions[key], (*path, key))
@@ -279,7 +279,7 @@ def check_calls(
     written_out(main, ())
 
 
-def operator_said(key: Operator) -> str:
+def _operator_said(key: Operator) -> str:
     """Return an operator as errors say it: `domain::name`."""
     domain, name, _ = key
     return repr(clean(f"{domain}::{name}" if domain else name, at_most=100))

@@ -1,7 +1,5 @@
 """The tensors of a torch or safetensors file: described without memory, then read within limits.
 
-Which members a torch archive may have, and the same archive written anew from them.
-
 Torch's own reader of archives looks members up without regard to case, takes its root from the
 first of them, and looks for more of them than any policy has. So it is given an archive of ours:
 what was checked, under the names that were checked, and nothing else.
@@ -38,16 +36,16 @@ _CODE = rf"code/__torch__(/{_NAME})*\.py"
 _STATE = r"data\.pkl|data/[0-9]+|version|\.data/version|byteorder"
 _MARKS = r"\.format_version|\.storage_alignment|\.data/serialization_id"
 """What torch notes about an archive, and nobody needs."""
-STATE_MEMBERS = re.compile(f"{_STATE}|{_MARKS}")
+_STATE_MEMBERS = re.compile(f"{_STATE}|{_MARKS}")
 """Members of a state dict."""
-SCRIPT_MEMBERS = re.compile(
+_SCRIPT_MEMBERS = re.compile(
     rf"{_STATE}|{_MARKS}|constants\.pkl|constants/[0-9]+|{_CODE}"
     rf"|{_CODE}\.debug_pkl|extra/.*|traced_inputs(\.pkl|/[0-9]+)"
 )
 """Members of a TorchScript file; those of the last line are for people, and left out."""
 _KEPT = re.compile(rf"{_STATE}|constants\.pkl|constants/[0-9]+|{_CODE}")
 _MOBILE = re.compile(r"bytecode\.pkl|mobile_debug_handles\.pkl|.*\.ff|.*\.ptl", re.IGNORECASE)
-_DTYPES = {
+_SAFETENSORS_DTYPES = {
     "F64": "float64",
     "F32": "float32",
     "F16": "float16",
@@ -83,10 +81,10 @@ def tensor_facts(
     """
     limits = limits or FileLimits()
     if file_kind(data, where) == "safetensors":
-        entries = read_header(data, where, limits)
+        entries = _read_header(data, where, limits)
         return tuple(TensorFacts(name=e.name, shape=e.shape, dtype=e.dtype) for e in entries)
     scripted = file_kind(data, where) == "torchscript"
-    _, index = checked_tree(data, where, limits, SCRIPT_MEMBERS if scripted else STATE_MEMBERS)
+    _, index = checked_tree(data, where, limits, _SCRIPT_MEMBERS if scripted else _STATE_MEMBERS)
     return tuple(
         TensorFacts(name=name, shape=ref.shape, dtype=ref.storage.dtype)
         for name, ref in leaves(index.tree, where, limits)
@@ -118,14 +116,14 @@ def read_tensors(
     if kind == "safetensors":
         return {
             entry.name: _tensor(data[entry.start : entry.stop], entry.dtype).reshape(entry.shape)
-            for entry in read_header(data, where, limits)
+            for entry in _read_header(data, where, limits)
         }
     if kind != "state-dict":
         raise PolicyError(
             f"{where}: not a state dict: {kind_said(kind)}",
             fix="save one with torch.save(module.state_dict(), file), or change `adapter`",
         )
-    archive, index = checked_tree(data, where, limits, STATE_MEMBERS)
+    archive, index = checked_tree(data, where, limits, _STATE_MEMBERS)
     storages: dict[str, torch.Tensor] = {}
     result: dict[str, torch.Tensor] = {}
     for name, ref in leaves(index.tree, where, limits):
@@ -161,7 +159,7 @@ def checked_tree(
         PolicyError: a check fails.
     """
     archive = open_archive(data, where, limits)
-    check_members(archive, members)
+    _check_members(archive, members)
     if archive.size("byteorder") is not None and archive.read("byteorder", at_most=64) != b"little":
         raise PolicyError(
             f"{where}: the numbers are big-endian", fix="save it on a little-endian machine"
@@ -289,7 +287,7 @@ def _tensor(raw: bytes, dtype: str) -> torch.Tensor:
     return torch.frombuffer(bytearray(raw), dtype=getattr(torch, dtype))
 
 
-def check_members(archive: Archive, allowed: re.Pattern[str]) -> None:
+def _check_members(archive: Archive, allowed: re.Pattern[str]) -> None:
     """Check that all members lie in one folder and are those of their kind, case and all.
 
     Raises:
@@ -325,7 +323,7 @@ class TensorEntry:
     stop: int
 
 
-def read_header(data: bytes, where: str, limits: FileLimits) -> tuple[TensorEntry, ...]:
+def _read_header(data: bytes, where: str, limits: FileLimits) -> tuple[TensorEntry, ...]:
     """Read and check the header.
 
     Raises:
@@ -370,7 +368,7 @@ def _entry(name: str, fields: dict[str, Any], begin: int) -> TensorEntry:
     return TensorEntry(
         name=name,
         shape=tuple(int(size) for size in fields["shape"]),
-        dtype=_DTYPES[fields["dtype"]],
+        dtype=_SAFETENSORS_DTYPES[fields["dtype"]],
         start=start,
         stop=stop,
     )

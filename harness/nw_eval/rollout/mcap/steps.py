@@ -52,6 +52,7 @@ Path = Literal["none", "point", "shown"]
 """Whether the walked path has a point there, and is written."""
 HEADING = "heading"
 """The frame of commands: the trunk's origin, level, turned by the trunk's yaw only."""
+# Fields of a `PolicyStep`.
 _STEP, _OBSERVATION, _STATE = b"\x10", b"\x1a", b"\x3a"
 _NUMBERS = (b"\x22", b"\x2a", b"\x32")
 
@@ -189,7 +190,7 @@ class Steps:
                 which,
                 _filled(
                     channels,
-                    {"/robot/command": command_form(), **forms},
+                    {"/robot/command": _command_form(), **forms},
                     times[which],
                     (rounded(commands), *numbers),
                 ),
@@ -243,7 +244,7 @@ def odom_form() -> Form:
 
 
 @lru_cache(maxsize=8)
-def twist_form(trunk: str) -> Form:
+def _twist_form(trunk: str) -> Form:
     """Return the form of `/robot/twist`: velocity (m/s), angular velocity (rad/s) in the trunk."""
     message = Twist(timestamp=BLANK_TIME, frame_id=trunk)
     _blank(message.linear, "xyz", 0)
@@ -252,7 +253,7 @@ def twist_form(trunk: str) -> Form:
 
 
 @lru_cache(maxsize=8)
-def command_form() -> Form:
+def _command_form() -> Form:
     """Return the form of `/robot/command`: vx, vy (m/s), yaw rate (rad/s), heading error (rad)."""
     message = Command(timestamp=BLANK_TIME, frame_id=HEADING)
     _blank(message, ("forward", "left", "yaw_rate", "heading_error"), 0)
@@ -290,7 +291,7 @@ class BodyForms:
             "/tf": transforms_form((*names, *cameras)),
             "/robot/joints": joints_form(joints),
             "/robot/odom": odom_form(),
-            "/robot/twist": twist_form(names[0]),
+            "/robot/twist": _twist_form(names[0]),
         }
         self.width = 7 * in_model + 3 * len(joints) + _RATES
         self._bodies = list(bodies)

@@ -73,7 +73,7 @@ def replay_apart(
     check_inside(start, logged)
     draws = picture is not None or video is not None
     with scratch_folder() as folder:
-        ready = readied(logged.job, path, library, draws=draws, folder=folder)
+        ready = _readied(logged.job, path, library, draws=draws, folder=folder)
         filmed = folder / "trial.mp4"
         answer = call_isolated(
             _replay,
@@ -158,7 +158,7 @@ def take_over_apart(
     )
     draws = out is not None or video is not None  # A log's own camera draws, too.
     with scratch_folder() as folder:
-        ready = readied(job, path, library, draws=draws, folder=folder)
+        ready = _readied(job, path, library, draws=draws, folder=folder)
         answer = call_isolated(
             _take_over,
             subject=str(path),
@@ -251,7 +251,7 @@ def blame_apart(
                         allow_code=allow_code,
                         library=library,
                     )
-                    ready = readied(job, log, library, draws=False)
+                    ready = _readied(job, log, library, draws=False)
                 except NwEvalError as error:
                     yield place, error
                     continue
@@ -308,7 +308,7 @@ def _blame(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Readied:
+class _Readied:
     """How the processes of a recorded trial are confined."""
 
     rules: Rules
@@ -316,14 +316,14 @@ class Readied:
     renders: bool
 
 
-def readied(
+def _readied(
     job: TrialJob,
     log: Path,
     library: Library,
     *,
     draws: bool,
     folder: Path | None = None,
-) -> Readied:
+) -> _Readied:
     """Make the scene of a trial, whose cache is out of the other process's reach.
 
     Args:
@@ -351,7 +351,7 @@ def readied(
     rules = running_rules(
         bundle, scenes=[job.scene], logs=folder, allow_code=job.allow_code, also=[log]
     )
-    return Readied(rules=rules, policy=policy_rules(bundle), renders=renders)
+    return _Readied(rules=rules, policy=policy_rules(bundle), renders=renders)
 
 
 @contextmanager

@@ -85,11 +85,11 @@ class Film(Observer):
         """
         self._driver = driver
         self._episode = trial.episode
-        self._video = VideoFile(self._path, size=FRAME, rate=RATE)
+        self._video = _VideoFile(self._path, size=FRAME, rate=RATE)
         self._spectator = Spectator(
             trial.scene, None if trial.scene.splat is None else trial.renderer()
         )
-        self._own = OwnView(trial, self._spectator)
+        self._own = _OwnView(trial, self._spectator)
         return self
 
     def hand_over(self, driver: str) -> None:
@@ -235,7 +235,7 @@ def _write(
     pen.text(at, words, fill=colour, font=ImageFont.load_default(size=size))
 
 
-class OwnView:
+class _OwnView:
     """The policy's own view in one trial.
 
     Args:
@@ -291,7 +291,7 @@ def video_library() -> Any:
         ) from error
 
 
-class VideoFile:
+class _VideoFile:
     """An MP4 file that pictures are added to; a context manager.
 
     Args:

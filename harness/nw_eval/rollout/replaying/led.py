@@ -53,12 +53,12 @@ if TYPE_CHECKING:
 
 _OF_THE_TRIAL = ("trail", "termination", "state_digest", "action_digest")
 """Parts of a state that are the trial's; all others are the policy's, its sensors among them."""
-_HEAD = 12
+_WORLD_HEAD = 12
 """Bytes of a world's state that name the model: magic and fingerprint, see `sim.state`."""
-HANDOVER = "takeover.json"
-"""The attachment that says so."""
+_HANDOVER = "takeover.json"
+"""The attachment that says when one policy took over from another."""
 _SUITE = "suite.yaml"
-_POLICY = "/nw/policy"
+_POLICY_TOPIC = "/nw/policy"
 _DIGEST = "state_digest"  # A part of every recorded state.
 Array = NDArray[np.float64]
 _TORQUE = "joint_torque"
@@ -82,12 +82,12 @@ def lead(
         StoreError: the log is damaged, or the trial does not go its recorded way here.
         TrialError: the policy that looks on fails, or a state does not fit.
     """
-    card, robot = first_card(logged), trial.robot
+    card, robot = _first_card(logged), trial.robot
     in_its_words = translator(card, trial.bundle.card, robot)
-    recorded = recorded_digests(logged.log)
+    recorded = _recorded_digests(logged.log)
     follower = trial.episode
-    onlooker = Onlooker(follower.policy)
-    with open_puppet(logged.job, card, library) as puppet:
+    onlooker = _Onlooker(follower.policy)
+    with _open_puppet(logged.job, card, library) as puppet:
         leader = puppet.episode
         state = _join(follower, leader)
         for decided in decisions(logged.log, joints=len(robot.joints)):
@@ -124,7 +124,7 @@ def lead_to(
     )
 
 
-def _look_on(episode: Episode, onlooker: Onlooker, decided: Decision) -> Decision:
+def _look_on(episode: Episode, onlooker: _Onlooker, decided: Decision) -> Decision:
     """Let a policy see a control step in which another one acts; return what is executed."""
     policy, episode.policy = episode.policy, onlooker
     try:
@@ -144,7 +144,7 @@ def _join(follower: Episode, leader: Episode) -> Any:
     parts |= {part.name: part.data for part in there.parts if part.name in _OF_THE_TRIAL}
     state = SimState(
         step=there.step,
-        world=own.world[:_HEAD] + there.world[_HEAD:],
+        world=own.world[:_WORLD_HEAD] + there.world[_WORLD_HEAD:],
         policy=own.policy,
         parts=[StatePart(name=name, data=data) for name, data in parts.items()],
     )
@@ -186,7 +186,7 @@ def handover_of(logged: LoggedTrial) -> Handover | None:
     Raises:
         StoreError: the log is damaged.
     """
-    text = logged.log.attachments().get(HANDOVER)
+    text = logged.log.attachments().get(_HANDOVER)
     if text is None:
         return None
     try:
@@ -194,7 +194,7 @@ def handover_of(logged: LoggedTrial) -> Handover | None:
     except ValidationError as error:
         reason = clean(error.errors()[0]["msg"], at_most=200)
         raise StoreError(
-            f"{logged.path}: its attachment {HANDOVER} is damaged: {reason}",
+            f"{logged.path}: its attachment {_HANDOVER} is damaged: {reason}",
             fix="make the log again",
         ) from None
 
@@ -219,7 +219,7 @@ def new_handover(recorded: LoggedTrial, step: int) -> Handover:
     return Handover(step=step, policy=earlier.policy, card=earlier.card)
 
 
-def first_card(recorded: LoggedTrial) -> Card:
+def _first_card(recorded: LoggedTrial) -> Card:
     """Return the card of the policy that a recorded trial began with, as its log has it.
 
     Raises:
@@ -243,7 +243,7 @@ def carried(
         StoreError: the recorded trial's log is damaged.
     """
     suite = recorded.log.attachments().get(_SUITE, b"").decode(errors="replace")
-    own = HANDOVER, TypeAdapter(Handover).dump_json(handover).decode()
+    own = _HANDOVER, TypeAdapter(Handover).dump_json(handover).decode()
     return (*attachments(bundle.card_text, suite), own)
 
 
@@ -255,7 +255,7 @@ def decisions(log: LogReader, *, joints: int) -> Iterator[Decision]:
     Raises:
         StoreError: the log is damaged, or a step is missing.
     """
-    for count, (_, _, message) in enumerate(log.messages(_POLICY)):
+    for count, (_, _, message) in enumerate(log.messages(_POLICY_TOPIC)):
         numbers = [np.array(each) for each in (message.action, message.applied, message.targets)]
         if message.step != count or any(
             each.shape != (joints,) or not np.isfinite(each).all() for each in numbers
@@ -268,7 +268,7 @@ def decisions(log: LogReader, *, joints: int) -> Iterator[Decision]:
         yield Decision(observation={}, action=action, applied=applied, targets=targets)
 
 
-def recorded_digests(log: LogReader) -> dict[int, bytes]:
+def _recorded_digests(log: LogReader) -> dict[int, bytes]:
     """Return the digest of all states so far, by the control steps of which the log has a state.
 
     Raises:
@@ -282,7 +282,7 @@ def recorded_digests(log: LogReader) -> dict[int, bytes]:
     }
 
 
-class Onlooker:
+class _Onlooker:
     """Stands in a trial for a policy that looks on. A `Policy`.
 
     It is asked at every step at which the policy would be, so whatever that remembers is of this
@@ -324,7 +324,7 @@ class Onlooker:
         self._policy.close()
 
 
-def open_puppet(job: TrialJob, card: Card, library: Library) -> OpenTrial:
+def _open_puppet(job: TrialJob, card: Card, library: Library) -> OpenTrial:
     """Return a trial at its start whose motors are those of a card, and which sees nothing.
 
     Its checkpoint need not be there: `Episode.advance` takes what the log says was decided.
