@@ -177,8 +177,7 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
             return _exported(data, path, sha256)
         case "torchscript" | "state-dict" | "safetensors":
             is_script = kind == "torchscript"
-            if is_script:
-                tensors = tensor_facts(data, where)
+            tensors = tensor_facts(data, where)
             return CheckpointFacts(
                 path=path,
                 sha256=sha256,
