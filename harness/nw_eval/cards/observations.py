@@ -262,7 +262,7 @@ class SemanticsObservation(_GeometryView):
 
     sensor: Literal["semantics"]
     values: Literal["ids", "colors"] = "ids"
-    """`colors`: (height, width, 3) uint8 of the palette in `sensors.palette`."""
+    """`colors`: (height, width, 3) uint8 of the palette in `sensors.drawing.palette`."""
 
 
 CameraObservation = SplatRgbObservation | DepthObservation | SemanticsObservation

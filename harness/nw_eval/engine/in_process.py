@@ -47,7 +47,7 @@ class InProcess:
 class InProcessWorkers:
     """Runs a job when its result is waited for; a context manager.
 
-    Ctrl-C and SIGTERM are heard by `engine.run` between two trials; the second one raises
+    Ctrl-C and SIGTERM are heard by `engine.session` between two trials; the second one raises
     KeyboardInterrupt in the trial.
 
     Args:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 TRIAL, PROVENANCE, VERDICT = "nw.trial", "nw.provenance", "nw.verdict"
 
-_LONGEST = 600.0  # s; as `suite.model.Episode` allows
+_LONGEST = 600.0  # s; as `suite.model.EpisodeRules` allows
 
 # Whose versions change bits. A replay under others is refused a verdict on its bits.
 _LIBRARIES = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")

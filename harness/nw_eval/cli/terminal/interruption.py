@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM while no run listens to them itself (see `engine.interrupts`)."""
+"""Ctrl-C and SIGTERM while no run listens to them itself (see `engine.machine.Interrupts`)."""
 
 from __future__ import annotations
 

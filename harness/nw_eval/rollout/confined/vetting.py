@@ -36,7 +36,7 @@ def vet_bundle(
         The bundle; a remote one with the digest of what its server says that it serves.
 
     Raises:
-        PolicyError: as `sensors.check_bundle`; or the card does not fit the protocol, or what is
+        PolicyError: as `check_bundle`; or the card does not fit the protocol, or what is
             served.
     """
     physics_steps(bundle.card, protocol)

@@ -19,7 +19,7 @@ _NINE = np.array([(x, y, 0.0) for y in _THIRDS for x in _THIRDS])
 
 @dataclass(frozen=True, kw_only=True)
 class Overlay:
-    """Drawn objects at the pixels of an image: the arguments of `splat.composite`."""
+    """Drawn objects at the pixels of an image: the arguments of `splat.image.paste`."""
 
     rgb: NDArray[np.float32]
     """(H, W, 3)."""
