@@ -9,7 +9,10 @@ if TYPE_CHECKING:
 
 
 class Listener(Protocol):
-    """Hears of a run's progress, in the process that started it. `cli.terminal.progress` draws bars."""
+    """Hears of a run's progress, in the process that started it.
+
+    `cli.terminal.progress` draws bars.
+    """
 
     def message(self, text: str) -> None:
         """Hear one line for people."""

@@ -19,8 +19,8 @@ from nw_eval.sensors.drawing.palette import PALETTE
 
 Form = Literal["photo", "drawing", "grey", "classes", "metres", "numbers"]
 """What a pixel is, and how it is kept: sRGB bytes as JPEG; sRGB bytes of few colours as PNG; a byte
-of brightness as JPEG; a class of `sensors.drawing.palette` as PNG with that palette; metres as whole
-millimetres in 16 bits; any number as it is in 32 bits."""
+of brightness as JPEG; a class of `sensors.drawing.palette` as PNG with that palette; metres as
+whole millimetres in 16 bits; any number as it is in 32 bits."""
 
 MILLIMETRES = 1000.0
 """In a metre. A depth of 0 is none: the ray met nothing, or farther than 65.534 m."""
