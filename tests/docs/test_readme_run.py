@@ -19,12 +19,13 @@ README = Path(__file__).parents[2] / "README.md"
 
 # The trials that did not complete, as the README's run has them: waypoints reached by each.
 FALLEN = {
-    "one_high_stone_plaza": [0],
-    "three_benches_cloister": [0, 3],
-    "three_crates_workshop": [1],
-    "three_grassy_courtyard": [3, 3],
-    "three_high_wood_hall": [0, 1, 1, 1, 1, 2, 2, 2, 2, 3],
-    "two_logs_park": [2],
+    "three_benches_cloister": [0, 3, 3],
+    "three_crates_workshop": [3],
+    "three_grassy_courtyard": [2, 3],
+    "three_high_wood_hall": [0, 0, 1, 1, 1, 2, 2, 2, 2, 3],
+    "two_beams_yard_night": [1],
+    "two_foam_office": [2],
+    "two_logs_park": [0, 2],
 }
 WAYPOINTS = {"one": 2, "two": 3, "three": 4}
 

@@ -5,6 +5,7 @@ from closed_loop import build, compare, photograph
 from walk import round_the_first_obstacle
 
 
+@pytest.mark.nightly
 def test_a_bar_built_from_twenty_small_photographs_is_walked_over_like_the_bar(tmp_path):
     name = "hurdles/one_low_carpet"
     size = {"count": 20, "width": 480, "height": 270}
