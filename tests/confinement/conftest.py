@@ -5,8 +5,14 @@ import importlib
 import pytest
 
 SOURCE = '''\
-import os, signal, socket, subprocess, sys, threading, time
+import ctypes, fcntl, os, signal, socket, subprocess, sys, threading, time
 from pathlib import Path
+
+
+def called(*arguments):
+    library = ctypes.CDLL(None, use_errno=True)
+    if library.syscall(*arguments) < 0:
+        raise OSError(ctypes.get_errno(), "refused")
 
 
 def attempts(*, inside, outside, logs):
@@ -29,6 +35,12 @@ def attempts(*, inside, outside, logs):
     attempt("write outside", lambda: (outside / "new").write_text("mine"))
     attempt("remove outside", (outside / "file").unlink)
     attempt("chmod outside", lambda: (outside / "file").chmod(0o777))
+    file, idle = os.open(inside / "file", os.O_RDONLY), os.sched_param(0)
+    attempt("change attributes", lambda: fcntl.ioctl(file, 0x40086602, bytes(8)))
+    victim = bytes(outside / "file")
+    attempt("change them by name", lambda: called(469, -100, victim, bytes(24), 24, 0))
+    attempt("slow the parent", lambda: os.setpriority(os.PRIO_PROCESS, os.getppid(), 19))
+    attempt("idle the parent", lambda: os.sched_setscheduler(os.getppid(), os.SCHED_IDLE, idle))
     attempt("write a log", lambda: (logs / "log").write_text("mine"))
     attempt("move a log", lambda: (logs / "log").rename(logs / "moved"))
     attempt("move a log out", lambda: (logs / "moved").rename(outside / "moved"))

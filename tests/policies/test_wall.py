@@ -214,6 +214,23 @@ def test_code_in_an_environment_of_its_own_is_behind_the_fence_too(evaluated, in
     assert "act raised PermissionError" in report.rows[0].error_text
 
 
+@needs_fence
+def test_what_an_environment_runs_by_itself_is_behind_the_fence_too(
+    evaluated, interpreter, tmp_path
+):
+    libraries = next(interpreter.parents[1].glob("lib/python*/site-packages"))
+    mark, path = tmp_path / "mark", libraries / "starts.pth"
+    path.write_text(f"import os; open({str(mark)!r}, 'w').close() if os.getppid() else None\n")
+    try:
+        subprocess.run([interpreter, "-c", "pass"], check=True)
+        assert mark.exists(), "it runs where there is no fence"
+        mark.unlink()
+        evaluated(doing("pass"), card=CARD + f"python: {interpreter}\n", trials=1)
+        assert not mark.exists()
+    finally:
+        path.unlink()
+
+
 def test_an_interpreter_that_is_not_there_or_not_allowed_is_told(evaluated):
     with pytest.raises(PolicyError, match="add --allow-code"):
         evaluated(doing("pass"), card=CARD + "python: ./none\n", allow_code=False)

@@ -57,12 +57,19 @@ REFUSED: Numbers = {
     "lremovexattr": (198, 15),
     "fremovexattr": (199, 16),
     "removexattrat": (466, 466),
+    "file_setattr": (469, 469),
     "utime": (132, None),
     "utimes": (235, None),
     "futimesat": (261, None),
     "utimensat": (280, 88),
     "name_to_handle_at": (303, 264),
     "open_by_handle_at": (304, 265),
+    # how fast others run: each takes any process of this user
+    "setpriority": (141, 140),
+    "ioprio_set": (251, 30),
+    "sched_setparam": (142, 118),
+    "sched_setscheduler": (144, 119),
+    "sched_setattr": (314, 274),
     # memory and queues that processes share by name
     "shmget": (29, 194),
     "shmat": (30, 196),
@@ -126,6 +133,11 @@ Network = Literal["none", "server", "all"]
 _SOCKETS: Numbers = {"socket": (41, 198), "bind": (49, 200), "listen": (50, 201)}
 _CONNECT: Numbers = {"connect": (42, 203)}
 
+_IOCTL: Numbers = {"ioctl": (16, 29)}
+_SET_ATTRIBUTES = (0x40086602, 0x40046602, 0x401C5820)
+"""FS_IOC_SETFLAGS, FS_IOC32_SETFLAGS and FS_IOC_FSSETXATTR of `linux/fs.h`, which Landlock does not
+see on files that may be read."""
+
 _ON_PROCESSES: Numbers = {"kill": (62, 129), "tgkill": (234, 131), "prlimit64": (302, 261)}
 """Whose first argument is a process: allowed on this one only."""
 
@@ -133,6 +145,7 @@ _CLONE: Numbers = {"clone": (56, 220)}
 _CLONE3: Numbers = {"clone3": (435, 435)}
 _LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x06
 _NUMBER, _MACHINE, _FIRST_ARGUMENT = 0, 4, 16  # Offsets in struct seccomp_data; little-endian.
+_SECOND_ARGUMENT = _FIRST_ARGUMENT + 8
 _ALLOW, _KILL, _FAIL = 0x7FFF0000, 0x80000000, 0x00050000
 _CLONE_THREAD = 0x00010000
 _X32 = 0x40000000  # The first number of a second interface that x86_64 has.
@@ -225,6 +238,18 @@ def program(machine: str, *, process: int, network: Network) -> tuple[Instructio
             [
                 Instruction(_LOAD, _FIRST_ARGUMENT),
                 Instruction(_ANY_BIT, _CLONE_THREAD, if_false=1),
+                Instruction(_RETURN, _ALLOW),
+                _fail(errno.EPERM),
+            ],
+        ),
+        *_for_each(
+            numbers(_IOCTL),
+            [
+                Instruction(_LOAD, _SECOND_ARGUMENT),
+                *(
+                    Instruction(_EQUAL, request, if_true=len(_SET_ATTRIBUTES) - place)
+                    for place, request in enumerate(_SET_ATTRIBUTES)
+                ),
                 Instruction(_RETURN, _ALLOW),
                 _fail(errno.EPERM),
             ],

@@ -350,16 +350,22 @@ from nw_eval.files.lifeline import hold
 hold(orders["life"])
 from pathlib import Path
 from nw_eval.confinement import LEFT, Rules, confine
-from nw_eval.policies.policy_process import run_program
 reads = tuple(map(Path, orders["reads_files"]))
+reads += Path(sys.executable).parents[1],  # Its environment, which `site` has not found yet.
 confine(Rules(reads=reads, network=orders["network"], memory=None), output=orders["output"])
+import site
+site.main()
+from nw_eval.policies.policy_process import run_program
 try:
     run_program(orders)
 except (OSError, ValueError):
     pass
 os._exit(LEFT)
 """
-"""What another interpreter runs: it takes the fence and the protocol from this program's files."""
+"""What another interpreter runs: it takes the fence and the protocol from this program's files.
+
+What its environment runs by itself (`.pth` files, `sitecustomize`) runs behind the fence: `-S`
+keeps `site` from running before."""
 
 
 class OwnInterpreter:
@@ -397,7 +403,7 @@ class OwnInterpreter:
         printed = () if output is None else (output.fileno(),)
         with life, interrupts_blocked():
             self._process = subprocess.Popen(  # noqa: S603  # What the caller allowed.
-                [str(rules.python), "-I", "-B", "-c", _PROGRAM, json.dumps(orders)],
+                [str(rules.python), "-I", "-S", "-B", "-c", _PROGRAM, json.dumps(orders)],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
