@@ -22,6 +22,7 @@ def play(*words):
     return done.stderr if done.returncode else done.stdout
 
 
+@pytest.mark.nightly
 def test_fifteen_random_faults_change_nothing():
     assert "15 faults of seed 9, 0 not as they must be" in play(15, 9, "--fast", "--jobs", 2)
 
