@@ -260,8 +260,6 @@ class FileLimits:
     """Largest ratio of unpacked to packed size of a member; a bomb has 1000."""
     index_bytes: int = 2**24
     """The pickled index of a torch file, or the JSON of a graph."""
-    code_bytes: int = 2**21
-    """A script's code in all; that of large networks has a tenth of it."""
     tensors: int = 20_000
     """Number of tensors."""
     tensor_bytes: int = 2**30
@@ -269,4 +267,4 @@ class FileLimits:
     nodes: int = 20_000
     """Nodes of a graph, calls of functions written out."""
     depth: int = 64
-    """Nesting of dicts and lists, and of brackets in code."""
+    """Nesting of dicts and lists."""
