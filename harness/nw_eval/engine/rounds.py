@@ -289,38 +289,33 @@ class Attempts:
         todo = [job for job in jobs if not self._is_finished(job)]
         # An error deserves to be run again, whatever the cache knows.
         new = self._known.to_run([job for job in todo if job.trial.id not in self._errors])
-        self._run([job for job in todo if job.trial.id in self._errors] + new, interrupts, more)
-        if self._is_enough:
-            self._known.unconfirmed()
-        elif interrupts.requested is None:
+        portion = [job for job in todo if job.trial.id in self._errors] + new
+        for is_last in (False, True):
+            # Where a policy failed before a run was cut, what is missing is the attempt in a fresh
+            # process.
+            again = [job for job in portion if self._awaits_repeat(job)]
+            first = [job for job in portion if not self._awaits_repeat(job)]
+            self._is_held |= bool(again)
+            if first and interrupts.requested is None:
+                if self._staff is None:
+                    self._staff = self._cleanup.enter_context(self._hire(self.workers, fresh=False))
+                again += self._attempt(self._staff, first, interrupts, more, fresh=False)
+            while again and interrupts.requested is None and not self._is_enough:
+                self._dismiss()  # What they hold in memory may be what the others lack.
+                repeated = [_with_evidence(job) for job in again]
+                with self._hire(min(self.workers, len(again)), fresh=True) as workers:
+                    again = self._attempt(workers, repeated, interrupts, None, fresh=True)
+            if self._is_enough:
+                self._known.unconfirmed()
+            if is_last or self._is_enough or interrupts.requested is not None:
+                return
             self._take_over(at_last=True)
-            self._run(self._known.unconfirmed(), interrupts, more)
+            portion = self._known.unconfirmed()
 
     def _is_finished(self, job: TrialJob) -> bool:
         """Whether a trial had a result when the run began, and the log that it is to have."""
         name = job.trial.id
         return name in self._finished and not (name in self._lost and job.mcap is not None)
-
-    def _run(
-        self,
-        todo: Sequence[TrialJob],
-        interrupts: Interrupts,
-        more: Callable[[], list[TrialJob] | None] | None,
-    ) -> None:
-        # Where a policy failed before a run was cut, what is missing is the attempt in a fresh
-        # process.
-        again = [job for job in todo if self._awaits_repeat(job)]
-        first = [job for job in todo if not self._awaits_repeat(job)]
-        self._is_held |= bool(again)
-        if first and interrupts.requested is None:
-            if self._staff is None:
-                self._staff = self._cleanup.enter_context(self._hire(self.workers, fresh=False))
-            again += self._work(self._staff, first, interrupts, more, fresh=False)
-        while again and interrupts.requested is None and not self._is_enough:
-            self._dismiss()  # What they hold in memory may be what the others lack.
-            repeated = [_with_evidence(job) for job in again]
-            with self._hire(min(self.workers, len(again)), fresh=True) as workers:
-                again = self._work(workers, repeated, interrupts, None, fresh=True)
 
     def _take_over(self, *, at_last: bool = False) -> None:
         """Write down what the cache knows, unless that has yet to be compared."""
@@ -339,7 +334,7 @@ class Attempts:
         row = self._errors.get(job.trial.id)
         return row is not None and policy_fault(row) is not None
 
-    def _work(
+    def _attempt(
         self,
         workers: Workers,
         jobs: Sequence[TrialJob],

@@ -22,19 +22,18 @@ from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.policies.bundle import senses_by_code
 from nw_eval.results.ended import of_plan, wanted, write_trials
 from nw_eval.results.journal import Journal, has_begun
-from nw_eval.results.provenance import StopInfo, read_run_info, write_run_info
+from nw_eval.results.provenance import CacheInfo, StopInfo, read_run_info, write_run_info
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.access import why_off
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable
 
     from nw_eval.engine.rounds import Enough, RunStanding
     from nw_eval.engine.workers import Hire, Workers
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
-    from nw_eval.rollout.job import TrialJob
 
     Prelude = Callable[[RunFolder, RunInfo], RunInfo]
 
@@ -86,6 +85,12 @@ def carry_out(
         UsageError: `out` holds a run; there is no such cluster, or it cannot be sent what the run
             needs; or `NW_EVAL_CACHE_GB` is no size.
     """
+
+    def beside_trials() -> None:
+        _write_layout(plan, folder)
+        if meanwhile is not None and not in_process:
+            meanwhile()
+
     listener = listener or Silence()
     limit_bytes()  # Before anything is written, if it is none.
     with workplace(workers=workers, in_process=in_process, cluster=cluster) as place:
@@ -113,20 +118,35 @@ def carry_out(
                 if plan.renders:
                     build_splats(plan.scenes, listener)
                 jobs = plan_jobs(plan, folder)
-                with place.hire(plan, jobs, folder, listener) as hire:
-                    info = _run(
+                with (
+                    place.hire(plan, jobs, folder, listener) as hire,
+                    known_trials(
                         plan,
                         folder,
-                        info,
+                        off=_uncached(cache=cache, in_process=in_process),
+                        listener=listener,
+                        doubted=lambda: write_run_info(
+                            folder.run_json, _with_cache(info, known.info)
+                        ),
+                    ) as known,
+                    Meanwhile(hire, beside_trials) as begins,
+                ):
+                    outcome = run_trials(
                         jobs,
                         journal=journal,
-                        hire=hire,
+                        folder=folder,
+                        policy=plan.bundle.name,
+                        arm=plan.arm,
+                        hire=begins,
                         workers=place.workers,
                         enough=enough,
-                        uncached=_uncached(cache=cache, in_process=in_process),
-                        meanwhile=None if in_process else meanwhile,
                         listener=listener,
+                        known=known,
                     )
+                enough_ran = None if outcome.enough is None else stop_of(plan, outcome.enough)
+                info = _with_cache(info, known.info).model_copy(
+                    update={"interrupted": outcome.interrupted is not None, "stop": enough_ran}
+                )
             _finish(plan, folder, info, journal.rows, wall=perf_counter() - began)
         return folder
 
@@ -203,58 +223,9 @@ def _write_layout(plan: Plan, folder: RunFolder) -> None:
         temporary.write_text(layout_json(shown), encoding="utf-8")
 
 
-def _run(
-    plan: Plan,
-    folder: RunFolder,
-    info: RunInfo,
-    jobs: Sequence[TrialJob],
-    *,
-    journal: Journal,
-    hire: Hire,
-    workers: int | None,
-    enough: Enough | None,
-    uncached: str,
-    meanwhile: Callable[[], None] | None,
-    listener: Listener,
-) -> RunInfo:
-    """Run jobs, but for what the cache knows; return what run.json is to say afterwards."""
-
-    def beside_trials() -> None:
-        _write_layout(plan, folder)
-        if meanwhile is not None:
-            meanwhile()
-
-    def seen() -> RunInfo:
-        return info.model_copy(update={"cache": known.info.after(info.cache)})
-
-    with (
-        known_trials(
-            plan,
-            folder,
-            off=uncached,
-            listener=listener,
-            doubted=lambda: write_run_info(folder.run_json, seen()),
-        ) as known,
-        Meanwhile(hire, beside_trials) as begins,
-    ):
-        outcome = run_trials(
-            jobs,
-            journal=journal,
-            folder=folder,
-            policy=plan.bundle.name,
-            arm=plan.arm,
-            hire=begins,
-            workers=workers,
-            enough=enough,
-            listener=listener,
-            known=known,
-        )
-    return seen().model_copy(
-        update={
-            "interrupted": outcome.interrupted is not None,
-            "stop": None if outcome.enough is None else stop_of(plan, outcome.enough),
-        }
-    )
+def _with_cache(info: RunInfo, since: CacheInfo) -> RunInfo:
+    """Return run.json with what this session's trials of earlier runs were."""
+    return info.model_copy(update={"cache": since.after(info.cache)})
 
 
 def stop_of(plan: Plan, standing: RunStanding) -> StopInfo:

@@ -42,34 +42,33 @@ def run_trial(
     except BaseException as error:
         if is_interrupt(error):
             raise
-        result = failed(TrialResult(status="error"), error)
-    else:
-        with trial:
-            result = _run(trial, clock)
+        return _timed(failed(TrialResult(status="error"), error), clock, began)
+    with trial:
+        with clock("log"):
+            log = TrialLog(trial.job.mcap, record=trial.job.record)
+            recorder = Recorder(trial, log, clock)
+        try:
+            with clock("log"):
+                recorder.start()
+            result = ended(trial, trial.episode.run(recorder))
+        except BaseException as error:
+            if is_interrupt(error):
+                raise
+            result = failed(TrialResult.so_far(trial.episode), error)
+        try:
+            with clock("log"):
+                recorder.end(result)
+        except BaseException as error:
+            if is_interrupt(error):
+                raise
+            # The trial is over: only its log can be lost now.
+            log.lose(OSError(f"its end could not be written: {one_line(error)}"))
+        result = replace(result, mcap_bytes=log.bytes, mcap_error=log.error)
+    return _timed(result, clock, began)
+
+
+def _timed(result: TrialResult, clock: StageClock, began: float) -> TrialResult:
     return replace(result, wall=clock.stages, wall_seconds=perf_counter() - began)
-
-
-def _run(trial: OpenTrial, clock: StageClock) -> TrialResult:
-    with clock("log"):
-        log = TrialLog(trial.job.mcap, record=trial.job.record)
-        recorder = Recorder(trial, log, clock)
-    try:
-        with clock("log"):
-            recorder.start()
-        result = ended(trial, trial.episode.run(recorder))
-    except BaseException as error:
-        if is_interrupt(error):
-            raise
-        result = failed(TrialResult.so_far(trial.episode), error)
-    try:
-        with clock("log"):
-            recorder.end(result)
-    except BaseException as error:
-        if is_interrupt(error):
-            raise
-        # The trial is over: only its log can be lost now.
-        log.lose(OSError(f"its end could not be written: {one_line(error)}"))
-    return replace(result, mcap_bytes=log.bytes, mcap_error=log.error)
 
 
 def ended(trial: OpenTrial, outcome: Outcome) -> TrialResult:

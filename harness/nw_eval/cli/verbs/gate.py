@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import tyro
 
 from nw_eval.cli.verbs.options import Publishing
-
-if TYPE_CHECKING:
-    from nw_eval.api import RunReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,20 +29,19 @@ class GateRun(Publishing):
     """Add the verdict to this ledger of verdicts (`nw-eval ledger` sums it up)."""
 
     def __call__(self) -> int:
-        return self.publishing(str(self.run), self._judge)
-
-    def _judge(self) -> tuple[RunReport, int]:
         from nw_eval import api
         from nw_eval.cli.verbs.options import summary
 
-        outcome = api.judge(
-            self.run,
-            baseline=self.baseline,
-            max_drop=self.max_drop,
-            tolerate=self.tolerate,
-            out=self.out,
-        )
-        print(summary(outcome, folded=self.on_github))
-        if self.ledger is not None:
-            api.record_verdict(outcome, self.ledger)
-        return outcome, outcome.exit_code
+        with self.publishing(str(self.run)) as judged:
+            judged.run = outcome = api.judge(
+                self.run,
+                baseline=self.baseline,
+                max_drop=self.max_drop,
+                tolerate=self.tolerate,
+                out=self.out,
+            )
+            print(summary(outcome, folded=self.on_github))
+            if self.ledger is not None:
+                api.record_verdict(outcome, self.ledger)
+            judged.code = outcome.exit_code
+        return judged.code

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import tyro
 
 from nw_eval.cli.verbs.options import Publishing
-
-if TYPE_CHECKING:
-    from nw_eval.api import RunReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,14 +32,13 @@ class MergeRuns(Publishing):
     """Add the verdict to this ledger of verdicts (`nw-eval ledger` sums it up)."""
 
     def __call__(self) -> int:
-        return self.publishing(str(self.out), self._merge)
-
-    def _merge(self) -> tuple[RunReport, int]:
         from nw_eval import api
         from nw_eval.cli.verbs.options import summary
 
-        outcome = api.merge(self.runs, out=self.out, baseline=self.baseline)
-        print(summary(outcome, folded=self.on_github))
-        if self.ledger is not None:
-            api.record_verdict(outcome, self.ledger)
-        return outcome, outcome.exit_code
+        with self.publishing(str(self.out)) as judged:
+            judged.run = outcome = api.merge(self.runs, out=self.out, baseline=self.baseline)
+            print(summary(outcome, folded=self.on_github))
+            if self.ledger is not None:
+                api.record_verdict(outcome, self.ledger)
+            judged.code = outcome.exit_code
+        return judged.code

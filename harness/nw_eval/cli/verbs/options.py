@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from io import StringIO
 from pathlib import Path
@@ -40,6 +41,14 @@ class Options(Request):
         return Request(**{field.name: getattr(self, field.name) for field in fields(Request)})
 
 
+@dataclass
+class Judged:
+    """What a verb comes to."""
+
+    run: RunReport | None = None
+    code: int = NwEvalError.exit_code
+
+
 @dataclass(frozen=True, kw_only=True)
 class Publishing:
     """Where a verb shows the run that it judged. A surface that cannot be written is a warning."""
@@ -58,24 +67,27 @@ class Publishing:
     ] = ()
     """Show the run in a tracker, on the run of its checkpoint: wandb, mlflow, tensorboard."""
 
-    def publishing(self, suite: str, verb: Callable[[], tuple[RunReport, int]]) -> int:
-        """Run what gives a judged run and an exit code, show it, and return the code.
+    @contextmanager
+    def publishing(self, suite: str) -> Generator[Judged]:
+        """Show the run that is judged within the block, or the error that leaves it.
 
         Args:
             suite: what is run or judged, as it was typed.
-            verb: what to run. An error that keeps it from a verdict is shown, and raised.
+
+        Yields:
+            Where the block puts the judged run and its exit code.
         """
         from nw_eval import api
 
-        where = self._surfaces()
+        where, judged = self._surfaces(), Judged()
         try:
             api.check_surfaces(where)
-            judged, code = verb()
+            yield judged
         except NwEvalError as error:
             _tell(api.publish_error(error, suite, where))
             raise
-        _tell(api.publish(judged, where, exit_code=code))
-        return code
+        if judged.run is not None:
+            _tell(api.publish(judged.run, where, exit_code=judged.code))
 
     @property
     def on_github(self) -> bool:

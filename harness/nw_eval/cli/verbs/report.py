@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import tyro
 
 from nw_eval.cli.verbs.options import Publishing
-
-if TYPE_CHECKING:
-    from nw_eval.api import RunReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,18 +38,20 @@ class Report(Publishing):
             return self._site(self.site)
         if len(self.runs) != 1:
             return self._index()
-        return self.publishing(str(self.runs[0]), self._judge)
+        return self._judge()
 
-    def _judge(self) -> tuple[RunReport, int]:
+    def _judge(self) -> int:
         from nw_eval import api
         from nw_eval.cli.terminal.last_words import show
         from nw_eval.cli.verbs.options import summary
 
-        outcome = api.report(self.runs[0], out=self.out)
-        print(summary(outcome, folded=self.on_github))
-        if self.open and outcome.html is not None:
-            show(outcome.html)
-        return outcome, outcome.exit_code
+        with self.publishing(str(self.runs[0])) as judged:
+            judged.run = outcome = api.report(self.runs[0], out=self.out)
+            print(summary(outcome, folded=self.on_github))
+            if self.open and outcome.html is not None:
+                show(outcome.html)
+            judged.code = outcome.exit_code
+        return judged.code
 
     def _site(self, folder: Path) -> int:
         from nw_eval import api

@@ -6,14 +6,11 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from nw_eval.cli.terminal.last_words import tell
 from nw_eval.cli.verbs.options import Options, Publishing
 from nw_eval.words import Engine
-
-if TYPE_CHECKING:
-    from nw_eval.api import RunReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,44 +49,43 @@ class Run(Publishing, Options):
     A cluster of this machine is started for the run when absent."""
 
     def __call__(self) -> int:
-        return self.publishing(str(self.suite or self.resume or "suite"), self._run)
-
-    def _run(self) -> tuple[RunReport, int]:
         from nw_eval import api
         from nw_eval.cli.terminal.interruption import INTERRUPTED
         from nw_eval.cli.terminal.progress import RunProgress
         from nw_eval.cli.verbs.options import summary
         from nw_eval.errors import UsageError
 
-        if self.ledger is not None and self.shard is not None:
-            raise UsageError(
-                f"--ledger with --shard {self.shard}: a part has no verdict",
-                fix="give --ledger to `nw-eval merge`",
-            )
-        with (
-            group(f"nw-eval run {self.suite or self.resume}", wanted=self.on_github),
-            RunProgress(bars=not self.in_process) as progress,
-        ):
-            outcome = api.run(
-                self.request,
-                workers=self.workers,
-                out=self.out,
-                resume=self.resume,
-                in_process=self.in_process,
-                cache=not self.no_cache,
-                all_rounds=self.all_rounds,
-                engine=self.engine,
-                address=self.address,
-                listener=progress,
-            )
-        print(summary(outcome, folded=self.on_github))
-        # An interruption that left no trial missing has interrupted nothing.
-        if outcome.interrupted and outcome.verdict.verdict == "INFRASTRUCTURE":
-            tell(f"interrupted; continue with --resume {outcome.folder}")
-            return outcome, INTERRUPTED
-        if self.ledger is not None:
-            api.record_verdict(outcome, self.ledger)
-        return outcome, outcome.exit_code
+        with self.publishing(str(self.suite or self.resume or "suite")) as judged:
+            if self.ledger is not None and self.shard is not None:
+                raise UsageError(
+                    f"--ledger with --shard {self.shard}: a part has no verdict",
+                    fix="give --ledger to `nw-eval merge`",
+                )
+            with (
+                group(f"nw-eval run {self.suite or self.resume}", wanted=self.on_github),
+                RunProgress(bars=not self.in_process) as progress,
+            ):
+                judged.run = outcome = api.run(
+                    self.request,
+                    workers=self.workers,
+                    out=self.out,
+                    resume=self.resume,
+                    in_process=self.in_process,
+                    cache=not self.no_cache,
+                    all_rounds=self.all_rounds,
+                    engine=self.engine,
+                    address=self.address,
+                    listener=progress,
+                )
+            judged.code = outcome.exit_code
+            print(summary(outcome, folded=self.on_github))
+            # An interruption that left no trial missing has interrupted nothing.
+            if outcome.interrupted and outcome.verdict.verdict == "INFRASTRUCTURE":
+                tell(f"interrupted; continue with --resume {outcome.folder}")
+                judged.code = INTERRUPTED
+            elif self.ledger is not None:
+                api.record_verdict(outcome, self.ledger)
+        return judged.code
 
 
 @contextmanager
