@@ -287,6 +287,8 @@ class KeptEvidence:
         """Keep what logs show, but not what kept one from being read: that may not last."""
         if not key or any(log.fault or log.unseen for log in logs):
             return
+        if (self.folder / key).is_fifo():  # Nobody may ever read from it.
+            return
         content = ReadLogs(logs=tuple(logs)).model_dump_json()
         with suppress(StoreError), sealed_path(self.folder / key) as path:
             path.write_text(f"{key}\n{content}", encoding="utf-8")
