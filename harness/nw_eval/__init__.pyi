@@ -33,6 +33,8 @@ from nw_eval.api import (
     VerifiedBaseline,
     VerifiedRun,
     WarmUp,
+    WatchedCheckpoint,
+    WatchedTraining,
     WrittenSite,
     WrittenSplat,
     agree,
@@ -94,6 +96,7 @@ from nw_eval.api import (
     verify_baseline,
     verify_cache,
     warmup,
+    watch,
     write_site,
 )
 from nw_eval.cards.card import Card
@@ -198,6 +201,8 @@ __all__ = [
     "VerifiedBaseline",
     "VerifiedRun",
     "WarmUp",
+    "WatchedCheckpoint",
+    "WatchedTraining",
     "WrittenRecording",
     "WrittenSite",
     "WrittenSplat",
@@ -261,5 +266,6 @@ __all__ = [
     "verify_baseline",
     "verify_cache",
     "warmup",
+    "watch",
     "write_site",
 ]

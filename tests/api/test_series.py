@@ -8,8 +8,9 @@ import pytest
 from onnx import numpy_helper
 
 from nw_eval import api
+from nw_eval.api.series import _of_folders
 from nw_eval.cli.verbs.bisect import series_page
-from nw_eval.errors import IncomparableError, PolicyError
+from nw_eval.errors import IncomparableError, PolicyError, UsageError
 from nw_eval.policies import load_bundle
 
 SUITE = """\
@@ -87,3 +88,13 @@ def test_a_bank_of_that_name_that_is_of_another_checkpoint_is_not_taken_for_the_
         IncomparableError, match=r"good\.parquet is there already, and is no baseline"
     ):
         api.bisect("one.yaml", series, good="good.onnx", bad="last.onnx", starts=1)
+
+
+def test_a_trainings_folder_stands_for_its_checkpoints_between_the_two_ends(tmp_path):
+    for step in (5, 100, 20, 3000, 400):
+        (tmp_path / f"model_{step}.onnx").write_bytes(b"")
+    series = _of_folders([tmp_path], tmp_path / "model_20.onnx", tmp_path / "model_3000.onnx")
+    assert series == [tmp_path / "model_100.onnx", tmp_path / "model_400.onnx"]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UsageError, match="no card and no checkpoint"):
+        _of_folders([tmp_path / "empty"], "good", "bad")

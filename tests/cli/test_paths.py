@@ -61,6 +61,7 @@ FOLDERS = {
     "report site": "report {run} --site {out}",
     "sweep out": "sweep {suite} --axis friction=0.5,1 --out {out}",
     "bisect out": "bisect {suite} {onnx} --good {onnx} --bad {onnx} -p go1-parkour --out {out}",
+    "watch out": "watch {folder} --suite {suite} --card go1-parkour --once --out {out}",
     "blame out": "blame {run} --baseline stand --cause --out {out}",
     "train teacher out": "train teacher teacher --out {out}",
     "train student out": "train student student-rgb-small --out {out}",
@@ -117,6 +118,9 @@ READ = {
     "bisect good": "bisect {suite} {onnx} --good {in} --bad {onnx} --policy go1-parkour",
     "bisect bad": "bisect {suite} {onnx} --good {onnx} --bad {in} --policy go1-parkour",
     "bisect policy": "bisect {suite} {onnx} --good {onnx} --bad {onnx} --policy {in}.yaml",
+    "watch folder": "watch {in} --suite {suite} --card go1-parkour --once",
+    "watch suite": "watch {folder} --suite {in}.yaml --once",
+    "watch card": "watch {folder} --suite {suite} --card {in}.yaml --once",
     "report runs": "report {in}",
     "compare runs": "compare {run} {in}",
     "sweep suite": "sweep {in}.yaml --axis friction=0.5,1",
@@ -186,7 +190,7 @@ WORDS = {
     "ledger head",
     *("scenes", "robot", "memory_limit", "shard", "address", "track", "json", "name", "note"),
     *("axis", "trial", "sample", "share", "root", "layout", "host", "to", "takeover", "suite"),
-    *("licence", "held_out", "policies fetch policy", "scenes fetch scenes"),
+    *("licence", "held_out", "policies fetch policy", "scenes fetch scenes", "pattern"),
 }
 """Options, or verbs and options, that are words and no paths."""
 

@@ -45,6 +45,13 @@ ENDS = MappingProxyType({"nw-eval run my-suite.yaml --out mine": 3})  # One tria
 
 NOT_RUN = MappingProxyType(
     {
+        "nw-eval watch logs/go2 --suite hurdles --card my-policy/policy.yaml": (
+            "till Ctrl-C; tests/api/test_watching.py watches a training"
+        ),
+        "nw-eval bisect hurdles logs/go2 --policy my-policy/policy.yaml "
+        "--good logs/go2/model_1500.pt --bad logs/go2/model_3000.pt": (
+            "of a training of one's own; test_series.py searches some checkpoints"
+        ),
         'nw-eval baseline save hurdles --policy go1-parkour --note "ships since May"': (
             "a thousand trials; test_baselines.py saves smaller banks"
         ),

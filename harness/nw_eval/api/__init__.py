@@ -66,6 +66,7 @@ from nw_eval.api.surfaces import Published, Surfaces, check_surfaces, publish, p
 from nw_eval.api.sweeping import SweptSuite, sweep
 from nw_eval.api.trial_plans import BarPlan, ShardPlan, TrialPlan, plan_shards, plan_trials
 from nw_eval.api.verifying import VerifiedRun, verify
+from nw_eval.api.watching import WatchedCheckpoint, WatchedTraining, watch
 from nw_eval.request import Request
 
 __all__ = [
@@ -102,6 +103,8 @@ __all__ = [
     "VerifiedBaseline",
     "VerifiedRun",
     "WarmUp",
+    "WatchedCheckpoint",
+    "WatchedTraining",
     "WrittenSite",
     "WrittenSplat",
     "agree",
@@ -163,5 +166,6 @@ __all__ = [
     "verify_baseline",
     "verify_cache",
     "warmup",
+    "watch",
     "write_site",
 ]

@@ -164,7 +164,7 @@ def roll_out(
             cache=cache,
             all_rounds=all_rounds,
         )
-    elif plan.shard is None:
+    elif plan.shard is None and plan.request.baseline != "none":
         name = plan.suite.name if plan.request.suite is None else str(plan.request.suite)
         policy = plan.bundle.name if plan.request.policy is None else plan.request.policy
         if why := unjudged(plan.suite.gate, name, policy):

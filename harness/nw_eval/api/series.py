@@ -71,7 +71,8 @@ def bisect(
     Args:
         suite: a suite file or the name of a shipped one.
         checkpoints: the series in order of age: files of weights for the card of `policy`, or
-            bundles.
+            bundles; the folder of a training stands for its checkpoints in order of their steps,
+            after `good` and before `bad` where these are among them.
         good: a bank; or a checkpoint that is older than the series, of which one is saved first.
         bad: the checkpoint that is known to be worse, younger than the series.
         policy: whose card the weights are for; the suite's own if None.
@@ -96,7 +97,7 @@ def bisect(
     from nw_eval.request import Request
     from nw_eval.suite import load_suite
 
-    series = tuple(str(one) for one in (*checkpoints, bad))
+    series = tuple(str(one) for one in (*_of_folders(checkpoints, good, bad), bad))
     read = load_suite(suite)
     request = Request.of(suite, policy=policy, record="none", **changes)
     for one in (*series, *(() if _is_bank(good, read.name) else (good,))):
@@ -145,6 +146,37 @@ def _is_bank(good: str | Path, suite: str) -> bool:
         return find_bank(good, suite=suite).suffix == ".parquet"
     except UsageError:
         return False
+
+
+def _of_folders(
+    checkpoints: Sequence[str | Path], good: str | Path, bad: str | Path
+) -> list[str | Path]:
+    """Return a series with the checkpoints of a training in place of its folder.
+
+    Raises:
+        UsageError: a folder is neither a policy's nor one with checkpoints.
+    """
+    from nw_eval.api.watching import checkpoints_in
+    from nw_eval.cards.load import CARD_FILE
+    from nw_eval.errors import UsageError
+
+    series: list[str | Path] = []
+    for each in checkpoints:
+        if not Path(each).is_dir() or (Path(each) / CARD_FILE).exists():
+            series.append(each)
+            continue
+        found = checkpoints_in(Path(each))
+        there = {path.resolve(): place for place, path in enumerate(found)}
+        first = there.get(Path(good).resolve(), -1) + 1
+        last = there.get(Path(bad).resolve(), len(found))
+        found = found[first:last]
+        if not there:
+            raise UsageError(
+                f"{each} holds no card and no checkpoint",
+                fix="name files of weights, or a folder with some such as model_1500.pt",
+            )
+        series += found
+    return series
 
 
 def _check_place(checkpoint: str | Path) -> None:

@@ -22,6 +22,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TrainingStep:
+    """Where in a training a run's checkpoint was written."""
+
+    step: int
+    folder: Path
+    """Of the watch: what all runs of one training have in common."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Surfaces:
     """Where to show a run; nowhere by default."""
 
@@ -33,6 +42,8 @@ class Surfaces:
     """A file of Markdown, short enough for a comment on a pull request."""
     track: tuple[Tracker, ...] = ()
     """Trackers of experiments."""
+    training: TrainingStep | None = None
+    """Trackers then show the run's scores at this step of a curve."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +97,9 @@ def publish(judged: RunReport, where: Surfaces, *, exit_code: int | None = None)
             ("step outputs", partial(_write_outputs, _outputs(judged, code))),
             ("annotations", partial(_annotations, judged)),
         ]
-    writers += [(f"{name} run", partial(_track_run, judged, name)) for name in where.track]
+    writers += [
+        (f"{name} run", partial(_track_run, judged, name, where.training)) for name in where.track
+    ]
     return _write_all(writers)
 
 
@@ -212,7 +225,7 @@ def _write(path: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
-def _track_run(judged: RunReport, tracker: Tracker) -> None:
+def _track_run(judged: RunReport, tracker: Tracker, training: TrainingStep | None) -> None:
     """Show a run in a tracker, with pages and clips that were written of this verdict.
 
     Raises:
@@ -222,4 +235,5 @@ def _track_run(judged: RunReport, tracker: Tracker) -> None:
 
     pages = tuple(page for page in (judged.page, judged.html) if page is not None)
     clips = () if judged.evidence is None else judged.evidence.clips
-    track(tracker, tracked_run(judged.info, judged.verdict, judged.folder, pages, clips))
+    run = tracked_run(judged.info, judged.verdict, judged.folder, pages, clips)
+    track(tracker, run if training is None else run.at_step(training.step, training.folder))

@@ -22,6 +22,7 @@ _VERBS = MappingProxyType(
         "merge": "MergeRuns",
         "ledger": "Ledger",
         "bisect": "BisectSeries",
+        "watch": "Watch",
         "report": "Report",
         "compare": "Compare",
         "sweep": "SweepAxes",

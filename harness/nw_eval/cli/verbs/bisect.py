@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 class BisectSeries:
     """Find the first checkpoint of a series that the gate flags as worse than a good one.
 
-    Checkpoints are files of weights for the card of --policy, or bundles, in order of age. Each
+    Checkpoints are files of weights for the card of --policy, or bundles, in order of age; or the
+    folder of a training, which stands for its checkpoints in order of their steps. Each
     that is asked for is judged against the baseline of the good one, as `run --baseline` does, but
     for the suite's bar. One before the first flagged may already be worse by less than the gate
     sees: the result says by how much at most. Exit code 1 if one was flagged, 0 if the bad one was

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from nw_eval.gate.side_by_side import PolicyComparison
 from nw_eval.gate.verdict import Verdict
@@ -314,3 +315,52 @@ def _lines(sections: Sequence[BoardSection]) -> tuple[list[str], list[BoardLine]
 
 def _level(mean: float) -> int:
     return sum(1.0 - mean > least for least in _LEVELS)
+
+
+def render_training(
+    title: str,
+    suite: str,
+    checkpoints: Sequence[Mapping[str, Any]],
+    *,
+    best: int | None,
+    confidence: float,
+) -> str:
+    """Return the page of a training: success over its steps, and a line for each checkpoint.
+
+    Args:
+        title: the training's name.
+        suite: the suite's name.
+        checkpoints: in order of their steps, as `nw_eval.WatchedCheckpoint` has them.
+        best: the step of the one with the largest mean success.
+        confidence: of each bound of success.
+    """
+    used = [each for each in checkpoints if each["success"] is not None]
+    steps = [each["step"] for each in used]
+    first, last = (min(steps), max(steps)) if steps else (0, 0)
+    across = max(1, last - first)
+    points = [
+        {
+            "x": round(_LEFT + _ACROSS * (each["step"] - first) / across, 1),
+            "y": round(_FLOOR - _UP * each["success"], 1),
+            "low": round(_FLOOR - _UP * each["low"], 1),
+            "high": round(_FLOOR - _UP * each["high"], 1),
+            "verdict": each["verdict"],
+            "is_best": each["step"] == best,
+        }
+        for each in used
+    ]
+    return render(
+        "training.html.j2",
+        training=title,
+        suite=suite,
+        checkpoints=checkpoints,
+        points=points,
+        first=first,
+        last=last,
+        best=best,
+        confidence=confidence,
+    )
+
+
+_LEFT, _ACROSS, _FLOOR, _UP = 48.0, 620.0, 220.0, 200.0
+"""Of the drawing of a training: where its axes begin, and how long they are."""

@@ -33,9 +33,9 @@ def track(run: TrackedRun) -> None:
     # Of points of one step the latest is shown: one that says nothing new is not added.
     there, now = client.get_run(run_id).data.metrics, _ms(datetime.now(tz=UTC))
     metrics = [
-        entities.Metric(key, number, now, 0)
+        entities.Metric(key, number, now, run.step or 0)
         for key, number in run.numbers.items()
-        if there.get(key) != number
+        if run.step is not None or there.get(key) != number
     ]
     for first in range(0, len(metrics), _AT_ONCE):
         client.log_batch(run_id, metrics=metrics[first : first + _AT_ONCE])

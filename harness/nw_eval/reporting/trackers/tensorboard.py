@@ -32,7 +32,9 @@ def track(run: TrackedRun) -> None:
     writer: Any = import_module("tensorboard.summary.writer.record_writer").RecordWriter(records)
     for event in _events(run):
         writer.write(event.SerializeToString(deterministic=True))
-    with atomic_path(run.folder / _FILE) as temporary:
+    # Of several files in one folder TensorBoard makes one curve.
+    name = _FILE if run.step is None else f"{_FILE}.{run.step}"
+    with atomic_path(run.folder / name) as temporary:
         temporary.write_bytes(records.getvalue())
 
 
@@ -40,15 +42,15 @@ def _events(run: TrackedRun) -> Iterator[Any]:
     Event: Any = import_module("tensorboard.compat.proto.event_pb2").Event
     scalar: Any = import_module("tensorboard.plugins.scalar.summary_v2").scalar_pb
     text: Any = import_module("tensorboard.plugins.text.summary_v2").text_pb
-    time = run.ended.timestamp()
+    time, step = run.ended.timestamp(), run.step or 0
     yield Event(wall_time=time, file_version="brain.Event:2")
     for key, number in run.numbers.items():
-        yield Event(wall_time=time, step=0, summary=scalar(key, number))
+        yield Event(wall_time=time, step=step, summary=scalar(key, number))
     for key, words in (*_literal(run), *_pages(run)):
-        yield Event(wall_time=time, step=0, summary=text(key, words))
+        yield Event(wall_time=time, step=step, summary=text(key, words))
     for name, clip in run.clips.items():
         key = f"{run.place}/clips/{PurePath(name).stem}"
-        yield Event(wall_time=time, step=0, summary=_moving(key, clip))
+        yield Event(wall_time=time, step=step, summary=_moving(key, clip))
 
 
 def _moving(key: str, clip: Clip) -> Any:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from hashlib import sha256
 from importlib import import_module
@@ -81,6 +81,26 @@ class TrackedRun:
     """Its report, in all forms that there are."""
     clips: Mapping[str, Clip]
     """Of its worst trials, each by the name of a file."""
+    step: int | None = None
+    """Of the training that its checkpoint is of; None where it is no part of a curve."""
+
+    def at_step(self, step: int, training: Path) -> TrackedRun:
+        """Return the run as a point of the curves of a training.
+
+        Args:
+            step: of the training.
+            training: the folder that all of its runs have in common. Its name is the run's title.
+        """
+        name = f"{training.resolve()}\n{self.place}"
+        digest = sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:12]
+        own = key_of(training.resolve().name)
+        return replace(
+            self,
+            id=f"{own.replace('/', '.')[:40]}-{digest}",
+            title=clean(training.resolve().name, at_most=100),
+            folder=training,
+            step=step,
+        )
 
 
 def tracked_run(

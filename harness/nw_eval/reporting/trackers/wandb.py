@@ -1,7 +1,8 @@
 """Weights & Biases: on the run that `WANDB_RUN_ID` names, or on one of its own.
 
 Scores are the run's summary, not its history: who tracks a run again replaces them, and the
-steps of a training are left alone. The report is an artifact, of which equal versions are one.
+steps of a training are left alone. Those of a watched training are history, over a step of their
+own. The report is an artifact, of which equal versions are one.
 """
 
 from __future__ import annotations
@@ -30,7 +31,12 @@ def track(run: TrackedRun) -> None:
         )
     with wandb.init(**_own(run), settings=_quiet(wandb)) as session:
         session.config.update(dict(run.words), allow_val_change=True)
-        session.summary.update({**run.numbers, f"{run.place}/verdict": run.verdict})
+        if run.step is None:
+            session.summary.update({**run.numbers, f"{run.place}/verdict": run.verdict})
+        else:  # W&B's own step only grows, and the latest checkpoint comes first.
+            step = f"{run.place}/training_step"
+            session.define_metric(f"{run.place}/*", step_metric=step)
+            session.log({**run.numbers, step: run.step})
         artifact = wandb.Artifact(f"report-{run.id}", type="nw-eval-report")
         for file in run.files:
             artifact.add_file(str(file))

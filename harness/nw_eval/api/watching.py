@@ -1,0 +1,514 @@
+"""A training's folder: each checkpoint is evaluated as it appears, and gated against the best one.
+
+Every checkpoint meets the same starts, so that a curve of success over training steps shows the
+policy and not the draw.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import stat
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from nw_eval.errors import IncomparableError, PolicyError, StoreError, UsageError
+
+if TYPE_CHECKING:
+    from nw_eval.api.reports import RunReport
+    from nw_eval.api.surfaces import Surfaces
+    from nw_eval.engine.listener import Listener
+    from nw_eval.request import Request
+
+SUFFIXES = (".jit", ".msgpack", ".onnx", ".pt", ".pt2", ".pth", ".safetensors", ".zip")
+"""How the names of checkpoints end."""
+
+_REPORTS = Path("reports")
+_STATE, _TABLE, _PAGE = "watch.json", "watch.parquet", "index.html"
+_MOST_STATE = 64 * 2**20
+_AS_WRITTEN: dict[str, Any] = {"strict": True, "extra": "forbid", "allow_inf_nan": False}
+_FIRST_LOOK = 1.0
+"""Seconds between the first two looks at a folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WatchedCheckpoint:
+    """What became of one checkpoint of a training."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _AS_WRITTEN
+
+    name: str
+    """Its path in the training's folder."""
+    step: int
+    """Of the training: the last number in its name, or else in its folder's."""
+    sha256: str
+    run: str
+    """The folder of its run in the folder of the watch; empty where it could not be used."""
+    verdict: str = ""
+    success: float | None = None
+    low: float | None = None
+    """Lower bound of success, at the suite's confidence."""
+    high: float | None = None
+    trials: int = 0
+    completed: int = 0
+    against: int | None = None
+    """The step of the best checkpoint so far, which it was gated against."""
+    drop: float | None = None
+    """Of success, from that one to this."""
+    drop_low: float | None = None
+    drop_high: float | None = None
+    problem: str = ""
+    """Why it could not be used."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _State:
+    """What a folder of a watch says of it, in the order of evaluation."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _AS_WRITTEN
+
+    suite: str
+    """The suite's name and content digest."""
+    card: str
+    """The digest of the policy's card."""
+    trials: int | None
+    scenes: tuple[str, ...] | None
+    checkpoints: tuple[WatchedCheckpoint, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class WatchedTraining:
+    """A training, as far as its checkpoints were evaluated."""
+
+    folder: Path
+    """Of the runs, the table and the page."""
+    checkpoints: tuple[WatchedCheckpoint, ...]
+    """In order of their steps."""
+    best: WatchedCheckpoint | None
+    interrupted: bool
+    page: Path
+    """To open: success over training steps."""
+    table: Path
+    """The same as Parquet, a row for each checkpoint."""
+
+    @property
+    def exit_code(self) -> int:
+        """That of the verdict on the newest checkpoint; 130 if interrupted, 2 if none was used."""
+        from nw_eval.gate.verdict import EXIT_CODES
+
+        if self.interrupted:
+            return 130
+        used = [each for each in self.checkpoints if each.verdict]
+        codes: dict[str, int] = {str(word): code for word, code in EXIT_CODES.items()}
+        return codes[used[-1].verdict] if used else UsageError.exit_code
+
+
+def watch(
+    folder: str | Path,
+    *,
+    suite: str | Path,
+    card: str | None = None,
+    pattern: str = "*",
+    every: int = 1,
+    once: bool = False,
+    idle: float | None = None,
+    interval: float = 5.0,
+    out: Path | None = None,
+    workers: int | None = None,
+    cache: bool = True,
+    where: Surfaces | None = None,
+    listener: Listener | None = None,
+    progress: Callable[[WatchedCheckpoint], None] | None = None,
+    **changes: Any,
+) -> WatchedTraining:
+    """Evaluate the checkpoints of a training as they appear, the latest first.
+
+    Each meets all trials of the suite, and is judged by the suite's bar and against the best
+    checkpoint before it: the one with the largest mean success, where that is above the gate's
+    `max_drop`. A checkpoint whose bytes change
+    under its name is another one. Page and table are written after each.
+
+    Args:
+        folder: that the training writes to; files below it with one of `SUFFIXES` and a number in
+            their name, or in their folder's, are its checkpoints.
+        suite: a suite file or the name of a shipped one.
+        card: whose card the weights are for: a bundle's name, folder or card; the suite's own
+            policy if None.
+        pattern: a glob that their names match.
+        every: evaluate each n-th, in order of their steps, from the first.
+        once: end when all that are there are evaluated.
+        idle: end when for so many seconds none has appeared; go on until a signal if None.
+        interval: seconds between two looks. A file is taken when two looks find it unchanged.
+        out: where runs, table and page go, and where a watch that ended goes on;
+            `reports/watch-<suite>-<folder>` if None.
+        workers: processes; one for each core if None.
+        cache: as for `run`.
+        where: trackers that show each run at its training step.
+        listener: hears of the progress of each run.
+        progress: hears of each checkpoint that was evaluated.
+        changes: of `Request`: trials, scenes, record, render, time_limit, memory_limit,
+            allow_code.
+
+    Raises:
+        UsageError, SuiteError, PolicyError: the folder, the suite or the card cannot be used. A
+            checkpoint that cannot be is named, and the next one is taken.
+        IncomparableError: `out` is of another suite or card.
+        StoreError: results cannot be written.
+    """
+    from nw_eval.api.surfaces import Surfaces
+    from nw_eval.request import Request
+
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise UsageError(f"{folder} is no folder", fix="name the folder that a training writes to")
+    if every < 1 or not interval > 0.0 or (idle is not None and not idle >= 0.0):
+        raise UsageError(
+            f"every {every}, interval {interval:g}, idle {idle}",
+            fix="give an `every` of 1 or more, and seconds above 0",
+        )
+    request = Request.of(suite, policy=card, **changes)
+    watched = _Watch(folder, request, out, where or Surfaces(), workers, cache, listener)
+    seen: dict[Path, tuple[int, int]] = {}
+    last, interrupted = time.monotonic(), False
+    while not interrupted:
+        found, seen, changing = _ready(folder, pattern, seen, apart=watched.folder)
+        todo = [each for each in watched.chosen(found, every) if not watched.has(each)]
+        if todo:
+            made = watched.evaluate(todo[-1])
+            interrupted = made is None
+            if made is not None and progress is not None:
+                progress(made)
+            last = time.monotonic()
+            continue
+        if not changing and (once or (idle is not None and time.monotonic() - last >= idle)):
+            break
+        time.sleep(min(interval, _FIRST_LOOK) if changing else interval)
+    return watched.result(interrupted=interrupted)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A file that looks like a checkpoint."""
+
+    step: int
+    name: str
+    path: Path
+    mark: tuple[int, int]  # bytes and time of its last change
+
+
+def training_step(path: Path) -> int | None:
+    """Return the training step in a checkpoint's name, or else in its folder's; None without one.
+
+    It is the last number: 1500 of `model_1500.pt`, 20 of `run3/000020/params.msgpack`.
+    """
+    for name in (path.stem, path.parent.name):
+        if numbers := re.findall(r"\d+", name):
+            return int(numbers[-1])
+    return None
+
+
+def checkpoints_in(folder: Path, pattern: str = "*") -> list[Path]:
+    """Return the checkpoints of a training in order of their steps.
+
+    Args:
+        folder: of the training.
+        pattern: a glob that their names match.
+    """
+    found = [
+        (step, str(path.relative_to(folder)), path)
+        for path in folder.rglob(pattern)
+        if path.suffix in SUFFIXES and (step := training_step(path)) is not None
+    ]
+    return [path for _, _, path in sorted(found)]
+
+
+def _ready(
+    folder: Path, pattern: str, seen: dict[Path, tuple[int, int]], *, apart: Path
+) -> tuple[list[_Found], dict[Path, tuple[int, int]], bool]:
+    """Return files that are as they were at the last look, all files, and whether some changed."""
+    now: dict[Path, tuple[int, int]] = {}
+    found: list[_Found] = []
+    own = apart.resolve()
+    for path in checkpoints_in(folder, pattern):
+        try:
+            facts = path.stat()
+        except OSError:  # It was removed meanwhile.
+            continue
+        if not stat.S_ISREG(facts.st_mode) or path.resolve().is_relative_to(own):
+            continue
+        now[path] = facts.st_size, facts.st_mtime_ns
+        if seen.get(path) == now[path]:
+            step = training_step(path)
+            assert step is not None, "it is among those that have one"
+            found.append(_Found(step, str(path.relative_to(folder)), path, now[path]))
+    return found, now, any(seen.get(path) != mark for path, mark in now.items())
+
+
+@dataclass
+class _Watch:
+    """One watch: what it has evaluated, and how it evaluates more."""
+
+    training: Path
+    request: Request
+    out: Path | None
+    where: Surfaces
+    workers: int | None
+    cache: bool
+    listener: Listener | None
+    folder: Path = field(init=False)
+    _state: _State = field(init=False)
+    _known: set[tuple[str, tuple[int, int]]] = field(
+        init=False, default_factory=set[tuple[str, tuple[int, int]]]
+    )
+
+    def __post_init__(self) -> None:
+        from nw_eval.api.surfaces import check_surfaces
+        from nw_eval.policies import find_card
+        from nw_eval.suite import load_suite
+
+        check_surfaces(self.where)
+        assert self.request.suite is not None, "a watch is of a suite"
+        suite = load_suite(self.request.suite)
+        policy = self.request.policy or suite.policy
+        name = re.sub(r"[^A-Za-z0-9_.]+", "-", self.training.resolve().name)
+        self.folder = self.out or _REPORTS / f"watch-{suite.name}-{name}"
+        self._state = _State(
+            suite=f"{suite.name} {suite.content_digest}",
+            card=_sha256(find_card(policy)),
+            trials=self.request.trials,
+            scenes=self.request.scenes,
+        )
+        self._confidence, self._most_drop = suite.gate.confidence, suite.gate.most_drop
+        earlier = _read_state(self.folder / _STATE)
+        if earlier is not None:
+            if replace(earlier, checkpoints=()) != self._state:
+                raise IncomparableError(
+                    f"{self.folder} is of another suite, card, scenes or number of trials",
+                    fix="choose another --out",
+                )
+            self._state = earlier
+        try:
+            (self.folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StoreError(
+                f"cannot make {self.folder}: {error.strerror}", fix="choose another --out"
+            ) from error
+
+    def chosen(self, found: Sequence[_Found], every: int) -> list[_Found]:
+        """Return each n-th step's files, in order of their steps."""
+        steps = sorted({each.step for each in found})[::every]
+        return [each for each in found if each.step in set(steps)]
+
+    def has(self, found: _Found) -> bool:
+        """Whether a file was evaluated as it is now."""
+        if (found.name, found.mark) in self._known:
+            return True
+        try:
+            digest = _sha256(found.path)
+        except OSError:
+            return True  # It was removed meanwhile.
+        is_known = any(
+            (each.name, each.sha256) == (found.name, digest) for each in self._state.checkpoints
+        )
+        if is_known:
+            self._known.add((found.name, found.mark))
+        return is_known
+
+    def evaluate(self, found: _Found) -> WatchedCheckpoint | None:
+        """Evaluate a checkpoint, and write page and table; None if a signal came first."""
+        copy, digest = self._copied(found)
+        key = copy.stem
+        made = WatchedCheckpoint(name=found.name, step=found.step, sha256=digest, run="")
+        try:
+            judged = self._judged(copy, self.folder / "runs" / key)
+        except PolicyError as error:
+            made = replace(made, problem=str(error))
+            copy.unlink(missing_ok=True)
+        else:
+            if judged.interrupted and judged.verdict.verdict == "INFRASTRUCTURE":
+                return None
+            made = self._with_verdict(made, judged, key)
+            self._publish(judged, found.step)
+        self._known.add((found.name, found.mark))
+        self._state = replace(self._state, checkpoints=(*self._state.checkpoints, made))
+        self._write()
+        return made
+
+    def result(self, *, interrupted: bool) -> WatchedTraining:
+        """Return what is known of the training."""
+        self._write()
+        return WatchedTraining(
+            folder=self.folder,
+            checkpoints=tuple(self._ordered()),
+            best=self._best(),
+            interrupted=interrupted,
+            page=self.folder / _PAGE,
+            table=self.folder / _TABLE,
+        )
+
+    def _copied(self, found: _Found) -> tuple[Path, str]:
+        """Copy a checkpoint: a training may replace or remove it while trials run."""
+        from nw_eval.files.cache import atomic_path
+
+        try:
+            content = found.path.read_bytes()
+        except OSError as error:
+            raise StoreError(f"cannot read {found.path}: {error.strerror}") from error
+        digest = hashlib.sha256(content).hexdigest()
+        name = re.sub(r"[^A-Za-z0-9_.]+", "-", found.path.stem)[:60]
+        kept = f"{found.step:09d}-{name}-{digest[:8]}{found.path.suffix}"
+        copy = self.folder / "checkpoints" / kept
+        with atomic_path(copy) as temporary:
+            temporary.write_bytes(content)
+        return copy, digest
+
+    def _judged(self, checkpoint: Path, folder: Path) -> RunReport:
+        """Run all trials of a checkpoint, or those that are missing, and judge them."""
+        from nw_eval.api.reports import judge
+        from nw_eval.api.runs import run
+        from nw_eval.results.journal import has_begun
+        from nw_eval.results.run_folder import RunFolder
+
+        begun = has_begun(folder / "journal.jsonl")
+        request = replace(self.request, checkpoint=checkpoint, baseline="none")
+        own = replace(request, suite=None) if begun else request
+        made = run(
+            own,
+            workers=self.workers,
+            out=None if begun else folder,
+            resume=folder if begun else None,
+            cache=self.cache,
+            listener=self.listener,
+        )
+        bank = self._bank()
+        if bank is None or made.verdict.verdict in {"INFRASTRUCTURE", "INVALID"}:
+            return made
+        return judge(folder, baseline=str(bank), out=RunFolder(path=folder).report_md)
+
+    def _best(self) -> WatchedCheckpoint | None:
+        """Return the checkpoint with the largest mean success; of equal ones, the first."""
+        known = [each for each in self._state.checkpoints if each.success is not None and each.run]
+        return max(known, key=lambda each: each.success or 0.0, default=None)
+
+    def _bank(self) -> Path | None:
+        """Return the baseline of the best checkpoint so far, saved from its run, or None."""
+        from nw_eval.api.baselines_saved import save_baseline
+
+        best = self._best()
+        # Of one that scores less than `max_drop` nobody can fall by so much.
+        if best is None or best.success is None or not best.success > self._most_drop:
+            return None
+        assert self.request.suite is not None, "a watch is of a suite"
+        return save_baseline(
+            self.request.suite,
+            from_run=self.folder / best.run,
+            name=Path(best.run).name,
+            note=f"the best of {self.training.name} so far",
+            root=self.folder / "baselines",
+        ).file
+
+    def _with_verdict(
+        self, made: WatchedCheckpoint, judged: RunReport, key: str
+    ) -> WatchedCheckpoint:
+        verdict, best = judged.verdict, self._best()
+        against = verdict.against
+        bounds = None if against is None else against.interval
+        return replace(
+            made,
+            run=f"runs/{key}",
+            verdict=verdict.verdict,
+            success=verdict.success,
+            low=None if verdict.success is None else verdict.interval.low,
+            high=None if verdict.success is None else verdict.interval.high,
+            trials=verdict.n,
+            completed=verdict.completed,
+            against=None if against is None or best is None else best.step,
+            drop=None if against is None else against.drop,
+            drop_low=None if bounds is None else bounds.low,
+            drop_high=None if bounds is None else bounds.high,
+        )
+
+    def _publish(self, judged: RunReport, step: int) -> None:
+        from nw_eval.api.surfaces import TrainingStep, publish
+
+        where = replace(self.where, training=TrainingStep(step=step, folder=self.folder))
+        for warning in publish(judged, where).warnings:
+            if self.listener is not None:
+                self.listener.message(f"warning: {warning}")
+
+    def _ordered(self) -> Iterator[WatchedCheckpoint]:
+        yield from sorted(self._state.checkpoints, key=lambda each: each.step)
+
+    def _write(self) -> None:
+        """Write state, table and page.
+
+        Raises:
+            StoreError: one cannot be written.
+        """
+        from nw_eval.files.cache import atomic_path
+        from nw_eval.reporting.html.runs import render_training
+
+        ordered, best = list(self._ordered()), self._best()
+        with atomic_path(self.folder / _STATE) as temporary:
+            temporary.write_text(f"{json.dumps(asdict(self._state), indent=1)}\n", encoding="utf-8")
+        _write_table(self.folder / _TABLE, ordered)
+        with atomic_path(self.folder / _PAGE) as temporary:
+            page = render_training(
+                self.training.resolve().name,
+                self._state.suite.partition(" ")[0],
+                [asdict(each) for each in ordered],
+                best=None if best is None else best.step,
+                confidence=self._confidence,
+            )
+            temporary.write_text(page, encoding="utf-8")
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _read_state(path: Path) -> _State | None:
+    """Return what an earlier watch in this folder found; None without one.
+
+    Raises:
+        StoreError: it is damaged.
+    """
+    from pydantic import TypeAdapter
+
+    from nw_eval.files.inside import bounded_bytes
+
+    if not path.exists():
+        return None
+    try:
+        return TypeAdapter(_State).validate_json(bounded_bytes(path, _MOST_STATE))
+    except (OSError, ValueError) as error:
+        raise StoreError(
+            f"{path} is damaged: {str(error).splitlines()[0]}", fix="choose another --out"
+        ) from None
+
+
+def _write_table(path: Path, checkpoints: Sequence[WatchedCheckpoint]) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from nw_eval.files.cache import atomic_path
+
+    number, count = pa.float64(), pa.int64()
+    types = {
+        "step": count,
+        "against": count,
+        "trials": count,
+        "completed": count,
+        **dict.fromkeys(("success", "low", "high", "drop", "drop_low", "drop_high"), number),
+    }
+    schema = pa.schema(
+        [(each.name, types.get(each.name, pa.string())) for each in fields(WatchedCheckpoint)]
+    )
+    table = pa.Table.from_pylist([asdict(each) for each in checkpoints], schema=schema)
+    with atomic_path(path) as temporary:
+        pq.write_table(table, temporary)

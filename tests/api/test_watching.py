@@ -1,0 +1,174 @@
+"""A training's folder is evaluated as it fills, by real trials in one scene."""
+
+import json
+import shutil
+import threading
+import time
+from dataclasses import asdict
+
+import numpy as np
+import onnx
+import pyarrow.parquet as pq
+import pytest
+from onnx import numpy_helper
+
+from nw_eval import api
+from nw_eval.api.watching import checkpoints_in, training_step
+from nw_eval.errors import IncomparableError, StoreError, UsageError
+from nw_eval.policies import load_bundle
+
+SUITE = """\
+nw-eval: 1
+name: one
+robot: go1
+policy: go1-parkour
+trials: 3
+seed: 7
+episode: {duration: 8.0}
+scenes: [hurdles/one_low_carpet]
+gate: {max_drop: 0.5}
+"""
+
+
+@pytest.fixture
+def training(tmp_path, monkeypatch):
+    """The folder of a training, with the suite beside it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "one.yaml").write_text(SUITE)
+    folder = tmp_path / "training"
+    folder.mkdir()
+    return folder
+
+
+def good(path):
+    shutil.copy(load_bundle("go1-parkour").checkpoint, path)
+
+
+def bad(path):
+    """Write a network that answers nothing."""
+    graph = onnx.load(load_bundle("go1-parkour").checkpoint)
+    for weights in graph.graph.initializer:
+        array = numpy_helper.to_array(weights)
+        if array.dtype == np.float32:
+            weights.CopyFrom(numpy_helper.from_array(np.zeros_like(array), weights.name))
+    onnx.save(graph, path)
+
+
+def watched(training, **settings):
+    settings = {"once": True, "interval": 0.05, "workers": 1, **settings}
+    return api.watch(training, suite="one.yaml", **settings)
+
+
+def test_the_latest_comes_first_and_each_is_gated_against_the_best_before_it(training):
+    good(training / "model_2.onnx")
+    bad(training / "model_10.onnx")
+    (training / "model_7.onnx").write_bytes(b"no graph")
+    (training / "events.out.tfevents.1").write_bytes(b"")
+    heard = []
+    found = watched(training, progress=lambda made: heard.append(made.step))
+    assert heard == [10, 7, 2]
+    two, seven, ten = found.checkpoints
+    assert (two.success, two.verdict) == (1.0, "RAN")
+    assert two.against is None, "nobody can be worse than one that never reached a waypoint"
+    assert (ten.success, ten.verdict, ten.against) == (0.0, "RAN", None)
+    assert "model_7" in seven.problem
+    assert seven.verdict == ""
+    assert found.best == two
+    # That of the newest: nothing was there yet that it could have been worse than.
+    assert found.exit_code == 0
+    rows = [asdict(each) for each in (two, seven, ten)]
+    assert pq.read_table(found.table).to_pylist() == rows
+    page = found.page.read_text(encoding="utf-8")
+    assert f'href="{two.run}/report.html"' in page
+    assert (found.folder / two.run / "report.html").is_file()
+    # What is there is not run again, and what comes is judged against the best.
+    bad(training / "model_20.onnx")
+    more = watched(training, progress=lambda made: heard.append(made.step))
+    assert heard == [10, 7, 2, 20]
+    assert (more.checkpoints[-1].verdict, more.checkpoints[-1].against) == ("REGRESSED", 2)
+    assert more.exit_code == 1
+    assert more.checkpoints[:3] == found.checkpoints
+
+
+def test_a_checkpoint_that_appears_is_taken_once_it_is_whole(training):
+    good(training / "model_1.onnx")
+    whole = (training / "model_1.onnx").read_bytes()
+
+    def write():
+        with (training / "model_2.onnx").open("wb") as stream:
+            for first in range(0, len(whole), len(whole) // 4):
+                stream.write(whole[first : first + len(whole) // 4])
+                stream.flush()
+                time.sleep(0.02)
+
+    writer = threading.Thread(target=write)
+    heard = []
+
+    def progress(made):
+        heard.append(made)
+        if made.step == 1:
+            writer.start()
+            writer.join()
+
+    found = watched(training, once=False, idle=0.3, progress=progress)
+    assert [(made.step, made.problem) for made in heard] == [(1, ""), (2, "")]
+    assert [(made.success, made.against) for made in heard] == [(1.0, None), (1.0, 1)]
+    assert found.best.step == 1
+
+
+def test_a_file_that_changes_under_its_name_is_another_checkpoint(training):
+    bad(training / "model_5.onnx")
+    assert watched(training).best.success == 0.0
+    good(training / "model_5.onnx")
+    found = watched(training)
+    assert [made.success for made in found.checkpoints] == [0.0, 1.0]
+    assert len({made.sha256 for made in found.checkpoints}) == 2
+
+
+def test_each_second_step_is_evaluated(training):
+    for step in (100, 200, 300):
+        bad(training / f"model_{step}.onnx")
+    assert [made.step for made in watched(training, every=2, trials=1).checkpoints] == [100, 300]
+
+
+def test_steps_are_the_last_number_of_a_name_or_of_its_folder(tmp_path):
+    for name in (
+        "model_1500.pt", "run3/000020/params.msgpack", "run_2/agent_9_final.pt", "best.pt",
+        "model_99.txt", "model_100.pt",
+    ):  # fmt: skip
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b"")
+    names = [str(path.relative_to(tmp_path)) for path in checkpoints_in(tmp_path)]
+    steps = [training_step(tmp_path / name) for name in names if name != "best.pt"]
+    assert steps == [9, 20, 100, 1500]
+    assert checkpoints_in(tmp_path, "model_1*") == [
+        tmp_path / "model_100.pt", tmp_path / "model_1500.pt"
+    ]  # fmt: skip
+
+
+def test_a_folder_of_another_suite_or_with_damaged_state_is_refused(training):
+    bad(training / "model_1.onnx")
+    found = watched(training, trials=1)
+    with pytest.raises(IncomparableError, match="another suite, card, scenes or number of trials"):
+        watched(training, trials=2)
+    state = found.folder / "watch.json"
+    kept = json.loads(state.read_text(encoding="utf-8"))
+    kept["checkpoints"][0]["success"] = "all of it"
+    state.write_text(json.dumps(kept), encoding="utf-8")
+    with pytest.raises(StoreError, match=r"watch\.json is damaged"):
+        watched(training, trials=1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [({"every": 0}, "every 0"), ({"interval": 0.0}, "interval 0"), ({"idle": -1.0}, "idle -1")],
+)
+def test_numbers_of_no_use_are_refused_before_anything_runs(training, settings, words):
+    with pytest.raises(UsageError, match=words):
+        watched(training, **settings)
+    assert not (training.parent / "reports").exists()
+
+
+def test_what_is_no_folder_is_refused(training):
+    with pytest.raises(UsageError, match="no folder"):
+        watched(training / "nothing")
