@@ -21,7 +21,7 @@ run: $(VENV)/.installed
 # would run those of one long test last, when the other core has nothing left to do.
 test: $(VENV)/.installed-dev
 	$(MAKE) -j 2 --output-sync=target check warm
-	$(BIN)/pytest -n 2 --dist loadscope --no-loadscope-reorder $(PYTEST_ARGS)
+	$(BIN)/pytest -n auto --dist loadscope --no-loadscope-reorder $(PYTEST_ARGS)
 
 check: types lint arrows
 

@@ -18,7 +18,11 @@ HOARDS_ONCE = f"""
 
 @pytest.mark.parametrize(
     ("deed", "by"),
-    [(HOARDS, "policy"), (HOARDS, "sensor"), (FATHERS, "sensor")],
+    [
+        (HOARDS, "policy"),
+        pytest.param(HOARDS, "sensor", marks=pytest.mark.nightly),
+        (FATHERS, "sensor"),
+    ],
     ids=["the policy", "its sensor", "the sensor's child"],
 )
 def test_a_trial_that_holds_too_much_is_crashed_and_says_how_much_it_held(tiny_run, deed, by):

@@ -107,7 +107,8 @@ def gated(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("bank", ["here", pytest.param("other", marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("bank", ["here", "other"])
 def test_a_gate_on_ray_judges_the_rows_of_local_workers_and_ends_with_the_same_trial(
     gated, nw_eval, bank
 ):

@@ -89,7 +89,11 @@ def a_folder_of_something_else(path, _):
     ("bring", "words"),
     [
         (two_photographs, "2 photographs can be read, of 3 needed; give twenty or more"),
-        (all_from_one_spot, "as if the camera had turned on one spot"),
+        pytest.param(
+            all_from_one_spot,
+            "as if the camera had turned on one spot",
+            marks=pytest.mark.nightly,
+        ),
         (heic, "HEIC is not read here: export as JPEG"),
         (more_than_100_megapixels, "108 million pixels, of 100 million at most: make it smaller"),
         (a_video_without_motion, "walk while you photograph, half a metre from one"),
