@@ -120,6 +120,7 @@ _ROOMS = MappingProxyType(
             "FetchError",
             "IncomparableError",
             "NwEvalError",
+            "PluginError",
             "PolicyError",
             "PrerequisiteError",
             "SceneError",
@@ -143,6 +144,7 @@ _ROOMS = MappingProxyType(
         "sensors.gallery": ("SeenCard",),
         "splat.gaussians": ("SplatFigures",),
         "stats.agreement": ("Agreement",),
+        "suite.axes": ("Axis",),
         "viewing.recording.track": ("WrittenRecording",),
     }
 )

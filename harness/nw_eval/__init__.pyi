@@ -105,6 +105,7 @@ from nw_eval.errors import (
     FetchError,
     IncomparableError,
     NwEvalError,
+    PluginError,
     PolicyError,
     PrerequisiteError,
     SceneError,
@@ -128,6 +129,7 @@ from nw_eval.scenes.overview import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
 from nw_eval.splat.gaussians import SplatFigures
 from nw_eval.stats.agreement import Agreement
+from nw_eval.suite.axes import Axis
 from nw_eval.viewing.recording.track import WrittenRecording
 
 __version__: str
@@ -135,6 +137,7 @@ __version__: str
 __all__ = [
     "ActingPolicy",
     "Agreement",
+    "Axis",
     "BankChange",
     "BarPlan",
     "BisectedSeries",
@@ -165,6 +168,7 @@ __all__ = [
     "ListedSuite",
     "NwEvalError",
     "Plan",
+    "PluginError",
     "PolicyComparison",
     "PolicyError",
     "PrerequisiteError",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.engine.order import in_order
 from nw_eval.engine.prepare import needs_splats
+from nw_eval.plugins import code_named
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.record import attachments
 from nw_eval.suite import suite_yaml
@@ -85,6 +86,14 @@ class Plan:
         if self.against is None or self.panel == "fresh":
             return None
         return self.against.bank.manifest.starts
+
+    @property
+    def plugins(self) -> dict[str, str]:
+        """What installed packages bring along to its trials: `KEY: package version sha256`."""
+        of_suite = {
+            key: f"{said} {code_named(key)}".strip() for key, said in self.suite.plugins.items()
+        }
+        return dict(sorted({**self.bundle.plugins, **of_suite}.items()))
 
     @property
     def render(self) -> Backend:
