@@ -20,6 +20,7 @@ from nw_eval.api import (
     ListedSuite,
     Published,
     PushedScene,
+    Reporter,
     RunIndex,
     RunReport,
     SavedBaseline,
@@ -127,7 +128,8 @@ from nw_eval.results.row import Row
 from nw_eval.rollout.replaying.reports import BlameReport, ReplayReport, TakeoverReport
 from nw_eval.scenes.overview import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
-from nw_eval.splat.gaussians import SplatFigures
+from nw_eval.splat.files.format import SplatFormat
+from nw_eval.splat.gaussians import Gaussians, SplatFigures
 from nw_eval.stats.agreement import Agreement
 from nw_eval.suite.axes import Axis
 from nw_eval.viewing.recording.track import WrittenRecording
@@ -159,6 +161,7 @@ __all__ = [
     "FoldedGraph",
     "Forecast",
     "FoundCause",
+    "Gaussians",
     "IncomparableError",
     "LedgerReport",
     "ListedBaseline",
@@ -176,6 +179,7 @@ __all__ = [
     "Published",
     "PushedScene",
     "ReplayReport",
+    "Reporter",
     "Request",
     "Row",
     "RunIndex",
@@ -190,6 +194,7 @@ __all__ = [
     "ShownBaseline",
     "ShownSuite",
     "SplatFigures",
+    "SplatFormat",
     "StoreError",
     "SuiteError",
     "Surfaces",
