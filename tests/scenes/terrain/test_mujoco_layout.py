@@ -89,23 +89,9 @@ def look(folder, version):
     place = folder / version
     # Since 4.0 the library is a package of its own.
     parts = ("mujoco", "mujoco-core") if version >= "4" else ("mujoco",)
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "pip",
-            "install",
-            "-q",
-            "--no-deps",
-            "--only-binary=:all:",
-            "--target",
-            str(place),
-            *(f"{part}=={version}" for part in parts),
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    pip = f"{sys.executable} -m pip install -q --no-deps --only-binary=:all: --target".split()
+    wanted = [f"{part}=={version}" for part in parts]
+    done = subprocess.run([*pip, str(place), *wanted], capture_output=True, check=False)
     if done.returncode != 0:
         return None
     looked = subprocess.run(
