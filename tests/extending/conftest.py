@@ -8,6 +8,8 @@ import pytest
 
 from nw_eval.plugins import installed
 
+collect_ignore = ["packages"]  # Tests of packages run where these are installed.
+
 
 @contextmanager
 def _on_path(folder):

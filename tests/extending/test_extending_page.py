@@ -121,8 +121,13 @@ def test_its_reporters_are_those_that_are_built_in():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("section", ["Axes", "Splat formats", "Reporters"])
-def test_the_commands_of_a_section_do_what_it_says(reader, section):
-    if section == "Reporters" and not (reader.folder / "delayed").exists():
-        reader.follow(SECTIONS["Axes"])  # Whose run it reports.
-    reader.follow(SECTIONS[section])
+def test_the_commands_of_the_page_do_what_it_says(reader):
+    for blocks in SECTIONS.values():
+        reader.follow(blocks)
+
+
+def test_the_page_tells_all_that_is_there_for_tests():
+    from nw_eval import testing
+
+    told = re.findall(r"^\| `(\w+)[^`]*` \|", PAGE.partition("## Testing")[2], re.MULTILINE)
+    assert sorted(told) == testing.__all__

@@ -85,7 +85,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         waypoint_noise=scene.waypoint_noise,
     )
     with ExitStack() as cleanup:
-        world = cleanup.enter_context(_open_world(setup, scene, protocol))
+        world = cleanup.enter_context(_open_world(setup, scene, protocol, library.world))
         with policy_at_fault():
             policy: Policy = open_policy(bundle, allow_code=job.allow_code)
             cleanup.callback(_close, policy)
@@ -177,9 +177,11 @@ def _close(policy: Policy) -> None:
             raise
 
 
-def _open_world(setup: TrialSetup, scene: Scene, protocol: EvaluationProtocol) -> World:
+def _open_world(
+    setup: TrialSetup, scene: Scene, protocol: EvaluationProtocol, make: Callable[..., World]
+) -> World:
     timestep, substeps = physics_steps(setup.card, protocol)
-    return World(
+    return make(
         setup.robot,
         scene,
         protocol=protocol,
