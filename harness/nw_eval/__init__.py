@@ -35,6 +35,7 @@ _ROOMS = MappingProxyType(
             "ListedSuite",
             "Published",
             "PushedScene",
+            "Reporter",
             "RunIndex",
             "RunReport",
             "SavedBaseline",
@@ -123,6 +124,7 @@ _ROOMS = MappingProxyType(
             "FetchError",
             "IncomparableError",
             "NwEvalError",
+            "PluginError",
             "PolicyError",
             "PrerequisiteError",
             "SceneError",
@@ -144,8 +146,10 @@ _ROOMS = MappingProxyType(
         "rollout.replaying.reports": ("BlameReport", "ReplayReport", "TakeoverReport"),
         "scenes.overview": ("SceneFigures",),
         "sensors.gallery": ("SeenCard",),
-        "splat.gaussians": ("SplatFigures",),
+        "splat.files.format": ("SplatFormat",),
+        "splat.gaussians": ("Gaussians", "SplatFigures"),
         "stats.agreement": ("Agreement",),
+        "suite.axes": ("Axis",),
         "viewing.recording.track": ("WrittenRecording",),
     }
 )

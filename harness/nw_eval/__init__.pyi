@@ -20,6 +20,7 @@ from nw_eval.api import (
     ListedSuite,
     Published,
     PushedScene,
+    Reporter,
     RunIndex,
     RunReport,
     SavedBaseline,
@@ -108,6 +109,7 @@ from nw_eval.errors import (
     FetchError,
     IncomparableError,
     NwEvalError,
+    PluginError,
     PolicyError,
     PrerequisiteError,
     SceneError,
@@ -129,8 +131,10 @@ from nw_eval.results.row import Row
 from nw_eval.rollout.replaying.reports import BlameReport, ReplayReport, TakeoverReport
 from nw_eval.scenes.overview import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
-from nw_eval.splat.gaussians import SplatFigures
+from nw_eval.splat.files.format import SplatFormat
+from nw_eval.splat.gaussians import Gaussians, SplatFigures
 from nw_eval.stats.agreement import Agreement
+from nw_eval.suite.axes import Axis
 from nw_eval.viewing.recording.track import WrittenRecording
 
 __version__: str
@@ -138,6 +142,7 @@ __version__: str
 __all__ = [
     "ActingPolicy",
     "Agreement",
+    "Axis",
     "BankChange",
     "BarPlan",
     "BisectedSeries",
@@ -159,6 +164,7 @@ __all__ = [
     "FoldedGraph",
     "Forecast",
     "FoundCause",
+    "Gaussians",
     "IncomparableError",
     "LedgerReport",
     "ListedBaseline",
@@ -168,6 +174,7 @@ __all__ = [
     "ListedSuite",
     "NwEvalError",
     "Plan",
+    "PluginError",
     "PolicyComparison",
     "PolicyError",
     "PrerequisiteError",
@@ -175,6 +182,7 @@ __all__ = [
     "Published",
     "PushedScene",
     "ReplayReport",
+    "Reporter",
     "Request",
     "Row",
     "RunIndex",
@@ -189,6 +197,7 @@ __all__ = [
     "ShownBaseline",
     "ShownSuite",
     "SplatFigures",
+    "SplatFormat",
     "StoreError",
     "SuiteError",
     "Surfaces",

@@ -227,7 +227,7 @@ def test_a_scene_is_known_by_what_is_in_it_and_by_its_looks(place):
 )
 def test_another_engine_knows_nothing(place, module, monkeypatch):
     real = provenance.engine_of
-    monkeypatch.setattr(provenance, "engine_of", lambda render: real(render) | {module: "another"})
+    monkeypatch.setattr(provenance, "engine_of", lambda *asked: real(*asked) | {module: "another"})
     assert misses(place)
 
 

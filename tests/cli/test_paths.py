@@ -20,13 +20,17 @@ from nw_eval.cli.verbs import _VERBS, _verb
 
 FILES = {
     "run junit": "run {suite} --policy {missing} --junit {out}",
+    "run reporter": "run {suite} --policy {missing} --reporter junit={out}",
     "run comment": "run {suite} --out {new} --workers 1 --comment {out}",
     "gate junit": "gate {run} --junit {out}",
+    "gate reporter": "gate {run} --reporter junit={out}",
     "gate comment": "gate {run} --comment {out}",
     "gate out": "gate {run} --out {out}",
     "merge junit": "merge {part} --out {new} --junit {out}",
+    "merge reporter": "merge {part} --out {new} --reporter junit={out}",
     "merge comment": "merge {part} --out {new} --comment {out}",
     "report junit": "report {run} --junit {out}",
+    "report reporter": "report {run} --reporter junit={out}",
     "report comment": "report {run} --comment {out}",
     "report out": "report {run} --out {out}",
     "plan png": "plan {suite} --run {run} --detect 0.9 --png {out}",

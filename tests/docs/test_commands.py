@@ -23,6 +23,12 @@ from nw_eval.cli.verbs import parse
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
+OWN_TESTS = {
+    "wrappers.md": "tests/sensors/test_wrappers_page.py",
+    "extending.md": "tests/extending/test_extending_page.py",
+}
+"""Pages whose worked examples have tests of their own, with all that they print."""
+
 _ONE_TRIAL = "--trials 1 --scenes hurdles/one_low_carpet --record none"
 REDUCED = MappingProxyType(
     {
@@ -188,11 +194,15 @@ def type_in(command: str) -> int:
     return subprocess.run(["bash", "-ec", line], check=False).returncode
 
 
+def test_every_page_with_a_test_of_its_own_has_one() -> None:
+    for page, file in OWN_TESTS.items():
+        assert page in (ROOT / file).read_text(encoding="utf-8")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "page",
-    # The worked example of wrappers.md has a test of its own, with all that it prints.
-    [page for page in PAGES if page.name != "wrappers.md" and commands_of(page)],
+    [page for page in PAGES if page.name not in OWN_TESTS and commands_of(page)],
     ids=lambda page: page.name,
 )
 def test_a_page_can_be_followed(

@@ -85,7 +85,7 @@ def test_it_names_the_files_and_the_solids_that_are_read() -> None:
         assert f"`{suffix}`" in PROSE
     for kind in ("plane", *_SIZES):
         assert kind in PROSE.split("and geoms:")[1].split(". ")[0]
-    formats = re.findall(r"^    (\.\w+) ", splat_files.__doc__ or "", re.MULTILINE)
+    formats = [each.suffix for each in splat_files.FORMATS.values()]
     assert formats == [row[0].strip("`") for row in table("file")]
 
 

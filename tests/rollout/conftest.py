@@ -9,6 +9,8 @@ import pytest
 from nw_eval.catalogue import get_scene
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
+from nw_eval.rollout.trial import run_trial
+from nw_eval.sim import World
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import compile_store
 from nw_eval.suite.trials import Trial
@@ -54,8 +56,8 @@ class Blobs:
 class OneScene(Library):
     """A library whose only scene is the blob room."""
 
-    def __init__(self, scene):
-        super().__init__()
+    def __init__(self, scene, **options):
+        super().__init__(**options)
         self.only = scene
 
     def scene(self, reference, collision="terrain"):
@@ -68,6 +70,20 @@ def library(tmp_path_factory):
     blobs = Blobs(tmp_path_factory.mktemp("splat"))
     trail = np.array([[0.8, 0.0, 0.0], [2.5, 0.0, 0.0]])
     return OneScene(replace(get_scene(SCENE), splat=blobs, trail=trail))
+
+
+@pytest.fixture
+def run_faked(make_job, library):
+    """A function that runs a trial of a policy, or in a world, of `nw_eval.testing`."""
+
+    def run(policy=None, world=World, **settings):
+        job, known = make_job(**settings), []
+        if policy is not None:
+            known = [policy.bundle()]
+            job = replace(job, policy=known[0].reference, checkpoint_digest="fake")
+        return run_trial(job, library=OneScene(library.only, known=known, world=world))
+
+    return run
 
 
 @pytest.fixture(scope="session")

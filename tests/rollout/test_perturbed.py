@@ -8,14 +8,17 @@ from pydantic import ValidationError
 
 from nw_eval.cards import Card
 from nw_eval.errors import UsageError
+from nw_eval.robots import get_robot
+from nw_eval.robots.spec import remounted
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.perturbed import EVERY, Pushes, perturbed_robot, unfelt
+from nw_eval.rollout.perturbed import EVERY, Pushes, TrialSetup, perturbed, unfelt
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.result import StageClock
 from nw_eval.rollout.trial import run_trial
 from nw_eval.sensors.sensor import FOG, Air
 from nw_eval.splat.image import Image
-from nw_eval.suite.perturb import NEUTRAL, Perturb
+from nw_eval.suite.axes import AXES
+from nw_eval.suite.perturb import Perturb
 
 PUBLISHED = "neverwhere-2026"
 """Under it every cell has the same starts, so that bits can be compared."""
@@ -78,7 +81,7 @@ def test_a_camera_that_its_card_says_is_tilted_sees_what_a_tilted_one_sees(libra
 
 
 def test_every_axis_is_tried_here():
-    assert set(FELT) == set(NEUTRAL) == set(Perturb.model_fields)
+    assert set(FELT) == set(AXES) == set(Perturb.model_fields)
 
 
 @pytest.mark.parametrize("axis", [axis for axis in FELT if axis not in SEES])
@@ -94,15 +97,15 @@ def test_an_axis_of_pictures_moves_a_policy_that_sees(library, make_job, seeing,
     assert walked(library, make_job, axis, FELT[axis], **options)[1] != seeing[1]
 
 
-@pytest.mark.parametrize("axis", [axis for axis in NEUTRAL if axis not in {"friction", *SEES}])
+@pytest.mark.parametrize("axis", [axis for axis in AXES if axis not in {"friction", *SEES}])
 def test_a_neutral_value_changes_no_bit(library, make_job, blind, axis):
-    assert walked(library, make_job, axis, NEUTRAL[axis]) == blind
+    assert walked(library, make_job, axis, AXES[axis].neutral) == blind
 
 
 @pytest.mark.parametrize("axis", SEES)
 def test_a_neutral_value_changes_no_picture(library, make_job, seeing, axis):
     options = {"policy": "go1-act-rgb", "duration": 0.3}
-    assert walked(library, make_job, axis, NEUTRAL[axis], **options) == seeing
+    assert walked(library, make_job, axis, AXES[axis].neutral, **options) == seeing
 
 
 def test_a_load_is_carried_and_weak_motors_give_less(library, make_job):
@@ -152,15 +155,17 @@ def test_pushes_come_every_three_seconds_at_their_speed():
     assert np.std(angles) > 1.0, "in all directions"
 
 
-def test_a_camera_looks_down_by_its_pitch_and_sits_higher():
-    from nw_eval.robots import get_robot
-
-    robot = get_robot("go1")
-    moved = perturbed_robot(
-        robot, {"camera_pitch": 0.3, "camera_height": 0.1, "field_of_view": 0.5}
-    )
-    for name, mount in robot.cameras.items():
-        other = moved.cameras[name]
+@pytest.mark.parametrize("name", ["go1", "go2"])
+def test_a_camera_looks_down_by_its_pitch_and_sits_higher(library, make_job, name):
+    robot = get_robot(name)
+    cell = {"camera_height": 0.1, "camera_pitch": 0.3, "field_of_view": 0.5}
+    job, card = make_job(), library.bundle("go1-parkour", None).card
+    moved = perturbed(TrialSetup.of(job.trial, robot, card), cell).robot
+    for camera, mount in robot.cameras.items():
+        # One axis after another mounts it to the bit as all at once.
+        at_once = remounted(mount, pitch=0.3, height=0.1, factor=0.5)
+        assert moved.cameras[camera] == at_once
+        other = moved.cameras[camera]
         axis, turned = (m.T_trunk_camera[:3, 2] for m in (mount, other))
         assert np.arccos(axis @ turned) == pytest.approx(0.3)
         assert turned[2] < axis[2], "down"
@@ -195,5 +200,5 @@ def test_values_out_of_range_and_unknown_axes_are_refused(library, make_job):
         Perturb(payload=(25.0,))
     job = make_job()
     wrong = replace(job, trial=replace(job.trial, perturbation=(("frictoin", 1.0),)))
-    with pytest.raises(UsageError, match="unknown perturbation 'frictoin'"):
+    with pytest.raises(UsageError, match="there is no axis 'frictoin'; did you mean 'friction'"):
         open_trial(wrong, library, StageClock())

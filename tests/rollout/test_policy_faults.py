@@ -2,6 +2,7 @@
 
 import os
 import signal
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ from nw_eval.rollout.library import Library
 from nw_eval.rollout.record import verdict_metadata
 from nw_eval.rollout.result import TrialResult, policy_fault
 from nw_eval.rollout.trial import run_trial
-from nw_eval.sim import World
 from nw_eval.suite.trials import Trial
+from nw_eval.testing import FakePolicy, GlidingWorld
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[3] / "shared" / "assets"))
 RUNAWAY = ASSETS / "policies" / "chenci-go2"
@@ -41,18 +42,12 @@ def throw(error):
 
 
 @pytest.fixture
-def acting(monkeypatch, make_job, library):
+def acting(run_faked):
     """Return a runner of trials whose policy does this at its fifth step."""
 
     def run(act, **settings):
-        steps = []
-
-        def at_the_fifth(_policy, _observation):
-            steps.append(1)
-            return act() if len(steps) == 5 else np.zeros(12)
-
-        monkeypatch.setattr(ZeroPolicy, "act", at_the_fifth)
-        return run_trial(make_job(policy="stand", duration=0.3, **settings), library=library)
+        policy = FakePolicy(lambda step: act() if step == 4 else np.zeros(12))
+        return run_faked(policy, duration=0.3, **settings)
 
     return run
 
@@ -104,22 +99,24 @@ def test_a_target_beyond_a_million_radians_is_no_action(acting, action, kind):
     assert policy_fault(acting(lambda: np.full(12, action))) == kind
 
 
-def test_a_silent_server_or_an_error_of_ours_is_no_failure_of_the_policy(acting):
+def test_a_silent_server_or_an_error_of_ours_is_no_failure_of_the_policy(
+    make_job, library, monkeypatch
+):
     for error in (ServerError("no answer"), UsageError("the server serves another")):
-        result = acting(lambda error=error: throw(error))
+        # Not by code of a policy, of which every error is the policy's own.
+        monkeypatch.setattr(ZeroPolicy, "act", lambda *_, error=error: throw(error))
+        result = run_trial(make_job(policy="stand", duration=0.1), library=library)
         assert (result.status, policy_fault(result)) == ("error", None)
         assert result.error_text == str(error)
 
 
-def test_a_fault_of_ours_is_none_of_the_policy(make_job, library, monkeypatch):
-    monkeypatch.setattr(World, "monitored_force", lambda _self: throw(MemoryError()))
-    result = run_trial(make_job(duration=0.2), library=library)
+def test_a_fault_of_ours_is_none_of_the_policy(run_faked):
+    result = run_faked(world=partial(GlidingWorld, raises={5: MemoryError()}), duration=0.2)
     assert (result.error_type, policy_fault(result)) == ("crashed", None)
 
 
-def test_what_a_policy_raises_as_it_is_closed_changes_nothing(make_job, library, monkeypatch):
-    monkeypatch.setattr(ZeroPolicy, "close", lambda _self: throw(SystemExit(0)))
-    result = run_trial(make_job(policy="stand", duration=0.1), library=library)
+def test_what_a_policy_raises_as_it_is_closed_changes_nothing(run_faked):
+    result = run_faked(FakePolicy(fails={"close": SystemExit(0)}), duration=0.1)
     assert (result.status, result.outcome) == ("ok", "timeout")
 
 
@@ -159,16 +156,12 @@ def test_code_that_fails_as_it_is_made_is_the_policys_and_a_lost_file_is_not(
     [(lambda: throw(SystemExit(0)), "SystemExit: 0"), (lambda: np.full(12, np.nan), "nan")],
     ids=["exit", "nan"],
 )
-def test_a_check_of_a_policy_that_fails_is_a_card_error_of_one_line(monkeypatch, act, said):
+def test_a_check_of_a_policy_that_fails_is_a_card_error_of_one_line(act, said):
     from nw_eval.onboarding.probe.report import probe_here
-    from nw_eval.policies import load_bundle
 
-    calls = iter(range(1000))
-    monkeypatch.setattr(
-        ZeroPolicy, "act", lambda _self, _seen: act() if next(calls) > 4 else np.zeros(12)
-    )
-    with pytest.raises(PolicyError, match=r"stand.policy\.yaml: ") as caught:
-        probe_here(load_bundle("stand"))
+    policy = FakePolicy(lambda step: act() if step > 4 else np.zeros(12))
+    with pytest.raises(PolicyError, match=r"card 'fake': ") as caught:
+        probe_here(policy.bundle())
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -186,7 +179,7 @@ def test_a_log_says_that_the_policy_failed(acting, tmp_path):
     )
     events = [message for _, _, message in LogReader(path).messages("/nw/event")]
     assert events[-1].kind == "error"
-    assert events[-1].text.startswith("policy_failed (exception): the policy raised ValueError")
+    assert events[-1].text.startswith("policy_failed (exception): policy 'fake': act raised Val")
     assert verdict_metadata(result) == verdict
 
 

@@ -2,13 +2,14 @@
 
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
 
 from nw_eval.errors import TrialError
 from nw_eval.rollout.trial import run_trial
-from nw_eval.sim import World
+from nw_eval.testing import FakePolicy, GlidingWorld
 
 
 def test_a_trial_is_the_same_bits_whatever_ran_before_it(make_job, library):
@@ -40,18 +41,9 @@ def test_the_shipped_policy_walks_the_flat_trail_and_its_stages_take_time(make_j
     assert result.coverage_mean is None
 
 
-def test_physics_that_fails_is_an_error_with_what_was_reached_so_far(
-    make_job, library, monkeypatch
-):
-    step = World.step
-
-    def failing(self, targets):
-        if self.steps == 30:
-            raise TrialError("physics failed at 0.600 s: an acceleration is NaN")
-        step(self, targets)
-
-    monkeypatch.setattr(World, "step", failing)
-    result = run_trial(make_job(), library=library)
+def test_physics_that_fails_is_an_error_with_what_was_reached_so_far(run_faked):
+    error = TrialError("physics failed at 0.600 s: an acceleration is NaN")
+    result = run_faked(world=partial(GlidingWorld, raises={30: error}))
     assert (result.status, result.outcome, result.error_type) == ("error", None, "physics_error")
     assert result.steps == 30
     assert "0.600 s" in result.error_text
@@ -60,76 +52,57 @@ def test_physics_that_fails_is_an_error_with_what_was_reached_so_far(
 @pytest.mark.parametrize(
     ("action", "said"),
     [
-        (lambda: np.full(12, np.nan), "not 12 finite numbers"),
-        (lambda: np.zeros(11), "not 12 finite numbers"),
-        (lambda: 1 / 0, "ZeroDivisionError"),
+        (lambda _: np.full(12, np.nan), "returned nan for joint 0 of its action"),
+        (lambda _: np.zeros(11), "returned an action of shape (11,)"),
+        (lambda _: 1 / 0, "ZeroDivisionError"),
     ],
     ids=["nan", "eleven numbers", "raises"],
 )
-def test_a_policy_that_misbehaves_is_a_policy_error(make_job, library, monkeypatch, action, said):
-    from nw_eval.policies.opening import ZeroPolicy
-
-    monkeypatch.setattr(ZeroPolicy, "act", lambda _self, _observation: action())
-    result = run_trial(make_job(policy="stand"), library=library)
+def test_a_policy_that_misbehaves_is_a_policy_error(run_faked, action, said):
+    result = run_faked(FakePolicy(action))
     assert (result.status, result.error_type) == ("error", "policy_error")
     assert said in result.error_text
     assert "\n" not in result.error_text
 
 
 @pytest.mark.parametrize("method", ["reset", "state"])
-def test_a_policy_that_fails_beside_its_actions_is_a_policy_error_too(
-    make_job, library, monkeypatch, tmp_path, method
-):
-    from nw_eval.policies.opening import ZeroPolicy
-
-    def broken(*_):
-        raise RuntimeError("no connection")
-
-    monkeypatch.setattr(ZeroPolicy, method, broken)
-    job = make_job(policy="stand", mcap=tmp_path / "trial.mcap")
-    result = run_trial(job, library=library)
+def test_a_policy_that_fails_beside_its_actions_is_a_policy_error_too(run_faked, tmp_path, method):
+    policy = FakePolicy(fails={method: RuntimeError("no connection")})
+    result = run_faked(policy, mcap=tmp_path / "trial.mcap")
     assert (result.status, result.error_type) == ("error", "policy_error")
     assert "RuntimeError: no connection" in result.error_text
 
 
-def test_a_fault_after_the_outcome_costs_the_log_alone(make_job, library, monkeypatch, tmp_path):
-    from nw_eval.policies.opening import ZeroPolicy
-
+def test_a_fault_after_the_outcome_costs_the_log_alone(run_faked, tmp_path):
     calls = []
 
-    def broken_at_last(_self):
+    def at_last():
         calls.append(1)
         if len(calls) == 3:  # States are written at steps 0 and 10, and at the end.
             raise RuntimeError("no connection")
-        return b""
 
-    monkeypatch.setattr(ZeroPolicy, "state", broken_at_last)
     path = tmp_path / "trial.mcap"
-    result = run_trial(make_job(policy="stand", duration=0.3, mcap=path), library=library)
+    result = run_faked(FakePolicy(fails={"state": at_last}), duration=0.3, mcap=path)
     assert (result.status, result.outcome) == ("ok", "timeout")
     assert "no connection" in result.mcap_error
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_fault_of_our_own_is_a_crash_that_says_where(make_job, library, monkeypatch):
-    def broken(_self):
-        raise KeyError("camera")
+BROKEN = partial(GlidingWorld, raises={5: KeyError("camera")})
+"""A world with a fault of our own."""
 
-    monkeypatch.setattr(World, "monitored_force", broken)
-    result = run_trial(make_job(), library=library)
+
+def test_a_fault_of_our_own_is_a_crash_that_says_where(run_faked):
+    result = run_faked(world=BROKEN)
     assert (result.status, result.error_type) == ("error", "crashed")
-    assert result.error_text.startswith("KeyError: 'camera' at test_trial.py:")
+    assert result.error_text.startswith("KeyError: 'camera' at testing.py:")
 
 
-def test_an_error_leaves_a_log_that_says_so(make_job, library, monkeypatch, tmp_path):
+def test_an_error_leaves_a_log_that_says_so(run_faked, tmp_path):
     from nw_eval.rollout.mcap.reader import LogReader
 
-    def broken(_self):
-        raise KeyError("camera")
-
-    monkeypatch.setattr(World, "monitored_force", broken)
     path = tmp_path / "error.mcap"
-    result = run_trial(make_job(mcap=path), library=library)
+    result = run_faked(world=BROKEN, mcap=path)
     assert result.mcap_bytes == path.stat().st_size > 0
     events = [message for _, _, message in LogReader(path).messages("/nw/event")]
     assert events[-1].kind == "error"

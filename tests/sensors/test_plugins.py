@@ -8,12 +8,11 @@ import pytest
 from pydantic import ValidationError
 
 from nw_eval.cards import JointControl, load_card
-from nw_eval.cards.plugins import SENSORS, WRAPPERS, installed
 from nw_eval.cards.wrappers import BUILT_IN_WRAPPERS
 from nw_eval.errors import PolicyError
+from nw_eval.plugins import SENSORS, WRAPPERS, PluginWarning, installed, usable
 from nw_eval.rollout.episode import Actions
 from nw_eval.sensors import Moment, build_sensors, check_card
-from nw_eval.sensors.plugins import PluginWarning, usable
 from nw_eval.sim import TrailProgress
 
 GOOD = """

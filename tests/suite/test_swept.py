@@ -34,6 +34,7 @@ def test_ranges_and_lists_are_values(words, values):
         ("friction=0..1", "0.0: input should be greater than 0"),
         ("payload=0..90:2", "90.0: input should be less than or equal to 20"),
         ("friction=1e999,1", "inf: input should be"),
+        ("latency=1e999,1", "inf: input should be"),
     ],
 )
 def test_what_is_no_axis_is_refused_with_what_to_write(words, message):

@@ -9,8 +9,9 @@ from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.gaussians import SH0
 from nw_eval.suite import load_suite
-from nw_eval.suite.perturb import NEUTRAL, Perturb
-from nw_eval.view.live_page import _RANGES, save_played
+from nw_eval.suite.axes import AXES
+from nw_eval.suite.perturb import Perturb
+from nw_eval.view.live_page import save_played
 from nw_eval.view.live_stage import open_stage, painted
 
 PLACE = "hurdles/one_low_carpet"
@@ -46,11 +47,11 @@ def test_a_change_that_changes_nothing_leaves_every_bit(stage):
         assert other.cell == {}
 
 
-@pytest.mark.parametrize("axis", sorted(set(NEUTRAL) - {"push"}))
+@pytest.mark.parametrize("axis", sorted(set(AXES) - {"push"}))
 def test_every_axis_can_be_moved_while_it_walks(axis):
-    least, most, _ = _RANGES[axis]
+    least, most, _ = AXES[axis].slides
     with open_stage("go1-act-rgb", PLACE) as stage:
-        assert set(stage.axes) == set(NEUTRAL)
+        assert set(stage.axes) == set(AXES)
         before = walk(stage, 12)
         for value in (least, most):
             stage.perturb({axis: value})

@@ -62,7 +62,14 @@ from nw_eval.api.series import BisectedSeries, bisect
 from nw_eval.api.site import WrittenSite, write_site
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
 from nw_eval.api.suites import ListedSuite, ShownSuite, list_suites, show_suite
-from nw_eval.api.surfaces import Published, Surfaces, check_surfaces, publish, publish_error
+from nw_eval.api.surfaces import (
+    Published,
+    Reporter,
+    Surfaces,
+    check_surfaces,
+    publish,
+    publish_error,
+)
 from nw_eval.api.sweeping import SweptSuite, sweep
 from nw_eval.api.trial_plans import BarPlan, ShardPlan, TrialPlan, plan_shards, plan_trials
 from nw_eval.api.verifying import VerifiedRun, verify
@@ -89,6 +96,7 @@ __all__ = [
     "ListedSuite",
     "Published",
     "PushedScene",
+    "Reporter",
     "Request",
     "RunIndex",
     "RunReport",

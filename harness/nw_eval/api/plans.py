@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from nw_eval.results.provenance import PolicyInfo
     from nw_eval.scenes import Scene
     from nw_eval.scenes.finding import SceneFinding
-    from nw_eval.suite import Draft, Suite
+    from nw_eval.suite import Draft, Suite, Trial
     from nw_eval.suite.trials import DrawnStart
     from nw_eval.words import Arm, Collision
 
@@ -96,9 +96,12 @@ def plan_of(
     from nw_eval.engine.prepare import check_splats
     from nw_eval.engine.provenance import policy_info
     from nw_eval.suite import expand, override
+    from nw_eval.suite.model import plugin_faults
 
     suite = None if draft.suite is None else override(draft.suite, request)
     faults = Faults(draft)
+    if suite is not None:
+        faults.extend(plugin_faults(suite))
     if own_policy is None:
         own_policy = bundle is None and _is_own_policy(draft, request)
     # A process of its own reads the bank, for no longer than an interrupt can wait.
@@ -126,6 +129,8 @@ def plan_of(
     trials, shard = shard_of(
         expand(suite, opened, _drawn(request, suite, opened, policy, against)), request.part
     )
+    if suite.plugins:
+        _try_axes(trials, suite, bundle)
     resolved = Plan(
         request=request.from_anywhere(),
         suite=suite,
@@ -141,6 +146,21 @@ def plan_of(
         arm=arm,
     )
     return resolved if against is None else _matched(resolved, against)
+
+
+def _try_axes(trials: Sequence[Trial], suite: Suite, bundle: Bundle) -> None:
+    """Let the axes of packages change the setup of a trial of each cell, before anything runs.
+
+    Raises:
+        PluginError: one of them cannot.
+    """
+    from nw_eval.cards import mounted_robot
+    from nw_eval.robots import get_robot
+    from nw_eval.rollout.perturbed import TrialSetup, perturbed
+
+    robot = mounted_robot(get_robot(suite.robot), bundle.card)
+    for cell, trial in {trial.perturbation: trial for trial in trials}.items():
+        perturbed(TrialSetup.of(trial, robot, bundle.card), dict(cell))
 
 
 def baseline_plan(plan: Plan, bundle: Bundle) -> Plan:

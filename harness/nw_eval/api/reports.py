@@ -31,6 +31,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TrainingStep:
+    """Where in a training the checkpoint of a run was written."""
+
+    step: int
+    folder: Path
+    """Of the watch: what all runs of one training have in common."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class RunReport:
     """A judged run: its verdict, and where its evidence lies."""
 
@@ -47,6 +56,8 @@ class RunReport:
     """What its logs showed on that page; None if none was written."""
     bank: BaselineInfo | None = None
     """The bank that it was compared with."""
+    training: TrainingStep | None = None
+    """Of a watched training: trackers show its scores at this step of a curve."""
 
     @property
     def interrupted(self) -> bool:

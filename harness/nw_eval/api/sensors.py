@@ -28,9 +28,8 @@ def list_sensors() -> tuple[ListedSensor, ...]:
     A plug-in that cannot be imported is told of in a `PluginWarning`, and left out.
     """
     from nw_eval.cards.observations import BUILT_IN_SENSORS
-    from nw_eval.cards.plugins import SENSORS, WRAPPERS
     from nw_eval.cards.wrappers import BUILT_IN_WRAPPERS
-    from nw_eval.sensors.plugins import usable
+    from nw_eval.plugins import SENSORS, WRAPPERS, usable
 
     found: list[ListedSensor] = []
     kinds: tuple[tuple[Listed, str, tuple[str, ...]], ...] = (

@@ -7,14 +7,18 @@ changes no exit code.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from nw_eval.clean import clean
-from nw_eval.errors import NwEvalError
+from nw_eval.errors import NwEvalError, UsageError, nearest
+from nw_eval.plugins import REPORTERS as GROUP
+from nw_eval.plugins import installed, load, warn_if_built_in
 from nw_eval.words import Tracker
 
 if TYPE_CHECKING:
@@ -22,12 +26,41 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainingStep:
-    """Where in a training a run's checkpoint was written."""
+class Reporter:
+    """What shows a judged run somewhere: `--reporter NAME[=PATH]`.
 
-    step: int
-    folder: Path
-    """Of the watch: what all runs of one training have in common."""
+    Those that are built in are `REPORTERS`; packages bring along others (entry-point group
+    `nw_eval.reporters`).
+
+    Attributes:
+        name: by which it is asked for.
+        writes: what it writes, for messages: `JUnit file`.
+        report: gets the run, and what stands behind `NAME=`: where `target` is `file`, the path of
+            a temporary file beside the one that is asked for, which replaces it when all is
+            written; else the words, or None. Whatever it raises is a warning, and costs the run
+            neither its verdict nor its exit code.
+        target: whether a file must be named, words may be, or nothing.
+        check: called before anything runs; raises `NwEvalError` where something that it needs is
+            not there.
+        failed: gets the error that kept a run from a verdict, the suite as it was typed, and what
+            `report` would get. Where it is None, a file that an earlier run wrote is removed.
+
+    Raises:
+        ValueError: the name has other characters than letters, digits, `_`, `-` and `.`.
+    """
+
+    name: str
+    writes: str
+    report: Callable[[RunReport, Any], object]
+    target: Literal["file", "words", "nothing"] = "nothing"
+    check: Callable[[], None] | None = None
+    failed: Callable[[NwEvalError, str, Any], object] | None = None
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", self.name):
+            raise ValueError(
+                f"reporter {self.name!r}: a name has letters, digits, '_', '-' and '.'"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +75,43 @@ class Surfaces:
     """A file of Markdown, short enough for a comment on a pull request."""
     track: tuple[Tracker, ...] = ()
     """Trackers of experiments."""
-    training: TrainingStep | None = None
-    """Trackers then show the run's scores at this step of a curve."""
+    reporters: tuple[str, ...] = ()
+    """Any reporters: `NAME` or `NAME=PATH`."""
+
+    @property
+    def wanted(self) -> list[tuple[Reporter, str | None]]:
+        """The reporters that are asked for, each with what stands behind its name.
+
+        Raises:
+            UsageError: there is no such reporter, a file is missing, or is one too much.
+            PluginError: the package that has it is broken.
+        """
+        words: list[tuple[str, str | None]] = []
+        words += [] if self.junit is None else [("junit", str(self.junit))]
+        words += [] if self.comment is None else [("comment", str(self.comment))]
+        words += [(name, None) for name in self.track]
+        for each in self.reporters:
+            name, equals, target = each.partition("=")
+            words.append((name, target if equals else None))
+        return [(_reporter(name, target), target) for name, target in words]
+
+
+def _reporter(name: str, target: str | None) -> Reporter:
+    if name in REPORTERS:
+        warn_if_built_in(GROUP, name)
+        found = REPORTERS[name]
+    elif name in installed(GROUP):
+        found = load(GROUP, name, Reporter)
+    else:
+        raise UsageError(
+            f"--reporter {name}: no such reporter",
+            fix=nearest(name, {*REPORTERS, *installed(GROUP)}),
+        )
+    if found.target == "file" and not target:
+        raise UsageError(f"--reporter {name}: it writes a file", fix=f"--reporter {name}=PATH")
+    if found.target == "nothing" and target is not None:
+        raise UsageError(f"--reporter {name}={target}: it takes nothing", fix=f"--reporter {name}")
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,18 +130,19 @@ def check_surfaces(where: Surfaces) -> Surfaces:
     """Return surfaces, once it is known that what they need is there: before anything runs.
 
     Raises:
-        UsageError: there is no such tracker, or a folder is where a file is to be written.
+        UsageError: there is no such reporter, or a folder is where a file is to be written.
         PrerequisiteError: its extra is not installed.
+        PluginError: the package that has it is broken.
     """
     from nw_eval.files.cache import followed
+    from nw_eval.reporting.trackers.tracked import check_trackers
 
-    for path in (where.junit, where.comment):
-        if path is not None:
-            followed(path)
-    if where.track:
-        from nw_eval.reporting.trackers.tracked import check_trackers
-
-        check_trackers(where.track)
+    check_trackers(where.track)
+    for reporter, target in where.wanted:
+        if reporter.target == "file" and target is not None:
+            followed(Path(target))
+        if reporter.check is not None:
+            reporter.check()
     return where
 
 
@@ -86,20 +155,14 @@ def publish(judged: RunReport, where: Surfaces, *, exit_code: int | None = None)
         exit_code: of the process that judged it, where it is not the verdict's.
     """
     code = judged.exit_code if exit_code is None else exit_code
-    writers: list[_Writer] = []
-    if where.junit is not None:
-        writers.append(("JUnit file", partial(_write_junit, judged, where.junit)))
-    if where.comment is not None:
-        writers.append(("comment", partial(_write_comment, judged, where.comment)))
+    wanted = where.wanted
+    writers = [_writer(each, target, partial(each.report, judged)) for each, target in wanted]
     if where.github:
         writers += [
             ("step summary", partial(_write_summary, judged)),
             ("step outputs", partial(_write_outputs, _outputs(judged, code))),
             ("annotations", partial(_annotations, judged)),
         ]
-    writers += [
-        (f"{name} run", partial(_track_run, judged, name, where.training)) for name in where.track
-    ]
     return _write_all(writers)
 
 
@@ -111,11 +174,16 @@ def publish_error(error: NwEvalError, suite: str, where: Surfaces) -> Published:
         suite: what was to be run, as it was typed.
         where: the surfaces.
     """
-    writers: list[_Writer] = []
-    if where.junit is not None:
-        writers.append(("JUnit file", partial(_write_junit_error, error, suite, where.junit)))
-    if where.comment is not None:
-        writers.append(("comment", partial(where.comment.unlink, missing_ok=True)))
+    try:
+        wanted = where.wanted
+    except NwEvalError:  # It is what is told, or no reporter could tell of it.
+        wanted = Surfaces(junit=where.junit, comment=where.comment).wanted
+    writers = [
+        _writer(each, target, partial(each.failed, error, suite))
+        if each.failed is not None
+        else (each.writes, partial(_remove, target if each.target == "file" else None))
+        for each, target in wanted
+    ]
     if where.github:
         outputs = {"verdict": "", "exit-code": str(error.exit_code)}
         writers += [
@@ -129,6 +197,26 @@ _Writer = tuple[str, Callable[[], Sequence[str] | None]]
 """A surface's name, and what writes it; what that returns is for the runner to read."""
 
 
+def _writer(reporter: Reporter, target: str | None, write: Callable[[Any], object]) -> _Writer:
+    """Return what lets a reporter write; its file appears whole or not at all."""
+
+    def call() -> None:
+        from nw_eval.files.cache import atomic_path, followed
+
+        if reporter.target != "file" or target is None:
+            write(target)
+            return
+        with atomic_path(followed(Path(target))) as temporary:
+            write(temporary)
+
+    return reporter.writes, call
+
+
+def _remove(target: str | None) -> None:
+    if target is not None and Path(target).is_file():
+        Path(target).unlink()
+
+
 def _write_all(writers: Sequence[_Writer]) -> Published:
     surfaces: list[str] = []
     warnings: list[str] = []
@@ -136,7 +224,7 @@ def _write_all(writers: Sequence[_Writer]) -> Published:
     for name, write in writers:
         try:
             commands += write() or ()
-        except Exception as error:  # noqa: BLE001 - no surface is worth a verdict.
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - none is worth a verdict.
             kind = "" if isinstance(error, NwEvalError) else f"{type(error).__name__}: "
             warnings.append(f"no {name}: {kind}{clean(error)}")
         else:
@@ -150,20 +238,20 @@ def _write_junit(judged: RunReport, path: Path) -> None:
 
     lines = suite_lines(judged.info, Path.cwd())
     rows, verdict = judged.rows, judged.verdict
-    _write(path, junit_xml(judged.info, rows, verdict, judged.typed_folder, lines))
+    path.write_bytes(junit_xml(judged.info, rows, verdict, judged.typed_folder, lines))
 
 
 def _write_junit_error(error: NwEvalError, suite: str, path: Path) -> None:
     from nw_eval.reporting.junit import junit_of_error
 
-    _write(path, junit_of_error(suite, error))
+    path.write_bytes(junit_of_error(suite, error))
 
 
 def _write_comment(judged: RunReport, path: Path) -> None:
     from nw_eval.reporting.github import comment_page
 
     page = comment_page(judged.info, judged.rows, judged.verdict, judged.typed_folder)
-    _write(path, page.encode())
+    path.write_bytes(page.encode())
 
 
 def _write_summary(judged: RunReport) -> None:
@@ -213,19 +301,7 @@ def _annotations_of_error(error: NwEvalError) -> Sequence[str]:
     return error_annotations(error, runner_of(os.environ).workspace)
 
 
-def _write(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all.
-
-    Raises:
-        StoreError: it cannot be written.
-    """
-    from nw_eval.files.cache import atomic_path, followed
-
-    with atomic_path(followed(path)) as temporary:
-        temporary.write_bytes(content)
-
-
-def _track_run(judged: RunReport, tracker: Tracker, training: TrainingStep | None) -> None:
+def _track_run(judged: RunReport, tracker: Tracker) -> None:
     """Show a run in a tracker, with pages and clips that were written of this verdict.
 
     Raises:
@@ -236,4 +312,30 @@ def _track_run(judged: RunReport, tracker: Tracker, training: TrainingStep | Non
     pages = tuple(page for page in (judged.page, judged.html) if page is not None)
     clips = () if judged.evidence is None else judged.evidence.clips
     run = tracked_run(judged.info, judged.verdict, judged.folder, pages, clips)
+    training = judged.training
     track(tracker, run if training is None else run.at_step(training.step, training.folder))
+
+
+def _tracker(name: Tracker) -> Reporter:
+    return Reporter(
+        name=name, writes=f"{name} run", report=lambda judged, _: _track_run(judged, name)
+    )
+
+
+REPORTERS = MappingProxyType(
+    {
+        each.name: each
+        for each in (
+            Reporter(
+                name="junit",
+                writes="JUnit file",
+                report=_write_junit,
+                target="file",
+                failed=_write_junit_error,
+            ),
+            Reporter(name="comment", writes="comment", report=_write_comment, target="file"),
+            *(_tracker(name) for name in get_args(Tracker)),
+        )
+    }
+)
+"""The reporters that are built in, by name; GitHub's runner has an option of its own."""

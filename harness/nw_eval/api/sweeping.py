@@ -127,11 +127,11 @@ def _axes(words: Sequence[str]) -> list[SweptAxis]:
 
 def _along(axis: SweptAxis, base: Plan, request: Request) -> Plan:
     """Return the plan of a policy along an axis: what its suite perturbs and judges is left out."""
-    from nw_eval.suite.model import Gate
-    from nw_eval.suite.perturb import Perturb
+    from nw_eval.suite import new_suite
 
-    perturb = Perturb.model_validate({axis.name: axis.values})
-    suite = base.suite.model_copy(update={"perturb": perturb, "gate": Gate.model_validate({})})
+    settings = base.suite.model_dump(by_alias=True, exclude={"gate", "plugins"})
+    settings["perturb"] = {axis.name: axis.values}
+    suite = new_suite(settings, base.suite.source)
     changes = {field.name: getattr(request, field.name) for field in fields(request)}
     return plan(suite, **{**changes, "suite": None})
 

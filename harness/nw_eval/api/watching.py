@@ -433,10 +433,11 @@ class _Watch:
         )
 
     def _publish(self, judged: RunReport, step: int) -> None:
-        from nw_eval.api.surfaces import TrainingStep, publish
+        from nw_eval.api.reports import TrainingStep
+        from nw_eval.api.surfaces import publish
 
-        where = replace(self.where, training=TrainingStep(step=step, folder=self.folder))
-        for warning in publish(judged, where).warnings:
+        judged = replace(judged, training=TrainingStep(step=step, folder=self.folder))
+        for warning in publish(judged, self.where).warnings:
             if self.listener is not None:
                 self.listener.message(f"warning: {warning}")
 

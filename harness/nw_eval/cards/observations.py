@@ -17,9 +17,10 @@ from pydantic import (
 )
 
 from nw_eval.cards.model import CONTROL_RATE, CardModel, Latency, Limits, Rate
-from nw_eval.cards.plugins import SENSORS, NamedBy, known_or_raise, names_of
+from nw_eval.cards.named import NamedBy, names_of
 from nw_eval.cards.terms import LAYOUTS, AnyTerm, LayoutName, Term
 from nw_eval.cards.wrappers import Noise, Wrapper
+from nw_eval.plugins import SENSORS, known_or_raise
 
 
 class BaseObservation(CardModel):

@@ -13,7 +13,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from nw_eval.cards.model import CardModel, Limits
-from nw_eval.cards.plugins import WRAPPERS, NamedBy, known_or_raise, names_of
+from nw_eval.cards.named import NamedBy, names_of
+from nw_eval.plugins import WRAPPERS, known_or_raise
 
 Pixels = Annotated[int, Field(ge=0, le=4096)]
 Share = Annotated[float, Field(ge=0.0, le=1.0)]

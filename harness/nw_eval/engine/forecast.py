@@ -97,7 +97,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
 
 def _expected(plan: Plan) -> tuple[Trial, ...]:
     """Return the trials that would run; of the bank's own policy, those that run again."""
-    machine = machine_in(engine_of(plan.render))
+    machine = machine_in(engine_of(plan.render, plan.suite.plugins))
     if not plan.is_baseline or plan.against is None or not plan.against.bank.panel_of(machine):
         return plan.trials
     again = 1 if plan.request.recheck is None else plan.request.recheck

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.engine.order import in_order
 from nw_eval.engine.prepare import needs_splats
+from nw_eval.plugins import SPLAT_FORMATS, code_named, identity_of, key_of
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.record import attachments
 from nw_eval.suite import suite_yaml
@@ -85,6 +86,26 @@ class Plan:
         if self.against is None or self.panel == "fresh":
             return None
         return self.against.bank.manifest.starts
+
+    @property
+    def plugins(self) -> dict[str, str]:
+        """What installed packages bring along to its trials: `KEY: package version sha256`."""
+        from nw_eval.scenes.folder import FileSplat
+        from nw_eval.splat.files import package_format
+
+        of_suite = {
+            key: f"{said} {code_named(key)}".strip() for key, said in self.suite.plugins.items()
+        }
+        of_scenes = {
+            key_of(SPLAT_FORMATS, name): identity_of(SPLAT_FORMATS, name)
+            for name in (
+                package_format(scene.splat.path)
+                for scene in self.scenes
+                if isinstance(scene.splat, FileSplat)
+            )
+            if name is not None
+        }
+        return dict(sorted({**self.bundle.plugins, **of_suite, **of_scenes}.items()))
 
     @property
     def render(self) -> Backend:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -12,6 +13,7 @@ from nw_eval.built_in.splits import split_of
 from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
 from nw_eval.engine.machine import cpu_kind
+from nw_eval.plugins import code_named
 from nw_eval.policies.bundle import senses_by_code
 from nw_eval.results.journal import JournalHeader
 from nw_eval.results.machine import (
@@ -92,7 +94,8 @@ def run_info(
         code=code_info(),
         machine=machine_info(),
         versions=library_versions(),
-        engine=engine_of(plan.render),
+        engine=engine_of(plan.render, plan.suite.plugins),
+        plugins=plan.plugins,
     )
 
 
@@ -102,15 +105,17 @@ def journal_header(plan: Plan) -> JournalHeader:
         suite_digest=plan.suite.digest,
         policy_digest=plan.bundle.digest,
         scene_digests={scene.name: scene.digest for scene in plan.scenes},
-        engine=engine_of(plan.render),
+        engine=engine_of(plan.render, plan.suite.plugins),
     )
 
 
-def engine_of(render: Backend) -> dict[str, str]:
+def engine_of(render: Backend, plugins: Iterable[str] = ()) -> dict[str, str]:
     """Return what makes bits differ between runs of the same trials.
 
     Args:
         render: the splat renderer.
+        plugins: what packages bring along to the suite, as `Suite.plugins` names it; their code
+            counts, of which a version may not be told apart.
     """
     versions = library_versions()
     return {
@@ -118,6 +123,7 @@ def engine_of(render: Backend) -> dict[str, str]:
         "renderer": _renderer(render),
         "cpu": cpu_kind(),
         "code": rows_code_digest()[:16],
+        **{key: code_named(key)[:16] for key in plugins},
     }
 
 

@@ -38,17 +38,27 @@ class Orders:
     """Bytes that a worker may hold with its children."""
 
 
-def facts(render: Backend, *, adapter: str, code: bool) -> dict[str, str]:
+def facts(
+    render: Backend, *, adapter: str, code: bool, plugins: Mapping[str, str]
+) -> dict[str, str]:
     """Return what must be the same on all machines that one run's rows come from.
 
     The first line of a journal and run.json say it once, for all of them.
+
+    Args:
+        render: the splat renderer.
+        adapter: of the policy's card.
+        code: as for `fence_of`.
+        plugins: the run's `Plan.plugins`, of which a node may have others.
     """
     from nw_eval.engine.provenance import engine_of, fence_of
+    from nw_eval.plugins import code_named, version_named
 
     return {
         "nw-eval": __version__,
         "Python": platform.python_version(),
         **engine_of(render),
+        **{key: f"{version_named(key)} {code_named(key)[:16]}" for key in plugins},
         "fence": fence_of(adapter, code=code, render=render),
     }
 

@@ -107,6 +107,7 @@ class RayProcesses:
             "render": plan.render,
             "adapter": plan.bundle.card.adapter,
             "code": plan.request.allow_code and senses_by_code(plan.bundle.card),
+            "plugins": plan.plugins,
         }
         self._nodes = Nodes(joined, self._orders, outgoing, question, listener)
 

@@ -374,7 +374,9 @@ def _keys_at(model: type[BaseModel], location: Sequence[str | int]) -> set[str]:
         tagged = [current for current in models if _is_tag(part, current)]
         # Indices and keys of free mappings stay among the same models.
         models = step or tagged or models
-    return {field.alias or key for current in models for key, field in current.model_fields.items()}
+    keys = {field.alias or key for current in models for key, field in current.model_fields.items()}
+    # A model may take keys that are no fields, and name them.
+    return keys.union(*(getattr(current, "other_keys", set[str])() for current in models))
 
 
 def _is_tag(part: str | int, model: type[BaseModel]) -> bool:

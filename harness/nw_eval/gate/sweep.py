@@ -19,10 +19,7 @@ import numpy as np
 from nw_eval.results.row import Row
 from nw_eval.stats.bootstrap import mean_of_scenes
 from nw_eval.stats.interval import Interval, fisher
-from nw_eval.suite.perturb import NEUTRAL
-
-_BUILT_FRICTION = 1.25
-"""At which feet slide where nothing is changed."""
+from nw_eval.suite.axes import axis_named
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,14 +99,14 @@ def curve_of(axis: str, policy: str, rows: Sequence[Row], confidence: float = 0.
 
     Raises:
         ValueError: there are no rows.
+        UsageError, PluginError: there is no such axis, or its package is broken.
     """
     values = sorted({dict(row.perturbation)[axis] for row in rows})
     points = tuple(
         _point(value, [row for row in rows if dict(row.perturbation)[axis] == value], confidence)
         for value in values
     )
-    neutral = NEUTRAL[axis]
-    middle = _BUILT_FRICTION if neutral is None else neutral
+    middle = axis_named(axis).reference
     place = min(range(len(points)), key=lambda i: (abs(points[i].value - middle), i))
     sides = (points[:place][::-1], points[place + 1 :])
     most = _most(confidence, len(points) - 1)

@@ -19,10 +19,12 @@ from nw_eval.cards.card import Card
 from nw_eval.cards.checkpoint import Checkpoint
 from nw_eval.cards.load import CARD_FILE, load_card
 from nw_eval.cards.model import CardModel
-from nw_eval.cards.plugins import is_code
+from nw_eval.cards.observations import PluginObservation
+from nw_eval.cards.wrappers import PluginWrap
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.files.inside import OutsideError, inside, regular, what_is
 from nw_eval.files.shipped import available, shipped
+from nw_eval.plugins import SENSORS, WRAPPERS, identity_of, is_code, key_of
 from nw_eval.policies.computes import computed_digest
 
 if TYPE_CHECKING:
@@ -166,10 +168,14 @@ class Bundle:
 
     @property
     def digest(self) -> str:
-        """Hex SHA-256 of all that can change an action: card, weights, code beside the card."""
+        """Hex SHA-256 of all that can change an action: card, weights, code beside the card.
+
+        So can a sensor or a wrapper of an installed package: its version and its code count, too.
+        """
         fields = self._meaning()
         parts = [fields, self.checkpoint_digest]
         parts += [self.code_sha256] if self.code_sha256 else []
+        parts += [{"plugins": self.plugins}] if self.plugins else []
         # Their order counts where a file takes its inputs in it. Other cards keep what they had.
         is_sorted = not self.networks
         if is_sorted and (orders := _orders(fields)):
@@ -196,7 +202,8 @@ class Bundle:
         del fields["name"]
         feeding = {name: _computed(self.of_network(name)) for name in self.networks}
         # Not sorted: one input takes the observations in their order.
-        text = json.dumps([fields, _computed(self), feeding, self.code_sha256])
+        parts = [fields, _computed(self), feeding, self.code_sha256]
+        text = json.dumps([*parts, self.plugins] if self.plugins else parts)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def _meaning(self) -> dict[str, Any]:
@@ -213,6 +220,18 @@ class Bundle:
             options = fields["options"].items()
             fields["options"] = {key: value for key, value in options if key not in _WHEREABOUTS}
         return fields
+
+    @cached_property
+    def plugins(self) -> dict[str, str]:
+        """Installed sensors and wrappers of the card: `sensors.NAME: package version sha256`."""
+        found: dict[str, str] = {}
+        for spec in self.card.observations.values():
+            named = [(SENSORS, spec.sensor)] if isinstance(spec, PluginObservation) else []
+            named += [(WRAPPERS, w.wrapper) for w in spec.wrap if isinstance(w, PluginWrap)]
+            for group, name in named:
+                if not is_code(name):
+                    found[key_of(group, name)] = identity_of(group, name)
+        return dict(sorted(found.items()))
 
     def read_checkpoint(self) -> bytes:
         """Return the bytes of the weights, verified again: what is loaded is what was checked.

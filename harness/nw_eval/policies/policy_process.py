@@ -167,7 +167,11 @@ class CodePolicy:
     def _failed(self, method: str, error: Exception) -> FaultError:
         if isinstance(error, FaultError):
             return error
-        text = f"policy {self._name!r}: {method} raised {type(error).__name__}: {error}"
+        try:
+            said = str(error)
+        except BaseException as another:  # noqa: BLE001 - It is code of a stranger, too.
+            said = f"its own message cannot be read, because of {type(another).__name__}"
+        text = f"policy {self._name!r}: {method} raised {type(error).__name__}: {said}"
         return FaultError("TrialError", text)
 
 

@@ -16,7 +16,7 @@ from nw_eval.plural import plural
 from nw_eval.reporting.side_by_side import ranks_text
 from nw_eval.stats.bank.curve import CurvePoint
 from nw_eval.stats.bank.evidence import Margins
-from nw_eval.suite.perturb import UNITS
+from nw_eval.suite.axes import axis_named
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,7 +63,7 @@ def draw_sweep(axes: Sequence[Sequence[AxisCurve]], title: str, path: Path) -> N
 
 def axis_label(axis: str) -> str:
     """Return an axis with its unit: `payload, kg`."""
-    return f"{axis}, {UNITS[axis]}" if axis in UNITS else axis
+    return axis_named(axis).label
 
 
 def _draw_policy(axes: Axes, curve: AxisCurve, number: int) -> None:

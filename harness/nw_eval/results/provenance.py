@@ -231,6 +231,8 @@ class RunInfo(_Saved):
     machine: MachineInfo
     versions: dict[str, str] = {}
     engine: dict[str, str] = {}  # What makes bits differ: `JournalHeader.engine`.
+    # Of installed packages that its trials ran: "axes.NAME": "package version sha256-of-its-code".
+    plugins: dict[str, str] = {}
     rows_digest: str = ""  # Of the rows that are judged; empty until the run has ended.
     trials_sha256: str = ""  # Hex, of trials.parquet; likewise.
     journal_sum: str = ""  # Of the journal that these rows were taken from; likewise.

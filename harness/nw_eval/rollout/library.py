@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from nw_eval.catalogue import open_scene
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.scenes import Scene
+from nw_eval.sim import World
 from nw_eval.words import Collision
 
 if TYPE_CHECKING:
@@ -48,9 +49,18 @@ class Library:
         bundles: likewise.
         known: bundles that are loaded already, with the weights that jobs want. They go by their
             `reference` and are kept for good.
+        world: makes the world of each trial, from the arguments of `World`.
     """
 
-    def __init__(self, *, scenes: int = 32, bundles: int = 4, known: Iterable[Bundle] = ()) -> None:
+    def __init__(
+        self,
+        *,
+        scenes: int = 32,
+        bundles: int = 4,
+        known: Iterable[Bundle] = (),
+        world: Callable[..., World] = World,
+    ) -> None:
+        self.world = world
         self._scenes = Recent[tuple[str, Collision], Scene](scenes, lambda key: open_scene(*key))
         self._rays = Recent[tuple[str, Collision], "RayScene"](scenes, self._make_rays)
         self._bundles = Recent[tuple[str, "Path | None"], Bundle](

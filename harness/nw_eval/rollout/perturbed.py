@@ -7,14 +7,14 @@ camera that is mounted askew is another robot's. A neutral value changes no bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards import Card
+from nw_eval.cards import Card, actuator_values
 from nw_eval.cards.observations import (
     AnyObservation,
     DepthObservation,
@@ -22,12 +22,14 @@ from nw_eval.cards.observations import (
     SplatRgbObservation,
 )
 from nw_eval.cards.wrappers import Noise
-from nw_eval.errors import UsageError, nearest
+from nw_eval.errors import NwEvalError, PluginError
+from nw_eval.plugins import AXES as GROUP
+from nw_eval.plugins import installed, subject
 from nw_eval.robots import RobotSpec
 from nw_eval.robots.spec import remounted
 from nw_eval.sensors.sensor import CLEAR, Air
 from nw_eval.sim import Actuators
-from nw_eval.suite.perturb import NEUTRAL
+from nw_eval.suite.axes import AXES, Felt, axis_named
 
 if TYPE_CHECKING:
     from nw_eval.suite.trials import Trial
@@ -36,8 +38,6 @@ Array = NDArray[np.float64]
 Cell = Mapping[str, float]
 
 _WHITE = 255.0
-_CAMERAS = frozenset({"camera_pitch", "camera_height", "field_of_view"})
-_COLOURS = frozenset({"exposure", "fog"})
 _VIEWS = (SplatRgbObservation, DepthObservation, SemanticsObservation)
 EVERY = 150
 """Control steps from one push to the next: 3 s."""
@@ -47,93 +47,165 @@ _LONGEST = 600 * 50
 """Control steps of the longest trial."""
 
 
-def cell_of(trial: Trial) -> Cell:
-    """Return the axes of a trial's cell and their values.
+@dataclass(frozen=True, kw_only=True)
+class TrialSetup:
+    """What a trial begins with, as far as axes of perturbation may change it.
+
+    An axis returns another setup, made by `replaced` or by one of the methods that follow it.
+
+    Attributes:
+        trial: whose it is.
+        robot: with its cameras as the card mounts them.
+        card: of the policy; its `observations` and `control` count.
+        motors: gains, damping, limits, armature and friction of the joints.
+        air: between cameras and scene.
+        friction: sliding friction of ground and obstacles; None = each solid's own.
+        payload: load on the robot's back, kg.
+        push: speed that the trunk is given every 3 s, level, in a drawn direction, m/s.
+        missing_cones: probability of each cone of the trail to be missing in images.
+    """
+
+    trial: Trial
+    robot: RobotSpec
+    card: Card
+    motors: Actuators
+    air: Air = CLEAR
+    friction: float | None = None
+    payload: float = 0.0
+    push: float = 0.0
+    missing_cones: float = 0.0
+
+    @classmethod
+    def of(cls, trial: Trial, robot: RobotSpec, card: Card) -> Self:
+        """Return the setup of a trial in which nothing is changed.
+
+        Raises:
+            PolicyError: the card's motors do not fit the robot.
+        """
+        values = actuator_values(card, robot)
+        motors = Actuators.of(robot)
+        if values is not None:
+            follow = "torque" if card.control.action == "joint_torque" else "position"
+            motors = replace(motors, follow=follow, **values)
+        return cls(trial=trial, robot=robot, card=card, motors=motors)
+
+    def generator(self, stream: str) -> np.random.Generator:
+        """Return a fresh generator of the trial's own, at the start of a named stream.
+
+        Args:
+            stream: a name that nobody else has, such as that of the axis.
+        """
+        return self.trial.generator(stream)
+
+    def replaced(self, **changes: Any) -> Self:
+        """Return a setup with other attributes."""
+        return replace(self, **changes)
+
+    def with_strength(self, strength: float) -> Self:
+        """Return a setup whose motors have a share of their gain and of their largest torque."""
+        return replace(self, motors=replace(self.motors, strength=strength))
+
+    def with_air(self, **changes: float) -> Self:
+        """Return a setup with other attributes of its air: `exposure`, `fog`."""
+        return replace(self, air=replace(self.air, **changes))
+
+    def remounted(self, *, pitch: float = 0.0, height: float = 0.0, factor: float = 1.0) -> Self:
+        """Return a setup whose cameras are mounted otherwise; figures as `robots.remounted`."""
+        cameras = {
+            name: remounted(mount, pitch=pitch, height=height, factor=factor)
+            for name, mount in self.robot.cameras.items()
+        }
+        return replace(self, robot=replace(self.robot, cameras=cameras))
+
+    def later(self, seconds: float) -> Self:
+        """Return a setup whose observations are older, s: a whole number of control steps."""
+        return self._observing(lambda observation: {"latency": observation.latency + seconds})
+
+    def with_noise(self, deviation: float) -> Self:
+        """Return a setup with errors of every number observed, beside the card's own.
+
+        Args:
+            deviation: their standard deviation; of colours as a share of white.
+        """
+        return self._observing(lambda observation: _noisier(observation, deviation))
+
+    def _observing(self, changes: Callable[[AnyObservation], dict[str, Any]]) -> Self:
+        observations = {
+            name: observation.model_copy(update=changes(observation))
+            for name, observation in self.card.observations.items()
+        }
+        return replace(self, card=self.card.model_copy(update={"observations": observations}))
+
+
+def _noisier(observation: AnyObservation, deviation: float) -> dict[str, Any]:
+    if isinstance(observation, SemanticsObservation):  # Its numbers are names.
+        return {}
+    own = observation.noise or Noise()
+    added = deviation * (_WHITE if isinstance(observation, SplatRgbObservation) else 1.0)
+    both = math.hypot(own.gaussian, added)
+    return {"noise": own.model_copy(update={"gaussian": both})}
+
+
+def perturbed(setup: TrialSetup, cell: Cell) -> TrialSetup:
+    """Return the setup of a trial with what each axis of a cell changes, in the cell's order.
 
     Raises:
         UsageError: there is no such axis.
+        PluginError: its package is broken, or its `change` raised or returned something else.
     """
-    cell = dict(trial.perturbation)
-    for axis in cell:
-        if axis not in NEUTRAL:
-            raise UsageError(f"unknown perturbation {axis!r}", fix=nearest(axis, list(NEUTRAL)))
-    return cell
+    for name, value in cell.items():
+        axis = axis_named(name)
+        if value == axis.neutral:
+            continue
+        try:
+            changed: object = axis.change(setup, value)
+        except NwEvalError:
+            raise
+        except Exception as error:
+            raise PluginError(
+                f"{_subject(name)} raised {type(error).__name__} at {value:g}: {error}"
+            ) from error
+        if not isinstance(changed, TrialSetup):
+            raise PluginError(
+                f"{_subject(name)} returned a {type(changed).__name__} at {value:g}",
+                fix="`change` must return a TrialSetup, such as setup.replaced(...)",
+            )
+        setup = changed
+    return setup
+
+
+def _subject(name: str) -> str:
+    points = installed(GROUP).get(name)
+    return f"axis {name!r}" if name in AXES or not points else f"axis {subject(points[0])}"
 
 
 def unfelt(card: Card, axes: Iterable[str]) -> list[str]:
-    """Return which axes change nothing for a policy, since it has no sense for them."""
-    senses = card.observations.values()
-    views = [each for each in senses if isinstance(each, _VIEWS)]
-    return [
-        axis
-        for axis in axes
-        if (axis in _CAMERAS and not views)
-        or (axis in _COLOURS and not any(isinstance(v, SplatRgbObservation) for v in views))
-        or (axis == "missing_cones" and not any(view.cones for view in views))
-    ]
+    """Return which axes change nothing for a policy, since it has no sense for them.
 
-
-def perturbed_robot(robot: RobotSpec, cell: Cell) -> RobotSpec:
-    """Return a robot with its cameras mounted as a cell says."""
-    pitch, height = cell.get("camera_pitch", 0.0), cell.get("camera_height", 0.0)
-    factor = cell.get("field_of_view", 1.0)
-    cameras = {
-        name: remounted(mount, pitch=pitch, height=height, factor=factor)
-        for name, mount in robot.cameras.items()
+    Raises:
+        UsageError, PluginError: as `axis_named`.
+    """
+    views = [each for each in card.observations.values() if isinstance(each, _VIEWS)]
+    felt: dict[Felt, bool] = {
+        "always": True,
+        "camera": bool(views),
+        "splat_rgb": any(isinstance(view, SplatRgbObservation) for view in views),
+        "cones": any(view.cones for view in views),
     }
-    return replace(robot, cameras=cameras)
+    return [axis for axis in axes if not felt[axis_named(axis).felt_by]]
 
 
-def perturbed_card(card: Card, cell: Cell) -> Card:
-    """Return a card whose observations are as late and as wrong as a cell says."""
-    latency, noise = cell.get("latency", 0.0), cell.get("noise", 0.0)
-    if latency == 0.0 and noise == 0.0:
-        return card
-    observations = {
-        name: _spoiled(observation, latency, noise)
-        for name, observation in card.observations.items()
-    }
-    return card.model_copy(update={"observations": observations})
-
-
-def _spoiled(observation: AnyObservation, latency: float, noise: float) -> AnyObservation:
-    changes: dict[str, object] = {"latency": observation.latency + latency}
-    if noise:
-        own = observation.noise or Noise()
-        bytes_ = isinstance(observation, SplatRgbObservation)
-        added = noise * (_WHITE if bytes_ else 1.0)
-        if not isinstance(observation, SemanticsObservation):  # Its numbers are names.
-            both = math.hypot(own.gaussian, added)
-            changes["noise"] = own.model_copy(update={"gaussian": both})
-    return observation.model_copy(update=changes)
-
-
-def perturbed_motors(robot: RobotSpec, motors: Actuators | None, cell: Cell) -> Actuators | None:
-    """Return motors that are as strong as a cell says; None are the robot's own."""
-    strength = cell.get("strength", 1.0)
-    if strength == 1.0:
-        return motors
-    return replace(Actuators.of(robot) if motors is None else motors, strength=strength)
-
-
-def air_of(cell: Cell) -> Air:
-    """Return what lies between the cameras and the place."""
-    exposure, fog = cell.get("exposure", 1.0), cell.get("fog", 0.0)
-    return CLEAR if (exposure, fog) == (1.0, 0.0) else Air(exposure=exposure, fog=fog)
-
-
-def pushes_of(trial: Trial, cell: Cell) -> Pushes | None:
+def pushes_of(setup: TrialSetup) -> Pushes | None:
     """Return the pushes of a trial; None where there are none."""
-    speed = cell.get("push", 0.0)
-    return Pushes(speed, trial.generator("pushes")) if speed else None
+    return Pushes(setup.push, setup.generator("pushes")) if setup.push else None
 
 
-def standing_cones(trial: Trial, cell: Cell, trail: Array) -> Array | None:
+def standing_cones(setup: TrialSetup, trail: Array) -> Array | None:
     """Return the waypoints (K, 3) that have a cone, drawn for each trial; None = all."""
-    share = cell.get("missing_cones", 0.0)
-    if share == 0.0:
+    if setup.missing_cones == 0.0:
         return None
-    return trail[trial.generator("missing cones").random(len(trail)) >= share]
+    drawn = setup.generator("missing cones").random(len(trail))
+    return trail[drawn >= setup.missing_cones]
 
 
 class Pushes:

@@ -6,13 +6,13 @@ Where it begins and where its waypoints lie is the only randomness of the world:
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from nw_eval.cards import Card, JointControl, actuator_values, mounted_robot, physics_steps
+from nw_eval.cards import JointControl, mounted_robot, physics_steps
 from nw_eval.errors import PolicyError, UsageError
 from nw_eval.policies import ActionFilter, Bundle, Policy, open_policy
 from nw_eval.policies.apart import AskedPolicy
@@ -20,19 +20,10 @@ from nw_eval.protocol import EvaluationProtocol, protocol_named
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.episode import Episode
 from nw_eval.rollout.fault import is_interrupt, policy_at_fault
-from nw_eval.rollout.perturbed import (
-    Cell,
-    air_of,
-    cell_of,
-    perturbed_card,
-    perturbed_motors,
-    perturbed_robot,
-    pushes_of,
-    standing_cones,
-)
+from nw_eval.rollout.perturbed import TrialSetup, perturbed, pushes_of, standing_cones
 from nw_eval.scenes import Scene
 from nw_eval.sensors import build_sensors
-from nw_eval.sim import Actuators, Termination, TrailProgress, World
+from nw_eval.sim import Termination, TrailProgress, World
 from nw_eval.suite.trials import Trial
 
 if TYPE_CHECKING:
@@ -73,15 +64,16 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         SceneError: the scene cannot be loaded, or its splat not made.
         PolicyError: the bundle cannot be loaded, or is not the one that the job was planned with.
         UsageError: no such robot or perturbation; a server serves something else now.
+        PluginError: the package of a perturbation is broken.
         PolicyFailedError: the policy raised as it was opened or reset.
     """
     trial = job.trial
-    cell = cell_of(trial)
     scene = library.scene(job.scene, job.collision)
     bundle = library.bundle(job.policy, job.checkpoint)
     _check_same(job, scene, bundle)
-    robot = perturbed_robot(mounted_robot(get_robot(job.robot), bundle.card), cell)
-    card = perturbed_card(bundle.card, cell)
+    robot = mounted_robot(get_robot(job.robot), bundle.card)
+    setup = perturbed(TrialSetup.of(trial, robot, bundle.card), dict(trial.perturbation))
+    robot, card = setup.robot, setup.card
     renderer = cache(lambda: _open_renderer(scene, job.render))
     protocol = protocol_named(job.protocol)
     start = draw_start(
@@ -93,7 +85,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         waypoint_noise=scene.waypoint_noise,
     )
     with ExitStack() as cleanup:
-        world = cleanup.enter_context(_open_world(robot, scene, card, protocol, cell))
+        world = cleanup.enter_context(_open_world(setup, scene, protocol, library.world))
         with policy_at_fault():
             policy: Policy = open_policy(bundle, allow_code=job.allow_code)
             cleanup.callback(_close, policy)
@@ -109,20 +101,20 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             rays=lambda: library.rays(job.scene, job.collision),
             renderer=lambda _scene: renderer(),
             code_from=bundle.folder if job.allow_code else None,
-            air=air_of(cell),
+            air=setup.air,
         )
         for name, sensor in sensors.items():
             sensor.reset(_seed(trial.seed_sequence(f"sensor {name}")))
         period = world.control_period
-        control = JointControl.from_card(bundle.card, robot)
+        control = JointControl.from_card(card, robot)
         episode = Episode(
             world=world,
             sensors=sensors,
             policy=policy,
             control=control,
-            delay_steps=bundle.card.control.delay_steps,
-            hold=bundle.card.control.hold,
-            action_filter=ActionFilter.from_card(bundle.card, control),
+            delay_steps=card.control.delay_steps,
+            hold=card.control.hold,
+            action_filter=ActionFilter.from_card(card, control),
             progress=TrailProgress(start.trail, protocol, control_period=period),
             termination=Termination(
                 start.trail,
@@ -133,8 +125,8 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
                 contact_termination=job.contact_termination,
             ),
             clock=clock,
-            pushes=pushes_of(trial, cell),
-            cones=standing_cones(trial, cell, start.trail),
+            pushes=pushes_of(setup),
+            cones=standing_cones(setup, start.trail),
         )
         return OpenTrial(
             job=job,
@@ -186,19 +178,16 @@ def _close(policy: Policy) -> None:
 
 
 def _open_world(
-    robot: RobotSpec, scene: Scene, card: Card, protocol: EvaluationProtocol, cell: Cell
+    setup: TrialSetup, scene: Scene, protocol: EvaluationProtocol, make: Callable[..., World]
 ) -> World:
-    values = actuator_values(card, robot)
-    follow = "torque" if card.control.action == "joint_torque" else "position"
-    own = None if values is None else replace(Actuators.of(robot), follow=follow, **values)
-    timestep, substeps = physics_steps(card, protocol)
-    return World(
-        robot,
+    timestep, substeps = physics_steps(setup.card, protocol)
+    return make(
+        setup.robot,
         scene,
         protocol=protocol,
-        actuators=perturbed_motors(robot, own, cell),
-        friction=cell.get("friction"),
-        payload=cell.get("payload", 0.0),
+        actuators=setup.motors,
+        friction=setup.friction,
+        payload=setup.payload,
         timestep=timestep,
         substeps=substeps,
     )

@@ -7,9 +7,7 @@ anything. Built-in names always win.
 from __future__ import annotations
 
 import importlib
-import warnings
-from collections.abc import Collection, Mapping
-from importlib.metadata import EntryPoint
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards.observations import PluginObservation
-from nw_eval.cards.plugins import SENSORS, WRAPPERS, distribution, installed, is_code
 from nw_eval.cards.wrappers import PluginWrap
 from nw_eval.errors import CodeError, NwEvalError, PolicyError
 from nw_eval.files.importable import importable
 from nw_eval.memory import Arrays
+from nw_eval.plugins import SENSORS, WRAPPERS, installed, is_code, subject, warn_of_rivals
 from nw_eval.robots import RobotSpec
 from nw_eval.sensors.sensor import Measurement, Moment, Sample, Shot, TrialPlace, Wrapper
-
-
-class PluginWarning(UserWarning):
-    """A plug-in that cannot be used, or whose name somebody else has."""
 
 
 def make_plugin(
@@ -58,13 +52,13 @@ def make_plugin(
                 f"{name!r} imports and runs Python code",
                 fix="add --allow-code if you trust it",
             )
-        subject = name
+        called = name
     else:
         points = installed(group).get(name)
         if not points:
             raise PolicyError(f"no installed plug-in {name!r}", fix="install its package again")
-        _warn_of_rivals(points)
-        subject = _subject(points[0])
+        warn_of_rivals(points)
+        called = subject(points[0])
     try:
         cls = _from_folder(name, code_from) if is_code(name) else installed(group)[name][0].load()
         plugin = cls(*arguments, **parameters)
@@ -73,45 +67,17 @@ def make_plugin(
     except Exception as error:
         where = f"in {code_from} or " if is_code(name) else ""
         raise CodeError(
-            f"{subject} cannot be opened: {type(error).__name__}: {error}",
+            f"{called} cannot be opened: {type(error).__name__}: {error}",
             fix=f"its module must be {where}installed, and its class take the card's parameters"
             + (f" {sorted(parameters)}" if parameters else ""),
         ) from error
-    _check_memory(plugin, subject)
+    _check_memory(plugin, called)
     return plugin
 
 
 def remembers(plugin: Any) -> bool:
     """Whether a plug-in's object is a `Memory`."""
     return _has(plugin, "state") and _has(plugin, "restore")
-
-
-def usable(group: str, built_in: Collection[str]) -> dict[str, str]:
-    """Return the plug-ins of a group that can be imported, by name, with their packages.
-
-    The others are told in a `PluginWarning` each: broken ones with what went wrong, and those
-    whose name is built in or taken.
-    """
-    found: dict[str, str] = {}
-    for name, points in installed(group).items():
-        if name in built_in:
-            for point in points:
-                _warn(f"{_subject(point)} is ignored: {name!r} is built in")
-            continue
-        _warn_of_rivals(points)
-        try:
-            points[0].load()
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is that package's own.
-            _warn(f"{_subject(points[0])} is broken: {type(error).__name__}: {error}")
-        else:
-            found[name] = distribution(points[0])
-    return found
-
-
-def _warn_of_rivals(points: tuple[EntryPoint, ...]) -> None:
-    for point in points[1:]:
-        owner = distribution(points[0])
-        _warn(f"{_subject(point)} is ignored: {point.name!r} is taken by {owner}")
 
 
 def _check_memory(plugin: Any, where: str) -> None:
@@ -129,14 +95,6 @@ def _check_memory(plugin: Any, where: str) -> None:
 
 def _has(plugin: Any, method: str) -> bool:
     return callable(getattr(plugin, method, None))
-
-
-def _subject(point: EntryPoint) -> str:
-    return f"plug-in {point.name!r} of {distribution(point)} ({point.value})"
-
-
-def _warn(text: str) -> None:
-    warnings.warn(text, PluginWarning, stacklevel=3)
 
 
 def _from_folder(name: str, folder: Path | None) -> Any:

@@ -25,7 +25,10 @@ from pydantic import (
 )
 
 from nw_eval.errors import Problem, UsageError
+from nw_eval.plugins import AXES as GROUP
+from nw_eval.plugins import key_of, version_named, version_of
 from nw_eval.request import Request
+from nw_eval.suite.axes import AXES
 from nw_eval.suite.digest import digest_of
 from nw_eval.suite.perturb import Perturb, each_once
 from nw_eval.words import Protocol, Record, Robot, Tier
@@ -259,17 +262,31 @@ class Suite(_Strict):
     perturb: Perturb = Perturb()  # pyright: ignore[reportCallIssue]
     record: Record = Field("failures", description="Trials whose images are kept in the logs.")
     gate: Gate = Gate()  # pyright: ignore[reportCallIssue]
+    plugins: dict[str, str] = Field(
+        {},
+        description="Package and version of each name of the suite that a package brings along, "
+        "such as `axes.action_delay: my-package 1.0`; filled in where absent. It is an error if "
+        "another version is installed.",
+    )
 
     _source: Source = PrivateAttr(default_factory=Source)
 
     @model_validator(mode="after")
     def _bounded_grid(self) -> Self:
         cells = 1
-        for axis in type(self.perturb).model_fields:
-            cells *= max(1, len(getattr(self.perturb, axis)))
+        for values in self.perturb.axes.values():
+            cells *= len(values)
         if cells > MAX_CELLS:
             raise ValueError(f"perturb has {cells} cells, over {MAX_CELLS}; name fewer values")
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_plugins(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what came later, while it is not used: a suite keeps its digest."""
+        fields: dict[str, Any] = write(self)
+        if not self.plugins:
+            fields.pop("plugins", None)
+        return fields
 
     @property
     def source(self) -> Source:
@@ -285,11 +302,14 @@ class Suite(_Strict):
     def digest(self) -> str:
         """Hex sha256 of what decides the course of a trial.
 
-        That is robot, protocol, seed, episode and perturbations. It names trials, so it must not
+        That is robot, protocol, seed, episode and perturbations, with the versions of the packages
+        that have some of them. It names trials, so it must not
         change with policy, gate, record, name, scenes or the number of trials: raising `trials`
         keeps the earlier ones, and two policies meet the same ones.
         """
         fields = self.model_dump(include={"robot", "protocol", "seed", "episode", "perturb"})
+        if self.plugins:  # What an axis does is a matter of its version.
+            fields["plugins"] = self.plugins
         # What is not used is left out, so that new axes and switches keep old digests.
         fields["perturb"] = {axis: values for axis, values in fields["perturb"].items() if values}
         if fields["episode"]["contact_termination"]:
@@ -305,14 +325,51 @@ class Suite(_Strict):
 def new_suite(settings: Mapping[str, Any], source: Source | None = None) -> Suite:
     """Make a suite from the settings of a file; lists become tuples.
 
+    The versions of packages that `plugins` does not say are those that are installed.
+
     Raises:
         pydantic.ValidationError: settings cannot be used.
     """
-    suite = Suite.model_validate(_frozen(settings))
+    frozen: dict[str, Any] = _frozen(settings)
+    said: Any = frozen.get("plugins")
+    if said is None or isinstance(said, dict):
+        said = {**_installed_plugins(frozen), **cast("dict[str, Any]", said or {})}
+    suite = Suite.model_validate(
+        {**frozen, "plugins": said} if said else frozen,
+        context={"plugins": settings.get("plugins") or {}},
+    )
     if source is not None:
         # Only its maker knows where it was written; it is no setting.
         suite._source = source  # noqa: SLF001  # pyright: ignore[reportPrivateUsage]
     return suite
+
+
+def _installed_plugins(settings: Mapping[str, Any]) -> dict[str, str]:
+    """Return the versions of the packages that have what settings name; none is imported."""
+    perturb = settings.get("perturb")
+    found: dict[str, str] = {}
+    for name in cast("Mapping[Any, Any]", perturb) if isinstance(perturb, Mapping) else ():
+        if name not in AXES and (version := version_of(GROUP, str(name))) is not None:
+            found[key_of(GROUP, name)] = version
+    return dict(sorted(found.items()))
+
+
+def plugin_faults(suite: Suite) -> list[Problem]:
+    """Return a problem for each package that a suite needs and that is not installed so."""
+    problems: list[Problem] = []
+    for key, said in suite.plugins.items():
+        found = version_named(key)
+        if found != said:
+            have = "is not installed" if found is None else f"is {found} here"
+            package, _, version = said.partition(" ")
+            problems.append(
+                suite.source.problem(
+                    ("plugins", key),
+                    f"plugins.{key}: it is to be {said}, and {have}",
+                    f"pip install '{package}=={version}'" if version else "install its package",
+                )
+            )
+    return problems
 
 
 def _frozen(value: Any) -> Any:

@@ -1,53 +1,38 @@
-"""What a suite may change about robot, place and senses, to see how much a policy bears.
+"""The grid of perturbations that a suite asks for, and the axis that a sweep goes along.
 
-An axis of a sweep is written `friction=0.3..1.2`, `payload=0..6:4`, `push=0,0.5,1`.
+An axis of a sweep is written `friction=0.3..1.2`, `payload=0..6:4`, `push=0,0.5,1`. What axes there
+are: `suite.axes`.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Self, cast
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    create_model,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails
 
-from nw_eval.errors import UsageError, nearest
+from nw_eval.errors import PluginError, UsageError, nearest
+from nw_eval.plugins import AXES as GROUP
+from nw_eval.plugins import distribution, installed, key_of, version_of, warn_if_built_in
 from nw_eval.plural import plural
+from nw_eval.suite.axes import AXES, Axis, axis_named, axis_names, is_axis
 
-CONTROL_STEP = 0.02
-"""Seconds between two looks at the robot, which latencies are whole numbers of."""
-
-NEUTRAL: Mapping[str, float | None] = MappingProxyType(
-    {
-        "friction": None,
-        "payload": 0.0,
-        "push": 0.0,
-        "strength": 1.0,
-        "latency": 0.0,
-        "noise": 0.0,
-        "exposure": 1.0,
-        "fog": 0.0,
-        "camera_pitch": 0.0,
-        "camera_height": 0.0,
-        "field_of_view": 1.0,
-        "missing_cones": 0.0,
-    }
-)
-"""The value of each axis that changes nothing; None where each solid has its own."""
-
-UNITS: Mapping[str, str] = MappingProxyType(
-    {
-        "payload": "kg",
-        "push": "m/s",
-        "latency": "s",
-        "fog": "1/m",
-        "camera_pitch": "rad",
-        "camera_height": "m",
-    }
-)
-"""Of the axes that are no plain numbers."""
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 
 def each_once(values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -58,84 +43,139 @@ def each_once(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
-def _whole_steps(seconds: float) -> float:
-    steps = seconds / CONTROL_STEP
-    if abs(steps - round(steps)) > 1e-6:
-        raise ValueError(f"{seconds:g} s is no whole number of control steps of {CONTROL_STEP:g} s")
-    return seconds
+def _values_of(value_type: Any) -> Any:
+    return Annotated[tuple[value_type, ...], AfterValidator(each_once)]
 
 
-_Value = TypeVar("_Value", bound=float)
-_Values = Annotated[tuple[_Value, ...], AfterValidator(each_once)]
-_Friction = Annotated[float, Field(gt=0.0, le=5.0)]
-_Load = Annotated[float, Field(ge=0.0, le=20.0)]
-_Speed = Annotated[float, Field(ge=0.0, le=3.0)]
-_Strength = Annotated[float, Field(gt=0.0, le=2.0)]
-_Latency = Annotated[float, Field(ge=0.0, le=1.0), AfterValidator(_whole_steps)]
-_Deviation = Annotated[float, Field(ge=0.0, le=10.0)]
-_Brightness = Annotated[float, Field(gt=0.0, le=4.0)]
-_Density = Annotated[float, Field(ge=0.0, le=5.0)]
-_Pitch = Annotated[float, Field(ge=-0.8, le=0.8)]
-_Height = Annotated[float, Field(ge=-0.3, le=0.3)]
-_View = Annotated[float, Field(ge=0.3, le=1.5)]
-_Share = Annotated[float, Field(ge=0.0, le=1.0)]
+_NUMBERS = ConfigDict(strict=True, allow_inf_nan=False)
+_SAVED = TypeAdapter[Any](_values_of(float), config=_NUMBERS)
 
 
-class Perturb(BaseModel):
+def _with_installed(schema: dict[str, Any]) -> None:
+    """Add the axes of installed packages to the JSON Schema; none of them is imported."""
+    schema["additionalProperties"] = False
+    for name, points in installed(GROUP).items():
+        if name not in AXES:
+            schema["properties"][name] = {
+                "type": "array",
+                "items": {"type": "number"},
+                "description": f"An axis of the package {distribution(points[0])}.",
+            }
+
+
+class _Grid(BaseModel):
     """Axes of the perturbation grid. An axis that is left out is not touched.
 
     A trial runs once in every cell of the grid, and the cell is part of the trial's identity.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True,
+        extra="allow",  # Axes of packages; others are refused below.
+        strict=True,
+        allow_inf_nan=False,
+        json_schema_extra=_with_installed,
+    )
 
-    friction: _Values[_Friction] = Field(
-        (), description="Sliding friction of ground and obstacles (1.25 as built)."
-    )
-    payload: _Values[_Load] = Field((), description="Load on the robot's back, kg.")
-    push: _Values[_Speed] = Field(
-        (),
-        description="Speed that the trunk is given every 3 s, level, in a drawn direction, m/s.",
-    )
-    strength: _Values[_Strength] = Field(
-        (), description="Share of the motors' gain and of their largest torque that is left."
-    )
-    latency: _Values[_Latency] = Field(
-        (), description="Age added to every observation, s, in control steps of 0.02 s."
-    )
-    noise: _Values[_Deviation] = Field(
-        (),
-        description="Standard deviation of errors of every number observed: of the body as the "
-        "policy is fed, of heights and depths in m, of colours as a share of white.",
-    )
-    exposure: _Values[_Brightness] = Field(
-        (), description="Brightness of camera images, as a factor."
-    )
-    fog: _Values[_Density] = Field(
-        (), description="Share of its light that a camera image loses per metre, as exponent, 1/m."
-    )
-    camera_pitch: _Values[_Pitch] = Field(
-        (), description="Angle by which cameras look farther down, rad."
-    )
-    camera_height: _Values[_Height] = Field(
-        (), description="Length by which cameras sit higher on the trunk, m."
-    )
-    field_of_view: _Values[_View] = Field(
-        (), description="Vertical field of view of cameras, as a factor."
-    )
-    missing_cones: _Values[_Share] = Field(
-        (), description="Probability of each cone of the trail to be missing in images."
-    )
+    @model_validator(mode="wrap")
+    @classmethod
+    def _known(
+        cls, value: Any, read: ModelWrapValidatorHandler[Self], info: ValidationInfo
+    ) -> Self:
+        """Check the axes that are no fields, too: all that is wrong is told at once."""
+        if not isinstance(value, Mapping):
+            return read(value)
+        settings = cast("Mapping[Any, Any]", value)
+        named = (info.context or {}).get("plugins", {})
+        wrong: list[InitErrorDetails] = []
+        for name, values in settings.items():
+            if name not in cls.model_fields:
+                wrong += _faults_of(name, values, named.get(key_of(GROUP, name)))
+            elif values:
+                warn_if_built_in(GROUP, name)
+        try:
+            grid = read(value)
+        except ValidationError as error:
+            wrong = [*map(_again, error.errors()), *wrong]
+        else:
+            if not wrong:
+                return grid
+        raise ValidationError.from_exception_data(cls.__name__, wrong)
+
+    @classmethod
+    def other_keys(cls) -> set[str]:
+        """Return the keys that are no fields: axes of packages."""
+        return set(axis_names())
+
+    @property
+    def axes(self) -> dict[str, tuple[float, ...]]:
+        """The values of each axis that has some."""
+        return {axis: values for axis, values in self.model_dump().items() if values}
 
     @property
     def cells(self) -> tuple[tuple[tuple[str, float], ...], ...]:
         """The cells of the grid, axes in alphabetical order; one empty cell without axes."""
         cells: list[tuple[tuple[str, float], ...]] = [()]
-        for axis in sorted(type(self).model_fields):
-            values: tuple[float, ...] = getattr(self, axis)
-            if values:
-                cells = [(*cell, (axis, float(value))) for cell in cells for value in values]
+        for axis, values in sorted(self.axes.items()):
+            cells = [(*cell, (axis, float(value))) for cell in cells for value in values]
         return tuple(cells)
+
+
+def _faults_of(name: Any, values: Any, version: str | None) -> Iterator[InitErrorDetails]:
+    """Yield what is wrong with an axis that is not built in.
+
+    Args:
+        name: as the suite has it.
+        values: likewise.
+        version: of its package, as the suite has it. Where that is not installed, a run may have
+            met the axis elsewhere, and is judged here: any numbers are fine then.
+    """
+    is_saved = version is not None and version != version_of(GROUP, name)
+    if not is_saved and not (isinstance(name, str) and is_axis(name)):
+        yield InitErrorDetails(type="extra_forbidden", loc=(name,), input=values)
+        return
+    try:
+        adapter = _SAVED if is_saved else _adapter(axis_named(name))
+        adapter.validate_python(values)
+    except PluginError as error:
+        yield InitErrorDetails(
+            type="value_error", loc=(name,), input=values, ctx={"error": ValueError(str(error))}
+        )
+    except ValidationError as error:
+        for detail in error.errors():
+            yield _again({**detail, "loc": (name, *detail["loc"])})
+
+
+def _adapter(axis: Axis) -> TypeAdapter[Any]:
+    return TypeAdapter(_values_of(axis.value_type), config=_NUMBERS)
+
+
+def _again(detail: ErrorDetails) -> InitErrorDetails:
+    """Return an error of pydantic's as it takes it."""
+    return InitErrorDetails(
+        type=detail["type"],
+        loc=detail["loc"],
+        input=detail["input"],
+        ctx=detail.get("ctx", {}),
+    )
+
+
+if TYPE_CHECKING:
+
+    class Perturb(_Grid):
+        """The grid with a field for each axis that is built in."""
+
+else:
+    Perturb = create_model(
+        "Perturb",
+        __base__=_Grid,
+        __module__=__name__,
+        __doc__=_Grid.__doc__,
+        **{
+            axis.name: (_values_of(axis.value_type), Field((), description=axis.description))
+            for axis in AXES.values()
+        },
+    )
 
 
 STEPS = 7
@@ -158,15 +198,17 @@ class SweptAxis:
     def of(cls, words: str) -> SweptAxis:
         """Return the axis that words such as `friction=0.3..1.2:7` name.
 
-        Latencies are taken to the nearest control step.
+        Values of an axis that has a `step`, such as latencies, are taken to the nearest one.
 
         Raises:
             UsageError: there is no such axis, or its values cannot be used.
+            PluginError: the package of the axis is broken.
         """
         name, equals, span = words.partition("=")
-        if name not in NEUTRAL:
-            fix = nearest(name, list(NEUTRAL))
+        if not is_axis(name):
+            fix = nearest(name, axis_names())
             raise UsageError(f"--axis {words!r}: there is no axis {name!r}", fix=fix)
+        axis = axis_named(name)
         found = _RANGE.fullmatch(span)
         if found is not None:
             values = _between(float(found[1]), float(found[2]), int(found[3] or STEPS), words)
@@ -177,10 +219,8 @@ class SweptAxis:
                 f"--axis {words!r}: {span!r} is no range of values",
                 fix=f"write {name}=FROM..TO, {name}=FROM..TO:STEPS or {name}=VALUE,VALUE",
             )
-        if name == "latency":
-            values = [
-                round(round(value / CONTROL_STEP) * CONTROL_STEP, _DIGITS) for value in values
-            ]
+        if axis.step is not None:
+            values = [round(axis.nearest_step(value), _DIGITS) for value in values]
         kept = tuple(sorted(set(values)))
         if len(kept) < 2:
             raise UsageError(f"--axis {words!r} has one value", fix="give two or more")
@@ -191,7 +231,7 @@ class SweptAxis:
             value = first.get("input")
             raise UsageError(
                 f"--axis {words!r}: {value!r}: {first['msg'].lower()}",
-                fix="see the axes in docs/suites.md",
+                fix=f"give {axis.low:g} to {axis.high:g}",
             ) from None
         return cls(name=name, values=kept)
 

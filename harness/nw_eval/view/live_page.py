@@ -26,7 +26,7 @@ from nw_eval.rollout.mcap.drawn import place_update, robot_update
 from nw_eval.rollout.observed import View, views_of
 from nw_eval.sensors.drawing.pictures import picture_of
 from nw_eval.splat.files import read_splat
-from nw_eval.suite.perturb import NEUTRAL, UNITS
+from nw_eval.suite.axes import AXES, axis_named
 from nw_eval.suite.written import write_ready_suite
 from nw_eval.twin.label.copying import write_place
 from nw_eval.view.drawing import aim_along, draw_mesh, draw_robot, draw_splat, draw_waypoints
@@ -303,22 +303,6 @@ def _picture(view: View, array: NDArray[Any]) -> NDArray[np.uint8] | None:
     return None
 
 
-_BUILT_FRICTION = 1.25
-_RANGES = {
-    "friction": (0.05, 1.5, 0.05),
-    "payload": (0.0, 10.0, 0.25),
-    "push": (0.0, 2.0, 0.1),
-    "strength": (0.3, 1.5, 0.05),
-    "latency": (0.0, 0.2, 0.02),
-    "noise": (0.0, 0.5, 0.01),
-    "exposure": (0.1, 3.0, 0.1),
-    "fog": (0.0, 1.0, 0.05),
-    "camera_pitch": (-0.5, 0.5, 0.01),
-    "camera_height": (-0.2, 0.2, 0.01),
-    "field_of_view": (0.5, 1.5, 0.05),
-    "missing_cones": (0.0, 1.0, 0.1),
-}
-"""Least, most and step of each axis of perturbation: within what a suite may name."""
 _WAYS = {"ahead": (1.0, 0.0), "back": (-1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0)}
 
 
@@ -374,15 +358,10 @@ class LivePanel:
         self._ego.image = image
 
     def _slider(self, page: LivePage, axis: str) -> None:
-        least, most, step = _RANGES[axis]
-        neutral = NEUTRAL[axis]
-        unit = f", {UNITS[axis]}" if axis in UNITS else ""
+        declared = axis_named(axis)
+        least, most, step = declared.slides
         slider = page.server.gui.add_slider(
-            f"{axis}{unit}",
-            min=least,
-            max=most,
-            step=step,
-            initial_value=_BUILT_FRICTION if neutral is None else neutral,
+            declared.label, min=least, max=most, step=step, initial_value=declared.reference
         )
         slider.on_update(lambda _: page.perturb(axis, round(float(slider.value), 4)))
 
@@ -393,8 +372,6 @@ def _push(way: str, speed: float) -> Callable[[Stage], None]:
 
 
 SUITE = "suite.yaml"
-_MOST_PUSHED = 3.0
-"""m/s, that a suite may name."""
 
 
 def save_played(stage: Stage, folder: Path) -> Path:
@@ -414,7 +391,7 @@ def save_played(stage: Stage, folder: Path) -> Path:
         raise UsageError(f"{folder} is there already", fix="name another folder")
     cell = dict(stage.cell)
     if stage.pushed and "push" not in cell:
-        cell["push"] = round(min(stage.pushed, _MOST_PUSHED), 3)
+        cell["push"] = round(min(stage.pushed, AXES["push"].high), 3)
     try:
         folder.mkdir(parents=True)
         scene = stage.reference

@@ -39,7 +39,7 @@ from nw_eval.splat.files import read_splat
 from nw_eval.splat.gaussians import ARRAYS, SH0, Gaussians
 from nw_eval.splat.store import FORMAT, compile_store
 from nw_eval.splat.transform import quaternions, transformed
-from nw_eval.suite.perturb import NEUTRAL
+from nw_eval.suite.axes import axis_named, usable_axes
 
 if TYPE_CHECKING:
     from nw_eval.policies import Bundle
@@ -150,8 +150,9 @@ class Stage:
     @property
     def axes(self) -> tuple[str, ...]:
         """The axes of perturbation that the policy can feel."""
-        left = unfelt(self._bundle.card, NEUTRAL)
-        return tuple(axis for axis in NEUTRAL if axis not in left)
+        axes = usable_axes()
+        left = unfelt(self._bundle.card, axes)
+        return tuple(axis for axis in axes if axis not in left)
 
     def step(self) -> tuple[Any, Outcome | None]:
         """Make a control step.
@@ -178,7 +179,9 @@ class Stage:
     def perturb(self, values: dict[str, float]) -> None:
         """Go on under other values of some axes; a neutral value is none."""
         cell = {**self.cell, **values}
-        cell = {axis: value for axis, value in sorted(cell.items()) if value != NEUTRAL[axis]}
+        cell = {
+            axis: value for axis, value in sorted(cell.items()) if value != axis_named(axis).neutral
+        }
         self._go_on(self.place, cell)
 
     def move_goal(self, x: float, y: float) -> None:

@@ -66,6 +66,17 @@ class Publishing:
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TRACKER[,TRACKER]")
     ] = ()
     """Show the run in a tracker, on the run of its checkpoint: wandb, mlflow, tensorboard."""
+    reporter: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME[=PATH]")
+    ] = ()
+    """Let a reporter show the run: junit=PATH, comment=PATH, a tracker, or one that an installed
+    package brings along. May be given again."""
+
+    @property
+    def shows_one_run(self) -> bool:
+        """Whether something is asked for that only one run can be shown in."""
+        asked = (self.junit, self.comment, self.github, self.track, self.reporter)
+        return any(bool(each) for each in asked)
 
     @contextmanager
     def publishing(self, suite: str) -> Generator[Judged]:
@@ -111,6 +122,7 @@ class Publishing:
             github=self.on_github,
             comment=self.comment,
             track=cast("tuple[Tracker, ...]", tuple(names)),  # Whether they are: `check_surfaces`.
+            reporters=self.reporter,
         )
 
 

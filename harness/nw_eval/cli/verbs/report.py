@@ -59,9 +59,10 @@ class Report(Publishing):
         from nw_eval.errors import UsageError
         from nw_eval.plural import plural
 
-        if self.out is not None or self.junit or self.comment or self.github or self.track:
+        if self.out is not None or self.shows_one_run:
             raise UsageError(
-                "--out, --junit, --github, --comment and --track with --site", fix="drop them"
+                "--out, --junit, --github, --comment, --track and --reporter with --site",
+                fix="drop them",
             )
         found = api.write_site(self.runs, folder)
         for sentence in found.left_out:
@@ -77,9 +78,9 @@ class Report(Publishing):
         from nw_eval.errors import UsageError
         from nw_eval.plural import plural
 
-        if self.junit is not None or self.comment is not None or self.github or self.track:
+        if self.shows_one_run:
             raise UsageError(
-                "--junit, --github, --comment and --track are of one run",
+                "--junit, --github, --comment, --track and --reporter are of one run",
                 fix="name one, or drop them",
             )
         found = api.index_runs(self.runs, out=self.out)

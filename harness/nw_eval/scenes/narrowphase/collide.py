@@ -38,9 +38,9 @@ _MOST = 6
 # Its declared types know no array whose length is read from another.
 carray: Any = numba.carray  # pyright: ignore[reportPrivateImportUsage]
 
-_MESH = 7  # mjGEOM_MESH
-_MOST_RECORDS = 50  # mjMAXCONPAIR
-_RECORD = 10  # numbers of an mjPreContact
+MESH = 7  # mjGEOM_MESH
+MOST_RECORDS = 50  # mjMAXCONPAIR
+RECORD = 10  # numbers of an mjPreContact
 
 
 def collision_function(model_at: dict[str, int], data_at: dict[str, int]) -> Any:
@@ -77,13 +77,13 @@ def collision_function(model_at: dict[str, int], data_at: dict[str, int]) -> Any
         sizes = carray(m[geom_size], (geoms, 3), np.float64)
         places = carray(d[geom_xpos], (geoms, 3), np.float64)
         turns = carray(d[geom_xmat], (geoms, 3, 3), np.float64)
-        records = carray(con, (_MOST_RECORDS, _RECORD), np.float64)
+        records = carray(con, (MOST_RECORDS, RECORD), np.float64)
         field = data_of[g1]
         rows = carray(m[hfield_nrow], (field + 1,), np.int32)[field]
         columns = carray(m[hfield_ncol], (field + 1,), np.int32)[field]
         half = carray(m[hfield_size], (field + 1, 4), np.float64)[field]
         # Every field of this process comes here: one of another model may be small, too.
-        if half[3] != CARRIER_BASE or types_of[g1 + 1] != _MESH:
+        if half[3] != CARRIER_BASE or types_of[g1 + 1] != MESH:
             start = carray(m[hfield_adr], (field + 1,), np.int32)[field]
             shares = carray(m[hfield_data], (start + rows * columns,), np.float32)[start:]
             return collide_with_field(

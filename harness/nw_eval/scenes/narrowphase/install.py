@@ -12,8 +12,15 @@ met as they are. `nw_eval.scenes.attach` makes both.
 
 What is no sphere, capsule, cylinder or box collides as MuJoCo sees fit.
 
-Where MuJoCo's structures keep their arrays is found by looking for the pointers whose values Python
-tells, not written down from the headers of one version.
+This file is the only one that knows how MuJoCo is laid out in memory. `use_own_collisions` looks at
+the installed version before it changes anything, and refuses one that differs:
+
+* its library exports `mjCOLLISIONFUNC`;
+* the numbers of `mjtGeom` and `mjMAXCONPAIR` are those that the kernels were written for;
+* the pointers of mjModel and mjData to their arrays are found, by their values, which Python tells;
+  their places are not written down from the headers of one version;
+* a function of the table, called as `mjfCollision`, writes records (`mjPreContact`) of the size and
+  the order that the kernels write: those of a box on a plane are compared with `mjData.contact`.
 """
 
 from __future__ import annotations
@@ -24,6 +31,7 @@ from pathlib import Path
 from typing import Any
 
 import mujoco as _mujoco
+import numpy as np
 
 from nw_eval.errors import PrerequisiteError
 
@@ -91,6 +99,10 @@ What has sunk deeper is no longer looked at.
 """
 
 
+TESTED = "4.0.0"
+"""The version of MuJoCo that the kernels are tested with, as constraints.txt has it."""
+
+
 @cache
 def use_own_collisions() -> Any:
     """Let height fields of this process collide by this package, in every model.
@@ -99,16 +111,39 @@ def use_own_collisions() -> Any:
         What must stay as long as MuJoCo points at it, which is always: the result is remembered.
 
     Raises:
-        PrerequisiteError: this build of MuJoCo is not laid out as any that is known.
+        PrerequisiteError: this build of MuJoCo is laid out otherwise; nothing was changed.
     """
     # Numba loads with it; looking at scenes needs neither.
     from nw_eval.scenes.narrowphase.collide import collision_function
 
-    function = collision_function(*_pointers())
-    table = _table()
+    pointers, table = check_layout()
+    function = collision_function(*pointers)
     for shape in _SHAPES:
         table[_HFIELD * _TYPES + int(shape)] = function.address
     return function
+
+
+def check_layout() -> tuple[tuple[dict[str, int], dict[str, int]], Any]:
+    """Look at the installed MuJoCo, and change nothing.
+
+    Returns:
+        What `_pointers` does, and the table of collision functions, as words.
+
+    Raises:
+        PrerequisiteError: it is laid out otherwise than the kernels know.
+    """
+    _check_numbers()
+    table = _table()
+    pointers = _pointers()
+    _check_records(table)
+    return pointers, table
+
+
+def _refused(what: str) -> PrerequisiteError:
+    return PrerequisiteError(
+        f"MuJoCo {mujoco.__version__} {what}, so that its robots cannot walk on scans",
+        fix=f"pip install 'mujoco=={TESTED}'",
+    )
 
 
 def _table() -> Any:
@@ -116,12 +151,77 @@ def _table() -> Any:
     folder = Path(mujoco.__file__).parent
     library = next(iter(sorted(folder.glob("libmujoco*"))), None)
     if library is None:
-        raise PrerequisiteError(
-            f"MuJoCo {mujoco.__version__} has no library beside it, so that scans cannot be walked",
-            fix="install the version that constraints.txt names",
-        )
+        raise _refused("has no library beside it")
     words = ctypes.c_size_t * (_TYPES * _TYPES)
-    return words.in_dll(ctypes.CDLL(str(library)), "mjCOLLISIONFUNC")
+    try:
+        return words.in_dll(ctypes.CDLL(str(library)), "mjCOLLISIONFUNC")
+    except (OSError, ValueError) as error:
+        raise _refused(f"exports no table of collision functions ({error})") from None
+
+
+def _check_numbers() -> None:
+    """Check the constants that are compiled into the kernels.
+
+    Raises:
+        PrerequisiteError: one is another.
+    """
+    from nw_eval.scenes.narrowphase import collide, shape
+
+    known = {
+        "mjtGeom.mjGEOM_SPHERE": (mujoco.mjtGeom.mjGEOM_SPHERE, shape.SPHERE),
+        "mjtGeom.mjGEOM_CAPSULE": (mujoco.mjtGeom.mjGEOM_CAPSULE, shape.CAPSULE),
+        "mjtGeom.mjGEOM_CYLINDER": (mujoco.mjtGeom.mjGEOM_CYLINDER, shape.CYLINDER),
+        "mjtGeom.mjGEOM_BOX": (mujoco.mjtGeom.mjGEOM_BOX, shape.BOX),
+        "mjtGeom.mjGEOM_MESH": (mujoco.mjtGeom.mjGEOM_MESH, collide.MESH),
+        "mjMAXCONPAIR": (mujoco.mjMAXCONPAIR, collide.MOST_RECORDS),
+    }
+    for name, (found, wanted) in known.items():
+        if int(found) != wanted:
+            raise _refused(f"has {int(found)} as {name} in place of {wanted}")
+
+
+_ON_PLANE = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="1 1 1"/>
+    <body pos="0 0 .09"><freejoint/><geom type="box" size=".3 .2 .1"/></body>
+  </worldbody>
+</mujoco>
+"""
+"""A box 1 cm deep in a plane, which it meets with its four lower corners."""
+
+
+def _check_records(table: Any) -> None:
+    """Check what a collision function of MuJoCo's writes against the contacts that MuJoCo reports.
+
+    Raises:
+        PrerequisiteError: it writes them otherwise than the kernels do.
+    """
+    from nw_eval.scenes.narrowphase.collide import MOST_RECORDS, RECORD
+
+    model = mujoco.MjModel.from_xml_string(_ON_PLANE)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    plane, box = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_BOX)
+    address = table[plane * _TYPES + box]
+    if not address:
+        raise _refused("has no collision function of a box on a plane")
+    # Room for records that are longer than known: those of MuJoCo 3 have 68 numbers.
+    written = np.full((MOST_RECORDS, 128), np.nan)
+    collide = ctypes.CFUNCTYPE(
+        ctypes.c_int,
+        *(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p),
+        *(ctypes.c_int, ctypes.c_int, ctypes.c_double),
+    )(address)
+    # The addresses of the structures are told by nothing else.
+    count = collide(model._address, data._address, written.ctypes.data, 0, 1, 0.0)  # noqa: SLF001
+    contacts = data.contact
+    records = written.ravel()[: 4 * RECORD].reshape(4, RECORD)[:, :7]
+    reported = np.column_stack([contacts.dist, contacts.pos, contacts.frame[:, :3]])
+    if count != 4 or reported.shape != records.shape or not np.allclose(records, reported):
+        raise _refused("writes contacts in another form")
+    if not np.isnan(written.ravel()[4 * RECORD :]).all():
+        raise _refused(f"writes records of more than {RECORD} numbers")
 
 
 def _pointers() -> tuple[dict[str, int], dict[str, int]]:
@@ -147,7 +247,4 @@ def _words_of(owners: list[Any], names: tuple[str, ...]) -> dict[str, int]:
         if len(found) == len(names):
             return found
     missing = ", ".join(sorted(set(names) - set(found)))
-    raise PrerequisiteError(
-        f"MuJoCo {mujoco.__version__} keeps {missing} where scans cannot find it",
-        fix="install the version that constraints.txt names",
-    )
+    raise _refused(f"keeps {missing} where it cannot be found")

@@ -14,7 +14,7 @@ from nw_eval.machine_code import inlined, kernel
 
 # MuJoCo's mjtGeom.
 SPHERE, CAPSULE = 2, 3
-_CYLINDER, _BOX = 5, 6
+CYLINDER, BOX = 5, 6
 
 SPACING = 0.02
 """Metres between neighbours, at most."""
@@ -29,7 +29,7 @@ def _extent(kind: Any, size: Any, x: Any, y: Any, z: Any) -> Any:
         reach = size[0]
     elif kind == CAPSULE:
         reach = size[0] + size[1] * abs(z)
-    elif kind == _CYLINDER:
+    elif kind == CYLINDER:
         reach = size[0] * math.sqrt(x * x + y * y) + size[1] * abs(z)
     else:
         reach = size[0] * abs(x) + size[1] * abs(y) + size[2] * abs(z)
@@ -52,7 +52,7 @@ def radius_of(kind: Any, size: Any) -> Any:
         radius = size[0]
     elif kind == CAPSULE:
         radius = size[0] + size[1]
-    elif kind == _CYLINDER:
+    elif kind == CYLINDER:
         radius = math.sqrt(size[0] ** 2 + size[1] ** 2)
     else:
         radius = math.sqrt(size[0] ** 2 + size[1] ** 2 + size[2] ** 2)
@@ -62,9 +62,9 @@ def radius_of(kind: Any, size: Any) -> Any:
 @kernel
 def shape_samples(kind: Any, size: Any, turn: Any, center: Any) -> Any:
     """Return points of a shape in the surface's frame, (N, 3)."""
-    if kind == _BOX:
+    if kind == BOX:
         points = box_samples(size)
-    elif kind == _CYLINDER:
+    elif kind == CYLINDER:
         points = cylinder_samples(size[0], size[1], -turn[2])
     else:
         points = axis_samples(size[1])

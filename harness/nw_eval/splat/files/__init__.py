@@ -1,17 +1,12 @@
 """Splat files: which format a file is in, and the way to its reader or writer.
 
-    .ply      3DGS (gsplat, splatfacto, Polycam, SuperSplat), and SuperSplat's compressed form
-    .spz      Niantic's, versions 1 to 4
-    .sog      PlayCanvas's, versions 1 and 2; also its meta.json; only read
-    .splat    antimatter15's 32 bytes per Gaussian, no harmonics
-    .pt       a gsplat training checkpoint, with the other ranks of its step beside it
-    .nwsplat  nw-eval's own compiled form, from its cache; only read
-    folder    a nerfstudio splatfacto export: splat.ply and dataparser_transforms.json
+What formats there are: `FORMATS`, those of installed packages (`format.py`), and the folder of a
+nerfstudio splatfacto export, with splat.ply and dataparser_transforms.json.
 
-Formats are told by content; only .splat, which has no mark, is told by its name. Everything comes
-back in the axes of the 3DGS PLY file, as it is: Gaussians with values that are not finite, or with
-a zero quaternion, are left out when the splat is compiled. Compiled splats lie in the user's cache;
-they are made on first use.
+Built-in formats are told by content; only .splat, which has no mark, is told by its name.
+Everything comes back in the axes of the 3DGS PLY file, as it is: Gaussians with values that are not
+finite, or with a zero quaternion, are left out when the splat is compiled. Compiled splats lie in
+the user's cache; they are made on first use.
 """
 
 from __future__ import annotations
@@ -19,24 +14,27 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
+from types import MappingProxyType
+from typing import cast
 
-from nw_eval.errors import SceneError, UsageError, nearest
+from nw_eval.errors import NwEvalError, PluginError, SceneError, UsageError, nearest
 from nw_eval.files.cache import atomic_path, cache_dir, followed
 from nw_eval.files.inside import regular
-from nw_eval.files.ply import Ply
-from nw_eval.splat.files.dot_splat import read_dot_splat, write_dot_splat
-from nw_eval.splat.files.gsplat_pt import rank_files, read_gsplat_pt, write_gsplat_pt
-from nw_eval.splat.files.ply import (
-    RestOrder,
-    read_compressed_ply,
-    read_nerfstudio,
-    read_threedgs_ply,
-    write_threedgs_ply,
+from nw_eval.plugins import (
+    SPLAT_FORMATS,
+    identity_of,
+    installed,
+    load,
+    subject,
+    warn_if_built_in,
 )
-from nw_eval.splat.files.sog import META, is_sog, read_sog
-from nw_eval.splat.files.spz import read_spz, write_spz
+from nw_eval.splat.files.dot_splat import DOT_SPLAT
+from nw_eval.splat.files.format import SplatFormat
+from nw_eval.splat.files.gsplat_pt import GSPLAT_PT, rank_files
+from nw_eval.splat.files.ply import PLY, read_nerfstudio
+from nw_eval.splat.files.sog import META, SOG, read_sog
+from nw_eval.splat.files.spz import SPZ
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import (
     FORMAT,
@@ -52,12 +50,17 @@ from nw_eval.words import RasterizeMode
 _READING = 1
 """Changes with what the readers make of a file; part of the key of every file's store."""
 
-_WRITERS = {
-    ".ply": write_threedgs_ply,
-    ".pt": write_gsplat_pt,
-    ".spz": write_spz,
-    ".splat": write_dot_splat,
-}
+NWSPLAT = SplatFormat(
+    name=SUFFIX.removeprefix("."),
+    description="nw-eval's own compiled form, from its cache; only read",
+    read=read_compiled,
+    sniff=lambda _, mark: mark[: len(MARK)] == MARK,
+)
+
+FORMATS = MappingProxyType(
+    {each.name: each for each in (PLY, SPZ, SOG, DOT_SPLAT, GSPLAT_PT, NWSPLAT)}
+)
+"""The formats that are built in, by name, in the order in which they are asked for a file."""
 
 _CONVERT = "convert it with `npx @playcanvas/splat-transform FILE out.ply`"
 _NOT_READ = {
@@ -66,45 +69,43 @@ _NOT_READ = {
 }
 
 
-def read_splat(path: Path, *, rest_order: RestOrder = "detect") -> Gaussians:
+def read_splat(path: Path) -> Gaussians:
     """Read Gaussians from a file, or from the folder of a nerfstudio export.
 
     Args:
         path: the file or folder.
-        rest_order: for 3DGS PLY files, how f_rest is arranged; see ply.py.
 
     Raises:
         SceneError: naming file, place and what is wrong. Memory stays within a small multiple of
             the file's size whatever it claims to hold.
+        PluginError: a package that brings along its format is broken.
     """
     path = Path(path)
     try:
         if path.is_dir():
-            if (path / META).is_file():
-                return read_sog(path / META)
-            return read_nerfstudio(path, rest_order=rest_order)
+            return read_sog(path / META) if (path / META).is_file() else read_nerfstudio(path)
         with regular(path).open("rb") as file:
-            mark = file.read(len(MARK))
-        return _reader(path, mark, rest_order)(path)
+            mark = file.read(max(_MARK, len(MARK)))
+        if (name := package_format(path)) is not None:
+            return _read_by_package(name, path, mark)
+        return _format_of(path, mark).read(path)
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}", fix="give a splat file") from error
 
 
-def _reader(path: Path, mark: bytes, rest_order: RestOrder) -> Callable[[Path], Gaussians]:
-    """Return what reads a file that begins with `mark`."""
+_MARK = 16
+"""Bytes of a file by which its format is told."""
+
+
+def _format_of(path: Path, mark: bytes) -> SplatFormat:
+    """Return the built-in format of a file that begins with `mark`."""
     suffix = path.suffix.lower()
-    if mark == MARK:
-        return read_compiled
-    if mark[:3] == b"ply":
-        return partial(_read_ply, rest_order=rest_order)
-    if mark[:2] == b"\x1f\x8b" or mark[:4] == b"NGSP":
-        return read_spz
-    if mark[:4] == b"PK\x03\x04":
-        return read_sog if is_sog(path) else read_gsplat_pt
-    if path.name == META:
-        return read_sog
-    if suffix == ".splat":
-        return read_dot_splat
+    for each in FORMATS.values():
+        if each.sniff is not None and each.sniff(path, mark):
+            return each
+    for each in FORMATS.values():
+        if each.sniff is None and each.suffix == suffix:
+            return each
     known = _NOT_READ.get(suffix)
     if known is None and mark[:1] == b"\x80":
         known = "a pickle", "load it with torch and save it again with torch.save"
@@ -116,11 +117,45 @@ def _reader(path: Path, mark: bytes, rest_order: RestOrder) -> Callable[[Path], 
     )
 
 
-def _read_ply(path: Path, *, rest_order: RestOrder) -> Gaussians:
-    ply = Ply.open(path)
-    if "chunk" in ply.elements:
-        return read_compressed_ply(ply)
-    return read_threedgs_ply(ply, rest_order=rest_order)
+def package_format(path: Path) -> str | None:
+    """Return the name of the format of a package that a file's suffix says; None if none does.
+
+    The package is not imported.
+    """
+    name = path.suffix.lower().removeprefix(".")
+    if name in FORMATS:
+        warn_if_built_in(SPLAT_FORMATS, name)
+        return None
+    return name if name in installed(SPLAT_FORMATS) else None
+
+
+def _read_by_package(name: str, path: Path, mark: bytes) -> Gaussians:
+    """Read a file of a package's format.
+
+    Raises:
+        SceneError: the file is none of that format, or its reader failed.
+        PluginError: the package is broken.
+    """
+    form = load(SPLAT_FORMATS, name, SplatFormat)
+    who = subject(installed(SPLAT_FORMATS)[name][0])
+    try:
+        is_one = form.sniff is None or form.sniff(path, mark[:_MARK])
+        found = cast("object", form.read(path)) if is_one else None
+    except (NwEvalError, OSError):
+        raise
+    except Exception as error:
+        raise SceneError(
+            f"{path}: {who} cannot read it: {type(error).__name__}: {error}",
+            fix="the file is damaged, or that package is",
+        ) from error
+    if not is_one:
+        raise SceneError(
+            f"{path}: starts with {mark[:4]!r}, which {who} does not read",
+            fix=f"give a file of the format {name}: {form.description}",
+        )
+    if not isinstance(found, Gaussians):
+        raise PluginError(f"{who} read a {type(found).__name__}, no Gaussians, from {path}")
+    return found
 
 
 def files_of_splat(path: Path) -> tuple[Path, ...]:
@@ -135,6 +170,8 @@ def files_of_splat(path: Path) -> tuple[Path, ...]:
 def write_splat(path: Path, gaussians: Gaussians) -> int:
     """Write Gaussians in the format of the name: .ply, .pt (exact), .spz or .splat (lossy).
 
+    A package's format writes its own files.
+
     Returns:
         The size of the file in bytes.
 
@@ -143,19 +180,36 @@ def write_splat(path: Path, gaussians: Gaussians) -> int:
         SceneError: when the format cannot hold them.
     """
     path = Path(path)
-    writer = _WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise UsageError(
-            f"{path}: cannot write {path.suffix or 'a file without suffix'!r}",
-            fix=nearest(path.suffix, _WRITERS),
-        )
+    write = _writer(path)
     with atomic_path(followed(path)) as temporary:
-        writer(temporary, gaussians)
+        write(temporary, gaussians)
         return temporary.stat().st_size
+
+
+def _writer(path: Path) -> Callable[[Path, Gaussians], None]:
+    """Return what writes a file of a name.
+
+    Raises:
+        UsageError: nothing does.
+        PluginError: the package that has its format is broken.
+    """
+    if (name := package_format(path)) is not None:
+        form = load(SPLAT_FORMATS, name, SplatFormat)
+    else:
+        form = FORMATS.get(path.suffix.lower().removeprefix("."))
+    if form is not None and form.write is not None:
+        return form.write
+    written = [each.suffix for each in FORMATS.values() if each.write is not None]
+    raise UsageError(
+        f"{path}: cannot write {path.suffix or 'a file without suffix'!r}",
+        fix=nearest(path.suffix, written),
+    )
 
 
 def digest_of_files(path: Path) -> str:
     """Return the hex sha256 of a splat file; of its ranks', if they are several.
+
+    Where a package reads the file, its version and its code count, too.
 
     Raises:
         SceneError: one cannot be read.
@@ -170,6 +224,8 @@ def digest_of_files(path: Path) -> str:
                 f"{one}: the splat cannot be read: {error.strerror or error}",
                 fix="check the key `splat` of scene.yaml",
             ) from None
+    if (name := package_format(path)) is not None:
+        parts.append(identity_of(SPLAT_FORMATS, name))
     return parts[0] if len(parts) == 1 else hashlib.sha256("".join(parts).encode()).hexdigest()
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from nw_eval.errors import SceneError
+from nw_eval.splat.files.format import SplatFormat
 from nw_eval.splat.gaussians import SH0, Gaussians, check_count, logit, sigmoid, to_byte, unit_quats
 
 _ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
@@ -56,3 +57,11 @@ def write_dot_splat(path: Path, gaussians: Gaussians) -> None:
     rows["rgba"][:, 3] = to_byte(opacity[order] * 255)
     rows["quat"] = to_byte(unit_quats(gaussians.quats[order]) * 128 + 128)
     rows.tofile(path)
+
+
+DOT_SPLAT = SplatFormat(
+    name="splat",
+    description="antimatter15's 32 bytes per Gaussian, no harmonics",
+    read=read_dot_splat,
+    write=write_dot_splat,
+)

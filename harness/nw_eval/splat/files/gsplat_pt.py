@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from nw_eval.clean import clean
 from nw_eval.errors import PrerequisiteError, SceneError
 from nw_eval.files.inside import OutsideError, inside
+from nw_eval.splat.files.format import SplatFormat
 from nw_eval.splat.gaussians import SH_COUNTS, Gaussians, check_count, concatenate
 
 _KEYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
@@ -182,3 +183,12 @@ def _array(path: Path, content: Any, key: str, tensor_type: type, size: int) -> 
     if not values.is_floating_point():
         raise SceneError(f"{path}: tensor {key!r} is {values.dtype}", fix=_FIX)
     return values.detach().float().numpy()
+
+
+GSPLAT_PT = SplatFormat(
+    name="pt",
+    description="a gsplat training checkpoint, with the other ranks of its step beside it",
+    read=read_gsplat_pt,
+    write=write_gsplat_pt,
+    sniff=lambda _, mark: mark[:4] == b"PK\x03\x04",
+)

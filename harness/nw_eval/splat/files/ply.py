@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import regular
 from nw_eval.files.ply import Ply
+from nw_eval.splat.files.format import SplatFormat
 from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians, check_count, logit
 from nw_eval.splat.transform import transformed
 from nw_eval.words import RasterizeMode
@@ -319,3 +320,24 @@ def _read_transform(path: Path) -> NDArray[np.float64]:
     if abs(np.linalg.det(T)) < _REACH**-3:
         raise SceneError(f"{path}: transform flattens", fix="it must be a rotation and a shift")
     return T
+
+
+def read_ply(path: Path) -> Gaussians:
+    """Read a PLY file, 3DGS's own or SuperSplat's compressed one.
+
+    Raises:
+        SceneError: as `read_threedgs_ply` and `read_compressed_ply`.
+    """
+    ply = Ply.open(path)
+    if "chunk" in ply.elements:
+        return read_compressed_ply(ply)
+    return read_threedgs_ply(ply)
+
+
+PLY = SplatFormat(
+    name="ply",
+    description="3DGS (gsplat, splatfacto, Polycam, SuperSplat), and SuperSplat's compressed form",
+    read=read_ply,
+    write=write_threedgs_ply,
+    sniff=lambda _, mark: mark[:3] == b"ply",
+)

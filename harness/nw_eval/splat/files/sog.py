@@ -24,6 +24,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import OutsideError, inside
 from nw_eval.files.pictures import open_picture
+from nw_eval.splat.files.format import SplatFormat
 from nw_eval.splat.gaussians import Gaussians, check_count, logit
 from nw_eval.words import RasterizeMode
 
@@ -215,3 +216,11 @@ class _Sog:
             least, most = float(rest["mins"]), float(rest["maxs"])
             values = least + (most - least) * (sets / 255)
         return values[labels].astype(np.float32)
+
+
+SOG = SplatFormat(
+    name="sog",
+    description="PlayCanvas's, versions 1 and 2; also its meta.json; only read",
+    read=read_sog,
+    sniff=lambda path, mark: path.name == META if mark[:4] != b"PK\x03\x04" else is_sog(path),
+)

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import PrerequisiteError, SceneError
+from nw_eval.splat.files.format import SplatFormat
 from nw_eval.splat.gaussians import (
     SH_COUNTS,
     Gaussians,
@@ -355,3 +356,12 @@ def _pack_smallest_three(quats: NDArray[np.float64]) -> Bytes:
         bits = magnitude[:, component] | (q[:, component] < 0).astype(np.uint32) << np.uint32(9)
         word = np.where(largest != component, word << np.uint32(10) | bits, word)
     return word.astype("<u4").reshape(-1, 1).view(np.uint8)
+
+
+SPZ = SplatFormat(
+    name="spz",
+    description="Niantic's, versions 1 to 4",
+    read=read_spz,
+    write=write_spz,
+    sniff=lambda _, mark: mark[:2] == b"\x1f\x8b" or mark[:4] == b"NGSP",
+)

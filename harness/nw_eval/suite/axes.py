@@ -1,0 +1,290 @@
+"""The axes of perturbation: what a suite may change about robot, scene and senses.
+
+Each axis is one value. Whatever speaks of axes (suite, sweep, report, browser) goes by these
+values, those of installed packages among them (entry-point group `nw_eval.axes`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field
+
+from nw_eval.errors import PluginError, UsageError, nearest
+from nw_eval.plugins import AXES as GROUP
+from nw_eval.plugins import installed, load, warn
+
+CONTROL_STEP = 0.02
+"""Seconds between two looks at the robot, which latencies are whole numbers of."""
+
+Felt = Literal["always", "camera", "splat_rgb", "cones"]
+"""What a policy must have to feel an axis: nothing, a camera, a colour camera, or a camera that
+shows the cones of the trail."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Axis:
+    """An axis of perturbation.
+
+    Attributes:
+        name: its key in `perturb` of a suite, in `--axis` and in rows.
+        description: what it is, with its unit; a sentence.
+        neutral: the value that changes no bit; None where there is none.
+        change: gets the `TrialSetup` of a trial and the axis's value, and returns another setup. It
+            is called where the value is not `neutral`, before the trial begins, and must depend on
+            its arguments alone; random numbers come from `TrialSetup.generator`.
+        low: least value.
+        high: greatest value.
+        above_low: whether `low` itself is excluded.
+        unit: of the values; empty for plain numbers.
+        step: of which values are whole numbers; None = any number.
+        steps: what those are called in messages.
+        nominal: nearest to what robot and scene are without the axis, where `neutral` is None.
+        slider: least value, greatest value and step of the slider in `nw-eval view`; `low`, `high`
+            and a hundredth of their distance if None.
+        felt_by: what a policy must have to feel it.
+
+    Raises:
+        ValueError: the figures do not fit one another.
+    """
+
+    name: str
+    description: str
+    neutral: float | None
+    change: Callable[[Any, float], Any]
+    low: float
+    high: float
+    above_low: bool = False
+    unit: str = ""
+    step: float | None = None
+    steps: str = "steps"
+    nominal: float | None = None
+    slider: tuple[float, float, float] | None = None
+    felt_by: Felt = "always"
+
+    def __post_init__(self) -> None:
+        if not (self.name.isascii() and self.name.isidentifier()):
+            raise ValueError(f"axis {self.name!r}: a name has letters, digits and '_' only")
+        if self.neutral is None and self.nominal is None:
+            raise ValueError(f"axis {self.name!r} has neither `neutral` nor `nominal`")
+        least, most, step = self.slides
+        if not (self.low <= least <= self.reference <= most <= self.high and step > 0.0):
+            raise ValueError(
+                f"axis {self.name!r}: low {self.low:g}, slider {least:g} to {most:g} in steps of "
+                f"{step:g}, neutral {self.reference:g} and high {self.high:g} do not fit"
+            )
+
+    @property
+    def reference(self) -> float:
+        """The value that others are compared with: the neutral one, or `nominal`."""
+        found = self.nominal if self.neutral is None else self.neutral
+        assert found is not None, "an axis has one of the two"
+        return found
+
+    @property
+    def label(self) -> str:
+        """Its name with its unit: `payload, kg`."""
+        return f"{self.name}, {self.unit}" if self.unit else self.name
+
+    @property
+    def slides(self) -> tuple[float, float, float]:
+        """Least value, greatest value and step of its slider."""
+        least, most = self.low, self.high
+        return self.slider or (least, most, self.step or (most - least) / 100.0)
+
+    @property
+    def value_type(self) -> Any:
+        """What pydantic checks one of its values by."""
+        bounds = Field(
+            gt=self.low if self.above_low else None,
+            ge=None if self.above_low else self.low,
+            le=self.high,
+        )
+        return Annotated[float, bounds, AfterValidator(self._whole)]
+
+    def nearest_step(self, value: float) -> float:
+        """Return a value, or the whole number of `step` that is nearest to it."""
+        if self.step is None or not math.isfinite(value):
+            return value
+        return round(value / self.step) * self.step
+
+    def _whole(self, value: float) -> float:
+        count = 0.0 if self.step is None else value / self.step
+        if abs(count - round(count)) <= 1e-6:
+            return value
+        unit = f" {self.unit}" if self.unit else ""
+        size = f"{self.step:g}{unit}"
+        raise ValueError(f"{value:g}{unit} is no whole number of {self.steps} of {size}")
+
+
+_ALL = (
+    Axis(
+        name="friction",
+        description="Sliding friction of ground and obstacles (1.25 as built).",
+        neutral=None,  # Each solid has its own.
+        nominal=1.25,
+        low=0.0,
+        above_low=True,
+        high=5.0,
+        slider=(0.05, 1.5, 0.05),
+        change=lambda setup, value: setup.replaced(friction=value),
+    ),
+    Axis(
+        name="payload",
+        description="Load on the robot's back, kg.",
+        unit="kg",
+        neutral=0.0,
+        low=0.0,
+        high=20.0,
+        slider=(0.0, 10.0, 0.25),
+        change=lambda setup, value: setup.replaced(payload=value),
+    ),
+    Axis(
+        name="push",
+        description="Speed that the trunk is given every 3 s, level, in a drawn direction, m/s.",
+        unit="m/s",
+        neutral=0.0,
+        low=0.0,
+        high=3.0,
+        slider=(0.0, 2.0, 0.1),
+        change=lambda setup, value: setup.replaced(push=value),
+    ),
+    Axis(
+        name="strength",
+        description="Share of the motors' gain and of their largest torque that is left.",
+        neutral=1.0,
+        low=0.0,
+        above_low=True,
+        high=2.0,
+        slider=(0.3, 1.5, 0.05),
+        change=lambda setup, value: setup.with_strength(value),
+    ),
+    Axis(
+        name="latency",
+        description="Age added to every observation, s, in control steps of 0.02 s.",
+        unit="s",
+        neutral=0.0,
+        low=0.0,
+        high=1.0,
+        step=CONTROL_STEP,
+        steps="control steps",
+        slider=(0.0, 0.2, CONTROL_STEP),
+        change=lambda setup, value: setup.later(value),
+    ),
+    Axis(
+        name="noise",
+        description="Standard deviation of errors of every number observed: of the body as the "
+        "policy is fed, of heights and depths in m, of colours as a share of white.",
+        neutral=0.0,
+        low=0.0,
+        high=10.0,
+        slider=(0.0, 0.5, 0.01),
+        change=lambda setup, value: setup.with_noise(value),
+    ),
+    Axis(
+        name="exposure",
+        description="Brightness of camera images, as a factor.",
+        neutral=1.0,
+        low=0.0,
+        above_low=True,
+        high=4.0,
+        slider=(0.1, 3.0, 0.1),
+        felt_by="splat_rgb",
+        change=lambda setup, value: setup.with_air(exposure=value),
+    ),
+    Axis(
+        name="fog",
+        description="Share of its light that a camera image loses per metre, as exponent, 1/m.",
+        unit="1/m",
+        neutral=0.0,
+        low=0.0,
+        high=5.0,
+        slider=(0.0, 1.0, 0.05),
+        felt_by="splat_rgb",
+        change=lambda setup, value: setup.with_air(fog=value),
+    ),
+    Axis(
+        name="camera_pitch",
+        description="Angle by which cameras look farther down, rad.",
+        unit="rad",
+        neutral=0.0,
+        low=-0.8,
+        high=0.8,
+        slider=(-0.5, 0.5, 0.01),
+        felt_by="camera",
+        change=lambda setup, value: setup.remounted(pitch=value),
+    ),
+    Axis(
+        name="camera_height",
+        description="Length by which cameras sit higher on the trunk, m.",
+        unit="m",
+        neutral=0.0,
+        low=-0.3,
+        high=0.3,
+        slider=(-0.2, 0.2, 0.01),
+        felt_by="camera",
+        change=lambda setup, value: setup.remounted(height=value),
+    ),
+    Axis(
+        name="field_of_view",
+        description="Vertical field of view of cameras, as a factor.",
+        neutral=1.0,
+        low=0.3,
+        high=1.5,
+        slider=(0.5, 1.5, 0.05),
+        felt_by="camera",
+        change=lambda setup, value: setup.remounted(factor=value),
+    ),
+    Axis(
+        name="missing_cones",
+        description="Probability of each cone of the trail to be missing in images.",
+        neutral=0.0,
+        low=0.0,
+        high=1.0,
+        slider=(0.0, 1.0, 0.1),
+        felt_by="cones",
+        change=lambda setup, value: setup.replaced(missing_cones=value),
+    ),
+)
+
+AXES = MappingProxyType({axis.name: axis for axis in _ALL})
+"""Those that are built in, by name."""
+
+
+def axis_names() -> tuple[str, ...]:
+    """Return the names of all axes: the built-in ones, then those of packages, not imported."""
+    return (*AXES, *(name for name in installed(GROUP) if name not in AXES))
+
+
+def is_axis(name: str) -> bool:
+    """Whether an axis of that name is built in or installed."""
+    return name in AXES or name in installed(GROUP)
+
+
+def usable_axes() -> dict[str, Axis]:
+    """Return all axes that can be used, by name; one whose package is broken is warned of."""
+    found = dict(AXES)
+    for name in axis_names():
+        try:
+            found[name] = axis_named(name)
+        except PluginError as error:
+            warn(str(error))
+    return found
+
+
+def axis_named(name: str) -> Axis:
+    """Return an axis; the package of one that is not built in is imported.
+
+    Raises:
+        UsageError: there is no such axis.
+        PluginError: its package is broken.
+    """
+    if name in AXES:
+        return AXES[name]
+    if not is_axis(name):
+        raise UsageError(f"there is no axis {name!r}", fix=nearest(name, axis_names()))
+    return load(GROUP, name, Axis)

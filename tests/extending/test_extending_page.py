@@ -1,0 +1,133 @@
+"""docs/extending.md: its packages are those beside this file, installed by pip, and its commands
+run as they stand there."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+PACKAGES = Path(__file__).parent / "packages"
+BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+SECTIONS = {
+    section.partition("\n")[0]: BLOCK.findall(section) for section in PAGE.split("\n## ")[1:]
+}
+
+
+class Reader:
+    """Somebody who follows the page in a folder of their own.
+
+    Args:
+        folder: empty; `site` in it becomes what pip installs into.
+    """
+
+    def __init__(self, folder):
+        self.folder, self.printed = folder, ""
+        (folder / "site").mkdir()
+        tools = str(Path(sys.executable).parent)
+        self.environment = os.environ | {
+            "PATH": tools + os.pathsep + os.environ["PATH"],
+            "PYTHONPATH": os.pathsep.join([str(folder / "site"), os.environ.get("PYTHONPATH", "")]),
+            "NW_EVAL_CACHE_GB": "0",
+            "COLUMNS": "200",
+        }
+
+    def install(self, package):
+        """Install a package with pip, from no index."""
+        shutil.copytree(PACKAGES / package, self.folder / package, dirs_exist_ok=True)
+        options = ["--no-index", "--no-build-isolation", "--no-deps", "--quiet"]
+        self.run(f"python -m pip install {' '.join(options)} --target site ./{package}")
+
+    def run(self, command, code=0):
+        """Run a command; return what it printed."""
+        done = subprocess.run(
+            ["bash", "-ec", command],
+            cwd=self.folder,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == code, f"{command}\n{done.stdout}\n{done.stderr}"
+        return done.stdout + done.stderr
+
+    def follow(self, blocks):
+        """Write files, run commands, and compare what is printed with what the page shows."""
+        for kind, file, text in blocks:
+            if file:
+                (self.folder / file).parent.mkdir(exist_ok=True)
+                (self.folder / file).write_text(text)
+            elif kind == "sh":
+                self.printed = ""
+                for line in text.splitlines():
+                    installed = re.fullmatch(r"pip install \./(\S+)", line)
+                    if installed:
+                        self.install(installed[1])
+                    else:
+                        self.printed += self.run(line)
+            elif kind == "text":
+                lines = self.printed.splitlines()
+                for shown in text.splitlines():
+                    begins = shown.removesuffix("...")
+                    assert any(
+                        line.startswith(begins) if begins != shown else line == shown
+                        for line in lines
+                    ), f"{shown!r} is not in\n{self.printed}"
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory):
+    return Reader(tmp_path_factory.mktemp("reader"))
+
+
+def test_the_packages_of_the_page_are_those_of_the_tests():
+    shown = {file: text for blocks in SECTIONS.values() for _, file, text in blocks if "/" in file}
+    real = {
+        path.relative_to(PACKAGES).as_posix(): path.read_text(encoding="utf-8")
+        for path in PACKAGES.rglob("*")
+        if path.suffix in {".py", ".toml"} and "build" not in path.relative_to(PACKAGES).parts
+    }
+    assert shown == real
+
+
+def test_the_table_names_every_entry_point_group():
+    from nw_eval import plugins
+
+    groups = {
+        plugins.AXES,
+        plugins.REPORTERS,
+        plugins.SENSORS,
+        plugins.SPLAT_FORMATS,
+        plugins.WRAPPERS,
+    }
+    assert set(re.findall(r"^\| `(nw_eval\.\w+)` \|", PAGE, re.MULTILINE)) == groups
+    for package in PACKAGES.iterdir():
+        project = tomllib.loads((package / "pyproject.toml").read_text())["project"]
+        assert set(project["entry-points"]) <= groups
+
+
+def test_its_reporters_are_those_that_are_built_in():
+    from nw_eval.api.surfaces import REPORTERS
+
+    said = PAGE.partition("The built-in ones are ")[2].partition(";")[0]
+    words = [word.partition("=")[0] for word in re.findall(r"`([^`]+)`", said)]
+    assert words == list(REPORTERS)
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_page_do_what_it_says(reader):
+    for blocks in SECTIONS.values():
+        reader.follow(blocks)
+
+
+def test_the_page_tells_all_that_is_there_for_tests():
+    from nw_eval import testing
+
+    told = re.findall(r"^\| `(\w+)[^`]*` \|", PAGE.partition("## Testing")[2], re.MULTILINE)
+    assert sorted(told) == testing.__all__
