@@ -21,6 +21,7 @@ def test_the_schema_names_every_setting_of_the_format() -> None:
         "trials",
         "seed",
         "episode",
+        "task",
         "scenes",
         "perturb",
         "record",

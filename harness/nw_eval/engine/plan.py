@@ -128,6 +128,7 @@ def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
             trial=trial,
             robot=suite.robot,
             protocol=suite.protocol,
+            task=suite.task,
             duration=suite.episode.duration,
             contact_termination=suite.episode.contact_termination,
             scene=places[trial.scene].reference,

@@ -110,12 +110,12 @@ class TrialResult:
         """Return what an episode has come to, with status `error` until it has an outcome."""
         return cls(
             status="error",
-            waypoints_reached=episode.progress.reached,
-            waypoints_total=episode.progress.total,
-            waypoint_times=episode.progress.times,
+            waypoints_reached=episode.task.reached,
+            waypoints_total=episode.task.total,
+            waypoint_times=episode.task.times,
             steps=episode.step,
             sim_seconds=episode.world.time,
-            contact_s=episode.contact_seconds,
+            contact_s=episode.task.contact_seconds,
             coverage_min=episode.coverage.smallest,
             coverage_mean=episode.coverage.mean,
             capture_distance=tuple(episode.captured.distance),

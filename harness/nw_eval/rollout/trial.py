@@ -74,7 +74,7 @@ def _run(trial: OpenTrial, clock: StageClock) -> TrialResult:
 
 def ended(trial: OpenTrial, outcome: Outcome) -> TrialResult:
     """Return the result of a trial that ran to an outcome."""
-    result, reason = TrialResult.so_far(trial.episode), trial.episode.end_reason(outcome)
+    result, reason = TrialResult.so_far(trial.episode), trial.episode.task.end_reason
     return replace(result, status="ok", outcome=outcome, end_reason=reason)
 
 

@@ -28,6 +28,7 @@ from nw_eval.errors import Problem, UsageError
 from nw_eval.request import Request
 from nw_eval.suite.digest import digest_of
 from nw_eval.suite.perturb import Perturb, each_once
+from nw_eval.tasks import COURSE, AnyTask
 from nw_eval.words import Protocol, Record, Robot, Tier
 
 MAX_CELLS = 10_000
@@ -252,6 +253,11 @@ class Suite(_Strict):
     trials: int = Field(ge=1, le=100_000, description="Trials per scene.")
     seed: int = Field(ge=0, lt=2**63, description="Names the pinned panel of seeds.")
     episode: EpisodeRules = EpisodeRules()  # pyright: ignore[reportCallIssue]  # Defaults sit in Field.
+    task: AnyTask = Field(
+        COURSE,
+        description="What the robot is to do: the name of a kind of task, or a mapping with `kind` "
+        "and its keys. course: the scene's waypoints in their order.",
+    )
     scenes: Patterns = Field(
         description="Names, globs, paths of scene folders, neverwhere:<path or name> for a "
         "published one, hub:org/name[@revision] for one of a hub."
@@ -261,6 +267,14 @@ class Suite(_Strict):
     gate: Gate = Gate()  # pyright: ignore[reportCallIssue]
 
     _source: Source = PrivateAttr(default_factory=Source)
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_used(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what came later, while it is not used: a suite keeps its digest."""
+        fields: dict[str, Any] = write(self)
+        if self.task == COURSE:
+            fields.pop("task", None)
+        return fields
 
     @model_validator(mode="after")
     def _bounded_grid(self) -> Self:
@@ -285,8 +299,8 @@ class Suite(_Strict):
     def digest(self) -> str:
         """Hex sha256 of what decides the course of a trial.
 
-        That is robot, protocol, seed, episode and perturbations. It names trials, so it must not
-        change with policy, gate, record, name, scenes or the number of trials: raising `trials`
+        That is robot, protocol, seed, episode, task and perturbations. It names trials, so it must
+        not change with policy, gate, record, name, scenes or the number of trials: raising `trials`
         keeps the earlier ones, and two policies meet the same ones.
         """
         fields = self.model_dump(include={"robot", "protocol", "seed", "episode", "perturb"})
@@ -294,6 +308,8 @@ class Suite(_Strict):
         fields["perturb"] = {axis: values for axis, values in fields["perturb"].items() if values}
         if fields["episode"]["contact_termination"]:
             del fields["episode"]["contact_termination"]
+        if self.task != COURSE:
+            fields["task"] = self.task.identity()
         return digest_of(fields)
 
     @property
