@@ -129,6 +129,7 @@ def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
             robot=suite.robot,
             protocol=suite.protocol,
             task=suite.task,
+            scores=suite.measured,
             duration=suite.episode.duration,
             contact_termination=suite.episode.contact_termination,
             scene=places[trial.scene].reference,

@@ -129,6 +129,8 @@ class Start:
     end_reason: str
     trajectory: str
     """`trajectory` of its row."""
+    task_kind: str = "course"
+    scores: Settings = ()
 
     @property
     def stratum(self) -> Stratum:

@@ -138,7 +138,8 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 """As `suite.model.Name`: what is fit for a file anywhere."""
 
 _END = attrgetter(
-    "success", "completed", "outcome", "waypoints_reached", "waypoints_total", "perturbation"
+    *("success", "completed", "outcome", "waypoints_reached", "waypoints_total", "perturbation"),
+    "task_kind",
 )
 
 _TRAJECTORY = re.compile(r"[0-9a-f]{16}")
@@ -241,7 +242,12 @@ def _contradiction(start: Start) -> str | None:
     if reached > total:
         return f"{reached} of {total} waypoints reached"
     ended = contradiction_of_end(
-        start.outcome, reached, total, start.success, completed=start.completed
+        start.outcome,
+        reached,
+        total,
+        start.success,
+        completed=start.completed,
+        kind=start.task_kind,
     )
     if ended is not None:
         return ended

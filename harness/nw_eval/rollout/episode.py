@@ -29,6 +29,7 @@ from nw_eval.rollout.fault import PolicyFailedError, policy_at_fault
 from nw_eval.rollout.mcap.messages import SimState, StatePart
 from nw_eval.rollout.mcap.states import Saved
 from nw_eval.scenes.scene import Nearness
+from nw_eval.scores import TrialEnd
 from nw_eval.sensors.sensor import Moment
 from nw_eval.words import Outcome
 
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from nw_eval.policies import ActionFilter, Policy
     from nw_eval.rollout.perturbed import Pushes
     from nw_eval.rollout.result import StageClock
+    from nw_eval.rollout.scored import ScoreMeter
     from nw_eval.sensors.sensor import Sensor
     from nw_eval.sim import World
     from nw_eval.tasks import Task, TaskEvent
@@ -105,6 +107,7 @@ class Episode:
         clock: where the time goes.
         pushes: that the trunk gets; None = none.
         cones: (K, 3) waypoints that have a cone, m; None = all.
+        scores: of the trial, that look on; None = none.
     """
 
     def __init__(
@@ -121,6 +124,7 @@ class Episode:
         clock: StageClock,
         pushes: Pushes | None = None,
         cones: Array | None = None,
+        scores: ScoreMeter | None = None,
     ) -> None:
         self.world = world
         self.sensors = sensors
@@ -134,6 +138,7 @@ class Episode:
         self._hold = hold
         self._clock = clock
         self._pushes = pushes
+        self._scores = scores
         self._cones = None if cones is None else read_only(cones)
         self._actions = actions = Actions(
             control, world.robot.joints, delay_steps=delay_steps, action_filter=action_filter
@@ -153,6 +158,8 @@ class Episode:
             self._parts["captured"] = self.captured
         if action_filter is not None:
             self._parts["filter"] = action_filter
+        if scores is not None:
+            self._parts["scores"] = scores
         self._parts |= {f"sensor.{name}": sensor for name, sensor in sensors.items()}
 
     def run(self, *observers: Observer) -> Outcome:
@@ -236,7 +243,19 @@ class Episode:
             outcome = self.task.end()
             self.state_digest.update(self.world.data.qpos, self.world.data.qvel)
             self.action_digest.update(decision.applied)
+            if self._scores is not None:
+                self._scores.take(decision.targets)
         return Step(decision, outcome, events)
+
+    def scores(self, outcome: Outcome | None) -> tuple[tuple[str, float], ...]:
+        """Return the scores that are defined, by name: the task's own, and those asked for.
+
+        Args:
+            outcome: how the trial ended; None if it came to no result.
+        """
+        end = TrialEnd(outcome=outcome, seconds=self.world.time, success=self.task.success)
+        own = tuple(self.task.scores().items())
+        return own if self._scores is None else (*own, *self._scores.values(end))
 
     def state(self) -> Any:
         """Return everything that the rest of the trial depends on, as an `nw.SimState`.

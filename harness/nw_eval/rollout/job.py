@@ -21,6 +21,7 @@ class TrialJob:
     robot: str
     protocol: Protocol = "strict"
     task: AnyTask = COURSE  # what the robot is to do
+    scores: tuple[str, ...] = ()  # what is measured beside
     duration: float  # s of simulated time after which the trial times out
     contact_termination: bool = True  # whether a blow to head or trunk ends it
     scene: str  # what `catalogue.open_scene` understands: a built-in name or a folder

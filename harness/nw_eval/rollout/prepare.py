@@ -30,6 +30,7 @@ from nw_eval.rollout.perturbed import (
     pushes_of,
     standing_cones,
 )
+from nw_eval.rollout.scored import ScoreMeter
 from nw_eval.scenes import Scene
 from nw_eval.sensors import build_sensors
 from nw_eval.sim import Actuators, World
@@ -123,6 +124,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             clock=clock,
             pushes=pushes_of(trial, cell),
             cones=standing_cones(trial, cell, start.waypoints),
+            scores=ScoreMeter(job.scores, world, task) if job.scores else None,
         )
         return OpenTrial(
             job=job,

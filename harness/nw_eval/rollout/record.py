@@ -59,6 +59,8 @@ def trial_metadata(job: TrialJob) -> dict[str, str]:
     del fields["task"]
     if job.task != COURSE:
         fields["task"] = job.task.model_dump()
+    if not job.scores:
+        del fields["scores"]
     fields["trial"] = {name: getattr(trial, name) for name in _OF_TRIALS}
     return {
         "trial": trial.id,
@@ -138,6 +140,7 @@ def verdict_metadata(result: TrialResult) -> dict[str, str]:
         "waypoints_reached": str(result.waypoints_reached),
         "waypoints_total": str(result.waypoints_total),
         "steps": str(result.steps),
+        **({"scores": json.dumps(dict(result.scores))} if result.scores else {}),
         "state_digest": result.state_digest,
         "action_digest": result.action_digest,
     }

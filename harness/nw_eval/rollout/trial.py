@@ -75,7 +75,8 @@ def _run(trial: OpenTrial, clock: StageClock) -> TrialResult:
 def ended(trial: OpenTrial, outcome: Outcome) -> TrialResult:
     """Return the result of a trial that ran to an outcome."""
     result, reason = TrialResult.so_far(trial.episode), trial.episode.task.end_reason
-    return replace(result, status="ok", outcome=outcome, end_reason=reason)
+    scores = trial.episode.scores(outcome)
+    return replace(result, status="ok", outcome=outcome, end_reason=reason, scores=scores)
 
 
 def failed(so_far: TrialResult, error: BaseException) -> TrialResult:
