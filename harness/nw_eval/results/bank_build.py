@@ -88,6 +88,7 @@ def bank_of_run(
             checkpoint_digest=run.policy.checkpoint_digest,
             card=card,
         ),
+        scores=tuple(run.scores),
         panels=(
             PanelInfo(
                 machine=machine,
@@ -116,7 +117,12 @@ def with_panel(bank: SavedBank, other: SavedBank) -> SavedBank:
     infos = (*bank.manifest.panels, *other.manifest.panels)
     return replace(
         bank,
-        manifest=bank.manifest.model_copy(update={"panels": infos}),
+        manifest=bank.manifest.model_copy(
+            update={
+                "panels": infos,
+                "scores": tuple(x for x in bank.manifest.scores if x in other.manifest.scores),
+            }
+        ),
         panels=(*bank.panels, *other.panels),
     )
 

@@ -46,6 +46,8 @@ def write_bank(path: Path, bank: SavedBank) -> None:
     if fault := fault_of(bank) or _misnamed(path, bank.manifest):
         raise StoreError(f"cannot write {path}: {fault}", fix="save the baseline anew from a run")
     content = bank.manifest.model_dump(mode="json")
+    if not bank.manifest.scores:
+        del content["scores"]  # An older bank stays as it is.
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     write_small_table(path, bank_table(bank), {_MANIFEST: text})
 

@@ -297,6 +297,11 @@ class Gate(_Strict):
         return self
 
     @property
+    def shared(self) -> int:
+        """Over how many scores, success among them, the errors of REGRESSED are split."""
+        return 1 + len(self.scores)
+
+    @property
     def most_drop(self) -> float:
         """`max_drop`, or 0.10 where none is named."""
         return 0.10 if self.max_drop is None else self.max_drop

@@ -21,6 +21,7 @@ from pydantic import (
 )
 
 from nw_eval.errors import UsageError, nearest
+from nw_eval.scores import ScoreSpec
 from nw_eval.tasks.course import Course, CourseSettings
 from nw_eval.tasks.task import Task, TaskRules, TaskSettings
 
@@ -79,6 +80,12 @@ def task_kinds() -> tuple[str, ...]:
 def is_plugin(settings: TaskSettings) -> bool:
     """Whether a task is that of an installed package."""
     return settings.kind not in _BUILT_IN
+
+
+def declared_by(settings: TaskSettings) -> tuple[ScoreSpec, ...]:
+    """Return the scores that a kind of task has of its own."""
+    cls = _BUILT_IN.get(settings.kind) or _plugin(settings.kind)
+    return cls.declared
 
 
 def open_task(settings: TaskSettings, rules: TaskRules) -> Task:

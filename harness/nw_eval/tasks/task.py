@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict
 from nw_eval.arrays import read_only
 from nw_eval.plural import plural
 from nw_eval.protocol import STRICT, EvaluationProtocol
+from nw_eval.scores import ScoreSpec
 from nw_eval.words import Outcome
 
 Array = NDArray[np.float64]
@@ -253,11 +254,13 @@ class Task(Protocol):
     Attributes:
         kind: the name of the kind.
         settings: the class of its settings.
+        declared: the scores of its own, which `scores` returns.
         goal: what `reset` has returned.
     """
 
     kind: ClassVar[str]
     settings: ClassVar[type[TaskSettings]]
+    declared: ClassVar[tuple[ScoreSpec, ...]] = ()
     goal: Goal
 
     def reset(self, streams: Streams, scene: Place, robot: TaskRobot) -> Goal:
@@ -324,7 +327,7 @@ class Task(Protocol):
         return f"{self.reached} of {plural(self.total, 'waypoint')}"
 
     def scores(self) -> dict[str, float]:
-        """Return scores of its own by name; it declares each as `nw_eval.scores` has it."""
+        """Return the scores that it declares, by name; those that are undefined are left out."""
         return {}
 
     def state(self) -> dict[str, bytes]:
