@@ -54,7 +54,8 @@ def test_keys_and_defaults_of_parts_are_those_of_the_code(
     assert list(said) == list(model.model_fields)
     words = {"True": "true", "None": "none", "{}": "all supporting"}
     for name, field in model.model_fields.items():
-        assert said[name] == words.get(str(field.default), str(field.default))
+        default = "None" if name == "scores" and not field.default else str(field.default)
+        assert said[name] == words.get(default, default)
 
 
 def test_everything_that_can_be_perturbed_is_told() -> None:
@@ -94,7 +95,7 @@ def test_the_outcomes_are_told_in_the_order_in_which_they_are_looked_for() -> No
     rules = {row[0].strip("`"): row[1] for row in table("outcome")}
     assert set(rules) == set(OUTCOMES) - {"policy_failed"}
     source = (PAGE.parents[1] / "harness/nw_eval/tasks/course.py").read_text(encoding="utf-8")
-    body = source.split("    def check(")[1].split("    def snapshot(")[0]
+    body = source.split("    def check(")[1].split("    def state(")[0]
     assert re.findall(r'return "(\w+)"', body) == list(rules)
     limits = Limits()
     assert f"over {limits.tilt:g} rad" in rules["fell"]

@@ -31,6 +31,7 @@ COUNTING = {
     "record": st.sampled_from(["all", "failures", "none"]),
     "render": st.sampled_from(["cpu", "cuda"]),
     "task": st.builds(Other),
+    "scores": st.tuples(TEXT),
 }
 COUNTING_OF_TRIAL = {
     "suite_digest": TEXT,

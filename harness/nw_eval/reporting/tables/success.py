@@ -131,7 +131,7 @@ def scores_table(verdict: Verdict) -> Table:
             "mean",
             bounds,
             *(("baseline", "change") if compared else ()),
-            *(("asked", "verdict") if gated else ()),
+            *(("verdict",) if gated else ()),
         ),
         rows=tuple(
             (
@@ -143,7 +143,7 @@ def scores_table(verdict: Verdict) -> Table:
                 _number(item.mean),
                 f"{item.interval.low:.4g} to {item.interval.high:.4g}",
                 *((_number(item.baseline), _change(item)) if compared else ()),
-                *((_asked(item), item.word or "-") if gated else ()),
+                *((item.word or "-",) if gated else ()),
             )
             for item in found
         ),
@@ -162,12 +162,6 @@ def _change(item: ScoreFinding) -> str:
         return ""
     change = item.drop if item.spec.better == "lower" else -item.drop
     return f"{change:+.4g}"
-
-
-def _asked(item: ScoreFinding) -> str:
-    bar = [] if item.bar is None else [f"bar {item.bar:g}"]
-    drop = [] if item.max_drop is None else [f"max_drop {item.max_drop:g}"]
-    return ", ".join([*bar, *drop])
 
 
 def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:
