@@ -21,8 +21,9 @@ from nw_eval.policies.bundle import instance_bundle
 from nw_eval.robots import get_robot
 from nw_eval.rollout.perturbed import TrialSetup
 from nw_eval.sensors import Moment
-from nw_eval.sim import TrailProgress, World
+from nw_eval.sim import World
 from nw_eval.suite.trials import Trial
+from nw_eval.tasks import Course
 
 __all__ = [
     "FakeClock",
@@ -182,7 +183,7 @@ def moment_of(world: World) -> Moment:
     nothing = np.zeros(len(world.robot.joints))
     return Moment(
         world=world,
-        progress=TrailProgress(world.scene.trail),
+        task=Course.along(world.scene.trail),
         step=world.steps,
         applied_action=nothing,
         last_output=nothing,

@@ -21,7 +21,8 @@ from nw_eval.scenes import Scene
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors import Moment, build_sensors
-from nw_eval.sim import TrailProgress, World
+from nw_eval.sim import World
+from nw_eval.tasks import Course
 
 COLUMNS, ROWS = 250, 101  # of the scan's vertices: 49,800 triangles
 TRAIL = np.array([[2.0, 0.0, 0.15], [4.0, 0.0, 0.30]])
@@ -108,7 +109,7 @@ def milliseconds(function, *, budget=0.4, runs=5):
 
 def observing(world, sensors):
     """Return a function that reads all sensors at a new control step each time."""
-    progress = TrailProgress(world.scene.trail)
+    task = Course.along(world.scene.trail)
     for sensor in sensors.values():
         sensor.reset(0)
     zeros, step = np.zeros(12), iter(range(1_000_000_000))
@@ -116,7 +117,7 @@ def observing(world, sensors):
     def read():
         moment = Moment(
             world=world,
-            progress=progress,
+            task=task,
             step=next(step),
             applied_action=zeros,
             last_output=zeros,

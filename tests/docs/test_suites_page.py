@@ -14,13 +14,11 @@ from nw_eval.built_in.splits import Split
 from nw_eval.catalogue import names
 from nw_eval.protocol import STRICT
 from nw_eval.robots import get_robot
-from nw_eval.rollout.prepare import PUBLISHED_FIRST_SEED
-from nw_eval.sim import Limits
-from nw_eval.sim.course import REACH_RADIUS, REACH_STEPS
 from nw_eval.sim.model import GRAVITY, compile_model
 from nw_eval.suite import Suite, load_suite
 from nw_eval.suite.model import MAX_CELLS, EpisodeRules, Gate, Perturb, Validity
 from nw_eval.suite.trials import MAX_TRIALS
+from nw_eval.tasks.course import PUBLISHED_FIRST_SEED, REACH_RADIUS, REACH_STEPS, Limits
 from nw_eval.words import OUTCOMES, Protocol, Tier
 
 PAGE = Path(__file__).parents[2] / "docs" / "suites.md"
@@ -56,7 +54,8 @@ def test_keys_and_defaults_of_parts_are_those_of_the_code(
     assert list(said) == list(model.model_fields)
     words = {"True": "true", "None": "none", "{}": "all supporting"}
     for name, field in model.model_fields.items():
-        assert said[name] == words.get(str(field.default), str(field.default))
+        default = "None" if name == "scores" and not field.default else str(field.default)
+        assert said[name] == words.get(default, default)
 
 
 def test_everything_that_can_be_perturbed_is_told() -> None:
@@ -95,8 +94,8 @@ def test_its_words_are_those_of_the_format() -> None:
 def test_the_outcomes_are_told_in_the_order_in_which_they_are_looked_for() -> None:
     rules = {row[0].strip("`"): row[1] for row in table("outcome")}
     assert set(rules) == set(OUTCOMES) - {"policy_failed"}
-    source = (PAGE.parents[1] / "harness/nw_eval/sim/course.py").read_text(encoding="utf-8")
-    body = source.split("    def check(")[1].split("    def snapshot(")[0]
+    source = (PAGE.parents[1] / "harness/nw_eval/tasks/course.py").read_text(encoding="utf-8")
+    body = source.split("    def check(")[1].split("    def state(")[0]
     assert re.findall(r'return "(\w+)"', body) == list(rules)
     limits = Limits()
     assert f"over {limits.tilt:g} rad" in rules["fell"]

@@ -21,9 +21,9 @@ from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.confined import start
-from nw_eval.rollout.prepare import draw_start
 from nw_eval.suite.model import new_suite
 from nw_eval.suite.trials import expand
+from nw_eval.tasks.course import draw_start
 
 SCENE = "flat/carpet_room"
 # Index of delta_yaw among the numbers of `parkour53`: its sign differs from trial to trial.
@@ -234,7 +234,7 @@ def suite_with_both_sides(scene, settings):
             for trial in expand(suite, [scene])
         ]
         sides = {
-            np.arctan2(start.trail[0][1] - start.y, start.trail[0][0] - start.x) > start.yaw
+            np.arctan2(start.waypoints[0][1] - start.y, start.waypoints[0][0] - start.x) > start.yaw
             for start in starts
         }
         if sides == {True, False} or len(starts) == 1:

@@ -33,7 +33,7 @@ observations: {body: {sensor: proprio, terms: [joint_pos]}}
 """
 PATCHES = """\
 import nw_eval.rollout.trial, nw_eval.sim
-from nw_eval.sim import TrailProgress
+from nw_eval.tasks.course import TrailProgress
 TrailProgress.reached = property(lambda self: self.total)
 TrailProgress.update = lambda self, position: True
 nw_eval.rollout.trial.run_trial = lambda *_, **__: None

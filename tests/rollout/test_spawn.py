@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.rollout.prepare import draw_start
 from nw_eval.suite.trials import Trial
+from nw_eval.tasks.course import draw_start
 
 # Measured on the published evaluation (MuJoCo 3.1.6), seeds 10000 and 10001: the spawn offsets of
 # scenes with one to four waypoints.
@@ -56,7 +56,7 @@ def test_the_published_protocol_spawns_where_the_published_evaluation_does(index
 
 def test_the_published_protocol_moves_no_waypoint():
     drawn, trail = start(protocol=NEVERWHERE_2026)
-    np.testing.assert_array_equal(drawn.trail, trail)
+    np.testing.assert_array_equal(drawn.waypoints, trail)
 
 
 def test_its_noise_moves_waypoints_and_no_start_where_it_acts():
@@ -64,7 +64,7 @@ def test_its_noise_moves_waypoints_and_no_start_where_it_acts():
     drawn, trail = start(protocol=acting, waypoints=200)
     still, _ = start(protocol=NEVERWHERE_2026, waypoints=200)
     assert (drawn.x, drawn.y, drawn.yaw) == (still.x, still.y, still.yaw)
-    shift = np.abs(drawn.trail - trail).max(axis=0)
+    shift = np.abs(drawn.waypoints - trail).max(axis=0)
     assert 0.08 < shift[0] <= 0.1
     assert 0.25 < shift[1] <= 0.3
     assert shift[2] == 0.0
@@ -72,7 +72,7 @@ def test_its_noise_moves_waypoints_and_no_start_where_it_acts():
 
 def test_the_strict_protocol_moves_waypoints_within_their_noise_and_never_up():
     drawn, trail = start(protocol=STRICT, waypoints=200)
-    shift = drawn.trail - trail
+    shift = drawn.waypoints - trail
     assert np.abs(shift[:, 0]).max() <= 0.1
     assert 0.25 < np.abs(shift[:, 1]).max() <= 0.3
     assert not shift[:, 2].any()

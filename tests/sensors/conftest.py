@@ -8,7 +8,8 @@ from nw_eval.robots import get_robot
 from nw_eval.scenes import Box, Scene
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 from nw_eval.sensors import Moment
-from nw_eval.sim import TrailProgress, World
+from nw_eval.sim import World
+from nw_eval.tasks import Course
 
 
 def make_place(*boxes, trail=((2.0, 0.0, 0.0), (4.0, 0.0, 0.0))):
@@ -45,7 +46,7 @@ def make_card(observations, **fields):
 def make_moment(world, step=0, applied=0.0, output=0.0):
     return Moment(
         world=world,
-        progress=TrailProgress(world.scene.trail),
+        task=Course.along(world.scene.trail),
         step=step,
         applied_action=np.full(12, applied),
         last_output=np.full(12, output),

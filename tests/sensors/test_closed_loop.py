@@ -9,7 +9,8 @@ from nw_eval.cards import JointControl, actuator_values
 from nw_eval.policies import ActionDelay, load_bundle, open_policy
 from nw_eval.robots import get_robot
 from nw_eval.sensors import Moment, build_sensors
-from nw_eval.sim import Actuators, Termination, TrailProgress, World
+from nw_eval.sim import Actuators, World
+from nw_eval.tasks import Course, TaskRules
 
 ASSETS = Path(__file__).parents[3] / "shared" / "assets" / "policies"
 
@@ -20,8 +21,7 @@ def run(bundle, scene, *, duration, y=0.0):
     motors = actuator_values(card, robot)
     with World(robot, scene, actuators=None if motors is None else Actuators(**motors)) as world:
         world.reset(position=(0.0, y, robot.spawn_height), yaw=0.0)
-        progress = TrailProgress(scene.trail)
-        termination = Termination(scene.trail, (0.0, y), duration=duration)
+        task = Course.along(scene.trail, (0.0, y), TaskRules(duration=duration))
         sensors, policy = build_sensors(card, world), open_policy(bundle)
         for sensor in sensors.values():
             sensor.reset(0)
@@ -32,7 +32,7 @@ def run(bundle, scene, *, duration, y=0.0):
         while outcome is None:
             moment = Moment(
                 world=world,
-                progress=progress,
+                task=task,
                 step=step,
                 applied_action=applied,
                 last_output=output,
@@ -41,10 +41,10 @@ def run(bundle, scene, *, duration, y=0.0):
             applied = delay.push(output)
             world.step(control.targets(applied))
             step += 1
-            progress.update(world.trunk_position)
-            outcome = termination.check(world, progress, step)
+            task.update(world)
+            outcome = task.end()
         policy.close()
-        return outcome, progress.fraction, world.trunk_position
+        return outcome, task.success, world.trunk_position
 
 
 BARS = [((2.0, 0.0, 0.11), (0.18, 1.0, 0.11)), ((3.8, 0.0, 0.11), (0.18, 1.0, 0.11))]

@@ -8,8 +8,9 @@ from nw_eval.cards.terms import EARLIER_OUTPUTS
 from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.robots import get_robot
 from nw_eval.sensors import Moment, build_sensors
-from nw_eval.sim import TrailProgress, World
+from nw_eval.sim import World
 from nw_eval.sim import model as sim_model
+from nw_eval.tasks import Course
 
 AT = (-0.01592, -0.06659, 0.17)
 
@@ -124,7 +125,7 @@ def test_a_restored_world_reads_the_same_to_the_last_bit(place, read, protocol):
 def test_outputs_before_the_last_one_can_be_read(world, read):
     moment = Moment(
         world=world,
-        progress=TrailProgress(world.scene.trail),
+        task=Course.along(world.scene.trail),
         step=3,
         applied_action=np.zeros(12),
         last_output=np.full(12, 3.0),

@@ -13,7 +13,7 @@ from nw_eval.errors import PolicyError
 from nw_eval.plugins import SENSORS, WRAPPERS, PluginWarning, installed, usable
 from nw_eval.rollout.episode import Actions
 from nw_eval.sensors import Moment, build_sensors, check_card
-from nw_eval.sim import TrailProgress
+from nw_eval.tasks import Course
 
 GOOD = """
 import numpy as np
@@ -338,12 +338,12 @@ def test_a_sensor_cannot_write_into_what_it_is_shown(what, world, card_of, tmp_p
     card = card_of({"o": {"sensor": "meddling:Meddles", "what": what}})
     sensor = build_sensors(card, world, code_from=tmp_path)["o"]
     control = JointControl.from_card(card, world.robot)
-    progress = TrailProgress(world.scene.trail)
+    task = Course.along(world.scene.trail)
     actions = Actions(control, world.robot.joints, delay_steps=1, action_filter=None)
     actions.take(np.ones(12))
     moment = Moment(
         world=world,
-        progress=progress,
+        task=task,
         step=1,
         applied_action=actions.applied.array,
         last_output=actions.output.array,

@@ -105,7 +105,7 @@ def test_a_robot_goes_to_where_the_goal_was_moved(stage):
     x, y = stage.original.trail[-1, :2]
     stage.move_goal(float(x), float(y) + 0.8)
     end = walk(stage, 400)
-    assert stage.trial.episode.progress.reached == 2
+    assert stage.trial.episode.task.reached == 2
     assert end[1] > y + 0.4
 
 

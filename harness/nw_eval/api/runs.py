@@ -140,6 +140,8 @@ def roll_out(
     from nw_eval.rollout.perturbed import unfelt
 
     ears, command = listener or Silence(), tuple(sys.argv)
+    # Scores are judged once, of all trials: only success alone may settle a run early.
+    all_rounds = all_rounds or bool(plan.suite.gate.scores)
     if plan.is_baseline and plan.drawn is None:
         # The starts that run again are drawn now: no file says which they will be.
         whole = all_rounds or plan.shard is not None

@@ -393,7 +393,9 @@ class Conditions:
     def key(self, job: TrialJob) -> str:
         """Return the hex sha256 of everything that can change a trial's result, or its log."""
         trial = _without(vars(job.trial), _LABELS | {"identity"})  # It is a digest of the others.
-        return digest_of([self.digest, trial, _without(vars(job), _CIRCUMSTANCE)])
+        fields = _without(vars(job), _CIRCUMSTANCE)
+        fields["task"] = job.task.identity()
+        return digest_of([self.digest, trial, fields])
 
 
 def system() -> dict[str, str]:

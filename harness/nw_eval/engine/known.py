@@ -25,6 +25,8 @@ from nw_eval.errors import StoreError
 from nw_eval.plural import plural
 from nw_eval.results.ended import of_plan
 from nw_eval.results.provenance import CacheInfo
+from nw_eval.scores.registry import plugins_among
+from nw_eval.tasks.registry import is_plugin
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Sequence
@@ -100,6 +102,10 @@ def _unfit(plan: Plan) -> str:
         return "the policy is on a server"
     if plan.bundle.code_sha256:
         return "the policy imports code"  # It may read other files, and import from other folders.
+    if is_plugin(plan.suite.task):  # It may be edited, and keep its version.
+        return f"the task {plan.suite.task.kind!r} is a plug-in"
+    if found := plugins_among(plan.suite.measured):
+        return f"the score {found[0]!r} is a plug-in"
     if plan.render != "cpu":
         return f"--render {plan.render}"  # Pictures depend on the device and on its driver.
     return ""

@@ -149,6 +149,8 @@ def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
             trial=trial,
             robot=suite.robot,
             protocol=suite.protocol,
+            task=suite.task,
+            scores=suite.measured,
             duration=suite.episode.duration,
             contact_termination=suite.episode.contact_termination,
             scene=places[trial.scene].reference,

@@ -82,6 +82,8 @@ def make_row(
         capture_alpha=result.capture_alpha,
         state_digest=result.state_digest,
         action_digest=result.action_digest,
+        task_kind=result.task_kind,
+        scores=result.scores if is_ok else (),
         checkpoint_digest=job.checkpoint_digest,
         scene_digest=trial.scene_digest,
         host=host or platform.node(),

@@ -183,7 +183,8 @@ def _bounds(judged: Sequence[Sequence[Row]], left: frozenset[str], gate: Gate) -
     """Return the bounds of mean success; what left the captured volume counts against each."""
     worst = [successes(found, left, counted=0.0) for found in judged]
     best = [successes(found, left, counted=1.0) for found in judged]
-    return Interval(lower_bound(worst, gate.confidence), upper_bound(best, gate.confidence))
+    most = 1.0 - (1.0 - gate.confidence) / gate.shared
+    return Interval(lower_bound(worst, gate.confidence), upper_bound(best, most))
 
 
 def _is_open(word: Word, left: frozenset[str], against: Comparison | None) -> bool:
@@ -267,9 +268,8 @@ def _compare(
     if bounds.low >= bar:
         return "PASS", [f"success is at least {bounds.low:.3f} ({confidence}), the bar is {bar:g}"]
     if bounds.high < bar:
-        return "REGRESSED", [
-            f"success is at most {bounds.high:.3f} ({confidence}), the bar is {bar:g}"
-        ]
+        most = f"{100 * (1.0 - (1.0 - gate.confidence) / gate.shared):.4g} % confidence"
+        return "REGRESSED", [f"success is at most {bounds.high:.3f} ({most}), the bar is {bar:g}"]
     ends = f"{bounds.low:.3f} and {bounds.high:.3f} ({confidence} each)"
     return "INCONCLUSIVE", [f"the bar {bar:g} lies between the bounds of success, {ends}"]
 
@@ -283,7 +283,7 @@ def _condemned(
     """Return the critical scenes that are certainly below the bar, with their upper bounds."""
     if gate.success_rate is None or not critical:
         return {}
-    confidence = 1.0 - (1.0 - gate.confidence) / len(critical)
+    confidence = 1.0 - (1.0 - gate.confidence) / (len(critical) * gate.shared)
     best = {
         scene: successes(groups[scene], left, counted=1.0) for scene in critical if scene in groups
     }

@@ -9,6 +9,7 @@ from warnings import warn
 
 from nw_eval.results.bank import Stratum
 from nw_eval.results.column import Settings
+from nw_eval.scores import ScoreSpec
 from nw_eval.stats.bank.curve import CurvePoint
 from nw_eval.stats.hazard import Ends
 from nw_eval.stats.interval import Interval
@@ -51,6 +52,35 @@ class SceneScore:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ScoreFinding:
+    """What a run shows of one score beside success, in the score's unit."""
+
+    spec: ScoreSpec
+    """Its declaration, with the range that counts here."""
+    trials: int
+    """Those that count, each with a result."""
+    undefined: int
+    """Of these, such as have no value, and count as the declaration says."""
+    mean: float | None
+    """Scenes weighted equally; None without trials."""
+    interval: Interval
+    """Two one-sided bounds of the mean, as `Verdict.interval`."""
+    per_scene: Mapping[str, float]
+    """Mean by scene."""
+    bar: float | None = None
+    max_drop: float | None = None
+    baseline: float | None = None
+    """The baseline's mean, where one was compared with."""
+    drop: float | None = None
+    """Change for the worse against it; None where none was tested."""
+    drops: Interval | None = None
+    """Changes for the worse that are not ruled out."""
+    word: Word | None = None
+    """What the gate makes of it; None where it does not judge it."""
+    reasons: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Verdict:
     """The verdict on one run.
 
@@ -71,6 +101,7 @@ class Verdict:
     per_scene: tuple[SceneScore, ...]
     against: Comparison | None = None  # What it also rests on; None without a baseline.
     left: frozenset[str] = frozenset()  # Trials that left the captured volume, by their names.
+    scores: tuple[ScoreFinding, ...] = ()  # What was measured beside success.
 
     @property
     def effect(self) -> float | None:

@@ -33,6 +33,7 @@ def headline_parts(verdict: Verdict, run: RunInfo, *, intervals: bool = True) ->
         low, high = verdict.interval
         bounds = f"{confidence(verdict)} bounds {low:.3f} and {high:.3f}, " if intervals else ""
         parts.append(f"success {verdict.success:.3f} ({bounds}{bar})")
+    parts += _scores(verdict)
     parts += _trials(verdict, run)
     if verdict.left:
         parts.append(f"{len(verdict.left)} left the captured volume")
@@ -68,6 +69,22 @@ def part_of_suite(verdict: Verdict, run: RunInfo) -> str:
     seen = sum(item.n > 0 for item in verdict.per_scene)
     every = len(run.scenes) + len(run.left_out)
     return f"{seen} of the suite's {plural(every, 'scene')}" if 0 < seen < every else ""
+
+
+def _scores(verdict: Verdict) -> list[str]:
+    """Return the scores that make the verdict what it is, unless it is PASS or RAN."""
+    parts: list[str] = []
+    for item in verdict.scores:
+        if item.word != verdict.verdict or item.word == "PASS" or item.mean is None:
+            continue
+        asked = [f"bar {item.bar:g}"] if item.bar is not None else []
+        if item.baseline is None:
+            parts.append(f"{item.spec.name} {item.mean:.4g}, {', '.join(asked)}")
+        else:
+            asked.append(f"max_drop {item.max_drop:g}")
+            change = f"{item.baseline:.4g} -> {item.mean:.4g}"
+            parts.append(f"{item.spec.name} {change}, {', '.join(asked)}")
+    return parts
 
 
 def _trials(verdict: Verdict, run: RunInfo) -> list[str]:

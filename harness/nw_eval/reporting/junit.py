@@ -229,6 +229,12 @@ def _of_verdict(verdict: Verdict) -> dict[str, str]:
         "planned": str(verdict.planned),
         "errors": str(verdict.errors),
         **({"left_capture": str(len(verdict.left))} if verdict.left else {}),
+        **{
+            f"score_{item.spec.name}": f"{item.mean:.6g}"
+            for item in verdict.scores
+            if item.mean is not None
+        },
+        **{f"score_{item.spec.name}_verdict": item.word for item in verdict.scores if item.word},
     }
 
 

@@ -86,6 +86,8 @@ class Manifest(_Part):
     key: BankKey
     policy: BankPolicy
     panels: tuple[PanelInfo, ...] = Field(min_length=1)
+    scores: tuple[str, ...] = ()
+    """Names of the scores that its trials were measured by."""
 
 
 def key_of(run: RunInfo) -> BankKey:
@@ -129,6 +131,8 @@ class Start:
     end_reason: str
     trajectory: str
     """`trajectory` of its row."""
+    task_kind: str = "course"
+    scores: Settings = ()
 
     @property
     def stratum(self) -> Stratum:

@@ -88,6 +88,7 @@ def bank_of_run(
             checkpoint_digest=run.policy.checkpoint_digest,
             card=card,
         ),
+        scores=tuple(run.scores),
         panels=(
             PanelInfo(
                 machine=machine,
@@ -116,7 +117,12 @@ def with_panel(bank: SavedBank, other: SavedBank) -> SavedBank:
     infos = (*bank.manifest.panels, *other.manifest.panels)
     return replace(
         bank,
-        manifest=bank.manifest.model_copy(update={"panels": infos}),
+        manifest=bank.manifest.model_copy(
+            update={
+                "panels": infos,
+                "scores": tuple(x for x in bank.manifest.scores if x in other.manifest.scores),
+            }
+        ),
         panels=(*bank.panels, *other.panels),
     )
 
@@ -138,7 +144,8 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 """As `suite.model.Name`: what is fit for a file anywhere."""
 
 _END = attrgetter(
-    "success", "completed", "outcome", "waypoints_reached", "waypoints_total", "perturbation"
+    *("success", "completed", "outcome", "waypoints_reached", "waypoints_total", "perturbation"),
+    "task_kind",
 )
 
 _TRAJECTORY = re.compile(r"[0-9a-f]{16}")
@@ -241,7 +248,12 @@ def _contradiction(start: Start) -> str | None:
     if reached > total:
         return f"{reached} of {total} waypoints reached"
     ended = contradiction_of_end(
-        start.outcome, reached, total, start.success, completed=start.completed
+        start.outcome,
+        reached,
+        total,
+        start.success,
+        completed=start.completed,
+        kind=start.task_kind,
     )
     if ended is not None:
         return ended

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,6 +46,8 @@ def write_bank(path: Path, bank: SavedBank) -> None:
     if fault := fault_of(bank) or _misnamed(path, bank.manifest):
         raise StoreError(f"cannot write {path}: {fault}", fix="save the baseline anew from a run")
     content = bank.manifest.model_dump(mode="json")
+    if not bank.manifest.scores:
+        del content["scores"]  # An older bank stays as it is.
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     write_small_table(path, bank_table(bank), {_MANIFEST: text})
 
@@ -61,17 +62,24 @@ def bank_table(bank: SavedBank) -> pa.Table:
 
     from nw_eval.results.parquet import SCHEMA
 
+    # A column that came later is there if it says anything: older banks stay as they are.
+    starts = [start for panel in bank.panels for start in panel.starts]
+    names = [
+        name
+        for name, column in SHARED.items()
+        if not column.added or any(getattr(start, name) != column.default for start in starts)
+    ]
     schema = pa.schema(
         [
             pa.field("panel", pa.int32(), nullable=False),
-            *(pa.field(name, SCHEMA.field(name).type, nullable=False) for name in SHARED),
+            *(pa.field(name, SCHEMA.field(name).type, nullable=False) for name in names),
             pa.field("trajectory", pa.binary(8), nullable=False),
         ]
     )
     lines = [
         {
             "panel": number,
-            **{name: getattr(start, name) for name in SHARED},
+            **{name: getattr(start, name) for name in names},
             "trajectory": bytes.fromhex(start.trajectory),
         }
         for number, panel in enumerate(bank.panels)
@@ -108,7 +116,8 @@ def bank_of(table: PlainTable, path: Path) -> SavedBank:
         IncomparableError: as `read_bank`.
     """
     manifest = _manifest(table.metadata.get(_MANIFEST), path)
-    needed = [field.name for field in fields(Start)]
+    needed = [name for name, column in SHARED.items() if not column.added]
+    needed.append("trajectory")
     if missing := [name for name in ("panel", *needed) if name not in table.columns]:
         raise _unusable(path, f"it lacks the columns {', '.join(missing)}")
     groups: list[list[Start]] = [[] for _ in manifest.panels[: MOST_PANELS + 1]]
@@ -162,7 +171,9 @@ def _starts(table: PlainTable, path: Path) -> Iterable[Start]:
             if column.is_list
             else table.columns[name]
             for name, column in SHARED.items()
+            if name in table.columns
         }
+        absent = {name: column.default for name, column in SHARED.items() if name not in values}
     except (TypeError, ValueError):
         raise _unusable(path, "a perturbation holds something that is no number") from None
     values["trajectory"] = [str(each) for each in table.columns["trajectory"]]
@@ -170,7 +181,7 @@ def _starts(table: PlainTable, path: Path) -> Iterable[Start]:
     for line in zip(*values.values(), strict=True):
         # As its own `__init__` would leave it, which takes three times as long.
         start = object.__new__(Start)
-        object.__setattr__(start, "__dict__", dict(zip(names, line, strict=True)))
+        object.__setattr__(start, "__dict__", dict(zip(names, line, strict=True)) | absent)
         yield start
 
 

@@ -13,6 +13,7 @@ from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import bounded_bytes
 from nw_eval.request import Request
 from nw_eval.results.seal import seal, unseal
+from nw_eval.scores import ScoreSpec
 from nw_eval.words import PanelKind, RasterizeMode
 
 _MOST = 16 * 2**20
@@ -210,6 +211,7 @@ class RunInfo(_Saved):
     suite_folder: str = ""  # Absolute; where the suite's relative paths start, for --resume.
     suite: dict[str, Any]  # The resolved suite, as `Suite.model_dump(by_alias=True)` gives it.
     suite_digest: str
+    scores: dict[str, ScoreSpec] = {}  # What its trials are measured by, as it was declared then.
     policy: PolicyInfo
     own_policy: bool = True  # Of the suite: only then its own baseline counts.
     scenes: dict[str, SceneInfo]

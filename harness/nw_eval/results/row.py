@@ -177,6 +177,23 @@ class Row:
         ),
     ] = ()
 
+    task_kind: Annotated[
+        str,
+        Column(
+            "which kind of task it was: `course`, or what the suite's `task` names",
+            repeats=True,
+            added=True,
+        ),
+    ] = "course"
+    scores: Annotated[
+        Settings,
+        Column(
+            "scores by name, each in its unit; one that is undefined is not there, and empty "
+            "where the suite names none",
+            added=True,
+        ),
+    ] = ()
+
     def __post_init__(self) -> None:
         fault = mistyped(vars(self), COLUMNS)
         if fault is None:
@@ -221,14 +238,26 @@ def self_contradiction(row: Row) -> str | None:
     if row.status == "error":
         return "an error is completed" if row.completed else None
     reached, total = row.waypoints_reached, row.waypoints_total
-    ended = contradiction_of_end(row.outcome, reached, total, row.success, completed=row.completed)
+    ended = contradiction_of_end(
+        row.outcome, reached, total, row.success, completed=row.completed, kind=row.task_kind
+    )
     return ended or _contradiction_of_times(row)
 
 
 def contradiction_of_end(
-    outcome: str, reached: int, total: int, success: float | None, *, completed: bool
+    outcome: str,
+    reached: int,
+    total: int,
+    success: float | None,
+    *,
+    completed: bool,
+    kind: str = "course",
 ) -> str | None:
     """Return in what the end of a trial that has a result contradicts itself, or None."""
+    if total < 1 and kind != "course":  # Such a task scores otherwise.
+        if completed != (outcome == "completed"):
+            return f"completed is {completed} and the outcome {outcome}"
+        return None
     if total < 1:
         if outcome == "policy_failed" and (reached, success, completed) == (0, 0.0, False):
             return None  # It ended its process, or failed before it stood: nobody has counted.

@@ -1,6 +1,6 @@
 """One episode: the loop from observation to physics, which can be saved and continued anywhere.
 
-    reset -> [ observe -> policy -> delay queue -> physics -> trail -> termination ] x 50 per second
+    reset -> [ observe -> policy -> delay queue -> physics -> task ] x 50 per second
 
 A policy that acts at less than 50 Hz is asked at every `hold`-th step.
 
@@ -29,8 +29,8 @@ from nw_eval.rollout.fault import PolicyFailedError, policy_at_fault
 from nw_eval.rollout.mcap.messages import SimState, StatePart
 from nw_eval.rollout.mcap.states import Saved
 from nw_eval.scenes.scene import Nearness
+from nw_eval.scores import TrialEnd
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sim import Limits
 from nw_eval.words import Outcome
 
 if TYPE_CHECKING:
@@ -41,8 +41,10 @@ if TYPE_CHECKING:
     from nw_eval.policies import ActionFilter, Policy
     from nw_eval.rollout.perturbed import Pushes
     from nw_eval.rollout.result import StageClock
+    from nw_eval.rollout.scored import ScoreMeter
     from nw_eval.sensors.sensor import Sensor
-    from nw_eval.sim import Termination, TrailProgress, World
+    from nw_eval.sim import World
+    from nw_eval.tasks import Task, TaskEvent
 
 Array = NDArray[np.float64]
 HUGE = 1e6
@@ -71,7 +73,7 @@ class Step(NamedTuple):
 
     decision: Decision
     outcome: Outcome | None  # how the trial ends with it; None if it goes on
-    credited: bool  # whether a waypoint was credited in it
+    events: tuple[TaskEvent, ...] = ()  # what it brought to the task
 
 
 class Observer:
@@ -87,7 +89,7 @@ class Observer:
         """The policy has decided, and nothing has moved yet."""
 
     def advanced(self, step: Step) -> None:
-        """The world has moved, and the trail and the judge have seen it."""
+        """The world has moved, and the task has seen it."""
 
 
 class Episode:
@@ -101,11 +103,11 @@ class Episode:
         delay_steps: actions that are applied before a new one is.
         hold: control steps for which an action is applied.
         action_filter: that applied actions pass through, at rest; None = none.
-        progress: along the trial's own waypoints.
-        termination: for the same waypoints.
+        task: already reset for the trial.
         clock: where the time goes.
         pushes: that the trunk gets; None = none.
         cones: (K, 3) waypoints that have a cone, m; None = all.
+        scores: of the trial, that look on; None = none.
     """
 
     def __init__(
@@ -118,33 +120,32 @@ class Episode:
         delay_steps: int,
         hold: int = 1,
         action_filter: ActionFilter | None = None,
-        progress: TrailProgress,
-        termination: Termination,
+        task: Task,
         clock: StageClock,
         pushes: Pushes | None = None,
         cones: Array | None = None,
+        scores: ScoreMeter | None = None,
     ) -> None:
         self.world = world
         self.sensors = sensors
         self.policy = policy
-        self.progress = progress
+        self.task = task
         self.step = 0  # control steps done
         self.state_digest = ChainDigest()
         self.action_digest = ChainDigest()
         self.coverage = _ImageCoverage()
         self.captured = CapturedViews()
         self._hold = hold
-        self._termination = termination
         self._clock = clock
         self._pushes = pushes
+        self._scores = scores
         self._cones = None if cones is None else read_only(cones)
         self._actions = actions = Actions(
             control, world.robot.joints, delay_steps=delay_steps, action_filter=action_filter
         )
-        # By the names that they have in logs; world and policy have fields of their own there.
+        # By the names that they have in logs; world and policy have fields of their own there, and
+        # the task's parts come first.
         self._parts: dict[str, Memory[bytes]] = {
-            "trail": progress,
-            "termination": termination,
             "delay": actions.delay,
             "applied": actions.applied,
             "output": actions.output,
@@ -157,6 +158,8 @@ class Episode:
             self._parts["captured"] = self.captured
         if action_filter is not None:
             self._parts["filter"] = action_filter
+        if scores is not None:
+            self._parts["scores"] = scores
         self._parts |= {f"sensor.{name}": sensor for name, sensor in sensors.items()}
 
     def run(self, *observers: Observer) -> Outcome:
@@ -221,7 +224,7 @@ class Episode:
         )
 
     def advance(self, decision: Decision) -> Step:
-        """Make the other half: the physics, the trail, and whether the trial ends.
+        """Make the other half: the physics, the task, and whether the trial ends.
 
         Raises:
             PolicyFailedError: the physics diverged under the policy's targets.
@@ -236,32 +239,23 @@ class Episode:
             except DivergedError as error:
                 raise PolicyFailedError(str(error), kind="diverged") from error
             self.step += 1
-            credited = self.progress.update(self.world.trunk_position)
-            outcome = self._termination.check(self.world, self.progress, self.step)
+            events = self.task.update(self.world)
+            outcome = self.task.end()
             self.state_digest.update(self.world.data.qpos, self.world.data.qvel)
             self.action_digest.update(decision.applied)
-        return Step(decision, outcome, credited)
+            if self._scores is not None:
+                self._scores.take(decision.targets)
+        return Step(decision, outcome, events)
 
-    @property
-    def contact_seconds(self) -> float:
-        """Simulated time so far during which head or trunk collided, s."""
-        return self._termination.contact_seconds
+    def scores(self, outcome: Outcome | None) -> tuple[tuple[str, float], ...]:
+        """Return the scores that are defined, by name: the task's own, and those asked for.
 
-    def end_reason(self, outcome: Outcome) -> str:
-        """Say what decided an outcome: the angle, the geom, the clock."""
-        if outcome == "fell":
-            roll, pitch, _ = np.abs(self.world.roll_pitch_yaw)
-            return "roll" if roll > Limits().tilt and roll >= pitch else "pitch"
-        if outcome == "collided":
-            forces = self.world.monitored_forces()
-            return f"contact {max(forces, key=forces.__getitem__)}"
-        reasons: dict[Outcome, str] = {
-            "completed": "all waypoints",
-            "timeout": "time",
-            "stuck": "no progress",
-            "off_course": "distance to the trail",
-        }
-        return reasons[outcome]
+        Args:
+            outcome: how the trial ended; None if it came to no result.
+        """
+        end = TrialEnd(outcome=outcome, seconds=self.world.time, success=self.task.success)
+        own = tuple(self.task.scores().items())
+        return own if self._scores is None else (*own, *self._scores.values(end))
 
     def state(self) -> Any:
         """Return everything that the rest of the trial depends on, as an `nw.SimState`.
@@ -277,7 +271,8 @@ class Episode:
 
     def saved(self) -> Saved:
         """Return the content of `state`, for which no message is made; raises as that."""
-        parts = {name: part.state() for name, part in self._parts.items()}
+        parts = self.task.state()
+        parts |= {name: part.state() for name, part in self._parts.items()}
         with policy_at_fault():
             policy = self.policy.state()
         return Saved(self.step, self.world.state(), policy, parts)
@@ -290,6 +285,7 @@ class Episode:
         """
         recorded = {part.name: part.data for part in state.parts}
         try:
+            self.task.restore(recorded)
             for name, part in self._parts.items():
                 part.restore(recorded[name])
         except (KeyError, ValueError, TypeError) as error:
@@ -308,7 +304,7 @@ class Episode:
     def _moment(self) -> Moment:
         return Moment(
             world=self.world,
-            progress=self.progress,
+            task=self.task,
             step=self.step,
             applied_action=self._actions.applied.array,
             last_output=self._actions.output.array,
@@ -510,7 +506,7 @@ class _ImageCoverage:
     def state(self) -> bytes:
         """Return count, smallest and sum."""
         numbers = [self._count, self._smallest, self._total]
-        return repr(numbers).encode()  # the JSON of finite numbers, as in `TrailProgress`
+        return repr(numbers).encode()  # the JSON of finite numbers, as in `tasks.course`
 
     def restore(self, state: bytes) -> None:
         """Go back to a `state`."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nw_eval.suite.trials import Trial
+from nw_eval.tasks import COURSE, AnyTask
 from nw_eval.words import Backend, Collision, Protocol, Record
 
 
@@ -19,6 +20,8 @@ class TrialJob:
     trial: Trial
     robot: str
     protocol: Protocol = "strict"
+    task: AnyTask = COURSE  # what the robot is to do
+    scores: tuple[str, ...] = ()  # what is measured beside
     duration: float  # s of simulated time after which the trial times out
     contact_termination: bool = True  # whether a blow to head or trunk ends it
     scene: str  # what `catalogue.open_scene` understands: a built-in name or a folder

@@ -1,6 +1,6 @@
 """From a job to a trial that stands at its first control step.
 
-Where it begins and where its waypoints lie is the only randomness of the world: `draw_start`.
+Where it begins and what is to be done there the task draws: `tasks.Task.reset`.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.episode import Episode
 from nw_eval.rollout.fault import is_interrupt, policy_at_fault
 from nw_eval.rollout.perturbed import TrialSetup, perturbed, pushes_of, standing_cones
+from nw_eval.rollout.scored import ScoreMeter
 from nw_eval.scenes import Scene
 from nw_eval.sensors import build_sensors
-from nw_eval.sim import Termination, TrailProgress, World
-from nw_eval.suite.trials import Trial
+from nw_eval.sim import World
+from nw_eval.tasks import TaskRules, open_task
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,9 +34,6 @@ if TYPE_CHECKING:
     from nw_eval.rollout.library import Library
     from nw_eval.rollout.result import StageClock
     from nw_eval.splat.render import Renderer
-
-# The published evaluation numbers its episodes from here.
-PUBLISHED_FIRST_SEED = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,16 +74,16 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
     robot, card = setup.robot, setup.card
     renderer = cache(lambda: _open_renderer(scene, job.render))
     protocol = protocol_named(job.protocol)
-    start = draw_start(
-        trial,
-        protocol=protocol,
-        spawn=(*scene.spawn.position[:2], scene.spawn.yaw),
-        jitter=(scene.spawn.x_jitter, scene.spawn.y_jitter, scene.spawn.yaw_jitter),
-        trail=scene.trail,
-        waypoint_noise=scene.waypoint_noise,
-    )
     with ExitStack() as cleanup:
         world = cleanup.enter_context(_open_world(setup, scene, protocol, library.world))
+        rules = TaskRules(
+            protocol=protocol,
+            duration=job.duration,
+            control_period=world.control_period,
+            contact_termination=job.contact_termination,
+        )
+        task = open_task(job.task, rules)
+        start = task.reset(trial, scene, robot)
         with policy_at_fault():
             policy: Policy = open_policy(bundle, allow_code=job.allow_code)
             cleanup.callback(_close, policy)
@@ -105,7 +103,6 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         )
         for name, sensor in sensors.items():
             sensor.reset(_seed(trial.seed_sequence(f"sensor {name}")))
-        period = world.control_period
         control = JointControl.from_card(card, robot)
         episode = Episode(
             world=world,
@@ -115,18 +112,11 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             delay_steps=card.control.delay_steps,
             hold=card.control.hold,
             action_filter=ActionFilter.from_card(card, control),
-            progress=TrailProgress(start.trail, protocol, control_period=period),
-            termination=Termination(
-                start.trail,
-                (start.x, start.y),
-                protocol=protocol,
-                duration=job.duration,
-                control_period=period,
-                contact_termination=job.contact_termination,
-            ),
+            task=task,
             clock=clock,
             pushes=pushes_of(setup),
-            cones=standing_cones(setup, start.trail),
+            cones=standing_cones(setup, start.waypoints),
+            scores=ScoreMeter(job.scores, world, task) if job.scores else None,
         )
         return OpenTrial(
             job=job,
@@ -202,52 +192,3 @@ def _open_renderer(scene: Scene, backend: str) -> Renderer:
 
 def _seed(sequence: np.random.SeedSequence) -> int:
     return int(sequence.generate_state(1, np.uint32)[0])
-
-
-@dataclass(frozen=True, kw_only=True)
-class DrawnStart:
-    """A trial's start and its trail, world frame."""
-
-    x: float  # m
-    y: float  # m
-    yaw: float  # rad
-    trail: np.ndarray  # (K, 3) m
-
-
-def draw_start(
-    trial: Trial,
-    *,
-    protocol: EvaluationProtocol,
-    spawn: tuple[float, float, float],
-    jitter: tuple[float, float, float],
-    trail: np.ndarray,
-    waypoint_noise: tuple[float, float],
-) -> DrawnStart:
-    """Draw one trial's start.
-
-    Args:
-        trial: whose streams `spawn` and `waypoints` are drawn from.
-        protocol: whether spawn and waypoints are drawn each from its own stream, or all in the
-            published order from `RandomState(10000 + index)`: `one_start_for_all_scenes`; and
-            whether `waypoint_noise_acts`. Noise that does not act consumes draws all the same.
-        spawn: nominal x, y (m) and yaw (rad).
-        jitter: half-widths of the uniform draws on x, y (m) and yaw (rad).
-        trail: (K, 3) nominal waypoints, m.
-        waypoint_noise: half-widths in x and y, m.
-    """
-    nominal = np.asarray(spawn, dtype=np.float64)
-    width = np.asarray(jitter, dtype=np.float64)
-    count = len(trail)
-    if protocol.one_start_for_all_scenes:
-        published = np.random.RandomState(PUBLISHED_FIRST_SEED + trial.index)
-        published.uniform()  # The commanded speed, between 0.8 and 0.8 m / s.
-        noise = published.uniform(-1.0, 1.0, size=(count, 2))[:, ::-1]  # y before x
-        offset = published.uniform(-width, width)
-    else:
-        offset = trial.generator("spawn").uniform(-width, width)
-        noise = trial.generator("waypoints").uniform(-1.0, 1.0, size=(count, 2))
-    moved = trail.copy()
-    if protocol.waypoint_noise_acts:
-        moved[:, :2] += noise * np.asarray(waypoint_noise, dtype=np.float64)
-    x, y, yaw = nominal + offset
-    return DrawnStart(x=float(x), y=float(y), yaw=float(yaw), trail=moved)

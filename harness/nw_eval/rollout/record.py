@@ -18,6 +18,7 @@ from nw_eval.clean import clean, without_credentials
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import as_outcome, policy_fault
 from nw_eval.suite.trials import MAX_TRIALS, Trial
+from nw_eval.tasks import COURSE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -54,6 +55,12 @@ def trial_metadata(job: TrialJob) -> dict[str, str]:
     trial = job.trial
     fields = _kept(vars(job))
     fields["checkpoint"] = None if job.checkpoint is None else str(job.checkpoint)
+    # What is not used is left out: such a log is as it was before there was a choice.
+    del fields["task"]
+    if job.task != COURSE:
+        fields["task"] = job.task.model_dump()
+    if not job.scores:
+        del fields["scores"]
     fields["trial"] = {name: getattr(trial, name) for name in _OF_TRIALS}
     return {
         "trial": trial.id,
@@ -133,6 +140,7 @@ def verdict_metadata(result: TrialResult) -> dict[str, str]:
         "waypoints_reached": str(result.waypoints_reached),
         "waypoints_total": str(result.waypoints_total),
         "steps": str(result.steps),
+        **({"scores": json.dumps(dict(result.scores))} if result.scores else {}),
         "state_digest": result.state_digest,
         "action_digest": result.action_digest,
     }

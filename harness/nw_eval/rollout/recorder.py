@@ -19,11 +19,14 @@ from nw_eval.sensors.terms import velocity_at
 from nw_eval.sim.binding import mujoco
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from nw_eval.robots.spec import CameraMount
     from nw_eval.rollout.episode import Decision, Episode, Step
     from nw_eval.rollout.mcap.trial_log import EventKind, TrialLog
     from nw_eval.rollout.prepare import OpenTrial
     from nw_eval.rollout.result import StageClock, TrialResult
+    from nw_eval.tasks import TaskEvent
 
 Array = NDArray[np.float64]
 
@@ -84,7 +87,7 @@ class Recorder(Observer):
             robot=self._trial.robot,
             mesh=self._trial.scene.mesh(),
             start=(x, y, self._trial.scene.spawn.position[2]),
-            trail=self._episode.progress.waypoints,
+            trail=self._episode.task.goal.waypoints,
             bodies=self._episode.world.bodies,
             in_model=self._episode.world.model.nbody,
             cameras={mount: _pose(self._trial.robot.cameras[mount]) for mount in self._mounts},
@@ -121,9 +124,9 @@ class Recorder(Observer):
     def advanced(self, step: Step) -> None:
         """Write what happened in the step."""
         self._state_due = False
-        if self._log.is_open and self._events.is_due(credited=step.credited):
+        if self._log.is_open and self._events.is_due(step.events):
             with self._clock("log"):
-                self._state_due = self._events.notice(credited=step.credited)
+                self._state_due = self._events.notice(step.events)
 
     def end(self, result: TrialResult) -> None:
         """Write how the trial ended and close the log."""
@@ -135,7 +138,11 @@ class Recorder(Observer):
         self._log.step(StepNote(world.time, data, path="shown"))
         if result.status == "ok":
             self._log.state(episode.world.time, episode.saved())
-            reached = f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
+            reached = (
+                f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
+                if result.waypoints_total
+                else episode.task.standing
+            )
             self._events.write("end", f"{result.outcome} ({result.end_reason}): {reached}")
         else:
             fault = policy_fault(result)
@@ -185,26 +192,25 @@ class Events:
         self._touching = False
         self._covered = True
 
-    def is_due(self, *, credited: bool) -> bool:
+    def is_due(self, events: Sequence[TaskEvent]) -> bool:
         """Whether `notice` might find anything: it is cheaper to ask."""
         touches = self._episode.world.monitored_force() > 0.0
-        return credited or touches != self._touching or bool(self._cameras)
+        return bool(events) or touches != self._touching or bool(self._cameras)
 
-    def notice(self, *, credited: bool) -> bool:
+    def notice(self, events: Sequence[TaskEvent]) -> bool:
         """Write what began in the step that was just made.
 
         Args:
-            credited: whether a waypoint was.
+            events: of the task.
 
         Returns:
-            Whether it is worth a restartable state: a waypoint, or a contact.
+            Whether it is worth a restartable state: an event of the task, or a contact.
         """
         episode = self._episode
-        progress = episode.progress
-        if credited:
-            number = progress.reached - 1
-            self._log.waypoints(episode.world.time, reached=progress.reached)
-            self.write("waypoint", f"waypoint {number + 1} of {progress.total}", number=number)
+        for event in events:
+            if event.kind == "waypoint":
+                self._log.waypoints(episode.world.time, reached=episode.task.reached)
+            self.write(event.kind, event.text, number=event.number)
         force = episode.world.monitored_force()
         touches = force > 0.0 and not self._touching
         if touches:
@@ -213,7 +219,7 @@ class Events:
             self.write("contact", f"{geom} touches with {force:.1f} N", value=force)
         self._touching = force > 0.0
         self._notice_coverage()
-        return credited or touches
+        return bool(events) or touches
 
     def write(self, kind: EventKind, text: str, *, number: int = -1, value: float = 0.0) -> None:
         """Write an event of now."""

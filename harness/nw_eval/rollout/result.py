@@ -86,6 +86,10 @@ class TrialResult:
     error_type: Fault | None = None
     error_text: str = ""  # one line
 
+    task_kind: str = "course"
+    task_success: float = 0.0  # of a task without waypoints, 0..1
+    scores: tuple[tuple[str, float], ...] = ()  # by name, those that are defined
+
     waypoints_reached: int = 0
     waypoints_total: int = 0
     waypoint_times: tuple[float, ...] = ()  # s of simulated time, one for each reached waypoint
@@ -110,12 +114,14 @@ class TrialResult:
         """Return what an episode has come to, with status `error` until it has an outcome."""
         return cls(
             status="error",
-            waypoints_reached=episode.progress.reached,
-            waypoints_total=episode.progress.total,
-            waypoint_times=episode.progress.times,
+            task_kind=episode.task.kind,
+            task_success=episode.task.success,
+            waypoints_reached=episode.task.reached,
+            waypoints_total=episode.task.total,
+            waypoint_times=episode.task.times,
             steps=episode.step,
             sim_seconds=episode.world.time,
-            contact_s=episode.contact_seconds,
+            contact_s=episode.task.contact_seconds,
             coverage_min=episode.coverage.smallest,
             coverage_mean=episode.coverage.mean,
             capture_distance=tuple(episode.captured.distance),
@@ -127,8 +133,9 @@ class TrialResult:
 
     @property
     def success(self) -> float:
-        """Share of the trail's waypoints reached, 0..1."""
-        return self.waypoints_reached / self.waypoints_total if self.waypoints_total else 0.0
+        """Share of the trail's waypoints reached, or what another task scores, 0..1."""
+        total = self.waypoints_total
+        return self.waypoints_reached / total if total else self.task_success
 
 
 def policy_fault(ended: TrialResult | Row) -> PolicyFault | None:

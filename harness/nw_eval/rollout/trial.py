@@ -73,8 +73,9 @@ def _timed(result: TrialResult, clock: StageClock, began: float) -> TrialResult:
 
 def ended(trial: OpenTrial, outcome: Outcome) -> TrialResult:
     """Return the result of a trial that ran to an outcome."""
-    result, reason = TrialResult.so_far(trial.episode), trial.episode.end_reason(outcome)
-    return replace(result, status="ok", outcome=outcome, end_reason=reason)
+    result, reason = TrialResult.so_far(trial.episode), trial.episode.task.end_reason
+    scores = trial.episode.scores(outcome)
+    return replace(result, status="ok", outcome=outcome, end_reason=reason, scores=scores)
 
 
 def failed(so_far: TrialResult, error: BaseException) -> TrialResult:

@@ -19,7 +19,8 @@ from nw_eval.sensors.drawing import pictures
 from nw_eval.sensors.drawing.pictures import Bytes
 from nw_eval.sensors.drawing.sheet import Cell, draw_sheet, text_strip
 from nw_eval.sensors.sensor import Moment, Sensor
-from nw_eval.sim import TrailProgress, World
+from nw_eval.sim import World
+from nw_eval.tasks import Course
 
 if TYPE_CHECKING:
     from nw_eval.splat.render import Renderer
@@ -205,7 +206,7 @@ def _observe(
             sensor.reset(0)
         moment = Moment(
             world=world,
-            progress=TrailProgress(scene.trail),
+            task=Course.along(scene.trail),
             step=_SETTLING,
             applied_action=np.zeros(len(robot.joints)),
             last_output=np.zeros(len(robot.joints)),

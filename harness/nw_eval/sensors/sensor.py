@@ -19,8 +19,9 @@ from nw_eval.cards import Action
 from nw_eval.memory import Arrays, Forgetful, Memory
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Nearness
-from nw_eval.sim import TrailProgress, World
+from nw_eval.sim import World
 from nw_eval.splat.image import Image
+from nw_eval.tasks import Task
 
 if TYPE_CHECKING:
     from nw_eval.splat.render import Renderer
@@ -31,14 +32,14 @@ Array = NDArray[np.float64]
 
 @dataclass(kw_only=True)
 class Moment:
-    """One instant of a trial: after a control step, after the trail's update for it.
+    """One instant of a trial: after a control step, after the task's update for it.
 
     The rollout makes one for each control step and shows it to every sensor; what nearly all of
     them need is computed once, at the start.
     """
 
     world: World
-    progress: TrailProgress
+    task: Task
     step: int
     """Control steps done: 0 at the start of the trial."""
     applied_action: Action
@@ -48,7 +49,7 @@ class Moment:
     earlier_outputs: tuple[Action, ...] = ()
     """What it returned before that, (12,) each, the newest first; zeros where there is no more."""
     standing_cones: Array | None = None
-    """(K, 3) waypoints that have a cone, m; None = all of the trail's."""
+    """(K, 3) waypoints that have a cone, m; None = all of the task's."""
     position: Array = field(init=False)
     """Trunk origin in the world, (3,) m."""
     roll_pitch_yaw: tuple[float, float, float] = field(init=False)
@@ -68,7 +69,7 @@ class Moment:
     @property
     def cones(self) -> Array:
         """Where cones stand, (K, 3) m, world."""
-        return self.progress.waypoints if self.standing_cones is None else self.standing_cones
+        return self.task.goal.waypoints if self.standing_cones is None else self.standing_cones
 
     @property
     def rotation(self) -> Array:
@@ -77,8 +78,14 @@ class Moment:
 
     @cached_property
     def delta_yaw(self) -> float:
-        """Angle from the heading to the next waypoint, rad in [-pi, pi), positive to the left."""
-        goal_x, goal_y, _ = self.progress.target.tolist()
+        """Angle from the heading to the task's target, rad in [-pi, pi), positive to the left.
+
+        0 where the task names no target.
+        """
+        target = self.task.target
+        if target is None:
+            return 0.0
+        goal_x, goal_y, _ = target.tolist()
         x, y, _ = self.position.tolist()
         bearing = math.atan2(goal_y - y, goal_x - x)
         return (bearing - self.roll_pitch_yaw[2] + math.pi) % (2.0 * math.pi) - math.pi
@@ -195,7 +202,7 @@ class Shot:
 
     Attributes:
         step: control steps done; 0 at the start of a trial.
-        moment: world and progress; None while shapes are worked out, before there is a world.
+        moment: world and task; None while shapes are worked out, before there is a world.
     """
 
     step: int

@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 JOINTS = slice(7, None)
 """Of qpos, after the free joint's 7 numbers."""
-_JOINT_RATES = slice(6, None)  # of qvel
+JOINT_RATES = slice(6, None)  # of qvel
 
 
 class Body:
@@ -102,7 +102,7 @@ class Body:
     @property
     def joint_velocities(self) -> Array:
         """(12,) rad / s."""
-        return self.data.qvel[_JOINT_RATES].copy()
+        return self.data.qvel[JOINT_RATES].copy()
 
     @property
     def geom_rgba(self) -> npt.NDArray[np.float32]:
@@ -134,7 +134,7 @@ class Body:
             then angular velocity (trunk frame), (6,).
         """
         data = self.data
-        joints = data.qpos[JOINTS], data.qvel[_JOINT_RATES]
+        joints = data.qpos[JOINTS], data.qvel[JOINT_RATES]
         return data.xpos, data.xquat, *joints, data.qvel[:6]
 
 

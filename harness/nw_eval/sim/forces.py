@@ -82,6 +82,44 @@ def specific_force(
     return R_world_trunk.T @ (acceleration[:3] - gravity) + circling
 
 
+class PhysicsRate:
+    """Torques and rates of the motors in each physics step of the newest control step.
+
+    Args:
+        model: compiled model.
+        data: its state.
+        substeps: physics steps in a control step, S.
+        joints: of the velocities, those of the motors, in the order of the motors.
+
+    Attributes:
+        servo: (S, J) N m, what each servo gave after clipping, without damping.
+        rates: (S, J) rad/s, at the end of each physics step.
+    """
+
+    def __init__(self, model: MjModel, data: MjData, substeps: int, joints: slice) -> None:
+        # Views of the simulation's memory, which stays where it is.
+        self._force, self._velocity = data.actuator_force, data.qvel[joints]
+        self.servo = np.zeros((substeps, len(self._force)))
+        self.rates = np.zeros((substeps, len(self._force)))
+        self._damping = model.dof_damping[joints].copy()
+
+    def take(self, substep: int) -> None:
+        """Keep the physics step that was just made."""
+        self.servo[substep] = self._force
+        self.rates[substep] = self._velocity
+
+    def motor_torques(self, servo: Array, rates: Array) -> Array:
+        """Return the torques of the motors, (..., J) N m: the servos' and their damping.
+
+        MuJoCo's Euler integrator takes damping at the velocity of the physics step's end.
+
+        Args:
+            servo: as the attribute, (..., J).
+            rates: of the same physics steps, (..., J).
+        """
+        return servo - self._damping * rates
+
+
 class ContactForces:
     """Adds up contact forces on chosen geoms.
 

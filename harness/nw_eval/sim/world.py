@@ -10,8 +10,14 @@ import numpy.typing as npt
 from nw_eval.errors import TrialError
 from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.sim.binding import mujoco
-from nw_eval.sim.body import JOINTS, Body, RobotRays, cast_at_visuals
-from nw_eval.sim.forces import CONTACT_THRESHOLD, ContactForces, Forces, specific_force
+from nw_eval.sim.body import JOINT_RATES, JOINTS, Body, RobotRays, cast_at_visuals
+from nw_eval.sim.forces import (
+    CONTACT_THRESHOLD,
+    ContactForces,
+    Forces,
+    PhysicsRate,
+    specific_force,
+)
 from nw_eval.sim.model import Actuators, compile_model
 from nw_eval.sim.state import check, fingerprint, keep_warnings_out_of_files, pack, unpack
 
@@ -95,6 +101,8 @@ class World(Body):
         self._substeps = substeps
         self._fingerprint = fingerprint(model)
         self._closed = False
+        self._physics: PhysicsRate | None = None
+        self._feet = [int(model.geom(name).id) for name in robot.feet]
         self._contact_forces = ContactForces(
             model,
             (*robot.feet, *self.monitored_geoms),
@@ -180,8 +188,14 @@ class World(Body):
             )
         # Positions and velocities are already current here, so the first physics step skips them.
         mujoco.mj_step2(model, data)
-        for _ in range(self._substeps - 1):
-            mujoco.mj_step(model, data)
+        if (physics := self._physics) is None:
+            for _ in range(self._substeps - 1):
+                mujoco.mj_step(model, data)
+        else:
+            physics.take(0)
+            for substep in range(1, self._substeps):
+                mujoco.mj_step(model, data)
+                physics.take(substep)
         # Taken before contacts move its rows; beyond the last, that memory is anything: it reads 0.
         reads_last = self.protocol.reads_forces_of_last_solve
         solved: Array | None = data.efc_force.copy() if reads_last else None
@@ -230,6 +244,40 @@ class World(Body):
         self._forces = other._forces
 
     # What there is to know.
+
+    def at_physics_rate(self) -> PhysicsRate:
+        """Return what each further control step leaves of its physics steps.
+
+        Nothing is kept before this is asked for: it costs some microseconds a control step.
+        """
+        if self._physics is None:
+            self._physics = PhysicsRate(self.model, self.data, self._substeps, JOINT_RATES)
+        return self._physics
+
+    @property
+    def timestep(self) -> float:
+        """Of the physics, s."""
+        return float(self.model.opt.timestep)
+
+    @property
+    def mass(self) -> float:
+        """Of the robot with its payload, kg."""
+        return float(self.model.body_subtreemass[self._trunk])
+
+    @property
+    def gravity(self) -> float:
+        """Its size, m / s^2."""
+        return float(np.linalg.norm(self.model.opt.gravity))
+
+    @property
+    def torque_limits(self) -> Array:
+        """Largest torque of each motor here, (12,) N m: card and perturbations included."""
+        return self.model.actuator_forcerange[:, 1].copy()
+
+    @property
+    def foot_positions(self) -> Array:
+        """Centres of the feet in the world, (4, 3) m, in the order of `robot.feet`."""
+        return self.data.geom_xpos[self._feet]
 
     @property
     def time(self) -> float:

@@ -20,6 +20,7 @@ from pydantic import (
     PrivateAttr,
     SerializerFunctionWrapHandler,
     ValidationError,
+    field_validator,
     model_serializer,
     model_validator,
 )
@@ -28,9 +29,11 @@ from nw_eval.errors import Problem, UsageError
 from nw_eval.plugins import AXES as GROUP
 from nw_eval.plugins import key_of, version_named, version_of
 from nw_eval.request import Request
+from nw_eval.scores import ScoreSpec, specs_of
 from nw_eval.suite.axes import AXES
 from nw_eval.suite.digest import digest_of
 from nw_eval.suite.perturb import Perturb, each_once
+from nw_eval.tasks import COURSE, AnyTask
 from nw_eval.words import Protocol, Record, Robot, Tier
 
 MAX_CELLS = 10_000
@@ -131,6 +134,60 @@ class Validity(_Strict):
         return self
 
 
+class ScoreGate(_Strict):
+    """What one score must show, in its own unit."""
+
+    bar: float | None = Field(
+        None, description="The mean must reach it beyond doubt; from which side, the score says."
+    )
+    max_drop: float | None = Field(
+        None, gt=0.0, description="Change for the worse against the baseline that must not pass."
+    )
+    tolerate: float | None = Field(
+        None,
+        ge=0.0,
+        description="Change for the worse that must not be convicted; a fifth of max_drop if None.",
+    )
+    range: tuple[float, float] | None = Field(
+        None,
+        description="A narrower range than the score's own, to which its values are clipped: the "
+        "narrower, the fewer trials a verdict needs.",
+    )
+
+    @model_validator(mode="after")
+    def _asks_for_something(self) -> Self:
+        if self.bar is None and self.max_drop is None:
+            raise ValueError("neither bar nor max_drop is set; set one")
+        if self.tolerate is not None and self.tolerate > (self.max_drop or 0.0):
+            raise ValueError(f"tolerate {self.tolerate:g} is over max_drop; lower it")
+        return self
+
+    @property
+    def tolerated(self) -> float:
+        """`tolerate`, or a fifth of `max_drop`."""
+        return 0.2 * (self.max_drop or 0.0) if self.tolerate is None else self.tolerate
+
+    def spec(self, declared: ScoreSpec) -> ScoreSpec:
+        """Return a score's declaration with the range that counts here."""
+        return declared if self.range is None else declared.within(*self.range)
+
+    def fault(self, name: str, declared: ScoreSpec) -> str | None:
+        """Return what of it does not fit the declaration of its score, or None."""
+        if self.range is not None:
+            low, high = self.range
+            if not declared.low <= low < high <= declared.high:
+                return (
+                    f"{name}: range {low:g} to {high:g} is not within {declared.low:g} to "
+                    f"{declared.high:g}; narrow it"
+                )
+        spec = self.spec(declared)
+        if self.bar is not None and not spec.low < self.bar < spec.high:
+            return f"{name}: bar {self.bar:g} is not between {spec.low:g} and {spec.high:g}"
+        if self.max_drop is not None and self.max_drop >= spec.width:
+            return f"{name}: max_drop {self.max_drop:g} is as wide as its range; lower it"
+        return None
+
+
 class Gate(_Strict):
     """What a run must show to pass."""
 
@@ -201,6 +258,11 @@ class Gate(_Strict):
         "if its own upper bound is below the bar. supporting (the default): counts in the mean. "
         "informational: is only reported.",
     )
+    scores: dict[str, ScoreGate] = Field(
+        {},
+        description="Scores that are judged beside success, each with `bar`, `max_drop` or both, "
+        "in its own unit. All trials of the budget run then.",
+    )
     validity: Validity | None = Field(
         None,
         description="Limits beyond which a trial has left the captured volume; such trials are "
@@ -215,7 +277,20 @@ class Gate(_Strict):
             fields.pop("validity", None)
         if self.claim == "fresh":
             fields.pop("claim", None)
+        if not self.scores:
+            fields.pop("scores", None)
         return fields
+
+    @field_validator("scores")
+    @classmethod
+    def _known_scores(cls, gates: dict[str, ScoreGate]) -> dict[str, ScoreGate]:
+        if "success" in gates:
+            raise ValueError("success is judged by success_rate and max_drop; set those of `gate`")
+        specs = specs_of(gates)
+        for name, gate in gates.items():
+            if fault := gate.fault(name, specs[name]):
+                raise ValueError(fault)
+        return gates
 
     @model_validator(mode="after")
     def _ordered_drops(self) -> Self:
@@ -223,6 +298,11 @@ class Gate(_Strict):
             most = f"{self.most_drop:g}"
             raise ValueError(f"tolerate {self.tolerate:g} is over max_drop {most}; lower it")
         return self
+
+    @property
+    def shared(self) -> int:
+        """Over how many scores, success among them, the errors of REGRESSED are split."""
+        return 1 + len(self.scores)
 
     @property
     def most_drop(self) -> float:
@@ -255,11 +335,21 @@ class Suite(_Strict):
     trials: int = Field(ge=1, le=100_000, description="Trials per scene.")
     seed: int = Field(ge=0, lt=2**63, description="Names the pinned panel of seeds.")
     episode: EpisodeRules = EpisodeRules()  # pyright: ignore[reportCallIssue]  # Defaults sit in Field.
+    task: AnyTask = Field(
+        COURSE,
+        description="What the robot is to do: the name of a kind of task, or a mapping with `kind` "
+        "and its keys. course: the scene's waypoints in their order.",
+    )
     scenes: Patterns = Field(
         description="Names, globs, paths of scene folders, neverwhere:<path or name> for a "
         "published one, hub:org/name[@revision] for one of a hub."
     )
     perturb: Perturb = Perturb()  # pyright: ignore[reportCallIssue]
+    scores: tuple[str, ...] = Field(
+        (),
+        description="What is measured of each trial beside success, by name (docs/scores.md). "
+        "Those that gate.scores names are measured, too.",
+    )
     record: Record = Field("failures", description="Trials whose images are kept in the logs.")
     gate: Gate = Gate()  # pyright: ignore[reportCallIssue]
     plugins: dict[str, str] = Field(
@@ -270,6 +360,22 @@ class Suite(_Strict):
     )
 
     _source: Source = PrivateAttr(default_factory=Source)
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_used(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what came later, while it is not used: a suite keeps its digest."""
+        fields: dict[str, Any] = write(self)
+        if self.task == COURSE:
+            fields.pop("task", None)
+        if not self.scores:
+            fields.pop("scores", None)
+        return fields
+
+    @field_validator("scores")
+    @classmethod
+    def _known_scores(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        specs_of(names)
+        return each_once(names)
 
     @model_validator(mode="after")
     def _bounded_grid(self) -> Self:
@@ -299,11 +405,16 @@ class Suite(_Strict):
         return self._source.base
 
     @property
+    def measured(self) -> tuple[str, ...]:
+        """Names of the scores of its trials: those it lists, and those that its gate judges."""
+        return tuple(dict.fromkeys((*self.scores, *self.gate.scores)))
+
+    @property
     def digest(self) -> str:
         """Hex sha256 of what decides the course of a trial.
 
-        That is robot, protocol, seed, episode and perturbations, with the versions of the packages
-        that have some of them. It names trials, so it must not
+        That is robot, protocol, seed, episode, task and perturbations, with the versions of the
+        packages that have some of their axes. It names trials, so it must not
         change with policy, gate, record, name, scenes or the number of trials: raising `trials`
         keeps the earlier ones, and two policies meet the same ones.
         """
@@ -314,6 +425,8 @@ class Suite(_Strict):
         fields["perturb"] = {axis: values for axis, values in fields["perturb"].items() if values}
         if fields["episode"]["contact_termination"]:
             del fields["episode"]["contact_termination"]
+        if self.task != COURSE:
+            fields["task"] = self.task.identity()
         return digest_of(fields)
 
     @property

@@ -19,7 +19,7 @@ from nw_eval.scenes.mesh import merge
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import HeightField, Scene
 from nw_eval.sim import World
-from nw_eval.sim.course import REACH_RADIUS
+from nw_eval.tasks.course import REACH_RADIUS
 from nw_eval.words import Robot
 
 Values = NDArray[np.float64]

@@ -20,7 +20,7 @@ from nw_eval.errors import SceneError
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Spawn, Vector
-from nw_eval.sim.course import REACH_RADIUS
+from nw_eval.tasks.course import REACH_RADIUS
 from nw_eval.twin.trail_profile import (
     STEP,
     GroundProfile,

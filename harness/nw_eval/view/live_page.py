@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import NwEvalError, StoreError, UsageError
 from nw_eval.files.inside import what_is
-from nw_eval.plural import plural
 from nw_eval.rollout.mcap.drawn import place_update, robot_update
 from nw_eval.rollout.observed import View, views_of
 from nw_eval.sensors.drawing.pictures import picture_of
@@ -199,7 +198,7 @@ class LivePage(ServedPage):
         self._show_pictures(decision.observation)
         if outcome is not None:
             self.runs = False
-            self._say(self._stage.trial.episode.end_reason(outcome))
+            self._say(self._stage.trial.episode.task.end_reason)
         elif clock.monotonic() - self._said_at > _SAID_EVERY or not self.runs:
             self._say("")
 
@@ -212,7 +211,7 @@ class LivePage(ServedPage):
         episode, now = self._stage.trial.episode, clock.monotonic()
         parts = [
             f"{episode.world.time:.2f} s",
-            f"{episode.progress.reached} of {plural(episode.progress.total, 'waypoint')}",
+            episode.task.standing,
         ]
         if self.runs and self._done and now > self._said_at:
             parts.append(f"{self._done * STEP / (now - self._said_at):.2f} of real time")

@@ -12,6 +12,12 @@ from nw_eval.engine import cache
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.job import TrialJob
 from nw_eval.suite.trials import Trial
+from nw_eval.tasks import TaskSettings
+
+
+class Other(TaskSettings):
+    kind: str = "other"
+
 
 TEXT, WHOLE = st.text(max_size=8), st.integers(0, 2**40)
 REAL = st.floats(0.01, 600.0)
@@ -24,6 +30,8 @@ COUNTING = {
     "checkpoint_digest": TEXT,
     "record": st.sampled_from(["all", "failures", "none"]),
     "render": st.sampled_from(["cpu", "cuda"]),
+    "task": st.builds(Other),
+    "scores": st.tuples(TEXT),
 }
 COUNTING_OF_TRIAL = {
     "suite_digest": TEXT,

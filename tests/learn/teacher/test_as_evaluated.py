@@ -12,9 +12,9 @@ from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.result import StageClock
-from nw_eval.sim import TrailProgress, World
-from nw_eval.sim.course import distance_to_polyline
+from nw_eval.sim import World
 from nw_eval.suite.trials import Trial
+from nw_eval.tasks.course import TrailProgress, distance_to_polyline
 
 SCENE = "hurdles/three_high_wood_hall"
 

@@ -18,6 +18,7 @@ from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.finding import by_place
 from nw_eval.gate.baseline.judge import compare, setup_of
 from nw_eval.gate.baseline.known import known_rows
+from nw_eval.gate.scores import with_scores
 from nw_eval.gate.verdict import Comparison, Verdict, Word
 from nw_eval.results.bank import Against
 from nw_eval.results.provenance import RunInfo
@@ -45,6 +46,8 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     """
     whole = run.shard is None
     verdict = _of_rows(rows, run, gate, against) if whole else _of_part(rows, run, gate)
+    if whole:
+        verdict = with_scores(verdict, rows, run, gate, against)
     verdict = replace(
         verdict,
         per_scene=tuple(

@@ -7,7 +7,7 @@ informational are not in it.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isnan, nan
 from typing import Literal
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.gate.verdict import Basis, Claim
-from nw_eval.results.bank import Panel, Stratum, score
+from nw_eval.results.bank import Panel, Start, Stratum, score
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.stats.bank.evidence import Bank, Margins
@@ -30,6 +30,7 @@ from nw_eval.words import Arm
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
+Counted = Callable[[Row | Start], float | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +46,8 @@ class Met:
     """Trials that left the captured volume (`gate.validity`): nothing is known of their starts."""
     control_left: frozenset[str] = frozenset()
     """Those of the control's. Each arm's trials have the same ids, and only one may have left."""
+    counted: Counted = score
+    """What of a trial is compared, 0 to 1, None without a result: success, or a scaled score."""
 
     def places(self, judged: Sequence[Stratum]) -> Places:
         """Return the places of the trials of some strata, in order, shape (T,)."""
@@ -80,7 +83,7 @@ class Met:
         if self.control is not None:
             baseline = [self._score_beside(place) for place in places]
         elif isinstance(known, Panel):
-            panels = {stratum: scores_of(known, stratum) for stratum in judged}
+            panels = {stratum: scores_of(known, stratum, self.counted) for stratum in judged}
             baseline = [
                 float(panels[stratum][self.order[place][2]])
                 for stratum, place in zip(strata, places, strict=True)
@@ -127,17 +130,17 @@ class Met:
 
     def _score_beside(self, place: int) -> float:
         row = None if self.control is None else self.control[place]
-        counted = None if row is None or row.trial_id in self.control_left else score(row)
+        counted = None if row is None or row.trial_id in self.control_left else self.counted(row)
         return nan if counted is None else counted
 
     def _score(self, row: Row | None) -> float:
-        counted = None if row is None or row.trial_id in self.left else score(row)
+        counted = None if row is None or row.trial_id in self.left else self.counted(row)
         return nan if counted is None else counted
 
 
-def scores_of(panel: Panel, stratum: Stratum) -> Floats:
-    """Return b of all starts of a stratum, shape (M,)."""
-    return np.array([score(start) for start in panel.by_stratum[stratum]], dtype=np.float64)
+def scores_of(panel: Panel, stratum: Stratum, counted: Counted = score) -> Floats:
+    """Return b of all starts of a stratum, shape (M,); `counted` as `Met.counted`."""
+    return np.array([counted(start) for start in panel.by_stratum[stratum]], dtype=np.float64)
 
 
 def budget_of(run: RunInfo) -> int:
@@ -259,15 +262,21 @@ def rules_of(gate: Gate, judged: Sequence[Stratum]) -> TrialRules:
         tiers=tuple(gate.tier(scene) for scene, _ in judged),
         margins=margins_of(gate),
         alpha_pass=1.0 - gate.confidence,
-        alpha_regr=gate.false_alarm,
+        alpha_regr=gate.false_alarm / gate.shared,
     )
 
 
-def bank_of(panel: Panel, judged: Sequence[Stratum], basis: Basis, claim: Claim) -> Bank:
-    """Return what is known of the baseline before the first trial."""
+def bank_of(
+    panel: Panel,
+    judged: Sequence[Stratum],
+    basis: Basis,
+    claim: Claim,
+    counted: Counted = score,
+) -> Bank:
+    """Return what is known of the baseline before the first trial; `counted` as `Met.counted`."""
     if basis == "control":
         return Bank.control(len(judged))
-    bank = Bank.of(np.array([scores_of(panel, stratum) for stratum in judged]))
+    bank = Bank.of(np.array([scores_of(panel, stratum, counted) for stratum in judged]))
     return bank if claim == "panel" else bank.fresh()
 
 

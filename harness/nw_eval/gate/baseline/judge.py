@@ -198,7 +198,7 @@ def compare(
         tolerate=margins.tolerate,
         scene_drop=margins.scene_drop,
         alpha_pass=alpha_pass,
-        alpha_regr=gate.false_alarm,
+        alpha_regr=gate.false_alarm / gate.shared,
         scenes=tuple(scenes),
         reasons=(),
         left_aside=setup.left_aside,

@@ -70,6 +70,8 @@ def known_rows(run: RunInfo, bank: SavedBank) -> tuple[Row, ...]:
             "scene_digest": trial.scene_digest,
             "cached": True,
             **{name: getattr(start, name) for name in FROM_START},
+            "task_kind": start.task_kind,
+            "scores": start.scores,
             **_NO_TIMES,
         }
         rows.append(from_dict(known))

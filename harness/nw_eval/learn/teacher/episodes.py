@@ -25,8 +25,8 @@ from nw_eval.learn.teacher.senses import (
 )
 from nw_eval.learn.teacher.simulation import CONTROL_PERIOD, Simulation, Trails
 from nw_eval.robots import RobotSpec
-from nw_eval.sim.course import Limits
 from nw_eval.sim.forces import CONTACT_THRESHOLD
+from nw_eval.tasks.course import Limits
 
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]

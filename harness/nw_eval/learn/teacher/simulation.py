@@ -1,7 +1,7 @@
 """Many robots at once: their physics, and their progress along the trails.
 
 Each robot is in a lane of its own, and all are stepped on a pool of threads. Progress goes by the
-rules of `sim.course`.
+rules of `tasks.course`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from nw_eval.learn.teacher.lanes import WAYPOINTS
 from nw_eval.robots import RobotSpec
 from nw_eval.robots.spec import VISUAL_GROUP
 from nw_eval.sim.binding import MjModel, mujoco
-from nw_eval.sim.course import REACH_RADIUS, REACH_STEPS, Limits
+from nw_eval.tasks.course import REACH_RADIUS, REACH_STEPS, Limits
 
 Array = NDArray[np.float64]
 

@@ -14,6 +14,7 @@ from nw_eval.reporting.tables.success import (
     outcomes_table,
     perturbations_table,
     scenes_table,
+    scores_table,
     tasks_table,
 )
 from nw_eval.reporting.tables.table import WORST, Table, judged
@@ -55,6 +56,7 @@ def all_tables(
         baseline_table(verdict.against, brief=brief),
         cause_table(cause),
         scenes_table(verdict),
+        scores_table(verdict),
         *(() if brief else (perturbations_table(ordered, verdict),)),
         outcomes_table(ordered),
         contacts_table(ordered, run),
@@ -85,6 +87,7 @@ def named_tables(
         "tasks": tasks_table(rows, verdict),
         "against": baseline_table(verdict.against),
         "scenes": scenes_table(verdict),
+        "scores": scores_table(verdict),
         "perturbations": perturbations_table(rows, verdict),
         "outcomes": outcomes_table(rows),
         "contacts": contacts_table(rows, run),

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.gate.verdict import SceneScore, Verdict
+from nw_eval.gate.verdict import SceneScore, ScoreFinding, Verdict
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import (
     Bar,
@@ -110,6 +110,58 @@ def _of_splits(scores: Sequence[SceneScore]) -> str:
             average = float(np.mean(known))
             parts.append(f"{average:.3f} in {plural(len(known), 'scene')} that {words} ({split})")
     return f"Mean success: {', '.join(parts)}." if parts else ""
+
+
+def scores_table(verdict: Verdict) -> Table:
+    """Return what was measured beside success, a line for each score, in its unit."""
+    found = verdict.scores
+    compared = any(item.baseline is not None for item in found)
+    gated = any(item.word is not None for item in found)
+    undefined = any(item.undefined for item in found)
+    bounds = f"{100 * verdict.confidence:.4g} % bounds"
+    meanings = "; ".join(f"{item.spec.name}: {item.spec.meaning}" for item in found)
+    return Table(
+        title="Scores",
+        columns=(
+            "score",
+            "unit",
+            "better",
+            "trials",
+            *(("undefined",) if undefined else ()),
+            "mean",
+            bounds,
+            *(("baseline", "change") if compared else ()),
+            *(("verdict",) if gated else ()),
+        ),
+        rows=tuple(
+            (
+                item.spec.name,
+                item.spec.unit or "-",
+                item.spec.better,
+                str(item.trials),
+                *((str(item.undefined),) if undefined else ()),
+                _number(item.mean),
+                f"{item.interval.low:.4g} to {item.interval.high:.4g}",
+                *((_number(item.baseline), _change(item)) if compared else ()),
+                *((item.word or "-",) if gated else ()),
+            )
+            for item in found
+        ),
+        numbers=frozenset({"trials", "undefined", "mean", "baseline", "change"}),
+        note=f"Means weigh scenes equally. A trial in which a score is undefined counts as its "
+        f"declaration says. {meanings}.",
+    )
+
+
+def _number(value: float | None) -> str:
+    return "none" if value is None else f"{value:.4g}"
+
+
+def _change(item: ScoreFinding) -> str:
+    if item.drop is None:
+        return ""
+    change = item.drop if item.spec.better == "lower" else -item.drop
+    return f"{change:+.4g}"
 
 
 def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:

@@ -184,7 +184,22 @@ def _of_all(verdict: Verdict) -> dict[str, float | None]:
         "all/errors": verdict.errors,
         **({"all/left_capture": len(verdict.left)} if verdict.left else {}),
         "all/exit_code": verdict.exit_code,
+        **_of_scores(verdict),
     }
+
+
+def _of_scores(verdict: Verdict) -> dict[str, float | None]:
+    """Return the declared scores: the mean of all, its change for the worse, and that by scene."""
+    scenes = keys_of(score.scene for score in verdict.per_scene)
+    numbers: dict[str, float | None] = {}
+    for item in verdict.scores:
+        name = item.spec.name
+        numbers[f"scores/{name}/all"] = item.mean
+        if item.drop is not None:
+            numbers[f"scores/{name}/drop"] = item.drop
+        for scene, mean in item.per_scene.items():
+            numbers[f"scores/{name}/scenes/{scenes[scene]}"] = mean
+    return numbers
 
 
 def _by_scene(verdict: Verdict) -> dict[str, float | None]:

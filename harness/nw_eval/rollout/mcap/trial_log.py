@@ -37,7 +37,7 @@ from nw_eval.rollout.mcap.steps import BodyForms, StepNote, Steps
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.words import Record
 
-EventKind = Literal["start", "waypoint", "contact", "coverage", "end", "error"]
+EventKind = Literal["start", "waypoint", "task", "contact", "coverage", "end", "error"]
 
 _IMAGES: dict[Record, Images] = {"all": "keep", "failures": "decide", "none": "drop"}
 _P = ParamSpec("_P")

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path, followed
-from nw_eval.plural import plural
 from nw_eval.robots import get_robot
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
@@ -53,13 +52,10 @@ def contact_sheet(logged: LoggedTrial) -> bytes:
         splat = None if trial.scene.splat is None else trial.renderer()
         spectator = Spectator(trial.scene, splat)
         drawn = _as_drawn(trial.scene)
-        world, trail = trial.episode.world, trial.episode.progress.waypoints
+        world, trail = trial.episode.world, trial.episode.task.goal.waypoints
         for index in chosen:
             trial.episode.restore(states[index])
-            progress = trial.episode.progress
-            label = (
-                f"{world.time:.2f} s, {progress.reached} of {plural(progress.total, 'waypoint')}"
-            )
+            label = f"{world.time:.2f} s, {trial.episode.task.standing}"
             views = [
                 spectator.beside(world, trail, width=width, height=height),
                 spectator.aboard(world, trail, _EGO, width=width, height=height),

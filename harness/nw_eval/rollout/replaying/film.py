@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError, PrerequisiteError, StoreError
-from nw_eval.plural import plural
 from nw_eval.rollout.episode import Observer
 from nw_eval.rollout.fault import is_interrupt, one_line
 from nw_eval.rollout.observed import views_of
@@ -143,14 +142,13 @@ class Film(Observer):
 
     def _take(self, news: str, *, pictures: int) -> None:
         episode = self._episode
-        progress = episode.progress
         width, height = VIEW
         beside = self._spectator.beside(
-            episode.world, progress.waypoints, width=width, height=height
+            episode.world, episode.task.goal.waypoints, width=width, height=height
         )
         words = Words(
             time=episode.world.time,
-            waypoints=f"{progress.reached} of {plural(progress.total, 'waypoint')}",
+            waypoints=episode.task.standing,
             driver=self._driver,
             has_taken_over=episode.world.time >= self._taken_over_at,
             own=self._own.name,
@@ -272,7 +270,7 @@ class _OwnView:
             width, height = _BLIND
             self._drawn_at = episode.step
             self._shown = self._spectator.aboard(
-                episode.world, episode.progress.waypoints, _EGO, width=width, height=height
+                episode.world, episode.task.goal.waypoints, _EGO, width=width, height=height
             )
         return self._shown
 

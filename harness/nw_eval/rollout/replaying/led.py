@@ -51,8 +51,9 @@ if TYPE_CHECKING:
     from nw_eval.scenes.rays import RayScene
     from nw_eval.words import Collision
 
-_OF_THE_TRIAL = ("trail", "termination", "state_digest", "action_digest")
-"""Parts of a state that are the trial's; all others are the policy's, its sensors among them."""
+_OF_THE_TRIAL = ("state_digest", "action_digest")
+"""Parts of a state that are the trial's, with the task's; all others are the policy's, its sensors
+among them."""
 _WORLD_HEAD = 12
 """Bytes of a world's state that name the model: magic and fingerprint, see `sim.state`."""
 _HANDOVER = "takeover.json"
@@ -141,7 +142,8 @@ def _join(follower: Episode, leader: Episode) -> Any:
     """
     own, there = follower.state(), leader.state()
     parts = {part.name: part.data for part in own.parts}
-    parts |= {part.name: part.data for part in there.parts if part.name in _OF_THE_TRIAL}
+    of_the_trial = (*_OF_THE_TRIAL, *leader.task.state())
+    parts |= {part.name: part.data for part in there.parts if part.name in of_the_trial}
     state = SimState(
         step=there.step,
         world=own.world[:_WORLD_HEAD] + there.world[_WORLD_HEAD:],

@@ -1,12 +1,17 @@
-"""Progress along a trail, which waypoints the robot has reached in order; and when a trial ends."""
+"""The task `course`: a scene's waypoints in their order.
+
+Here are progress along the trail, when a trial ends, and where it begins: `draw_start` is the only
+randomness of the world.
+"""
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -14,13 +19,21 @@ import numpy.typing as npt
 from nw_eval.arrays import read_only
 from nw_eval.errors import SceneError
 from nw_eval.protocol import STRICT, EvaluationProtocol
+from nw_eval.tasks.task import (
+    Goal,
+    Place,
+    Readings,
+    Streams,
+    Task,
+    TaskEvent,
+    TaskRobot,
+    TaskRules,
+    TaskSettings,
+)
+from nw_eval.words import Outcome
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from nw_eval.sim.world import World
-    from nw_eval.words import Outcome
-
+PUBLISHED_FIRST_SEED = 10_000
+"""From where the published evaluation numbers its episodes."""
 
 REACH_RADIUS = 0.3  # m, in the ground plane; the waypoint's height does not matter
 REACH_STEPS = 6  # control steps within the radius
@@ -89,6 +102,11 @@ class TrailProgress:
             timer = 0
         self._so_far = _Reached(updates, index, reached, timer, times)
         return credited
+
+    @property
+    def updates(self) -> int:
+        """Control steps that it has seen."""
+        return self._so_far.updates
 
     @property
     def index(self) -> int:
@@ -209,7 +227,7 @@ class Termination:
         """Simulated time so far during which head or trunk collided, s."""
         return self._so_far.contact_steps * self._control_period
 
-    def check(self, world: World, progress: TrailProgress, step: int) -> Outcome | None:
+    def check(self, world: Readings, progress: TrailProgress, step: int) -> Outcome | None:
         """Return how the trial ends now, or None if it goes on.
 
         Args:
@@ -277,3 +295,198 @@ def _distance(x: float, y: float, start: Sequence[float], end: Sequence[float]) 
     along = (from_x * span_x + from_y * span_y) / squared if squared > 0.0 else 0.0
     along = min(max(along, 0.0), 1.0)
     return math.hypot(from_x - along * span_x, from_y - along * span_y)
+
+
+class CourseSettings(TaskSettings):
+    """`task: course`: it has no keys of its own, the scene has the waypoints."""
+
+    kind: Literal["course"] = "course"
+
+
+COURSE = CourseSettings()
+"""The task where a suite names none."""
+
+
+class Course(Task):
+    """Waypoints in their order: `TrailProgress` counts them, `Termination` ends the trial."""
+
+    kind = "course"
+    settings = CourseSettings
+
+    def __init__(
+        self, settings: CourseSettings | None = None, rules: TaskRules | None = None
+    ) -> None:
+        del settings
+        self._rules = TaskRules() if rules is None else rules
+        self._ended: Outcome | None = None
+        self._readings: Readings | None = None
+        self._progress: TrailProgress
+        self._termination: Termination
+
+    @classmethod
+    def along(
+        cls,
+        waypoints: npt.NDArray[np.float64],
+        start: npt.NDArray[np.float64] | Sequence[float] = (0.0, 0.0),
+        rules: TaskRules | None = None,
+    ) -> Course:
+        """Return a course that has begun, along given waypoints.
+
+        Args:
+            waypoints: (K, 3) world, m.
+            start: (2,) or (3,) where the trail begins, world, m.
+            rules: of the trial; the usual ones if None.
+        """
+        course = cls(rules=rules)
+        x, y = (float(each) for each in start[:2])
+        course._begin(x, y, 0.0, waypoints)
+        return course
+
+    def reset(self, streams: Streams, scene: Place, robot: TaskRobot) -> Goal:
+        """Draw start and waypoints."""
+        del robot
+        spawn = scene.spawn
+        drawn = draw_start(
+            streams,
+            protocol=self._rules.protocol,
+            spawn=(*spawn.position[:2], spawn.yaw),
+            jitter=(spawn.x_jitter, spawn.y_jitter, spawn.yaw_jitter),
+            trail=scene.trail,
+            waypoint_noise=scene.waypoint_noise,
+        )
+        return self._begin(drawn.x, drawn.y, drawn.yaw, drawn.waypoints)
+
+    def _begin(self, x: float, y: float, yaw: float, waypoints: npt.NDArray[np.float64]) -> Goal:
+        rules = self._rules
+        self._progress = TrailProgress(
+            waypoints, rules.protocol, control_period=rules.control_period
+        )
+        self._termination = Termination(
+            waypoints,
+            (x, y),
+            protocol=rules.protocol,
+            duration=rules.duration,
+            control_period=rules.control_period,
+            contact_termination=rules.contact_termination,
+        )
+        self._ended, self._readings = None, None
+        self.goal = Goal(x=x, y=y, yaw=yaw, waypoints=self._progress.waypoints)
+        return self.goal
+
+    def update(self, readings: Readings) -> tuple[TaskEvent, ...]:
+        """Count a waypoint, and look whether the trial is over."""
+        progress = self._progress
+        credited = progress.update(readings.trunk_position)
+        self._readings = readings
+        self._ended = self._termination.check(readings, progress, progress.updates)
+        if not credited:
+            return ()
+        number = progress.reached - 1
+        text = f"waypoint {number + 1} of {progress.total}"
+        return (TaskEvent("waypoint", text, number),)
+
+    def end(self) -> Outcome | None:
+        """Return what `Termination` says of the last control step."""
+        return self._ended
+
+    @property
+    def end_reason(self) -> str:
+        """Say what decided the outcome: the angle, the geom, the clock."""
+        if self._ended is None or self._readings is None:
+            return ""
+        if self._ended == "fell":
+            return tilted_by(self._readings)
+        if self._ended == "collided":
+            return touched_by(self._readings)
+        reasons: dict[Outcome, str] = {
+            "completed": "all waypoints",
+            "timeout": "time",
+            "stuck": "no progress",
+            "off_course": "distance to the trail",
+        }
+        return reasons[self._ended]
+
+    @property
+    def reached(self) -> int:
+        """How many waypoints have been credited."""
+        return self._progress.reached
+
+    @property
+    def total(self) -> int:
+        """How many waypoints there are."""
+        return self._progress.total
+
+    @property
+    def times(self) -> tuple[float, ...]:
+        """When each was credited, s since the reset."""
+        return self._progress.times
+
+    @property
+    def contact_seconds(self) -> float:
+        """Simulated time so far during which a monitored geom collided, s."""
+        return self._termination.contact_seconds
+
+    @property
+    def target(self) -> npt.NDArray[np.float64]:
+        """The waypoint to go to, (3,) world, m."""
+        return self._progress.target
+
+    def state(self) -> dict[str, bytes]:
+        """Return progress and waiting."""
+        return {"trail": self._progress.state(), "termination": self._termination.state()}
+
+    def restore(self, state: Mapping[str, bytes]) -> None:
+        """Go back, or on, to a `state`."""
+        self._progress.restore(state["trail"])
+        self._termination.restore(state["termination"])
+
+
+def tilted_by(readings: Readings) -> str:
+    """Return the angle that makes a fall: `roll` or `pitch`."""
+    roll, pitch, _ = np.abs(readings.roll_pitch_yaw)
+    return "roll" if roll > Limits().tilt and roll >= pitch else "pitch"
+
+
+def touched_by(readings: Readings) -> str:
+    """Return the monitored geom with the largest contact force: `contact face`."""
+    forces = readings.monitored_forces()
+    return f"contact {max(forces, key=forces.__getitem__)}"
+
+
+def draw_start(
+    streams: Streams,
+    *,
+    protocol: EvaluationProtocol,
+    spawn: tuple[float, float, float],
+    jitter: tuple[float, float, float],
+    trail: npt.NDArray[np.float64],
+    waypoint_noise: tuple[float, float],
+) -> Goal:
+    """Draw one trial's start and its waypoints.
+
+    Args:
+        streams: of which `spawn` and `waypoints` are drawn from.
+        protocol: whether spawn and waypoints are drawn each from its own stream, or all in the
+            published order from `RandomState(10000 + index)`: `one_start_for_all_scenes`; and
+            whether `waypoint_noise_acts`. Noise that does not act consumes draws all the same.
+        spawn: nominal x, y (m) and yaw (rad).
+        jitter: half-widths of the uniform draws on x, y (m) and yaw (rad).
+        trail: (K, 3) nominal waypoints, m.
+        waypoint_noise: half-widths in x and y, m.
+    """
+    nominal = np.asarray(spawn, dtype=np.float64)
+    width = np.asarray(jitter, dtype=np.float64)
+    count = len(trail)
+    if protocol.one_start_for_all_scenes:
+        published = np.random.RandomState(PUBLISHED_FIRST_SEED + streams.index)
+        published.uniform()  # The commanded speed, between 0.8 and 0.8 m / s.
+        noise = published.uniform(-1.0, 1.0, size=(count, 2))[:, ::-1]  # y before x
+        offset = published.uniform(-width, width)
+    else:
+        offset = streams.generator("spawn").uniform(-width, width)
+        noise = streams.generator("waypoints").uniform(-1.0, 1.0, size=(count, 2))
+    moved = trail.copy()
+    if protocol.waypoint_noise_acts:
+        moved[:, :2] += noise * np.asarray(waypoint_noise, dtype=np.float64)
+    x, y, yaw = nominal + offset
+    return Goal(x=float(x), y=float(y), yaw=float(yaw), waypoints=moved)

@@ -7,7 +7,7 @@ import pytest
 
 from nw_eval.errors import SceneError
 from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.sim import TrailProgress
+from nw_eval.tasks.course import TrailProgress
 
 PROTOCOLS = (STRICT, NEVERWHERE_2026)
 NEAR, FAR = (0.0, 0.0), (5.0, 5.0)

@@ -8,8 +8,8 @@ import pytest
 
 from nw_eval.catalogue import get_scene
 from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.sim import Termination, TrailProgress, World
-from nw_eval.sim.course import distance_to_polyline
+from nw_eval.sim import World
+from nw_eval.tasks.course import Termination, TrailProgress, distance_to_polyline
 
 PROTOCOLS = (STRICT, NEVERWHERE_2026)
 TRAIL = np.array([(2.0, 0.0, 0.3), (4.0, 0.0, 0.0)])

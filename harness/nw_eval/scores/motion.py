@@ -1,0 +1,210 @@
+"""How the robot moves: smoothness of what the motors are told, attitude, feet."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from nw_eval.scores.score import Figures, Score, ScoreSpec, Stretch, TrialEnd
+
+
+class _Differences(Score):
+    """Root mean square of the differences of some order of what the motors are told, by time."""
+
+    order: ClassVar[int]
+
+    def __init__(self, figures: Figures) -> None:
+        super().__init__(figures)
+        # NaN until as many have been seen.
+        self.before = np.full((self.order, len(figures.torque_limits)), np.nan)
+        self.total, self.count = 0.0, 0
+
+    def update(self, stretch: Stretch) -> None:
+        """Add squares."""
+        targets = np.concatenate([self.before, stretch.targets])
+        self.before = targets[-self.order :].copy()
+        changes = np.diff(targets, n=self.order, axis=0)
+        known = changes[~np.isnan(changes[:, 0])]
+        self.total += float((known * known).sum())
+        self.count += known.size
+
+    def value(self, end: TrialEnd) -> float | None:
+        """Return the root mean square; None of a trial with too few steps."""
+        del end
+        if not self.count:
+            return None
+        return math.sqrt(self.total / self.count) / self.figures.control_period**self.order
+
+
+class ActionRate(_Differences):
+    """sqrt(1/(N J) sum_t,j ((u_t - u_t-1) / T)^2): how fast joint targets change, rad/s.
+
+    u are the targets that the motors are told, after scale, clip, delay and filter of the card, so
+    that policies with other scales can be compared; of a policy that commands torques, N m/s.
+
+    Source: the penalty `action_rate` of N. Rudin, D. Hoeller, P. Reist and M. Hutter, "Learning to
+    walk in minutes using massively parallel deep reinforcement learning", CoRL 2021, on targets and
+    by time.
+    """
+
+    order = 1
+    spec = ScoreSpec(
+        name="action_rate",
+        unit="rad/s",
+        better="lower",
+        low=0.0,
+        high=50.0,
+        undefined=50.0,
+        meaning="root mean square of the rate at which joint targets change",
+    )
+
+
+class ActionAcceleration(_Differences):
+    """sqrt(1/(N J) sum_t,j ((u_t - 2 u_t-1 + u_t-2) / T^2)^2), rad/s^2; u as for `action_rate`.
+
+    Source: the penalty `action_smoothness_2` of G. B. Margolis and P. Agrawal, "Walk these ways:
+    tuning robot control for generalization with multiplicity of behavior", CoRL 2022, on targets
+    and by time.
+    """
+
+    order = 2
+    spec = ScoreSpec(
+        name="action_acceleration",
+        unit="rad/s^2",
+        better="lower",
+        low=0.0,
+        high=5000.0,
+        undefined=5000.0,
+        meaning="root mean square of the acceleration of joint targets",
+    )
+
+
+class _Angle(Score):
+    """Root mean square of an Euler angle of the trunk."""
+
+    which: ClassVar[int]
+
+    def __init__(self, figures: Figures) -> None:
+        super().__init__(figures)
+        self.total, self.count = 0.0, 0
+
+    def update(self, stretch: Stretch) -> None:
+        """Add squares."""
+        angles = stretch.roll_pitch_yaw[:, self.which]
+        self.total += float((angles * angles).sum())
+        self.count += len(angles)
+
+    def value(self, end: TrialEnd) -> float | None:
+        """Return rad."""
+        del end
+        return math.sqrt(self.total / self.count) if self.count else None
+
+
+class BaseRollRms(_Angle):
+    """sqrt(1/N sum_t roll_t^2), rad: how far the trunk leans to its sides."""
+
+    which = 0
+    spec = ScoreSpec(
+        name="base_roll_rms",
+        unit="rad",
+        better="lower",
+        low=0.0,
+        high=1.0,
+        undefined=1.0,
+        meaning="root mean square of the trunk's roll",
+    )
+
+
+class BasePitchRms(_Angle):
+    """sqrt(1/N sum_t pitch_t^2), rad: how far the trunk leans forward or back; slopes count too."""
+
+    which = 1
+    spec = ScoreSpec(
+        name="base_pitch_rms",
+        unit="rad",
+        better="lower",
+        low=0.0,
+        high=1.0,
+        undefined=1.0,
+        meaning="root mean square of the trunk's pitch",
+    )
+
+
+TOUCHING = 2.0
+"""N; a foot with more is in contact, as `foot_contacts` has it."""
+
+
+class FootSlip(Score):
+    """Mean horizontal speed of the feet's centres while they are in contact, m/s.
+
+    1/n sum |p_t - p_t-1|_xy / T over all feet and control steps at whose both ends the foot carries
+    more than 2 N. A round foot that rolls without sliding counts a little, too.
+
+    Source: the penalty `feet_slip` of G. B. Margolis and P. Agrawal, "Walk these ways", CoRL 2022,
+    as a mean speed.
+    """
+
+    spec = ScoreSpec(
+        name="foot_slip",
+        unit="m/s",
+        better="lower",
+        low=0.0,
+        high=1.0,
+        undefined=1.0,
+        meaning="mean horizontal speed of feet that carry load",
+    )
+
+    def __init__(self, figures: Figures) -> None:
+        super().__init__(figures)
+        self.before = np.zeros((0, 3))
+        self.carried = np.zeros(0, dtype=np.bool_)
+        self.way, self.count = 0.0, 0
+
+    def update(self, stretch: Stretch) -> None:
+        """Add the ways of feet that stayed in contact."""
+        places, carries = stretch.foot_positions, stretch.foot_forces > TOUCHING
+        if len(self.before):
+            places = np.concatenate([self.before[np.newaxis], places])
+            carries = np.concatenate([self.carried[np.newaxis], carries])
+        moved = np.diff(places[..., :2], axis=0)
+        held = carries[1:] & carries[:-1]
+        self.way += float(np.hypot(moved[..., 0], moved[..., 1])[held].sum())
+        self.count += int(held.sum())
+        self.before, self.carried = places[-1].copy(), carries[-1].copy()
+
+    def value(self, end: TrialEnd) -> float | None:
+        """Return m/s; None where no foot stayed in contact."""
+        del end
+        return self.way / self.count / self.figures.control_period if self.count else None
+
+
+class ContactImpulse(Score):
+    """max_t,f F_f T: the largest impulse on a foot in one control step, N s.
+
+    F is the contact force at the end of the control step, and T its length.
+    """
+
+    spec = ScoreSpec(
+        name="contact_impulse",
+        unit="N s",
+        better="lower",
+        low=0.0,
+        high=100.0,
+        undefined=100.0,
+        meaning="largest contact force on a foot times a control step",
+    )
+
+    def __init__(self, figures: Figures) -> None:
+        super().__init__(figures)
+        self.largest = -1.0
+
+    def update(self, stretch: Stretch) -> None:
+        """Look for a larger force."""
+        self.largest = max(self.largest, float(stretch.foot_forces.max()))
+
+    def value(self, end: TrialEnd) -> float | None:
+        """Return N s."""
+        del end
+        return self.largest * self.figures.control_period if self.largest >= 0.0 else None

@@ -1,0 +1,175 @@
+"""What a score is: a declared number of a trial, and the readings that it is computed from.
+
+A score is one class: it declares itself (`spec`), is shown the readings of a trial in stretches of
+some control steps, and says its value at the end. Arrays over time make that cheap: all scores that
+are built in take a few microseconds a control step together, and a suite that names none pays
+nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from nw_eval.words import Outcome
+
+Array = NDArray[np.float64]
+STRETCH = 10
+"""Control steps that a score is shown at once; fewer at the end of a trial."""
+
+
+class ScoreSpec(BaseModel):
+    """The declaration of a score: all that gate and reports know of it."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")
+    unit: str
+    """In words, such as `W` or `rad/s`; empty for a share or a ratio."""
+    better: Literal["higher", "lower"]
+    """Which values are good."""
+    low: float
+    high: float
+    """The range: statistics see values clipped to it."""
+    undefined: float
+    """What a trial counts in which the score has no value, such as a time to finish of a robot that
+    fell; in the score's unit."""
+    meaning: str
+    """One line."""
+
+    @property
+    def width(self) -> float:
+        """Of the range, in the score's unit."""
+        return self.high - self.low
+
+    def counted(self, value: float | None) -> float:
+        """Return a value as it is averaged: within the range; None is what is undefined."""
+        return min(max(self.undefined if value is None else value, self.low), self.high)
+
+    def scaled(self, value: float | None) -> float:
+        """Return a value as a number from 0, the worst, to 1, the best."""
+        share = (self.counted(value) - self.low) / self.width
+        return share if self.better == "higher" else 1.0 - share
+
+    def unscaled(self, share: float) -> float:
+        """Return the value in the score's unit of a number that `scaled` gives."""
+        return self.low + self.width * (share if self.better == "higher" else 1.0 - share)
+
+    def within(self, low: float, high: float) -> ScoreSpec:
+        """Return the declaration with a narrower range."""
+        bounded = min(max(self.undefined, low), high)
+        return self.model_copy(update={"low": low, "high": high, "undefined": bounded})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Figures:
+    """What of robot and simulation does not change in a trial.
+
+    Attributes:
+        control_period: of a control step, s.
+        timestep: of a physics step, s.
+        mass: of the robot with its payload, kg.
+        gravity: m/s^2.
+        torque_limits: of the motors, (J,) N m.
+        joint_ranges: (J, 2) rad.
+    """
+
+    control_period: float
+    timestep: float
+    mass: float
+    gravity: float
+    torque_limits: Array
+    joint_ranges: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stretch:
+    """The readings of n consecutive control steps, 1 to `STRETCH`, each after its step.
+
+    Frames: world z up; the yaw frame is the world turned by the trunk's heading. J joints in the
+    order of `robot.joints`, F feet in that of `robot.feet`, S physics steps in each control step.
+
+    Attributes:
+        torques: of the motors in each physics step, damping of the servo included, (n, S, J) N m.
+        joint_rates: at the end of each physics step, (n, S, J) rad/s.
+        joint_positions: (n, J) rad.
+        targets: what the motors were told, (n, J) rad, or N m.
+        position: origin of the trunk, (n, 3) world, m.
+        roll_pitch_yaw: of the trunk, (n, 3) rad.
+        velocity: of the trunk's origin, (n, 3) yaw frame, m/s.
+        rates: angular velocity of the trunk, (n, 3) trunk frame, rad/s.
+        foot_positions: centres of the feet, (n, F, 3) world, m.
+        foot_forces: contact forces on the feet, (n, F) N.
+        command: velocity that the task asks for, (n, 3): forward, left m/s, yaw rate rad/s; NaN
+            where it asks for none.
+    """
+
+    torques: Array
+    joint_rates: Array
+    joint_positions: Array
+    targets: Array
+    position: Array
+    roll_pitch_yaw: Array
+    velocity: Array
+    rates: Array
+    foot_positions: Array
+    foot_forces: Array
+    command: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialEnd:
+    """How a trial ended.
+
+    Attributes:
+        outcome: None where it came to no result.
+        seconds: simulated time, s.
+        success: 0 to 1.
+    """
+
+    outcome: Outcome | None
+    seconds: float
+    success: float
+
+
+class Score:
+    """One score of one trial. A subclass declares `spec`, and has `update` and `value`.
+
+    What it remembers are numbers and arrays, each an attribute that `__init__` sets: those are what
+    a trial is saved by and continued from.
+
+    Args:
+        figures: of robot and simulation.
+    """
+
+    spec: ClassVar[ScoreSpec]
+
+    def __init__(self, figures: Figures) -> None:
+        self.figures = figures
+
+    def update(self, stretch: Stretch) -> None:
+        """Take the readings of the next control steps."""
+        raise NotImplementedError
+
+    def value(self, end: TrialEnd) -> float | None:
+        """Return the score, in its unit, or None where it is undefined."""
+        raise NotImplementedError
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return what it remembers."""
+        return {name: np.asarray(value) for name, value in vars(self).items() if name != "figures"}
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Go back, or on, to a `state`.
+
+        Raises:
+            KeyError: it is of another score.
+        """
+        for name in [name for name in vars(self) if name != "figures"]:
+            array = state[name]
+            setattr(self, name, array.item() if array.ndim == 0 else array.copy())

@@ -1,0 +1,32 @@
+"""Tasks: what a robot is to do in a trial, one file a kind."""
+
+from nw_eval.tasks.course import COURSE, Course, CourseSettings, Limits
+from nw_eval.tasks.registry import AnyTask, open_task, task_kinds
+from nw_eval.tasks.task import (
+    Goal,
+    Place,
+    Readings,
+    Streams,
+    Task,
+    TaskEvent,
+    TaskRules,
+    TaskSettings,
+)
+
+__all__ = [
+    "COURSE",
+    "AnyTask",
+    "Course",
+    "CourseSettings",
+    "Goal",
+    "Limits",
+    "Place",
+    "Readings",
+    "Streams",
+    "Task",
+    "TaskEvent",
+    "TaskRules",
+    "TaskSettings",
+    "open_task",
+    "task_kinds",
+]

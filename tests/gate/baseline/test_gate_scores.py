@@ -1,0 +1,225 @@
+"""Scores that a suite gates: by a bar and against a baseline, each in its own unit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from nw_eval.gate.baseline.combine import judge_run
+from nw_eval.results.bank import Against, SavedBank
+from nw_eval.results.provenance import RunInfo
+from nw_eval.results.row import Row
+from nw_eval.scores import specs_of
+from nw_eval.suite.model import Gate
+
+Make = Callable[..., Any]
+WAYS = {"drawn_from": 60}
+COT = {"cost_of_transport": {"bar": 1.6, "max_drop": 0.3, "range": (0.0, 2.0)}}
+
+
+def with_scores(
+    rows: Sequence[Row], values: Mapping[str, Callable[[Row], float | None]]
+) -> list[Row]:
+    return [
+        replace(
+            row,
+            scores=tuple((n, v) for n, of in values.items() if (v := of(row)) is not None),
+        )
+        for row in rows
+    ]
+
+
+def bank_with(bank: SavedBank, **values: float) -> SavedBank:
+    panels = tuple(
+        replace(
+            panel,
+            starts=tuple(replace(start, scores=tuple(values.items())) for start in panel.starts),
+        )
+        for panel in bank.panels
+    )
+    manifest = bank.manifest.model_copy(update={"scores": tuple(values)})
+    return SavedBank(manifest=manifest, panels=panels)
+
+
+@pytest.fixture
+def judged(make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make) -> Make:
+    """Judge a run whose every trial completed, by the values of its scores and the baseline's."""
+
+    def judge(
+        gate: dict[str, Any],
+        now: Mapping[str, Any],
+        before: Mapping[str, float] | None = None,
+        *,
+        trials: int = 20,
+        success: float = 1.0,
+        scenes: str = "ab",
+    ) -> Any:
+        ways = {} if before is None else WAYS
+        settings = Gate(**gate)
+        suite = {"gate": gate}
+        run: RunInfo = make_run(scenes, trials, suite=suite, **ways)
+        run = run.model_copy(update={"scores": specs_of(now)})
+        against: Against | None = None
+        if before is not None:
+            bank = make_bank(run, dict.fromkeys(scenes, [1.0] * 60))
+            against = make_against(bank_with(bank, **before))
+            rows = drawn_rows(run, dict.fromkeys(scenes, success))
+        else:
+            rows = drawn_rows(
+                run.model_copy(update={"drawn_from": 60}), dict.fromkeys(scenes, success)
+            )
+            planned = {s: sum(row.scene == s for row in rows) for s in scenes}
+            infos = {
+                name: info.model_copy(update={"trials": planned[name]})
+                for name, info in run.scenes.items()
+            }
+            run = run.model_copy(update={"scenes": infos})
+        values = {n: v if callable(v) else (lambda _, v=v: v) for n, v in now.items()}
+        return judge_run(with_scores(rows, values), run, settings, against)
+
+    return judge
+
+
+def test_a_policy_that_gets_as_far_at_a_higher_cost_is_regressed_and_the_score_is_named(
+    judged: Make,
+) -> None:
+    found = judged(
+        {"success_rate": 0.5, "scores": COT},
+        {"cost_of_transport": 1.5},
+        {"cost_of_transport": 0.92},
+    )
+    assert (found.verdict, found.success, found.exit_code) == ("REGRESSED", 1.0, 1)
+    assert found.reasons[1].startswith(
+        "cost_of_transport 0.92 -> 1.5 in 40 trials, max_drop 0.3: at least "
+    )
+    (item,) = found.scores
+    assert item.drop == pytest.approx(0.58)
+    assert item.drops.low > 0.06, "a fifth of max_drop"
+
+
+def test_without_the_scores_the_same_trials_pass(judged: Make) -> None:
+    assert judged({"success_rate": 0.5}, {"cost_of_transport": 1.5}, {}).verdict == "PASS"
+
+
+def test_the_same_cost_passes_bar_and_baseline(judged: Make) -> None:
+    found = judged(
+        {"success_rate": 0.5, "scores": COT},
+        {"cost_of_transport": 0.92},
+        {"cost_of_transport": 0.92},
+        trials=40,
+    )
+    assert found.verdict == "PASS"
+    (item,) = found.scores
+    assert item.word == "PASS"
+    assert item.drop == pytest.approx(0.0)
+    assert item.interval.low <= 0.92 <= item.interval.high
+
+
+def test_of_a_score_of_which_more_is_better_less_is_a_drop(judged: Make) -> None:
+    gate = {"scores": {"distance_before_fall": {"max_drop": 4.0}}}
+    assert judged(gate, {"distance_before_fall": 9.0}, {"distance_before_fall": 18.0}).verdict == (
+        "REGRESSED"
+    )
+    assert judged(
+        gate, {"distance_before_fall": 18.0}, {"distance_before_fall": 9.0}, trials=40
+    ).verdict == ("PASS")
+
+
+def test_a_bar_alone_makes_a_verdict_where_success_has_none(judged: Make) -> None:
+    gate = {"scores": {"mean_power": {"bar": 300.0}}}
+    assert judged(gate, {"mean_power": 120.0}).verdict == "PASS"
+    found = judged(gate, {"mean_power": 500.0})
+    assert found.verdict == "REGRESSED"
+    assert found.reasons[0].startswith("mean_power is at least ")
+    assert found.reasons[0].endswith("W (97.5 % confidence), the bar is 300")
+    assert judged(gate, {"mean_power": 290.0}).verdict == "INCONCLUSIVE"
+
+
+def test_a_trial_without_a_value_counts_as_the_declaration_says(judged: Make) -> None:
+    gate = {"scores": {"time_to_finish": {"bar": 30.0}}}
+    rows = {"time_to_finish": lambda row: None if row.seed_index % 2 else 4.0}
+    found = judged(gate, rows)
+    (item,) = found.scores
+    undefined, trials = item.undefined, item.trials
+    assert 0 < undefined < trials
+    by_scene = list(item.per_scene.values())
+    assert item.mean == pytest.approx(np.mean(by_scene))
+    assert 4.0 < item.mean < 60.0
+    assert judged(gate, {"time_to_finish": lambda _: None}).verdict == "REGRESSED"
+
+
+def test_success_still_convicts_beside_scores(judged: Make) -> None:
+    found = judged(
+        {"success_rate": 0.9, "scores": COT},
+        {"cost_of_transport": 0.9},
+        {"cost_of_transport": 0.9},
+        success=0.25,
+    )
+    assert found.verdict == "REGRESSED"
+    assert "success is at most" in " ".join(found.reasons)
+
+
+def test_a_score_that_no_trial_was_measured_by_is_invalid(judged: Make) -> None:
+    found = judged({"scores": {"mean_power": {"bar": 300.0}}}, {})
+    assert found.verdict == "INVALID"
+    assert found.reasons[0] == (
+        "mean_power was not measured in this run: run again with this suite"
+    )
+
+
+def test_a_baseline_without_the_score_is_invalid(judged: Make) -> None:
+    found = judged({"scores": COT}, {"cost_of_transport": 0.9}, {})
+    assert found.verdict == "INVALID"
+    assert "the baseline shipped has no cost_of_transport: save it again with this suite" in (
+        found.reasons
+    )
+
+
+def test_a_baseline_at_the_end_of_the_range_is_invalid(judged: Make) -> None:
+    found = judged({"scores": COT}, {"cost_of_transport": 1.9}, {"cost_of_transport": 1.9})
+    assert found.verdict == "INVALID"
+    assert "so near is the end of its range: lower max_drop" in " ".join(found.reasons)
+
+
+def test_a_run_with_holes_stays_infrastructure(judged: Make) -> None:
+    found = judged({"scores": {"mean_power": {"bar": 300.0}}}, {"mean_power": 900.0}, success=None)
+    assert found.verdict == "INFRASTRUCTURE"
+
+
+def test_what_is_measured_and_not_gated_is_reported_and_judges_nothing(judged: Make) -> None:
+    found = judged({}, {"mean_power": 120.0, "foot_slip": 0.1})
+    assert found.verdict == "RAN"
+    assert [(item.spec.name, item.mean, item.word) for item in found.scores] == [
+        ("mean_power", pytest.approx(120.0), None),
+        ("foot_slip", pytest.approx(0.1), None),
+    ]
+
+
+def test_errors_of_regressed_are_split_over_all_that_is_gated() -> None:
+    assert Gate().shared == 1
+    assert Gate(scores=COT).shared == 2
+
+
+@pytest.mark.parametrize(
+    ("scores", "said"),
+    [
+        ({"cost": {"bar": 1.0}}, "'cost' is no score; known: action_acceleration"),
+        ({"success": {"bar": 0.5}}, "success is judged by success_rate and max_drop"),
+        ({"mean_power": {}}, "neither bar nor max_drop is set"),
+        ({"mean_power": {"bar": 5000.0}}, "mean_power: bar 5000 is not between 0 and 1000"),
+        ({"foot_slip": {"max_drop": 1.0}}, "foot_slip: max_drop 1 is as wide as its range"),
+        (
+            {"foot_slip": {"max_drop": 0.1, "range": (0.0, 2.0)}},
+            "foot_slip: range 0 to 2 is not within 0 to 1",
+        ),
+        ({"foot_slip": {"max_drop": 0.1, "tolerate": 0.2}}, "tolerate 0.2 is over max_drop"),
+    ],
+)
+def test_what_cannot_be_gated_is_told(scores: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValidationError, match=said):
+        Gate(scores=scores)

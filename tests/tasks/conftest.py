@@ -1,0 +1,36 @@
+"""Small places to do tasks in."""
+
+import numpy as np
+import pytest
+
+from nw_eval.robots import get_robot
+from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.scenes.scene import Box, Scene
+
+
+@pytest.fixture(scope="session")
+def go1():
+    return get_robot("go1")
+
+
+@pytest.fixture(scope="session")
+def place():
+    """Make a scene from boxes, given as (center, half_size), and waypoints."""
+    no_mesh = TriangleMesh(
+        vertices=np.zeros((0, 3)),
+        faces=np.zeros((0, 3), dtype=np.int32),
+        kinds=np.zeros(0, dtype=np.uint8),
+    )
+
+    def make(*boxes, trail=((4.0, 0.0, 0.0),)):
+        return Scene(
+            name="tests/place",
+            task="hurdles",
+            title="A place for tests",
+            solids=tuple(Box(center=center, half_size=half) for center, half in boxes),
+            trail=np.array(trail),
+            static_mesh=no_mesh,
+            splat=None,
+        )
+
+    return make
