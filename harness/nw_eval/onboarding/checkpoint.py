@@ -14,6 +14,7 @@ term as `0.500;0.250`. Brackets and quotes, which some forks add, are taken off.
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -38,7 +39,7 @@ from nw_eval.policies.safety import (
 from nw_eval.policies.safety.objects import Record, read_objects
 
 EXPORT = "export the policy as ONNX or with torch.export"
-_STATE_DICTS = "a plain state dict is enough for extreme-parkour, LucidSim and ACT only"
+_STATE_DICTS = "a plain state dict is enough for layers in a row, extreme-parkour, LucidSim and ACT"
 
 _NUMBERS = ("joint_stiffness", "joint_damping", "default_joint_pos", "action_scale")
 _NAMES = ("joint_names", "observation_names")
@@ -137,7 +138,8 @@ def inspect_checkpoint(path: Path) -> CheckpointFacts:
     """Read a checkpoint without running it.
 
     Args:
-        path: an ONNX, TorchScript, torch.export, safetensors or torch state-dict file.
+        path: an ONNX, TorchScript, torch.export, safetensors or torch state-dict file, a zip file
+            of Stable-Baselines3, or parameters of brax or flax.
 
     Raises:
         PolicyError: the file cannot be read, is none of these, or could run code.
@@ -175,7 +177,14 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
             return _onnx(data, path, sha256)
         case "torch-export":
             return _exported(data, path, sha256)
-        case "torchscript" | "state-dict" | "safetensors":
+        case (
+            "torchscript"
+            | "state-dict"
+            | "safetensors"
+            | "stable-baselines3"
+            | "pickle"
+            | "msgpack"
+        ):
             is_script = kind == "torchscript"
             tensors = tensor_facts(data, where)
             return CheckpointFacts(
@@ -187,6 +196,7 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
                 recurrent=_recurrent_weights(tensors),
                 parameters=sum(math.prod(tensor.shape) for tensor in tensors),
                 tensors=tensors,
+                metadata=_saved_settings(data, where) if kind == "stable-baselines3" else {},
             )
         case "unknown":
             raise PolicyError(
@@ -195,6 +205,17 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
             )
         case _:
             assert_never(kind)
+
+
+def _saved_settings(data: bytes, where: str) -> dict[str, str]:
+    """Return the activation that Stable-Baselines3 wrote down, as JSON, beside its pickles."""
+    text = open_archive(data, where).read("data", at_most=FileLimits().index_bytes)
+    try:
+        settings = json.loads(text)["policy_kwargs"]["activation_fn"]
+        named = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", settings)
+    except (ValueError, LookupError, TypeError, RecursionError):
+        return {}
+    return {} if named is None else {"activation": named[1]}
 
 
 def _onnx(data: bytes, path: Path, sha256: str) -> CheckpointFacts:

@@ -25,6 +25,7 @@ from nw_eval.onboarding.checkpoint import (
 from nw_eval.onboarding.inputs import known_observations, parts_of, wanted_inputs
 from nw_eval.onboarding.layouts import Frame, is_scan
 from nw_eval.onboarding.notation import CHECK, key, number, one_or_list, plain, quoted, slug
+from nw_eval.onboarding.trained import network_lines, trained_network
 from nw_eval.onboarding.vectors import Likely, ObservationDraft, likely_layouts
 from nw_eval.policies.bundle import SIZE_LIMIT
 from nw_eval.robots import RobotSpec, get_robot
@@ -55,11 +56,16 @@ def write_card_draft(
         PolicyError: the file holds weights of a network that is not known here, or does not fit
             `layout`.
     """
+    network = trained_network(facts, len(robot.joints)) if facts.adapter is None else None
+    if network is not None:
+        size = ArrayFacts(name="obs", shape=(1, network.layers[0].inputs), dtype="float32")
+        facts = replace(facts, adapter="mlp", inputs=(size,))
     if facts.adapter is None:
         shown = ", ".join(f"{tensor.name} {tensor.shape}" for tensor in facts.tensors[:3])
         raise PolicyError(
             f"{facts.path}: weights of an unknown network: {shown}, ...",
-            fix=f"{EXPORT}, which hold the network too",
+            fix=f"{EXPORT}, which hold the network too; layers in a row with "
+            f"{len(robot.joints)} outputs, one for each joint, would be run as they are",
         )
     body, parts = _body(facts, layout, len(robot.joints))
     frames = [part.fits[0][0] for part in parts if part.fits]
@@ -74,13 +80,23 @@ def write_card_draft(
         f"robot: {robot.name}",
         f"adapter: {facts.adapter}",
         *_checkpoint(facts, folder),
+        *([] if network is None else network_lines(network, *_activation(facts))),
         "",
-        *control_lines(facts.exporter, robot, frame),
+        *control_lines(facts.exporter, robot, frame, clip=network.clip if network else None),
         "",
         *body,
         *other_layouts(parts, robot),
     ]
     return "\n".join(lines) + "\n"
+
+
+_ACTIVATIONS = {"leakyrelu": "leaky_relu", "lrelu": "leaky_relu", "swish": "silu"}
+
+
+def _activation(facts: CheckpointFacts) -> tuple[str, str]:
+    """Return the activation of a training's network as a card calls it, and which file says so."""
+    said = facts.metadata.get("activation", "").lower()
+    return _ACTIVATIONS.get(said, said), plain(facts.path.name)
 
 
 def draft_of(*, checkpoint: str, robot: str, folder: str, layout: str | None = None) -> str:
@@ -211,7 +227,10 @@ def _shape(shape: Sequence[int | None]) -> str:
 
 
 def control_lines(
-    exporter: ExporterMetadata | None, robot: RobotSpec, frame: Frame | None
+    exporter: ExporterMetadata | None,
+    robot: RobotSpec,
+    frame: Frame | None,
+    clip: float | None = None,
 ) -> list[str]:
     """Return the lines of `control`.
 
@@ -219,6 +238,7 @@ def control_lines(
         exporter: what the file says.
         robot: whose own values stand where nobody says anything.
         frame: the layout of what the policy sees, if it is guessed: its training says the rest.
+        clip: the limit of actions in the trainer's own inference.
     """
     known = exporter or ExporterMetadata()
     theirs = published(frame, robot) if frame else {}
@@ -232,8 +252,9 @@ def control_lines(
         lines.append(f"  scale: {one_or_list(known.action_scale)}")
     else:
         lines.append(f"  scale: {theirs.get('scale', '0.25')}  {of} rad for each unit of action")
-    if "clip" in theirs:
-        lines.append(f"  clip: {theirs['clip']}  {of} limits of actions, before scaling")
+    if clip is not None or "clip" in theirs:
+        note = "# as the trainer plays its policies" if clip else f"{of} limits before scaling"
+        lines.append(f"  clip: {number(clip) if clip else theirs['clip']}  {note}")
     lines += _joints(known, robot, frame)
     if known.default_joint_pos:
         lines.append(f"  default_pose: {one_or_list(known.default_joint_pos)}")

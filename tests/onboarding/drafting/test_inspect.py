@@ -257,10 +257,10 @@ def test_a_draft_for_act_has_its_sizes(tmp_path):
 
 
 def test_weights_of_an_unknown_network_get_no_card(tmp_path):
-    torch.save({"net.0.weight": torch.zeros(12, 332)}, tmp_path / "teacher.pt")
+    torch.save({"net.0.weight": torch.zeros(10, 332)}, tmp_path / "teacher.pt")
     facts = inspect_checkpoint(tmp_path / "teacher.pt")
     assert facts.adapter is None
-    with pytest.raises(PolicyError, match=r"unknown network: net\.0\.weight \(12, 332\).*ONNX"):
+    with pytest.raises(PolicyError, match=r"unknown network: net\.0\.weight \(10, 332\).*ONNX"):
         write_card_draft(facts, GO1)
 
 

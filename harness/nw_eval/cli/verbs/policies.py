@@ -96,7 +96,8 @@ class Init:
     """Inspect a checkpoint, without running it, and write a first card beside it."""
 
     checkpoint: tyro.conf.Positional[Path]
-    """An ONNX, TorchScript, torch.export, safetensors or state-dict file."""
+    """An ONNX, TorchScript, torch.export, safetensors or state-dict file, or what a training saves:
+    rsl_rl, skrl, rl_games, CleanRL, Stable-Baselines3, brax or flax."""
     robot: str
     """The robot that the policy drives: go1 or go2."""
     out: Path | None = None
