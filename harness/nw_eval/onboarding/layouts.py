@@ -221,28 +221,27 @@ SCANS: tuple[ScanGuess, ...] = (
     PARKOUR,
     ScanGuess(source=ISAAC_LAB, x=21, y=11),
 )
-TERM_OF: dict[str, tuple[str, int]] = {
-    "base_lin_vel": ("lin_vel", 3),
-    "base_ang_vel": ("ang_vel", 3),
-    "projected_gravity": ("gravity", 3),
-    "velocity_commands": ("command", 3),
-    "velocity_command": ("command", 3),
-    "commands": ("command", 3),
-    "command": ("command", 3),
-    "twist": ("command", 3),
-    "joint_pos": ("joint_pos", 12),
-    "joint_pos_rel": ("joint_pos", 12),
-    "dof_pos": ("joint_pos", 12),
-    "joint_vel": ("joint_vel", 12),
-    "joint_vel_rel": ("joint_vel", 12),
-    "dof_vel": ("joint_vel", 12),
-    "actions": ("last_output", 12),
-    "action": ("last_output", 12),
-    "last_action": ("last_output", 12),
-    "last_actions": ("last_output", 12),
-    "prev_actions": ("last_output", 12),
-}
-"""Names that mjlab and Isaac Lab give to observation terms, with our term and its size."""
+TERM_OF: dict[str, tuple[str, int | None]] = {
+    **dict.fromkeys(("base_lin_vel", "lin_vel"), ("lin_vel", 3)),
+    **dict.fromkeys(("base_ang_vel", "ang_vel", "ang_vel_body"), ("ang_vel", 3)),
+    **dict.fromkeys(("projected_gravity", "gravity_vec"), ("gravity", 3)),
+    **dict.fromkeys(
+        (
+            "velocity_commands", "velocity_command", "commands", "command", "twist",
+            "generated_commands",
+        ),
+        ("command", 3),
+    ),
+    **dict.fromkeys(("joint_pos", "joint_pos_rel", "dof_pos"), ("joint_pos", None)),
+    **dict.fromkeys(("joint_vel", "joint_vel_rel", "dof_vel"), ("joint_vel", None)),
+    **dict.fromkeys(
+        ("actions", "action", "last_action", "last_actions", "prev_actions"), ("last_output", None)
+    ),
+    "eulerZYX_rpy": ("roll_pitch+yaw", 3),
+    **dict.fromkeys(("phase", "gait_phase", "gait_phase_2"), ("clock", 2)),
+}  # fmt: skip
+"""Names that mjlab, Isaac Lab and rl_sar give to observation terms, with our term and its size;
+None = one number for each joint. `+` joins the words of a term that is two of ours."""
 
 _SCAN = re.compile(r"scan|height_?map|elevation|^(measured_|terrain_)?heights$", re.IGNORECASE)
 _NO_SCAN = re.compile(r"foot|feet|lidar|laser", re.IGNORECASE)

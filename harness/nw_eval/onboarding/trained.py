@@ -15,6 +15,10 @@ from nw_eval.onboarding.checkpoint import CheckpointFacts
 from nw_eval.onboarding.notation import CHECK, plain, quoted
 from nw_eval.policies.networks.layers import Layer, Shape, chain
 
+KNOWN_ACTIVATIONS = frozenset(
+    {"elu", "relu", "tanh", "silu", "selu", "gelu", "leaky_relu", "sigmoid", "softplus", "mish"}
+)
+"""Activations that `adapter: mlp` runs and trainers name."""
 _OTHERS = re.compile(
     r"critic|value|teacher|optim|std|target|qf\d|memory_c|sigma|count|rnd|normaliz|preprocessor|"
     r"running_|norm_state|disc|distribution|action_(scale|bias)",
