@@ -92,6 +92,7 @@ def write_card_draft(
         f"name: {_name(facts.path)}",
         'title: ""  # one line for people',
         f'licence: ""  {CHECK} under which terms may others run it?',
+        *_trained_speeds(known),
         f"robot: {robot.name}",
         f"adapter: {facts.adapter}",
         *_checkpoint(facts, folder),
@@ -201,6 +202,13 @@ def _body(
     return body, parts
 
 
+def _trained_speeds(known: ExporterMetadata | None) -> list[str]:
+    if known is None or not known.speeds:
+        return []
+    ranges = ", ".join(f"{key}: {in_brackets(limits)}" for key, limits in known.speeds.items())
+    return [f"trained_speeds: {{{ranges}}}{_from(known, 'speeds')}"]
+
+
 def _follower(known: ExporterMetadata | None) -> str:
     """Return the line `command`, no faster than the training commanded."""
     speeds = known.speeds if known else {}
@@ -210,9 +218,7 @@ def _follower(known: ExporterMetadata | None) -> str:
     line = f"command: {{source: trail_follower, speed: {number(max(fastest, 0.0))}{limit}}}"
     if known is None or not speeds:
         return f"{line}  # steers towards the next waypoint"
-    ranges = ", ".join(f"{key} {in_brackets(limits)}" for key, limits in speeds.items())
-    source = known.sources.get("speeds", "the file")
-    return f"{line}  # {source} commands {ranges}"
+    return f"{line}  # as trained_speeds"
 
 
 def _unlikeness(output: ArrayFacts, joints: int) -> tuple[bool, bool]:

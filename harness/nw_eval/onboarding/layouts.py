@@ -63,6 +63,8 @@ class Frame:
     """How frames before the present one stand there, where there are any."""
     steps: int = 1
     """Frames that it is published with."""
+    counts: tuple[int, ...] = ()
+    """How many frames it is met with; empty = any number up to 20."""
     scan: GridOrder = "x_fastest"
     """Order of a scan of heights behind the frame."""
     scan_scale: float = 1.0
@@ -184,6 +186,26 @@ FRAMES: tuple[Frame, ...] = (
         size=45,
         terms=_GYM.terms[1:],
     ),
+    Frame(
+        name="mjlab",
+        source="mjlab without linear velocity",
+        traits="the command comes last; no scales; knees bent further; calves move half as far",
+        family="mujoco",
+        joints=LEG_BY_LEG,
+        scale="{hip: 0.335, thigh: 0.335, calf: 0.174}",
+        pose="{FL_hip: -0.1, FR_hip: 0.1, RL_hip: -0.1, RR_hip: 0.1, thigh: 0.9, calf: -1.8}",
+        size=45,
+        terms=("ang_vel", "gravity", "joint_pos", "joint_vel", "last_output", "command"),
+    ),
+    replace(
+        _GYM,
+        name="unitree-rl-gym",
+        source="unitree_rl_gym",
+        traits="legged_gym without linear velocity, and sine and cosine of a phase of 0.8 s",
+        counts=(1, 10),  # Five are 235 numbers: Isaac Lab's 48 and 187 heights.
+        size=47,
+        terms=(*_GYM.terms[1:], "{term: clock, frequency: 1.25}"),
+    ),
 )
 """The likelier ones of a size first."""
 
@@ -194,7 +216,7 @@ def frames_of(size: int) -> tuple[tuple[Frame, int], ...]:
     Fewer frames come first; among those, layouts that are published with as many.
     """
     fits = [(frame, size // frame.size) for frame in FRAMES if size % frame.size == 0]
-    fits = [fit for fit in fits if 1 <= fit[1] <= 20]
+    fits = [(frame, n) for frame, n in fits if n in (frame.counts or range(1, 21))]
     return tuple(sorted(fits, key=lambda fit: (fit[1], fit[1] != fit[0].steps)))
 
 

@@ -308,6 +308,9 @@ def guessed_parts(
         note += (
             "; no known layout has it, so these are zeros" if size else ": the file leaves it free"
         )
+        frames = [f"{n} frames of {size // n}" for n in range(2, 21) if _may_repeat(size, n)]
+        if frames:
+            note += f"; it may be {' or '.join(frames)} numbers"
         lines = ("sensor: proprio", note, *zeros(max(size, 1)))
         return (ObservationDraft(name=name, lines=lines),)
     fits = sorted(fits, key=lambda fit: fit[0].name not in likely.names)
@@ -328,6 +331,11 @@ def guessed_parts(
     heights = {frame.name: tuple(scan_lines(scan.size, frame=frame)) for frame, _ in fits}
     own = heights[frame.name]
     return (body, ObservationDraft(name=f"{name}_scan", lines=own, ways=heights))
+
+
+def _may_repeat(size: int, steps: int) -> bool:
+    """Whether a row may be frames of a robot with twelve joints: 45 to 65 numbers each."""
+    return size % steps == 0 and 45 <= size // steps <= 65
 
 
 def frame_lines(frame: Frame, count: int) -> list[str]:
