@@ -107,28 +107,35 @@ def check_policy(
 def init_policy(
     checkpoint: Path, *, robot: str, out: Path | None = None, layout: str | None = None
 ) -> CardDraft:
-    """Inspect a checkpoint without running it, and write a first card beside it.
+    """Inspect a checkpoint and what lies beside it, without running it, and write a first card.
 
     Args:
-        checkpoint: any format that an adapter reads.
+        checkpoint: any format that an adapter reads; of a folder the newest step is taken.
         robot: which robot the policy drives.
-        out: the card to write; `policy.yaml` beside the checkpoint if None.
+        out: the card to write; `policy.yaml` beside the checkpoint, or in the folder, if None.
         layout: name of the published layout that it is to have; the likeliest if None.
 
     Raises:
-        PolicyError: the file cannot be read, could run code, holds an unknown network, or does not
-            fit `layout`.
+        PolicyError: the file cannot be read, could run code, holds an unknown network, does not fit
+            `layout`, or drives another robot; the folder has no checkpoint.
         UsageError: there is a card already.
         StoreError: the card cannot be written.
     """
     from nw_eval.cards.load import CARD_FILE
     from nw_eval.files.cache import atomic_path, followed
     from nw_eval.files.inside import what_is
+    from nw_eval.onboarding.beside import files_beside_checkpoint, find_checkpoint
     from nw_eval.onboarding.draft import draft_of, files_beside
+    from nw_eval.onboarding.notation import plain
     from nw_eval.rollout.confined.access import inspecting_rules
     from nw_eval.rollout.confined.isolated import call_isolated
 
-    card = out or checkpoint.parent / CARD_FILE
+    others: tuple[str, ...] = ()
+    folder = checkpoint.parent
+    if what_is(checkpoint) == "folder":
+        folder = checkpoint
+        checkpoint, others = find_checkpoint(checkpoint)
+    card = out or folder / CARD_FILE
     if what_is(followed(card)) == "file":
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
     text = str(
@@ -140,9 +147,14 @@ def init_policy(
             robot=robot,
             folder=str(card.parent),
             layout=layout,
+            beside=files_beside_checkpoint(checkpoint),
         )
     )
-    if card.parent.resolve() == checkpoint.parent.resolve():
+    if others:
+        shown = ", ".join(others[:6]) + f" and {len(others) - 6} more" * (len(others) > 6)
+        newest = f"{plain(checkpoint.name)} is the newest checkpoint here, beside {plain(shown)}."
+        text = f"# {newest}\n{text}"
+    elif card.parent.resolve() == checkpoint.parent.resolve():
         text += files_beside(checkpoint)
     with atomic_path(followed(card)) as temporary:
         temporary.write_text(text, encoding="utf-8")

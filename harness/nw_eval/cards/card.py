@@ -22,6 +22,8 @@ from nw_eval.cards.terms import Command as CommandTerm
 
 SceneWords = Annotated[str, Field(min_length=1, max_length=1024)]
 
+SpeedName = Literal["lin_vel_x", "lin_vel_y", "ang_vel_z"]
+
 
 def _plain_name(name: str) -> str:
     if not re.fullmatch(r"[a-z0-9][a-z0-9._-]{0,63}", name):
@@ -44,6 +46,11 @@ class Card(CardModel):
     trained_on: Annotated[tuple[SceneWords, ...], Field(max_length=1000)] = ()
     """The built-in scenes that it was trained in, as suites name them, such as `split:train`.
     Reports mark them; no part of the digest."""
+    trained_speeds: dict[SpeedName, tuple[float, float]] = Field(
+        default_factory=dict[SpeedName, tuple[float, float]]
+    )
+    """The ranges of velocities that the training commanded: lin_vel_x, lin_vel_y (m/s), ang_vel_z
+    (rad/s). `policies check` commands no others; no part of the digest."""
     robot: str
     """The robot that the policy drives: go1 or go2."""
     adapter: Adapter

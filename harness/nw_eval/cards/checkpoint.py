@@ -13,7 +13,9 @@ from nw_eval.files.inside import OutsideError, checked
 
 NetworkAdapter = Literal["onnx", "torchscript", "torch-export"]
 """What runs a file that may also be a network which feeds another."""
-BuiltInAdapter = Literal[NetworkAdapter, "lucidsim", "extreme-parkour", "act", "remote", "zero"]
+BuiltInAdapter = Literal[
+    NetworkAdapter, "mlp", "lucidsim", "extreme-parkour", "act", "remote", "zero"
+]
 """The table of adapters; what opens each of them stands in `policies.opening`."""
 
 ADAPTERS: tuple[str, ...] = get_args(BuiltInAdapter)

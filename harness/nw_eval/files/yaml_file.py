@@ -117,12 +117,15 @@ def read_yaml(path: Path) -> YamlFile:
     return parse_yaml(_text(path, partial(_fault, file)), file=file)
 
 
-def parse_yaml(text: str, *, file: str) -> YamlFile:
+def parse_yaml(text: str, *, file: str, foreign: bool = False) -> YamlFile:
     """Read one YAML mapping of a text with the place of every value.
 
     Args:
         text: of a file, or of a part of one.
         file: what errors call it.
+        foreign: whether another program wrote it: tags, those of Python's objects too, are left
+            out, and what they stand before is read as the list, mapping or text that it is; of
+            equal keys the last one counts.
 
     Raises:
         YamlProblems: it is no YAML, no mapping, or has duplicate keys.
@@ -147,7 +150,7 @@ def parse_yaml(text: str, *, file: str) -> YamlFile:
     if not isinstance(root, MappingNode):
         kind = "empty" if root is None else "not a mapping"
         raise fail(f"the file is {kind}", "write `key: value` lines")
-    reader = _Reader(file, text)
+    reader = _Reader(file, text, foreign=foreign)
     read = YamlFile(path=file, data=reader.value(root, ()) or {}, places=reader.places)
     if reader.problems:
         raise YamlProblems(sorted(reader.problems, key=lambda p: (p.line, p.column)), read)
@@ -184,8 +187,9 @@ def _too_deep(text: str) -> Place | None:
 class _Reader:
     """Turns nodes into plain values, noting places and faults."""
 
-    def __init__(self, file: str, text: str) -> None:
+    def __init__(self, file: str, text: str, *, foreign: bool = False) -> None:
         self.file = file
+        self._foreign = foreign
         self._lines = text.splitlines()
         self.places: dict[Location, Place] = {(): (1, 1)}
         self.problems: list[Problem] = []
@@ -206,7 +210,7 @@ class _Reader:
                 self._fault(node, "the file expands to too many values", "remove nested aliases")
             self._overflown = True
             return None
-        if node.tag not in _PLAIN_TAGS:
+        if node.tag not in _PLAIN_TAGS and not self._foreign:
             kind = node.tag.rsplit(":", 1)[-1]
             fix = "put it in quotes" if kind in {"timestamp", "merge"} else "remove the tag"
             self._fault(node, f"a value has the tag {kind!r}", fix)
@@ -229,6 +233,10 @@ class _Reader:
                 self._fault(key_node, "a key must be a plain word", "use a name")
                 continue
             key = str(key_node.value)
+            if self._foreign:
+                result[key] = self.value(child, (*location, key))
+                self.places.setdefault((*location, key), _mark(key_node))
+                continue
             if self._follows_mark(key_node):
                 # YAML takes the mark as its own in `{?L_hip: 1}`, and the key is `L_hip`.
                 message = f"a key that begins with `?` is read by YAML as {key[:40]!r}"
@@ -254,6 +262,8 @@ class _Reader:
         return before.endswith("?")
 
     def _scalar(self, node: Node) -> Any:
+        if node.tag not in _PLAIN_TAGS:
+            return str(node.value)
         try:
             return self._yaml.constructor.construct_object(node)
         except (YAMLError, ValueError):

@@ -14,12 +14,13 @@ term as `0.500;0.250`. Brackets and quotes, which some forks add, are taken off.
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import assert_never
+from typing import Any, assert_never, cast
 
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
@@ -38,7 +39,7 @@ from nw_eval.policies.safety import (
 from nw_eval.policies.safety.objects import Record, read_objects
 
 EXPORT = "export the policy as ONNX or with torch.export"
-_STATE_DICTS = "a plain state dict is enough for extreme-parkour, LucidSim and ACT only"
+_STATE_DICTS = "a plain state dict is enough for layers in a row, extreme-parkour, LucidSim and ACT"
 
 _NUMBERS = ("joint_stiffness", "joint_damping", "default_joint_pos", "action_scale")
 _NAMES = ("joint_names", "observation_names")
@@ -74,6 +75,19 @@ class ExportedTerm:
     """Frames, the present one included: at least 1."""
     flat_history: bool | None = None
     """Whether its frames are one row of numbers, oldest first."""
+    function: str = ""
+    """What computes it, where the file names that apart from the term."""
+    width: int | None = None
+    """Numbers of one frame."""
+    form: str = "order: oldest_first, by: term"
+    """How its frames stand in the row, as a card writes it."""
+    keys: str = ""
+    """Further keys of the term on a card, such as a clock's frequency."""
+
+    @property
+    def word(self) -> str:
+        """What tells which term of a card it is."""
+        return self.function or self.name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +105,36 @@ class ExporterMetadata:
     """rad for each unit of action; one number for all joints, or one each."""
     observation_terms: tuple[ExportedTerm, ...] = ()
     """In the order in which they are joined."""
+    observation_clip: float | None = None
+    """Limit of all observations, after scaling."""
+    action: str = ""
+    """What an action means, as a card writes it; a position offset where nothing is said."""
+    action_clip: tuple[float, float] | None = None
+    """Limits of raw actions."""
+    torque_limits: tuple[float, ...] = ()
+    """N m."""
+    armature: tuple[float, ...] = ()
+    """kg m^2."""
+    rate: float | None = None
+    """Actions per second."""
+    physics_rate: float | None = None
+    """Physics steps per second of the training."""
+    speeds: Mapping[str, tuple[float, float]] = field(
+        default_factory=dict[str, tuple[float, float]]
+    )
+    """Ranges of the commanded velocities, by lin_vel_x, lin_vel_y (m/s) and ang_vel_z (rad/s)."""
+    activation: str = ""
+    """Between the layers of the network."""
+    model: str = ""
+    """Name of the checkpoint that the file is about."""
+    joint_count: int = 0
+    """Joints of the robot that it is about; 0 where nothing says it."""
+    guessed_order: bool = False
+    """Whether `joint_names` are in an order that the file does not say."""
+    notes: tuple[str, ...] = ()
+    """Sentences that the author of the card must read."""
+    sources: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Which file a field is from; those that are missing here are from the checkpoint."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +181,8 @@ def inspect_checkpoint(path: Path) -> CheckpointFacts:
     """Read a checkpoint without running it.
 
     Args:
-        path: an ONNX, TorchScript, torch.export, safetensors or torch state-dict file.
+        path: an ONNX, TorchScript, torch.export, safetensors or torch state-dict file, a zip file
+            of Stable-Baselines3, or parameters of brax or flax.
 
     Raises:
         PolicyError: the file cannot be read, is none of these, or could run code.
@@ -175,7 +220,14 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
             return _onnx(data, path, sha256)
         case "torch-export":
             return _exported(data, path, sha256)
-        case "torchscript" | "state-dict" | "safetensors":
+        case (
+            "torchscript"
+            | "state-dict"
+            | "safetensors"
+            | "stable-baselines3"
+            | "pickle"
+            | "msgpack"
+        ):
             is_script = kind == "torchscript"
             tensors = tensor_facts(data, where)
             return CheckpointFacts(
@@ -187,6 +239,7 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
                 recurrent=_recurrent_weights(tensors),
                 parameters=sum(math.prod(tensor.shape) for tensor in tensors),
                 tensors=tensors,
+                metadata=_saved_settings(data, where) if kind == "stable-baselines3" else {},
             )
         case "unknown":
             raise PolicyError(
@@ -195,6 +248,17 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
             )
         case _:
             assert_never(kind)
+
+
+def _saved_settings(data: bytes, where: str) -> dict[str, str]:
+    """Return the activation that Stable-Baselines3 wrote down, as JSON, beside its pickles."""
+    text = open_archive(data, where).read("data", at_most=FileLimits().index_bytes)
+    try:
+        settings = json.loads(text)["policy_kwargs"]["activation_fn"]
+        named = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", settings)
+    except (ValueError, LookupError, TypeError, RecursionError):
+        return {}
+    return {} if named is None else {"activation": named[1]}
 
 
 def _onnx(data: bytes, path: Path, sha256: str) -> CheckpointFacts:
@@ -278,6 +342,8 @@ def read_exporter_metadata(entries: Mapping[str, str]) -> ExporterMetadata | Non
 
     What cannot be read is left out, as if it were not there.
     """
+    if "exploy_version" in entries:
+        return _exploy(entries)
     if not any(name in entries for name in (*_NUMBERS, *_NAMES)):
         return None
     text = {name: entries.get(name, "") for name in (*_NUMBERS, *_NAMES)}
@@ -288,6 +354,48 @@ def read_exporter_metadata(entries: Mapping[str, str]) -> ExporterMetadata | Non
         default_joint_pos=_numbers(text["default_joint_pos"]),
         action_scale=_numbers(text["action_scale"]),
         observation_terms=_exported_terms(_names(text["observation_names"]), entries),
+    )
+
+
+def _exploy(entries: Mapping[str, str]) -> ExporterMetadata:
+    """Return the metadata that exploy writes: JSON, by the names of inputs and outputs.
+
+    Its graphs compute observations themselves, so no terms are named.
+    """
+
+    def first(prefix: str) -> dict[str, Any]:
+        for name, text in entries.items():
+            if name.startswith(prefix):
+                try:
+                    value = json.loads(text)
+                except (ValueError, RecursionError):
+                    continue
+                if isinstance(value, dict):
+                    return cast("dict[str, Any]", value)
+        return {}
+
+    def numbers(value: Any) -> tuple[float, ...]:
+        items = cast("list[Any]", value) if isinstance(value, list) else []
+        return _numbers(",".join(map(str, items)))
+
+    targets, command = first("output.joint_targets."), first("cmd.se2_velocity.")
+    names = cast("list[Any]", targets.get("names") or [])
+    ranges = command.get("ranges")
+    speeds = {
+        key: (low, high)
+        for key, value in (
+            cast("dict[str, Any]", ranges) if isinstance(ranges, dict) else {}
+        ).items()
+        for low, high in [numbers(value) if len(numbers(value)) == 2 else (0.0, 0.0)]
+        if low < high
+    }
+    rate = _numbers(entries.get("update_rate", ""))
+    return ExporterMetadata(
+        joint_names=tuple(str(name) for name in names),
+        joint_stiffness=numbers(targets.get("stiffness")),
+        joint_damping=numbers(targets.get("damping")),
+        rate=rate[0] if rate else None,
+        speeds=speeds,
     )
 
 

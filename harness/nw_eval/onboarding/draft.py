@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from nw_eval.cards.joints import short_name
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.files.inside import what_is
+from nw_eval.onboarding.beside import read_beside, refuse_another_robot
 from nw_eval.onboarding.checkpoint import (
     EXPORT,
     ArrayFacts,
@@ -24,8 +25,18 @@ from nw_eval.onboarding.checkpoint import (
 )
 from nw_eval.onboarding.inputs import known_observations, parts_of, wanted_inputs
 from nw_eval.onboarding.layouts import Frame, is_scan
-from nw_eval.onboarding.notation import CHECK, key, number, one_or_list, plain, quoted, slug
-from nw_eval.onboarding.vectors import Likely, ObservationDraft, likely_layouts
+from nw_eval.onboarding.notation import (
+    CHECK,
+    in_brackets,
+    key,
+    number,
+    one_or_list,
+    plain,
+    quoted,
+    slug,
+)
+from nw_eval.onboarding.trained import KNOWN_ACTIVATIONS, network_lines, trained_network
+from nw_eval.onboarding.vectors import Likely, ObservationDraft, likely_layouts, sized_terms
 from nw_eval.policies.bundle import SIZE_LIMIT
 from nw_eval.robots import RobotSpec, get_robot
 
@@ -38,6 +49,7 @@ def write_card_draft(
     robot: RobotSpec,
     folder: Path | None = None,
     layout: str | None = None,
+    beside: Mapping[str, str] | None = None,
 ) -> str:
     """Return the text of a card, to be saved as policy.yaml beside the checkpoint.
 
@@ -50,18 +62,27 @@ def write_card_draft(
         folder: where the card will be saved; None = beside the checkpoint. A checkpoint outside of
             it gets a card for `--checkpoint`, and a comment that says so.
         layout: name of the published layout that the card is to have; None = the likeliest.
+        beside: name and text of files beside the checkpoint that may say what it does not.
 
     Raises:
-        PolicyError: the file holds weights of a network that is not known here, or does not fit
-            `layout`.
+        PolicyError: the file holds weights of a network that is not known here, does not fit
+            `layout`, or is of another robot.
     """
+    known = read_beside(beside or {}, robot, facts.path.name, facts.exporter)
+    refuse_another_robot(facts, known, robot)
+    facts = replace(facts, exporter=known)
+    network = trained_network(facts, len(robot.joints)) if facts.adapter is None else None
+    if network is not None:
+        size = ArrayFacts(name="obs", shape=(1, network.layers[0].inputs), dtype="float32")
+        facts = replace(facts, adapter="mlp", inputs=(size,))
     if facts.adapter is None:
         shown = ", ".join(f"{tensor.name} {tensor.shape}" for tensor in facts.tensors[:3])
         raise PolicyError(
             f"{facts.path}: weights of an unknown network: {shown}, ...",
-            fix=f"{EXPORT}, which hold the network too",
+            fix=f"{EXPORT}, which hold the network too; layers in a row with "
+            f"{len(robot.joints)} outputs, one for each joint, would be run as they are",
         )
-    body, parts = _body(facts, layout, len(robot.joints))
+    body, parts = _body(facts, layout, robot)
     frames = [part.fits[0][0] for part in parts if part.fits]
     # What one of them feeds back clipped, `control` must clip.
     frame = next((f for f in frames if f.clip is not None), frames[0] if frames else None)
@@ -71,11 +92,14 @@ def write_card_draft(
         f"name: {_name(facts.path)}",
         'title: ""  # one line for people',
         f'licence: ""  {CHECK} under which terms may others run it?',
+        *_trained_speeds(known),
         f"robot: {robot.name}",
         f"adapter: {facts.adapter}",
         *_checkpoint(facts, folder),
+        *([] if network is None else network_lines(network, *_activation(facts))),
+        *(f"{CHECK} {note}" for note in (known.notes if known else ())),
         "",
-        *control_lines(facts.exporter, robot, frame),
+        *control_lines(facts.exporter, robot, frame, clip=network.clip if network else None),
         "",
         *body,
         *other_layouts(parts, robot),
@@ -83,7 +107,26 @@ def write_card_draft(
     return "\n".join(lines) + "\n"
 
 
-def draft_of(*, checkpoint: str, robot: str, folder: str, layout: str | None = None) -> str:
+_ACTIVATIONS = {"leakyrelu": "leaky_relu", "lrelu": "leaky_relu", "swish": "silu"}
+
+
+def _activation(facts: CheckpointFacts) -> tuple[str, str]:
+    """Return the activation of a training's network as a card calls it, and which file says so."""
+    said, source = facts.metadata.get("activation", "").lower(), plain(facts.path.name)
+    if not said and facts.exporter is not None:
+        said, source = facts.exporter.activation, facts.exporter.sources.get("activation", "")
+    said = _ACTIVATIONS.get(said, said)
+    return (said, source) if said in KNOWN_ACTIVATIONS else ("", "")
+
+
+def draft_of(
+    *,
+    checkpoint: str,
+    robot: str,
+    folder: str,
+    layout: str | None = None,
+    beside: Mapping[str, str] | None = None,
+) -> str:
     """Return the card of a checkpoint; as `write_card_draft`, from plain values.
 
     Raises:
@@ -91,7 +134,9 @@ def draft_of(*, checkpoint: str, robot: str, folder: str, layout: str | None = N
         UsageError: there is no such robot.
     """
     facts = inspect_checkpoint(Path(checkpoint))
-    return write_card_draft(facts, get_robot(robot), folder=Path(folder), layout=layout)
+    return write_card_draft(
+        facts, get_robot(robot), folder=Path(folder), layout=layout, beside=beside
+    )
 
 
 def _name(path: Path) -> str:
@@ -127,20 +172,20 @@ def _summary(facts: CheckpointFacts) -> list[str]:
 
 
 def _body(
-    facts: CheckpointFacts, layout: str | None, joints: int
+    facts: CheckpointFacts, layout: str | None, robot: RobotSpec
 ) -> tuple[list[str], list[ObservationDraft]]:
     """Return command, observations, inputs and output as lines; and the observations."""
     if (known := known_observations(facts)) is not None:
         _refuse_unknown(layout, [], facts.path)
         return known, []
-    by_input = _parts(facts, layout)
+    joints = len(robot.joints)
+    by_input = _parts(facts, layout, joints)
     parts = [part for several in by_input.values() for part in several]
     body = ["observations:"]
     for part in parts:
         body += [f"  {part.name}:", *(f"    {line}" for line in part.lines)]
     if any("command" in line.split("#")[0] for line in body):
-        follow = "command: {source: trail_follower, speed: 0.8}  # steers towards the next waypoint"
-        body = [follow, "", *body]
+        body = [_follower(facts.exporter), "", *body]
     if len(parts) > 1:
         listed = {argument.name for argument in facts.script if argument.images}
         inputs: list[str] = []
@@ -157,35 +202,71 @@ def _body(
     return body, parts
 
 
+def _trained_speeds(known: ExporterMetadata | None) -> list[str]:
+    if known is None or not known.speeds:
+        return []
+    ranges = ", ".join(f"{key}: {in_brackets(limits)}" for key, limits in known.speeds.items())
+    return [f"trained_speeds: {{{ranges}}}{_from(known, 'speeds')}"]
+
+
+def _follower(known: ExporterMetadata | None) -> str:
+    """Return the line `command`, no faster than the training commanded."""
+    speeds = known.speeds if known else {}
+    fastest = min(0.8, speeds["lin_vel_x"][1]) if "lin_vel_x" in speeds else 0.8
+    turning = min(1.0, speeds["ang_vel_z"][1]) if "ang_vel_z" in speeds else 1.0
+    limit = f", yaw_limit: {number(turning)}" if 0 < turning < 1.0 else ""
+    line = f"command: {{source: trail_follower, speed: {number(max(fastest, 0.0))}{limit}}}"
+    if known is None or not speeds:
+        return f"{line}  # steers towards the next waypoint"
+    return f"{line}  # as trained_speeds"
+
+
 def _unlikeness(output: ArrayFacts, joints: int) -> tuple[bool, bool]:
     """Return what an output is sorted by that may be the action: the likeliest comes first."""
     return output.shape[-1:] not in {(joints,), (None,)}, not _ACTION.search(output.name)
 
 
-def _parts(facts: CheckpointFacts, layout: str | None) -> dict[str, list[ObservationDraft]]:
+def _parts(
+    facts: CheckpointFacts, layout: str | None, joints: int
+) -> dict[str, list[ObservationDraft]]:
     """Return the observations that make each input, all of one layout where they can be."""
     likely = Likely(names=(layout,)) if layout else likely_layouts(facts)
-    by_input = _parts_of_layout(facts, likely)
+    by_input = _parts_of_layout(facts, likely, joints)
     fits = [part.fits[0] for several in by_input.values() for part in several if part.fits]
     if fits and not likely.names:
         # Frames before the present one tell more than a frame alone.
         frame, _ = max(fits, key=lambda fit: fit[1])
-        by_input = _parts_of_layout(facts, Likely(names=(frame.name,)))
+        by_input = _parts_of_layout(facts, Likely(names=(frame.name,)), joints)
     _refuse_unknown(layout, [part for several in by_input.values() for part in several], facts.path)
     return by_input
 
 
-def _parts_of_layout(facts: CheckpointFacts, likely: Likely) -> dict[str, list[ObservationDraft]]:
-    terms = facts.exporter.observation_terms if facts.exporter else ()
+def _parts_of_layout(
+    facts: CheckpointFacts, likely: Likely, joints: int
+) -> dict[str, list[ObservationDraft]]:
+    known = facts.exporter or ExporterMetadata()
+    terms = sized_terms(known.observation_terms, joints)
+    source, clip = known.sources.get("observation_terms", ""), known.observation_clip
     by_input: dict[str, list[ObservationDraft]] = {}
     names: set[str] = set()
     for wanted in wanted_inputs(facts):
         # The exporter's terms are those of the first input that is no image and no scan.
         plain_row = not (wanted.seen or is_scan(wanted.array.name))
         parts = parts_of(wanted, terms if plain_row else (), likely)
+        if terms and plain_row:
+            parts = tuple(_said(part, source, clip) for part in parts)
         by_input[wanted.array.name] = [_renamed(part, names) for part in parts]
         terms = () if plain_row else terms
     return by_input
+
+
+def _said(part: ObservationDraft, source: str, clip: float | None) -> ObservationDraft:
+    """Return a row of named terms with the file that names them, and its clip."""
+    first, *others = part.lines
+    if part.fits or not source:
+        return part
+    clips = [f"clip: {number(clip)}  # {source}"] if clip and first == "sensor: proprio" else []
+    return replace(part, lines=(f"{first}  # {source} names its terms", *others, *clips))
 
 
 def _refuse_unknown(layout: str | None, parts: Sequence[ObservationDraft], path: Path) -> None:
@@ -211,7 +292,10 @@ def _shape(shape: Sequence[int | None]) -> str:
 
 
 def control_lines(
-    exporter: ExporterMetadata | None, robot: RobotSpec, frame: Frame | None
+    exporter: ExporterMetadata | None,
+    robot: RobotSpec,
+    frame: Frame | None,
+    clip: float | None = None,
 ) -> list[str]:
     """Return the lines of `control`.
 
@@ -219,51 +303,107 @@ def control_lines(
         exporter: what the file says.
         robot: whose own values stand where nobody says anything.
         frame: the layout of what the policy sees, if it is guessed: its training says the rest.
+        clip: the limit of actions in the trainer's own inference.
     """
     known = exporter or ExporterMetadata()
     theirs = published(frame, robot) if frame else {}
     of = f"{CHECK} as {frame.name};" if frame else CHECK
-    lines = [
+    late = theirs.get("delay_steps", "0")
+    return [
         "control:",
-        f"  rate: 50  {CHECK} actions per second of the training",
-        f"  action: joint_position_offset  {CHECK} target = default_pose + scale * action",
+        *_rates(known),
+        *_action(known, theirs, of, clip),
+        *_joints(known, robot, frame),
+        *_pose_and_gains(known, robot, theirs, of),
+        *_motor_limits(known, robot),
+        f"  delay_steps: {late}  {CHECK} control steps between an action and its effect",
     ]
+
+
+def _from(known: ExporterMetadata, field: str) -> str:
+    """Return the comment that says which file a line is from; none for the checkpoint's own."""
+    return f"  # {known.sources[field]}" if field in known.sources else ""
+
+
+def _rates(known: ExporterMetadata) -> list[str]:
+    """Return the lines of how often a policy acts, and the physics of its training."""
+    rate, physics = known.rate, known.physics_rate
+    if rate is None:
+        lines = [f"  rate: 50  {CHECK} actions per second of the training"]
+    elif rate in {50, 25, 10, 5, 2, 1}:
+        lines = [f"  rate: {number(rate)}{_from(known, 'rate')}"]
+    else:
+        said = f"{known.sources.get('rate', 'the file')} says {number(rate)}"
+        lines = [f"  rate: 50  {CHECK} {said}, which does not divide 50: the policy is run slower"]
+    if physics not in {None, 200}:
+        said = f"{known.sources.get('physics_rate', 'the file')} says {number(physics or 0)}"
+        lines.append(f"  # physics_rate: 200  {said}; the protocol takes 200 alone")
+    return lines
+
+
+def _action(
+    known: ExporterMetadata, theirs: Mapping[str, str], of: str, clip: float | None
+) -> list[str]:
+    """Return the lines of what an action means."""
+    meaning = f"  {CHECK} target = default_pose + scale * action"
+    meaning = _from(known, "action") or meaning
+    lines = [f"  action: {known.action or 'joint_position_offset'}{meaning}"]
     if known.action_scale:
-        lines.append(f"  scale: {one_or_list(known.action_scale)}")
+        lines.append(f"  scale: {one_or_list(known.action_scale)}{_from(known, 'action_scale')}")
     else:
         lines.append(f"  scale: {theirs.get('scale', '0.25')}  {of} rad for each unit of action")
-    if "clip" in theirs:
-        lines.append(f"  clip: {theirs['clip']}  {of} limits of actions, before scaling")
-    lines += _joints(known, robot, frame)
+    if known.action_clip is not None:
+        low, high = known.action_clip
+        limits = number(high) if low == -high else in_brackets((low, high))
+        lines.append(f"  clip: {limits}{_from(known, 'action_clip')}")
+    elif clip is not None:
+        lines.append(f"  clip: {number(clip)}  # as the trainer plays its policies")
+    elif "clip" in theirs:
+        lines.append(f"  clip: {theirs['clip']}  {of} limits before scaling")
+    return lines
+
+
+def _pose_and_gains(
+    known: ExporterMetadata, robot: RobotSpec, theirs: Mapping[str, str], of: str
+) -> list[str]:
+    lines: list[str] = []
     if known.default_joint_pos:
-        lines.append(f"  default_pose: {one_or_list(known.default_joint_pos)}")
+        pose = one_or_list(known.default_joint_pos)
+        lines.append(f"  default_pose: {pose}{_from(known, 'default_joint_pos')}")
     elif "default_pose" in theirs:
         lines.append(f"  default_pose: {theirs['default_pose']}  {of} rad")
     else:
         pose = _by_joint(robot, robot.default_pose)
         lines.append(f"  # default_pose: {pose}  {CHECK} the {robot.name}'s own is used")
-    for name, values, own in (
-        ("kp", known.joint_stiffness, robot.kp),
-        ("kd", known.joint_damping, robot.joint_damping),
+    for name, field, own in (
+        ("kp", "joint_stiffness", robot.kp),
+        ("kd", "joint_damping", robot.joint_damping),
     ):
-        if values:
-            lines.append(f"  {name}: {one_or_list(values)}")
+        if values := getattr(known, field):
+            lines.append(f"  {name}: {one_or_list(values)}{_from(known, field)}")
         elif name in theirs:
             note = f"{of} the {robot.name}'s own is {number(own)}"
             lines.append(f"  {name}: {theirs[name]}  {note}")
         else:
             lines.append(f"  {name}: {number(own)}  {CHECK} the {robot.name}'s own")
-    if known.default_joint_pos or known.joint_stiffness:
+    rounded = {"default_joint_pos", "joint_stiffness"} - set(known.sources)
+    if any(getattr(known, field) for field in rounded):
         lines.append("  # The exporter rounds these numbers to three decimals.")
-    for name, own, unit in (
-        ("torque_limits", _by_joint(robot, robot.torque_limits), "N m"),
-        ("armature", number(robot.armature), "kg m^2"),
-        ("friction_loss", number(robot.friction_loss), "N m"),
+    return lines
+
+
+def _motor_limits(known: ExporterMetadata, robot: RobotSpec) -> list[str]:
+    lines: list[str] = []
+    for name, values, own, unit in (
+        ("torque_limits", known.torque_limits, _by_joint(robot, robot.torque_limits), "N m"),
+        ("armature", known.armature, number(robot.armature), "kg m^2"),
+        ("friction_loss", (), number(robot.friction_loss), "N m"),
     ):
+        if values:
+            lines.append(f"  {name}: {one_or_list(values)}{_from(known, name)}")
+            continue
         note = f"{unit}; not in the file: the {robot.name}'s own is used"
         lines.append(f"  # {name}: {own}  {CHECK} {note}")
-    late = theirs.get("delay_steps", "0")
-    lines.append(f"  delay_steps: {late}  {CHECK} control steps between an action and its effect")
     return lines
 
 
@@ -286,12 +426,11 @@ def _joints(known: ExporterMetadata, robot: RobotSpec, frame: Frame | None) -> l
     own = [short_name(joint) for joint in robot.joints]
     names = [short_name(name) for name in known.joint_names]
     if names and sorted(names) == sorted(own):
-        return [f"  joints: [{', '.join(names)}]"]
-    if names:
-        return [
-            f"  # The file names the joints {', '.join(known.joint_names)[:400]}",
-            f"  joints: [{', '.join(own)}]  {CHECK} they are not the {robot.name}'s",
-        ]
+        source = _from(known, "joint_names")
+        if known.guessed_order:
+            source = f"  {CHECK} the order of the checkpoint: {known.sources['joint_names']} "
+            source += "names no order"
+        return [f"  joints: [{', '.join(names)}]{source}"]
     if frame is not None and frame.joints:
         return [f"  joints: {published(frame, robot)['joints']}  {CHECK} as {frame.name}"]
     return [f"  joints: [{', '.join(own)}]  {CHECK} the order of the checkpoint"]

@@ -63,6 +63,8 @@ class Frame:
     """How frames before the present one stand there, where there are any."""
     steps: int = 1
     """Frames that it is published with."""
+    counts: tuple[int, ...] = ()
+    """How many frames it is met with; empty = any number up to 20."""
     scan: GridOrder = "x_fastest"
     """Order of a scan of heights behind the frame."""
     scan_scale: float = 1.0
@@ -184,6 +186,26 @@ FRAMES: tuple[Frame, ...] = (
         size=45,
         terms=_GYM.terms[1:],
     ),
+    Frame(
+        name="mjlab",
+        source="mjlab without linear velocity",
+        traits="the command comes last; no scales; knees bent further; calves move half as far",
+        family="mujoco",
+        joints=LEG_BY_LEG,
+        scale="{hip: 0.335, thigh: 0.335, calf: 0.174}",
+        pose="{FL_hip: -0.1, FR_hip: 0.1, RL_hip: -0.1, RR_hip: 0.1, thigh: 0.9, calf: -1.8}",
+        size=45,
+        terms=("ang_vel", "gravity", "joint_pos", "joint_vel", "last_output", "command"),
+    ),
+    replace(
+        _GYM,
+        name="unitree-rl-gym",
+        source="unitree_rl_gym",
+        traits="legged_gym without linear velocity, and sine and cosine of a phase of 0.8 s",
+        counts=(1, 10),  # Five are 235 numbers: Isaac Lab's 48 and 187 heights.
+        size=47,
+        terms=(*_GYM.terms[1:], "{term: clock, frequency: 1.25}"),
+    ),
 )
 """The likelier ones of a size first."""
 
@@ -194,7 +216,7 @@ def frames_of(size: int) -> tuple[tuple[Frame, int], ...]:
     Fewer frames come first; among those, layouts that are published with as many.
     """
     fits = [(frame, size // frame.size) for frame in FRAMES if size % frame.size == 0]
-    fits = [fit for fit in fits if 1 <= fit[1] <= 20]
+    fits = [(frame, n) for frame, n in fits if n in (frame.counts or range(1, 21))]
     return tuple(sorted(fits, key=lambda fit: (fit[1], fit[1] != fit[0].steps)))
 
 
@@ -221,28 +243,27 @@ SCANS: tuple[ScanGuess, ...] = (
     PARKOUR,
     ScanGuess(source=ISAAC_LAB, x=21, y=11),
 )
-TERM_OF: dict[str, tuple[str, int]] = {
-    "base_lin_vel": ("lin_vel", 3),
-    "base_ang_vel": ("ang_vel", 3),
-    "projected_gravity": ("gravity", 3),
-    "velocity_commands": ("command", 3),
-    "velocity_command": ("command", 3),
-    "commands": ("command", 3),
-    "command": ("command", 3),
-    "twist": ("command", 3),
-    "joint_pos": ("joint_pos", 12),
-    "joint_pos_rel": ("joint_pos", 12),
-    "dof_pos": ("joint_pos", 12),
-    "joint_vel": ("joint_vel", 12),
-    "joint_vel_rel": ("joint_vel", 12),
-    "dof_vel": ("joint_vel", 12),
-    "actions": ("last_output", 12),
-    "action": ("last_output", 12),
-    "last_action": ("last_output", 12),
-    "last_actions": ("last_output", 12),
-    "prev_actions": ("last_output", 12),
-}
-"""Names that mjlab and Isaac Lab give to observation terms, with our term and its size."""
+TERM_OF: dict[str, tuple[str, int | None]] = {
+    **dict.fromkeys(("base_lin_vel", "lin_vel"), ("lin_vel", 3)),
+    **dict.fromkeys(("base_ang_vel", "ang_vel", "ang_vel_body"), ("ang_vel", 3)),
+    **dict.fromkeys(("projected_gravity", "gravity_vec"), ("gravity", 3)),
+    **dict.fromkeys(
+        (
+            "velocity_commands", "velocity_command", "commands", "command", "twist",
+            "generated_commands",
+        ),
+        ("command", 3),
+    ),
+    **dict.fromkeys(("joint_pos", "joint_pos_rel", "dof_pos"), ("joint_pos", None)),
+    **dict.fromkeys(("joint_vel", "joint_vel_rel", "dof_vel"), ("joint_vel", None)),
+    **dict.fromkeys(
+        ("actions", "action", "last_action", "last_actions", "prev_actions"), ("last_output", None)
+    ),
+    "eulerZYX_rpy": ("roll_pitch+yaw", 3),
+    **dict.fromkeys(("phase", "gait_phase", "gait_phase_2"), ("clock", 2)),
+}  # fmt: skip
+"""Names that mjlab, Isaac Lab and rl_sar give to observation terms, with our term and its size;
+None = one number for each joint. `+` joins the words of a term that is two of ours."""
 
 _SCAN = re.compile(r"scan|height_?map|elevation|^(measured_|terrain_)?heights$", re.IGNORECASE)
 _NO_SCAN = re.compile(r"foot|feet|lidar|laser", re.IGNORECASE)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 
 from nw_eval.onboarding.checkpoint import CheckpointFacts, ExportedTerm
@@ -59,7 +59,7 @@ def named_parts(
     parts: list[ObservationDraft] = []
     for group in groups:
         first, width = group[0]
-        if is_scan(first.name):
+        if _is_scan(first):
             lines = scan_lines(width, term=first)
             own = f"{name}_scan" if len(groups) > 1 else name
         else:
@@ -69,7 +69,7 @@ def named_parts(
             own = f"{own}_{len(parts) + 1}"
         parts.append(ObservationDraft(name=own, lines=tuple(lines)))
     notes = _missing(terms)
-    if left_out and all(term.name in TERM_OF or is_scan(term.name) for term, _ in rows):
+    if left_out and all(term_of(term) or _is_scan(term) for term, _ in rows):
         notes.append(f"{CHECK} no numbers are left for {', '.join(left_out)}")
     if len(groups) == 1 and total < size and size % total == 0 and terms[0].history is None:
         times = size // total
@@ -83,6 +83,36 @@ def named_parts(
         return ()
     sensor, *others = parts[0].lines
     return (ObservationDraft(name=parts[0].name, lines=(sensor, *notes, *others)), *parts[1:])
+
+
+def term_of(term: ExportedTerm) -> tuple[str, int | None] | None:
+    """Return our word for a term, and its size: by what computes it, else by its name."""
+    known = TERM_OF.get(term.function) or TERM_OF.get(term.name)
+    if known is not None and known[0] == "clock" and not term.keys:
+        return None  # Nobody says how fast it runs.
+    return known
+
+
+def sized_terms(terms: Sequence[ExportedTerm], joints: int) -> tuple[ExportedTerm, ...]:
+    """Return terms with the width that those have of which it is known.
+
+    Args:
+        terms: as files name them.
+        joints: of the robot.
+    """
+    sized: list[ExportedTerm] = []
+    for term in terms:
+        known = term_of(term)
+        if known is not None:
+            # Isaac Lab's function `joint_pos` is absolute, mjlab's and others' terms are not.
+            keys = "relative: false" if term.function == "joint_pos" else term.keys
+            term = replace(term, width=joints if known[1] is None else known[1], keys=keys)  # noqa: PLW2901 - the same term.
+        sized.append(term)
+    return tuple(sized)
+
+
+def _is_scan(term: ExportedTerm) -> bool:
+    return is_scan(term.name) or is_scan(term.function)
 
 
 def zeros(size: int, what: str = "what the checkpoint really sees") -> list[str]:
@@ -104,16 +134,16 @@ def zeros_note(size: int, what: str = "what the checkpoint really sees") -> str:
 
 
 def _kind(term: ExportedTerm) -> tuple[str, int]:
-    return term.name if is_scan(term.name) else "", term.history or 1
+    return term.name if _is_scan(term) else "", term.history or 1
 
 
 def _sizes(terms: Sequence[ExportedTerm], size: int) -> list[int]:
     """Return how many numbers each term has at a time; what is not known shares what is left."""
-    widths = [TERM_OF[term.name][1] if term.name in TERM_OF else 0 for term in terms]
+    widths = [0 if _is_scan(term) and not term.width else term.width or 0 for term in terms]
     left = size - sum(
         width * (term.history or 1) for term, width in zip(terms, widths, strict=True)
     )
-    scans = [i for i, term in enumerate(terms) if is_scan(term.name)]
+    scans = [i for i, term in enumerate(terms) if _is_scan(term) and not term.width]
     unknown = [i for i, width in enumerate(widths) if not width and i not in scans]
     for i in scans:
         steps = terms[i].history or 1
@@ -129,10 +159,10 @@ def _terms(group: Sequence[tuple[ExportedTerm, int]], left_out: Sequence[str]) -
     lines = ["sensor: proprio", "terms:"]
     for term, width in group:
         keys, unread = _keys(term, width)
-        if term.name in TERM_OF:
-            word = TERM_OF[term.name][0]
-            line = f"  - {{term: {word}{keys}}}" if keys else f"  - {word}"
-            lines.append(f"{line}  # {term.name}")
+        if known := term_of(term):
+            for word in known[0].split("+"):
+                line = f"  - {{term: {word}{keys}}}" if keys else f"  - {word}"
+                lines.append(f"{line}  # {term.name}")
         else:
             others = ", ".join([term.name, *left_out])
             lines += [
@@ -142,7 +172,7 @@ def _terms(group: Sequence[tuple[ExportedTerm, int]], left_out: Sequence[str]) -
         if unread:
             lines[-1] += f"  {CHECK} its {unread} cannot be read"
     if (steps := group[0][0].history or 1) > 1:
-        lines.append(f"history: {{steps: {steps}, order: oldest_first, by: term}}")
+        lines.append(f"history: {{steps: {steps}, {group[0][0].form}}}")
         if any(term.flat_history is False for term, _ in group):
             lines[-1] += f"  {CHECK} the exporter says that its frames are not in one row"
     return lines
@@ -150,7 +180,7 @@ def _terms(group: Sequence[tuple[ExportedTerm, int]], left_out: Sequence[str]) -
 
 def _keys(term: ExportedTerm, width: int) -> tuple[str, str]:
     """Return `scale` and `clip` of a term as a card writes them, and what does not fit it."""
-    keys, unread = "", ""
+    keys, unread = f", {term.keys}" if term.keys else "", ""
     if term.scale is not None and len(term.scale) not in {1, width}:
         unread = "scale"
     elif term.scale is not None and set(term.scale) != {1.0}:
@@ -278,6 +308,9 @@ def guessed_parts(
         note += (
             "; no known layout has it, so these are zeros" if size else ": the file leaves it free"
         )
+        frames = [f"{n} frames of {size // n}" for n in range(2, 21) if _may_repeat(size, n)]
+        if frames:
+            note += f"; it may be {' or '.join(frames)} numbers"
         lines = ("sensor: proprio", note, *zeros(max(size, 1)))
         return (ObservationDraft(name=name, lines=lines),)
     fits = sorted(fits, key=lambda fit: fit[0].name not in likely.names)
@@ -298,6 +331,11 @@ def guessed_parts(
     heights = {frame.name: tuple(scan_lines(scan.size, frame=frame)) for frame, _ in fits}
     own = heights[frame.name]
     return (body, ObservationDraft(name=f"{name}_scan", lines=own, ways=heights))
+
+
+def _may_repeat(size: int, steps: int) -> bool:
+    """Whether a row may be frames of a robot with twelve joints: 45 to 65 numbers each."""
+    return size % steps == 0 and 45 <= size // steps <= 65
 
 
 def frame_lines(frame: Frame, count: int) -> list[str]:

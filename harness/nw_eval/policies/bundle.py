@@ -43,7 +43,7 @@ _WHEREABOUTS = frozenset({"url", "timeout", "connect_timeout"})
 """Options of remote policies that say where they run and how long to wait."""
 
 
-_NO_MEANING = {"title", "licence", "trained_on", "checkpoint", "python"}
+_NO_MEANING = {"title", "licence", "trained_on", "trained_speeds", "checkpoint", "python"}
 """Keys of a card that change no action; what is installed counts for no policy's identity."""
 Options = TypeVar("Options", bound=CardModel)
 CODE_LIMIT = 2**26

@@ -68,6 +68,8 @@ def computed_digest(data: bytes) -> str:
                 return _id("onnx", _OnnxDigest(data).digest())
             case "torchscript" | "torch-export" | "state-dict" as kind:
                 return _id(kind, _members(open_archive(data, "the checkpoint")))
+            case "stable-baselines3":
+                return computed_digest(open_archive(data, "the checkpoint").read("policy.pth"))
             case "safetensors":
                 return _id("safetensors", _tensors(data))
             case _:

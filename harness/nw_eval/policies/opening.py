@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import assert_never
+from typing import Literal, assert_never
 
 import numpy as np
 
@@ -65,6 +65,27 @@ def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
             from nw_eval.policies.torch_network import TorchExportPolicy
 
             return TorchExportPolicy(bundle, joints=joints, allow_code=allow_code)
+        case "mlp" | "lucidsim" | "extreme-parkour" | "act":
+            return _open_weights(adapter, bundle, joints=joints)
+        case "remote":
+            from nw_eval.policies.remote import RemotePolicy
+
+            return RemotePolicy(bundle, joints=joints)
+        case "zero":
+            return ZeroPolicy(joints=joints)
+        case _:
+            assert_never(adapter)
+
+
+def _open_weights(
+    adapter: Literal["mlp", "lucidsim", "extreme-parkour", "act"], bundle: Bundle, *, joints: int
+) -> Policy:
+    """Open a file that holds the weights of a network of ours, and no network."""
+    match adapter:
+        case "mlp":
+            from nw_eval.policies.mlp import MlpPolicy
+
+            return MlpPolicy(bundle, joints=joints)
         case "lucidsim":
             from nw_eval.policies.parkour import LucidSimPolicy
 
@@ -77,14 +98,6 @@ def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
             from nw_eval.policies.act import ActPolicy
 
             return ActPolicy(bundle, joints=joints)
-        case "remote":
-            from nw_eval.policies.remote import RemotePolicy
-
-            return RemotePolicy(bundle, joints=joints)
-        case "zero":
-            return ZeroPolicy(joints=joints)
-        case _:
-            assert_never(adapter)
 
 
 class ZeroPolicy:

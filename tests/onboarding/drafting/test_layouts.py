@@ -19,7 +19,9 @@ from nw_eval.onboarding.layouts import FRAMES
 from nw_eval.robots import get_robot
 
 GO2 = get_robot("go2")
-OF_45 = ["legged-gym", "isaac-lab", "unitree-rl-lab", "robot-lab", "genesis", "himloco"]
+OF_45 = [
+    "legged-gym", "isaac-lab", "unitree-rl-lab", "robot-lab", "genesis", "mjlab", "himloco",
+]  # fmt: skip
 
 
 def blocks(text):
@@ -162,3 +164,27 @@ def test_strangers_checkpoints_get_the_terms_and_joints_of_the_cards_that_make_t
         ]
 
     assert seen(card) == seen(right)
+
+
+def test_a_row_of_an_unknown_size_may_be_frames_of_one(onnx_file, drafted):
+    text, _, problems = drafted(onnx_file({"obs": [1, 570]}))
+    assert problems == []
+    assert "no known layout has it, so these are zeros; it may be 10 frames of 57 numbers" in text
+    text, _, _ = drafted(onnx_file({"obs": [1, 43]}, name="other/p.onnx"))
+    assert "frames of" not in text
+
+
+def test_a_clock_of_two_numbers_is_that_of_unitree_rl_gym(onnx_file, drafted):
+    for frames in (1, 10):
+        _, card, problems = drafted(onnx_file({"obs": [1, 47 * frames]}, name=f"{frames}/p.onnx"))
+        assert problems == []
+        assert card.observations["obs"].frame_terms[-1].term == "clock"
+
+
+def test_mjlab_without_linear_velocity_is_offered_for_45_numbers(onnx_file, drafted):
+    text, _, _ = drafted(onnx_file({"obs": [1, 45]}))
+    _, found, rest = text.partition("# mjlab (mjlab without linear velocity)")
+    assert found
+    terms = rest.split("terms:")[1].split("#\n")[0]
+    assert terms.index("last_output") < terms.index("command")
+    assert "lin_vel" not in terms

@@ -109,17 +109,26 @@ def test_a_policy_that_falls_does_not_stand_still(compared, obeys):
     assert all("and it fell" in text for _, text in findings[:5])
 
 
-def test_a_card_with_which_everything_is_followed_is_a_fault_of_the_one_that_is_looked_at(
-    compared, obeys
-):
+def test_a_card_with_which_all_that_trials_command_is_followed_is_a_fault(compared, obeys):
+    def walk(card, _):
+        return obeys(card, (1.0, 1.0, 1.0 if halved_hips(card) else 0.4))
+
+    _, findings, _ = compared(walk)
+    assert [kind for kind, _ in findings] == ["fault"] * 3
+    assert findings[2][1].startswith(
+        "it follows with the scale of the hips halved; if trained that way"
+    )
+
+
+def test_a_card_under_which_only_the_sides_are_slow_is_no_fault(compared, obeys):
+    """So go right cards; a change that mends the sides can cost success in trials."""
+
     def walk(card, _):
         return obeys(card, (1.0, 1.0 if halved_hips(card) else 0.4, 1.0))
 
     _, findings, _ = compared(walk)
-    assert [kind for kind, _ in findings] == ["note", "note", "fault"]
-    assert findings[2][1].startswith(
-        "it follows with the scale of the hips halved; if trained that way"
-    )
+    assert [kind for kind, _ in findings] == ["note"] * 3
+    assert findings[2][1].startswith("it follows better with the scale of the hips halved; if")
 
 
 def test_a_stumbling_policy_is_told_with_which_card_it_walks(compared, obeys):
@@ -144,7 +153,7 @@ def test_what_was_found_before_the_budget_was_used_up_is_told(commanded, compare
     cut = compared(walk, simulated=25.0)  # 10 s for the commands, 10 s for each card that follows.
     assert len(everything[0]) == len(cut[0]) == 5
     assert "the hips halved" in everything[1][-1][1]
-    assert [kind for kind, _ in cut[1]] == ["note", "note", "fault", "note"]
+    assert [kind for kind, _ in cut[1]] == ["note"] * 4
     assert "with the scale of `lin_vel` 2;" in cut[1][2][1]
     assert cut[1][3][1] == "cut off after 26 s of simulation: not every other card was tried"
     assert cut[2].asked == 13

@@ -7,7 +7,8 @@ import pytest
 
 from nw_eval.cards import Card
 from nw_eval.cards.inputs import InputSpec
-from nw_eval.onboarding.probe.findings import action_findings, input_findings
+from nw_eval.onboarding.probe.findings import Range, action_findings, input_findings
+from nw_eval.onboarding.probe.parts import Part
 from nw_eval.robots import get_robot
 
 GO1 = get_robot("go1")
@@ -73,3 +74,28 @@ def test_that_a_joint_moves_against_its_targets_is_noted_of_who_stumbles(
     found = action_findings(uncommanded, GO1, made)
     words = "FL_thigh: moves against its targets"
     assert [one.kind for one in found if words in one.text] == said
+
+
+@pytest.mark.parametrize(
+    ("constant", "said"),
+    [
+        ((12, 3), "all 15 numbers that the card feeds it are constant; name the terms"),
+        ((12, 2), "the checkpoint does not react to its inputs, of which 14 of 15 are constant"),
+        ((0, 0), "the checkpoint does not react to its inputs"),
+    ],
+)
+def test_the_same_action_is_blamed_on_whom_it_is_due_to(walked, uncommanded, constant, said):
+    fed = [
+        Range(
+            part=Part(
+                observation="obs", kind=kind, indices=np.arange(size), steps=1, form="",
+                limits=None, is_fixed=False,
+            ),
+            low=0.0, mean=0.0, high=0.0, constant=count, broken=0,
+        )
+        for kind, size, count in zip(("joint_pos", "command"), (12, 3), constant, strict=True)
+    ]  # fmt: skip
+    found = action_findings(uncommanded, GO1, walked(), fed)
+    (same,) = [one for one in found if "the same at every step" in one.text]
+    assert same.kind == "fault"
+    assert said in same.text

@@ -77,6 +77,21 @@ def test_who_sees_no_command_is_measured_on_its_own_way(commanded, uncommanded, 
     assert seen == ["waypoint"]
 
 
+def test_no_speed_is_tried_that_the_training_did_not_command(commanded):
+    speeds = {"lin_vel_y": (-0.3, 0.05), "ang_vel_z": (-0.2, 0.2)}
+    card = commanded.model_copy(update={"trained_speeds": speeds})
+    tried = {one.words: one.velocity for one in motions(card)}
+    assert "to the left" not in tried, "0.05 m/s is less than the sway of the steps"
+    assert tried["to the right"] == (0.8, -0.3, 0.0)
+    # Trials command turns under this card, whatever was trained.
+    assert tried["turning left"] == (0.8, 0.0, 1.0)
+    straight = with_command(card, source="trail_follower", yaw_limit=0.01)
+    tried = {one.words: one.velocity for one in motions(straight)}
+    assert tried["turning left"] == (0.8, 0.0, 0.2)
+    every = {one.words: one.velocity for one in motions(commanded)}
+    assert every["to the left"] == (0.8, 0.5, 0.0)
+
+
 def test_the_second_second_is_compared_with_the_command(commanded, walked, rig_that_says):
     velocity = np.zeros((100, 3))
     velocity[:50], velocity[50:] = (9.0, 9.0, 9.0), (0.4, -0.45, 0.0)

@@ -1,6 +1,7 @@
 """Which other cards are tried, in which order, and how they are written."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from ruamel.yaml import YAML
@@ -24,6 +25,35 @@ def with_terms(card, *terms, **control):
 
 def tried(card):
     return {one.words: changed_lines(card, one.card) for one in hypotheses(card, GO1)}
+
+
+BIPED = [
+    f"{side}_{kind}_joint"
+    for side in ("left", "right")
+    for kind in ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
+]
+ANYMAL = [f"{leg}_{kind}" for leg in ("LF", "LH", "RF", "RH") for kind in ("HAA", "HFE", "KFE")]
+UNLIKE = [*(f"left_{n}" for n in "abcde"), *(f"right_{n}" for n in "abcde"), "waist", "head"]
+
+
+@pytest.mark.parametrize(
+    ("joints", "orders"), [(BIPED, 3), (ANYMAL, 7), (list(GO1.joints), 7), (UNLIKE, 1)]
+)
+def test_a_robot_with_any_names_of_joints_has_other_orders_tried(commanded, joints, orders):
+    robot = replace(GO1, joints=tuple(joints))
+    motors = dict.fromkeys(("kp", "kd", "torque_limits", "armature", "friction_loss"))
+    card = with_terms(
+        commanded, "gravity", "joint_pos", joints=None, scale=0.5, default_pose=0.1, **motors
+    )
+    wide = replace(robot, joint_ranges=((-3.0, 3.0),) * 12)
+    found = [one for one in hypotheses(card, wide) if "joints" in one.words]
+    tried = [one for one in found if one.words.startswith("the joints ")]
+    assert len(tried) == orders
+    own = [name.removesuffix("_joint") for name in joints]
+    for one in tried:
+        assert sorted(one.card.control.joints) == sorted(own)
+        assert one.card.control.joints != own
+    assert len({tuple(one.card.control.joints) for one in tried}) == orders
 
 
 @pytest.mark.parametrize("name", USUAL)

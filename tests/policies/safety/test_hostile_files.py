@@ -135,7 +135,10 @@ HOSTILE = {
         lambda: torch_file(b"\x80\x02c\x1b[31m\n::error::x\n)\x81."),
         r"makes an object of \\x1b\[31m\.::error::x",
     ),
-    "bare pickle": (lambda: call("posix", "system", "touch ran"), "bare pickle"),
+    "bare pickle": (
+        lambda: call("posix", "system", "touch ran"),
+        "asks to call 'posix.system'",
+    ),
     "storage of 100 GB": (
         lambda: torch_file(index(count=25_000_000_000, shape=(25_000_000_000,))),
         "claims 93.1 GiB, the file holds 16 bytes",

@@ -93,14 +93,21 @@ class Check:
 
 @dataclass(frozen=True, kw_only=True)
 class Init:
-    """Inspect a checkpoint, without running it, and write a first card beside it."""
+    """Inspect a checkpoint, without running it, and write a first card beside it.
+
+    Files beside it, or in `params` or `io_descriptors` beside or above it, say what it does not:
+    deploy.yaml, IO_descriptors.yaml, env.yaml, agent.yaml, and the configs of rl_sar,
+    legged_rl_deploy and unitree_rl_gym. The card says which file gave which line.
+    """
 
     checkpoint: tyro.conf.Positional[Path]
-    """An ONNX, TorchScript, torch.export, safetensors or state-dict file."""
+    """An ONNX, TorchScript, torch.export, safetensors or state-dict file, or what a training saves:
+    rsl_rl, skrl, rl_games, CleanRL, Stable-Baselines3, brax or flax. Of a folder, such as a
+    training's, the newest step is taken."""
     robot: str
     """The robot that the policy drives: go1 or go2."""
     out: Path | None = None
-    """The card to write; `policy.yaml` beside the checkpoint when absent."""
+    """The card to write; `policy.yaml` beside the checkpoint, or in the folder, when absent."""
     layout: str | None = None
     """The published layout of what the policy sees, such as isaac-lab; the likeliest when absent.
     The card names those that fit."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from nw_eval.cards import Card
 from nw_eval.cards.inputs import resolve_inputs
 from nw_eval.cards.joints import short_name
+from nw_eval.cards.networks import input_parts
 from nw_eval.cards.observations import ProprioObservation, SplatRgbObservation
 from nw_eval.onboarding.probe.following import Followed, stands_still
 from nw_eval.onboarding.probe.parts import Part
@@ -137,16 +138,18 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
 _TERMS_OF_ORDER_ONE = {"joint_pos", "joint_vel", "ang_vel", "lin_vel", "gravity", "last_output"}
 
 
-def network_findings(card: Card, recording: Recording) -> list[ProbeFinding]:
+def network_findings(card: Card, recording: Recording, ranges: list[Range]) -> list[ProbeFinding]:
     """Return which networks do not react to their inputs."""
     findings: list[ProbeFinding] = []
     for name, output in network_outputs(card):
         values = recording.fed[output]
         if len(values) > 1 and (values == values[:1]).all():
-            text = f"network `{name}`: `{output}` is the same at every step: "
-            findings.append(
-                ProbeFinding(kind="fault", text=f"{text}it does not react to its inputs")
-            )
+            parts = {part for _, own in input_parts(card.networks[name].inputs) for part in own}
+            own = [value for value in ranges if value.part.observation in parts]
+            # What other networks feed it is not looked at here.
+            own = own if parts <= set(card.observations) else []
+            text = f"network `{name}`: `{output}` is the same at every step: {_blame(own)}"
+            findings.append(ProbeFinding(kind="fault", text=text))
     return findings
 
 
@@ -157,12 +160,21 @@ def network_outputs(card: Card) -> Iterator[tuple[str, str]]:
             yield name, output
 
 
-def action_findings(card: Card, robot: RobotSpec, recording: Recording) -> list[ProbeFinding]:
-    """Return what is odd about the actions and what the motors made of them."""
+def action_findings(
+    card: Card, robot: RobotSpec, recording: Recording, fed: Sequence[Range] = ()
+) -> list[ProbeFinding]:
+    """Return what is odd about the actions and what the motors made of them.
+
+    Args:
+        card: under which it acts.
+        robot: that it drives.
+        recording: of it.
+        fed: the parts of what it is fed; where it always acts alike they tell whose fault it is.
+    """
     findings: list[ProbeFinding] = []
     actions = recording.actions
     if (actions == actions[:1]).all() and card.adapter != "zero":
-        text = "the action is the same at every step: the checkpoint does not react to its inputs"
+        text = f"the action is the same at every step: {_blame(fed)}"
         findings.append(ProbeFinding(kind="fault", text=text))
     if card.control.clip is not None:
         low, high = card.control.clip
@@ -182,6 +194,20 @@ def action_findings(card: Card, robot: RobotSpec, recording: Recording) -> list[
     strained = np.abs(recording.torques) >= 0.999 * recording.torque_limits
     findings += _by_joint(strained.mean(axis=0), robot.joints, "the motor is at its torque limit")
     return findings
+
+
+def _blame(ranges: Sequence[Range]) -> str:
+    """Say whether a network that gives the same at every step is fed anything that changes."""
+    fed = sum(value.size for value in ranges)
+    constant = sum(value.constant for value in ranges)
+    if fed and constant == fed:
+        return (
+            f"all {plural(fed, 'number')} that the card feeds it are constant; name the terms that "
+            "it was trained on under `observations`"
+        )
+    return "the checkpoint does not react to its inputs" + (
+        f", of which {constant} of {fed} are constant" if constant else ""
+    )
 
 
 def body_findings(recording: Recording) -> list[ProbeFinding]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
@@ -34,6 +34,7 @@ _SPEED = 0.8  # m/s ahead while it goes sideways or turns: some policies stand s
 _LEAST = 0.1  # m/s or rad/s; of less, the sway of the steps is too large a share.
 _STILL = 0.1  # Share of a command; who stands sways with less.
 _UNITS = ("m/s", "m/s", "rad/s")
+_NAMES = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
 _WAYS = (("ahead", "backwards"), ("to the left", "to the right"), ("turning left", "turning right"))
 
 Velocity = tuple[float, float, float]
@@ -107,8 +108,27 @@ def motions(card: Card) -> list[Motion]:
     """Return the commands to try, at least 0.1 m/s or rad/s each; none if it sees no command.
 
     A constant command is tried as it is. Beside it, and for all others: ahead at the card's speed;
-    sideways and in turns, walking ahead with it.
+    sideways and in turns, walking ahead with it. What no trial commands is no faster than the
+    training commanded, where the card says that (`trained_speeds`), and is left out below 0.1.
     """
+    ranges = [card.trained_speeds.get(name) for name in _NAMES]
+    return [kept for one in _all_motions(card) if (kept := _within(one, ranges)) is not None]
+
+
+def _within(motion: Motion, ranges: Sequence[tuple[float, float] | None]) -> Motion | None:
+    """Return a motion at a speed that the training commanded; None where there is none to see."""
+    limits, value = ranges[motion.axis], motion.velocity[motion.axis]
+    if motion.is_used or limits is None:
+        return motion
+    value = min(max(value, limits[0]), limits[1])
+    if abs(value) < _LEAST or value * motion.velocity[motion.axis] < 0.0:
+        return None
+    velocity = [*motion.velocity]
+    velocity[motion.axis] = value
+    return replace(motion, velocity=(velocity[0], velocity[1], velocity[2]))
+
+
+def _all_motions(card: Card) -> list[Motion]:
     command = card.command
     if "command" not in _terms(card):
         return []

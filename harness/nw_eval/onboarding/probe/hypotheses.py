@@ -45,13 +45,8 @@ TRIED = (
     "meaning, rate and delay of actions, poses, gains, the other robots, orders with scales"
 )
 """What is changed, in words."""
-_LEGS = (
-    ("FR", "FL", "RR", "RL"),
-    ("FL", "FR", "RL", "RR"),
-    ("RR", "RL", "FR", "FL"),
-    ("RL", "RR", "FL", "FR"),
-)
-_KINDS = ("hip", "thigh", "calf")
+_LEGS = {4: ((0, 1, 2, 3), (1, 0, 3, 2), (2, 3, 0, 1), (3, 2, 1, 0)), 2: ((0, 1), (1, 0))}
+"""Orders of the legs, by how many there are, as places in the robot's own order."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +113,7 @@ _SIGNED = {"gravity", "ang_vel", "delta_yaw"}
 def hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
     """Yield the changes of one thing that are worth a try, likely ones first."""
     yield from _possible(
+        robot,
         *scaled_terms(card),
         *_orders(card, robot),
         *_histories(card, "order"),
@@ -136,23 +132,23 @@ def hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
 
 def scale_hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
     """Yield other scales of the action only: what a policy that follows, but weakly, may miss."""
-    yield from _possible(*scaled_cards(card, robot))
+    yield from _possible(robot, *scaled_cards(card, robot))
 
 
 def double_hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
     """Yield changes of two things that newcomers from one stack to another forget together."""
     for order, ordered in _orders(card, robot):
         scaled = scaled_terms(ordered, some=False)
-        yield from _possible(*((f"{order}, and {scales}", both) for scales, both in scaled))
+        yield from _possible(robot, *((f"{order}, and {scales}", both) for scales, both in scaled))
 
 
-def _possible(*changes: tuple[str, Card]) -> Iterator[Hypothesis]:
+def _possible(robot: RobotSpec, *changes: tuple[str, Card]) -> Iterator[Hypothesis]:
     """Yield those with which the robot can stand.
 
     A robot that cannot take its default pose was trained in no stack.
     """
     for words, changed in changes:
-        if _can_stand(changed, get_robot(changed.robot)):
+        if _can_stand(changed, robot if changed.robot == robot.name else get_robot(changed.robot)):
             yield Hypothesis(words=words, card=changed)
 
 
@@ -165,17 +161,35 @@ def _can_stand(card: Card, robot: RobotSpec) -> bool:
 
 
 def _orders(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
+    """Yield cards with other orders of joints.
+
+    Robots name joints by leg and kind: FR_hip, left_knee. Where all legs have the same kinds, legs
+    change places, and joints go leg by leg or kind by kind; else joints are sorted by name, as
+    Isaac Gym sorts them.
+    """
     own = joint_order(card.control.joints or robot.joints, robot.joints)
-    for legs, by_leg in product(_LEGS, (True, False)):
-        pairs = product(legs, _KINDS) if by_leg else ((leg, k) for k, leg in product(_KINDS, legs))
-        joints = [f"{leg}_{kind}" for leg, kind in pairs]
-        known = {short_name(joint) for joint in robot.joints}
-        if set(joints) != known or (joint_order(joints, robot.joints) == own).all():
-            continue
-        control = card.control.model_copy(update={"joints": joints})
-        kinds = "leg by leg" if by_leg else "all hips, then all thighs, then all calves"
-        words = f"the joints in the order {' '.join(legs)}, {kinds}"
-        yield words, card.model_copy(update={"control": control})
+    names = [short_name(joint) for joint in robot.joints]
+    pairs = [tuple(name.split("_", 1)) for name in names]
+    legs, kinds = (list(dict.fromkeys(pair[end] for pair in pairs)) for end in (0, -1))
+    orders: list[tuple[str, list[str]]] = []
+    if set(product(legs, kinds)) == set(pairs):
+        for places, by_leg in product(_LEGS.get(len(legs), ()), (True, False)):
+            turned = [legs[place] for place in places]
+            both = product(turned, kinds)
+            joints = [f"{leg}_{kind}" for leg, kind in both]
+            if not by_leg:
+                joints = [f"{leg}_{kind}" for kind, leg in product(kinds, turned)]
+            how = "leg by leg" if by_leg else f"all {', then all '.join(map(_plural, kinds))}"
+            orders.append((f"the joints in the order {' '.join(turned)}, {how}", joints))
+    else:
+        orders.append(("the joints sorted by name", sorted(names)))
+    for words, joints in orders:
+        if (joint_order(joints, robot.joints) != own).any():
+            yield words, _with_control(card, joints=joints)
+
+
+def _plural(kind: str) -> str:
+    return "calves" if kind == "calf" else f"{kind}s"
 
 
 def _histories(card: Card, key: Literal["order", "by"]) -> Iterator[tuple[str, Card]]:
@@ -288,7 +302,10 @@ def _poses(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
     for whose, (hip, front, rear, calf) in _POSES.items():
         by_kind = {"hip": hip, "thigh": rear, "F?_thigh": front, "calf": calf}
         right = {"FR_hip": -hip, "RR_hip": -hip}
-        pose = joint_values(by_kind | right, names)
+        try:
+            pose = joint_values(by_kind | right, names)
+        except PolicyError:
+            return  # It has other joints.
         if not np.array_equal(pose, own):
             words = f"{whose}'s default pose"
             yield words, _with_control(card, default_pose=per_joint(names, pose.tolist()))

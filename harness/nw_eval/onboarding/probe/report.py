@@ -210,8 +210,8 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
     findings = [
         *observation_findings(ranges, recording),
         *input_findings(card, ranges, recording),
-        *network_findings(card, recording),
-        *action_findings(card, robot, recording),
+        *network_findings(card, recording, ranges),
+        *action_findings(card, robot, recording, ranges),
         *body_findings(recording),
     ]
     if scene == FLAT:

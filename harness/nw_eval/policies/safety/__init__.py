@@ -8,7 +8,7 @@ fails is a `PolicyError` that says what the file is and how to export it.
     archive     members of a zip file: names, numbers, sizes, compression
     members     which of them a torch archive may have, and the archive written anew
     objects     the index of a torch file, read without pickle
-    tensors     the tensors of a torch or safetensors file
+    tensors     the tensors of a file of weights: torch, safetensors, pickled or msgpack arrays
     onnx_file   the tensors of an ONNX file
 """
 

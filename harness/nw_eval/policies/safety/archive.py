@@ -6,6 +6,7 @@ What a file is, is known by its bytes and not by its name.
 from __future__ import annotations
 
 import io
+import re
 import stat
 import struct
 import zipfile
@@ -27,7 +28,17 @@ _ZIP_FAULTS = (
     RuntimeError,  # NotImplementedError too: a compression or encryption that it lacks.
 )
 """What Python's zip reader raises about damaged archives."""
-FileKind = Literal["onnx", "state-dict", "torchscript", "torch-export", "safetensors", "unknown"]
+FileKind = Literal[
+    "onnx",
+    "state-dict",
+    "torchscript",
+    "torch-export",
+    "safetensors",
+    "stable-baselines3",
+    "pickle",
+    "msgpack",
+    "unknown",
+]
 
 _SAID: dict[FileKind, str] = {
     "onnx": "it is an ONNX graph",
@@ -35,9 +46,16 @@ _SAID: dict[FileKind, str] = {
     "torchscript": "it is a TorchScript file",
     "torch-export": "it is a torch.export file",
     "safetensors": "it is a safetensors file",
+    "stable-baselines3": "it is a zip file of Stable-Baselines3",
+    "pickle": "it is a bare pickle, as brax saves parameters",
+    "msgpack": "it is a msgpack file, as flax saves parameters",
     "unknown": "its format is unknown",
 }
 
+_OLD_TORCH = b"\x80\x02\x8a\x0a\x6c\xfc\x9c\x46\xf9\x20\x6a\xa8\x50\x19"
+"""A pickle of the number that torch began its files with."""
+_MSGPACK = re.compile(rb"([\x81-\x8f]|\xde..)([\xa1-\xbf]|\xd9.)[\x20-\x7e]", re.DOTALL)
+"""A map whose first key is a text."""
 _TEXTS = (b"<!doctype", b"<html", b"<?xml")
 
 
@@ -182,11 +200,27 @@ def file_kind(data: bytes, where: str) -> FileKind:
 
     Raises:
         PolicyError: it is no checkpoint at all, and it can be said what it is instead: nothing, a
-            web page, a pointer of Git LFS, a bare pickle, another archive.
+            web page, a pointer of Git LFS, a file of torch before 1.6, another archive.
     """
+    head = data[:512]
+    _refuse_others(data, head, where)
+    if head.startswith(b"PK"):
+        return _archive_kind(data, where)
+    if head[:1] == b"\x80" and len(head) > 1 and head[1] <= 5:
+        return "pickle"
+    if _is_safetensors(data):
+        return "safetensors"
+    if _MSGPACK.match(head):
+        return "msgpack"
+    # ModelProto begins with its field 1, the varint `ir_version`: 3 to some small number.
+    if head[:1] == b"\x08" and len(head) > 2 and 1 <= head[1] <= 32:
+        return "onnx"
+    return "unknown"
+
+
+def _refuse_others(data: bytes, head: bytes, where: str) -> None:
     if not data:
         raise PolicyError(f"{where}: the file is empty", fix="copy or download it again")
-    head = data[:512]
     if head.lstrip().lower().startswith(_TEXTS):
         raise PolicyError(
             f"{where}: this is a web page, not a checkpoint",
@@ -197,24 +231,15 @@ def file_kind(data: bytes, where: str) -> FileKind:
             f"{where}: this is a pointer of Git LFS, not the checkpoint",
             fix="run `git lfs pull`",
         )
-    if head.startswith(b"PK"):
-        return _archive_kind(data, where)
-    if head[:1] == b"\x80" and len(head) > 1 and head[1] <= 5:
+    if head.startswith(_OLD_TORCH):
         raise PolicyError(
-            f"{where}: this is a bare pickle (torch before 1.6, or `pickle.dump`), which could run "
-            "code and is never opened",
+            f"{where}: this is a file of torch before 1.6, a row of pickles, which is never opened",
             fix="load it where you trust it and save it with `torch.save(state_dict, file)`",
         )
     if head.startswith(b"\x1f\x8b") or data[257:262] == b"ustar":
         raise PolicyError(
             f"{where}: this is a gzip or tar archive", fix="unpack it and give the file inside"
         )
-    if _is_safetensors(data):
-        return "safetensors"
-    # ModelProto begins with its field 1, the varint `ir_version`: 3 to some small number.
-    if head[:1] == b"\x08" and len(head) > 2 and 1 <= head[1] <= 32:
-        return "onnx"
-    return "unknown"
 
 
 def kind_said(kind: FileKind) -> str:
@@ -233,6 +258,8 @@ def _archive_kind(data: bytes, where: str) -> FileKind:
     leaves = {name.split("/", 1)[-1] for name in names}
     if "archive_format" in leaves or "serialized_exported_program.json" in names:
         return "torch-export"
+    if "policy.pth" in names and "data" in names:
+        return "stable-baselines3"
     if "data.pkl" in leaves:
         return "torchscript" if "constants.pkl" in leaves else "state-dict"
     return "unknown"
@@ -260,6 +287,8 @@ class FileLimits:
     """Largest ratio of unpacked to packed size of a member; a bomb has 1000."""
     index_bytes: int = 2**24
     """The pickled index of a torch file, or the JSON of a graph."""
+    pickle_bytes: int = 2**28
+    """A pickle or msgpack file that holds its numbers itself."""
     tensors: int = 20_000
     """Number of tensors."""
     tensor_bytes: int = 2**30

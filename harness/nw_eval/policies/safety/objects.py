@@ -4,10 +4,15 @@
 programs can call any function of Python. This reads the few instructions that a description of
 tensors needs, and calls nothing: a tensor becomes a `TensorRef`, an object of a scripted module a
 `Record`, and any other call is refused by its name. It is stricter than `weights_only`.
+
+The parameters that brax saves are a pickle of their own (`pickle.dump`), with NumPy's arrays, or
+those of JAX, in it. Such a file is read in the same way: an array becomes a `TensorRef` whose
+numbers are those of the pickle.
 """
 
 from __future__ import annotations
 
+import math
 import pickletools
 import re
 from collections.abc import Callable
@@ -30,6 +35,21 @@ STORAGES = {
     "ByteStorage": "uint8",
     "BoolStorage": "bool",
 }
+_ARRAYS = {
+    "f8": "float64",
+    "f4": "float32",
+    "f2": "float16",
+    "i8": "int64",
+    "i4": "int32",
+    "i2": "int16",
+    "i1": "int8",
+    "u8": "uint64",
+    "u4": "uint32",
+    "u2": "uint16",
+    "u1": "uint8",
+    "b1": "bool",
+}
+"""Types of NumPy's arrays, as it pickles them."""
 ITEM_BYTES = {
     "float64": 8,
     "float32": 4,
@@ -39,6 +59,9 @@ ITEM_BYTES = {
     "int32": 4,
     "int16": 2,
     "int8": 1,
+    "uint64": 8,
+    "uint32": 4,
+    "uint16": 2,
     "uint8": 1,
     "bool": 1,
 }
@@ -46,11 +69,13 @@ ITEM_BYTES = {
 
 @dataclass(frozen=True, kw_only=True)
 class StorageRef:
-    """A run of numbers in a member of the archive."""
+    """A run of numbers in a member of the archive, or in the pickle itself."""
 
     key: str
     dtype: str
     count: int
+    raw: bytes | None = None
+    """The numbers, where they stand in the pickle."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +97,10 @@ class Global:
 
 @dataclass(kw_only=True)
 class Record:
-    """An object of a scripted module: its class and its attributes."""
+    """An object of a scripted module, or of brax: its class and its attributes.
+
+    An array of NumPy has its `TensorRef` in place of them.
+    """
 
     name: str
     state: Any = field(default=None)
@@ -108,6 +136,10 @@ _OPAQUE = {
     "numpy._core.multiarray.scalar",
     "numpy.dtype",
 }
+_OBJECTS = re.compile(r"(brax|flax|optax)\.[\w.]+")
+"""Classes of a pickled training whose attributes are read; nothing is imported."""
+_RECONSTRUCT = {"numpy.core.multiarray._reconstruct", "numpy._core.multiarray._reconstruct"}
+_ARRAY = "numpy.ndarray"
 # `meta` has no numbers: an operator on such a tensor reads memory of somebody else's.
 _DEVICE = re.compile(r"(?!meta)[a-z]+(:[0-9]+)?")
 # How TorchScript writes lists with the type of their elements: the list is the first argument.
@@ -139,17 +171,25 @@ def read_objects(index: bytes, where: str, limits: FileLimits | None = None) -> 
     return read_index(index, where, limits).tree
 
 
-def read_index(index: bytes, where: str, limits: FileLimits | None = None) -> Index:
+def read_index(
+    index: bytes, where: str, limits: FileLimits | None = None, *, pickled: bool = False
+) -> Index:
     """Return what `read_objects` does, and all that was described on the way.
+
+    Args:
+        index: as for `read_objects`.
+        where: likewise.
+        limits: likewise.
+        pickled: whether it is a file of `pickle.dump`, which may hold arrays.
 
     Raises:
         PolicyError: as `read_objects`.
     """
     limits = limits or FileLimits()
-    machine = _Machine()
+    machine = _Machine(pickled=pickled)
     try:
         for opcode, argument, _ in pickletools.genops(index):
-            _instruction(opcode.name)(machine, argument)
+            _instruction(opcode.name, pickled=pickled)(machine, argument)
         tree = machine.result()
     except _RefusedError as error:
         raise PolicyError(
@@ -174,7 +214,8 @@ def read_index(index: bytes, where: str, limits: FileLimits | None = None) -> In
 class _Machine:
     """The stack of a pickle program."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, pickled: bool) -> None:
+        self.pickled = pickled
         self.stack: list[Any] = []
         self.memo: dict[int, Any] = {}
         self.done = False
@@ -236,7 +277,8 @@ class _Machine:
         arguments, function = self.pop(), self.pop()
         if not isinstance(function, Global) or not isinstance(arguments, tuple):
             raise _RefusedError("calls a computed value")
-        result = _call(function.name, arguments)
+        call = _call_of_arrays if self.pickled else _call
+        result = call(function.name, arguments)
         if isinstance(result, TensorRef):
             self.tensors.append(result)
         if function.name in _SCRIPT_LISTS:
@@ -244,8 +286,11 @@ class _Machine:
         self.push(result)
 
     def new_object(self) -> None:
-        self.pop()
-        cls = self.pop()
+        arguments, cls = self.pop(), self.pop()
+        if self.pickled and isinstance(cls, Global) and _OBJECTS.fullmatch(cls.name):
+            # A named tuple has its fields as arguments, other objects have a state later.
+            self.push(Record(name=cls.name, state=arguments or None))
+            return
         if not isinstance(cls, Global) or not cls.name.startswith("__torch__."):
             raise _RefusedError(f"makes an object of {getattr(cls, 'name', 'a computed class')}")
         self.classes.add(cls.name)
@@ -255,7 +300,10 @@ class _Machine:
         state = self.pop()
         target = self.stack[-1]
         if isinstance(target, Record):
-            target.state = state
+            target.state = _array(state) if target.name == _ARRAY else state
+        elif isinstance(target, _Dtype) and isinstance(state, tuple) and len(state) > 1:
+            if state[1] not in {"<", "|", "="}:
+                raise _RefusedError("has big-endian numbers")
         # The only other state in torch files is `_metadata` of a state dict, which is of no use,
         # and that of opaque values.
         elif not isinstance(target, dict | Opaque):
@@ -298,6 +346,57 @@ def _call(name: str, arguments: tuple[Any, ...]) -> Any:
             return Opaque(name=name)
         case _:
             raise _RefusedError(f"asks to call {name[:80]!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Dtype:
+    """A type of NumPy's arrays."""
+
+    name: str
+
+
+def _call_of_arrays(name: str, arguments: tuple[Any, ...]) -> Any:
+    """Return what a call in a pickle of arrays stands for."""
+    match name, arguments:
+        case "numpy.dtype", (str() as kind, *_):
+            if kind not in _ARRAYS:
+                raise _RefusedError(f"has numbers of the type {kind[:20]}")
+            return _Dtype(name=_ARRAYS[kind])
+        case _, (Global(name="numpy.ndarray"), *_) if name in _RECONSTRUCT:
+            return Record(name=_ARRAY)
+        case (
+            "jax._src.array._reconstruct_array",
+            (Global(name=function), (Global(name="numpy.ndarray"), *_), state, *_),
+        ) if function in _RECONSTRUCT:
+            return Record(name=_ARRAY, state=_array(state))
+        case "_codecs.encode", (str() as letters, "latin1"):  # Bytes, before protocol 3.
+            return letters.encode("latin1")
+        case "flax.core.frozen_dict.FrozenDict", (dict() as items,):
+            return items
+        case _, (str() | int(),) if _OBJECTS.fullmatch(name):  # A member of an enumeration.
+            return Opaque(name=name)
+        case _:
+            return _call(name, arguments)
+
+
+def _array(state: Any) -> TensorRef:
+    """Return an array from the state that NumPy gives it."""
+    match state:
+        case (_, tuple() as size, _Dtype(name=dtype), bool() as columns, bytes() as raw):
+            shape = _integers(size)
+        case _:
+            raise ValueError("an array with a malformed state")
+    count = math.prod(shape)
+    if count < 0 or count * ITEM_BYTES[dtype] != len(raw):
+        raise ValueError(f"an array of shape {shape} with {len(raw)} bytes")
+    order = shape if columns else shape[::-1]
+    strides = [math.prod(order[:place]) for place in range(len(order))]
+    return TensorRef(
+        storage=StorageRef(key="", dtype=dtype, count=count, raw=raw),
+        offset=0,
+        shape=shape,
+        strides=tuple(strides if columns else strides[::-1]),
+    )
 
 
 def _integers(values: Any) -> tuple[int, ...]:
@@ -382,7 +481,13 @@ _INSTRUCTIONS: dict[str, _Instruction] = {
 }
 
 
-def _instruction(name: str) -> _Instruction:
+_BYTES = frozenset({"BINBYTES", "SHORT_BINBYTES", "BINBYTES8", "BINUNICODE8"})
+"""Instructions of later protocols, which torch does not write."""
+
+
+def _instruction(name: str, *, pickled: bool) -> _Instruction:
+    if pickled and name in _BYTES:
+        return _literal
     if name not in _INSTRUCTIONS:
         raise _RefusedError(f"has the instruction {name}")
     return _INSTRUCTIONS[name]

@@ -1,4 +1,7 @@
-"""The tensors of a torch or safetensors file: described without memory, then read within limits.
+"""The tensors of a file of weights: described without memory, then read within limits.
+
+Files of torch, safetensors, Stable-Baselines3 (a zip file with a torch file in it, `policy.pth`),
+brax (a pickle) and flax (msgpack) are read.
 
 Torch's own reader of archives looks members up without regard to case, takes its root from the
 first of them, and looks for more of them than any policy has. So it is given an archive of ours:
@@ -17,7 +20,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from nw_eval.clean import clean
-from nw_eval.errors import PolicyError
+from nw_eval.errors import PolicyError, PrerequisiteError
 from nw_eval.policies.safety.archive import Archive, FileLimits, file_kind, kind_said, open_archive
 from nw_eval.policies.safety.objects import (
     ITEM_BYTES,
@@ -72,7 +75,7 @@ class TensorFacts:
 def tensor_facts(
     data: bytes, where: str, limits: FileLimits | None = None
 ) -> tuple[TensorFacts, ...]:
-    """Describe all tensors of a state dict, safetensors or TorchScript file.
+    """Describe all tensors of a file of weights or of a TorchScript file.
 
     Nothing is executed and no tensor is read, so this needs neither torch nor memory.
 
@@ -80,11 +83,17 @@ def tensor_facts(
         PolicyError: as `read_tensors`.
     """
     limits = limits or FileLimits()
-    if file_kind(data, where) == "safetensors":
+    kind = file_kind(data, where)
+    if kind == "safetensors":
         entries = _read_header(data, where, limits)
         return tuple(TensorFacts(name=e.name, shape=e.shape, dtype=e.dtype) for e in entries)
-    scripted = file_kind(data, where) == "torchscript"
-    _, index = checked_tree(data, where, limits, _SCRIPT_MEMBERS if scripted else _STATE_MEMBERS)
+    if kind == "stable-baselines3":
+        return tensor_facts(_policy_member(data, where, limits), where, limits)
+    if kind in {"pickle", "msgpack"}:
+        index = _own_numbers(kind, data, where, limits)
+    else:
+        members = _SCRIPT_MEMBERS if kind == "torchscript" else _STATE_MEMBERS
+        _, index = checked_tree(data, where, limits, members)
     return tuple(
         TensorFacts(name=name, shape=ref.shape, dtype=ref.storage.dtype)
         for name, ref in leaves(index.tree, where, limits)
@@ -97,7 +106,7 @@ def read_tensors(
     """Read a state dict, or several of them in one file.
 
     Args:
-        data: a file of `torch.save` (1.6 or newer) or of safetensors.
+        data: a file of `torch.save` (1.6 or newer), safetensors, Stable-Baselines3, brax or flax.
         where: its path, for errors.
         limits: bounds that are checked before a tensor is allocated.
 
@@ -118,21 +127,92 @@ def read_tensors(
             entry.name: _tensor(data[entry.start : entry.stop], entry.dtype).reshape(entry.shape)
             for entry in _read_header(data, where, limits)
         }
-    if kind != "state-dict":
+    if kind == "stable-baselines3":
+        return read_tensors(_policy_member(data, where, limits), where, limits)
+    if kind not in {"state-dict", "pickle", "msgpack"}:
         raise PolicyError(
             f"{where}: not a state dict: {kind_said(kind)}",
             fix="save one with torch.save(module.state_dict(), file), or change `adapter`",
         )
-    archive, index = checked_tree(data, where, limits, _STATE_MEMBERS)
+    archive, index = (
+        checked_tree(data, where, limits, _STATE_MEMBERS)
+        if kind == "state-dict"
+        else (None, _own_numbers(kind, data, where, limits))
+    )
     storages: dict[str, torch.Tensor] = {}
     result: dict[str, torch.Tensor] = {}
     for name, ref in leaves(index.tree, where, limits):
         storage = ref.storage
+        if archive is None:
+            numbers = _tensor(storage.raw or b"", storage.dtype)
+            view = numbers.as_strided(ref.shape, ref.strides, ref.offset)
+            result[name] = view.clone(memory_format=torch.contiguous_format)
+            continue
         if storage.key not in storages:
             storages[storage.key] = _tensor(archive.read(f"data/{storage.key}"), storage.dtype)
         view = storages[storage.key].as_strided(ref.shape, ref.strides, ref.offset)
         result[name] = view.clone(memory_format=torch.contiguous_format)
     return result
+
+
+def _policy_member(data: bytes, where: str, limits: FileLimits) -> bytes:
+    """Return the torch file in a zip file of Stable-Baselines3; the pickles beside it stay shut."""
+    return open_archive(data, where, limits).read("policy.pth", at_most=limits.tensor_bytes)
+
+
+def _own_numbers(kind: str, data: bytes, where: str, limits: FileLimits) -> Index:
+    """Read a file that holds its numbers itself.
+
+    Raises:
+        PolicyError: it is damaged or too large, or asks to run code.
+        PrerequisiteError: it is msgpack, and the library is not installed.
+    """
+    if len(data) > limits.pickle_bytes:
+        raise PolicyError(
+            f"{where}: the file has {len(data) >> 20} MiB, over the limit of "
+            f"{limits.pickle_bytes >> 20}",
+            fix="save the policy's parameters alone",
+        )
+    if kind == "pickle":
+        return read_index(data, where, limits, pickled=True)
+    tree = _unpacked(data, where)
+    return Index(tree=tree, storages=(), tensors=(), classes=frozenset(), types=frozenset())
+
+
+def _unpacked(data: bytes, where: str) -> Any:
+    """Return what `flax.serialization.to_bytes` wrote: arrays are entries of the extended type 1.
+
+    Such an entry is (shape, name of the type, numbers row by row), packed once more.
+    """
+    try:
+        import msgpack
+    except ImportError:
+        raise PrerequisiteError(
+            f"{where}: msgpack is not installed, and the file is of that format",
+            fix="install nw-eval with the extra `remote`",
+        ) from None
+
+    def array(code: int, packed: bytes) -> Any:
+        if code != 1:
+            return None  # A complex number, or a scalar of NumPy.
+        shape, dtype, raw = msgpack.unpackb(packed, raw=False)
+        shape, dtype = tuple(map(int, shape)), str(dtype)
+        if dtype not in ITEM_BYTES or math.prod(shape) * ITEM_BYTES[dtype] != len(raw):
+            raise ValueError(f"an array of {dtype[:20]} and shape {shape} with {len(raw)} bytes")
+        return TensorRef(
+            storage=StorageRef(key="", dtype=dtype, count=math.prod(shape), raw=raw),
+            offset=0,
+            shape=shape,
+            strides=tuple(math.prod(shape[place + 1 :]) for place in range(len(shape))),
+        )
+
+    try:
+        return msgpack.unpackb(data, ext_hook=array, raw=False, strict_map_key=False)
+    except (ValueError, TypeError, msgpack.UnpackException) as error:
+        raise PolicyError(
+            f"{where}: the msgpack file is damaged: {clean(error, at_most=200)}",
+            fix="copy or download the file again",
+        ) from None
 
 
 def tensors_below(tensors: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
@@ -225,6 +305,8 @@ def _references(tree: Any, where: str, limits: FileLimits) -> Iterator[tuple[str
                 f"{where}: the file nests or repeats too many objects (at {name[:80]!r})",
                 fix="save the plain state dict",
             )
+        if isinstance(value, Record) and isinstance(value.state, TensorRef):
+            value = value.state
         if isinstance(value, TensorRef):
             yield name, value
             return

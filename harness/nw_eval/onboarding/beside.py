@@ -1,0 +1,718 @@
+"""What files beside a checkpoint say of it: what exporters and trainings write, read as data.
+
+    params/deploy.yaml          unitree_rl_lab, unitree_rl_mjlab
+    IO_descriptors.yaml         Isaac Lab
+    params/env.yaml, agent.yaml Isaac Lab, mjlab, rsl_rl, skrl, rl_games
+    config.yaml, base.yaml      rl_sar; legged_rl_deploy
+    *.yaml                      unitree_rl_gym's deploy/configs
+
+A file is known by its keys, not by its name. Nothing of a tag is executed: `!!python/tuple` is a
+list. Lists for each joint are in the order of `joint_names` here, whatever their order in the file.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, cast
+
+from nw_eval.cards.joints import short_name
+from nw_eval.errors import PolicyError
+from nw_eval.files.inside import what_is
+from nw_eval.files.yaml_file import YamlProblems, parse_yaml
+from nw_eval.onboarding.checkpoint import CheckpointFacts, ExportedTerm, ExporterMetadata
+from nw_eval.onboarding.layouts import RIGHT_FIRST, TYPE_BY_TYPE
+from nw_eval.onboarding.notation import plain
+from nw_eval.plural import plural
+from nw_eval.robots import RobotSpec
+
+_LARGEST = 2**20
+"""Bytes of a file; Isaac Lab's env.yaml has some 50 kB."""
+_MOST = 24
+"""Files that are looked at."""
+_FOLDERS = (".", "params", "io_descriptors", "config", "configs")
+_ABOVE = ("params", "io_descriptors")
+_ABOVE_FILES = ("base.yaml", "deploy.yaml", "IO_descriptors.yaml")
+_SUFFIXES = frozenset(
+    {".onnx", ".pt", ".pt2", ".pth", ".jit", ".safetensors", ".zip", ".msgpack", ".cleanrl_model"}
+)
+_PER_JOINT = (
+    "joint_stiffness",
+    "joint_damping",
+    "default_joint_pos",
+    "action_scale",
+    "torque_limits",
+    "armature",
+)
+_ORDER = (
+    "deploy", "io_descriptors", "legged_rl_deploy", "rl_sar", "gym", "checkpoint", "env", "agent",
+)  # fmt: skip
+"""Which kind of file is believed before others."""
+Data = Mapping[str, Any]
+
+
+def files_beside_checkpoint(checkpoint: Path) -> dict[str, str]:
+    """Return the YAML files that may say something of a checkpoint: name and text.
+
+    They lie beside it, in `params` or `io_descriptors` there, or in those of the folder above, as
+    in Isaac Lab, where policies are exported to `exported/`.
+    """
+    folder = checkpoint.parent
+    found: list[tuple[str, Path]] = []
+    for name in _FOLDERS:
+        found += _yaml_files(folder / name, "" if name == "." else f"{name}/")
+    above = folder.absolute().parent
+    for name in _ABOVE:
+        found += _yaml_files(above / name, f"../{name}/")
+    found += [(f"../{name}", above / name) for name in _ABOVE_FILES]
+    texts: dict[str, str] = {}
+    for name, path in found:
+        try:
+            is_ours = what_is(path) == "file" and path.stat().st_size <= _LARGEST
+            if is_ours and len(texts) < _MOST and name != "policy.yaml":
+                texts[name] = path.read_bytes().decode("utf-8")
+        except (OSError, UnicodeDecodeError):
+            continue
+    return texts
+
+
+def _yaml_files(folder: Path, prefix: str) -> list[tuple[str, Path]]:
+    return [
+        (f"{prefix}{path.name}", path)
+        for path in sorted(folder.glob("*.y*ml"))
+        if path.suffix in {".yaml", ".yml"}
+    ]
+
+
+def find_checkpoint(folder: Path) -> tuple[Path, tuple[str, ...]]:
+    """Return the newest checkpoint in a folder of a training, and the names of the others.
+
+    The highest step is the newest (`model_1500.pt`, `agent_16000.pt`); without steps, what is
+    called best; else what was exported.
+
+    Raises:
+        PolicyError: there is none.
+    """
+    found = [
+        path
+        for pattern in ("*", "*/*")
+        for path in sorted(folder.glob(pattern))
+        if (path.suffix in _SUFFIXES or path.name == "params") and what_is(path) == "file"
+    ]
+    if not found:
+        raise PolicyError(
+            f"{folder}: no checkpoint lies in it, or in a folder of it",
+            fix=f"name the file; checkpoints end in {', '.join(sorted(_SUFFIXES))}",
+        )
+
+    def rank(path: Path) -> tuple[int, bool, bool, str]:
+        step = re.search(r"(\d+)$", path.stem)
+        best = "best" in path.stem
+        return int(step[1]) if step else -1, best, path.suffix == ".onnx", path.name
+
+    newest = max(found, key=rank)
+    others = [str(path.relative_to(folder)) for path in found if path != newest]
+    return newest, tuple(others)
+
+
+def read_beside(
+    texts: Mapping[str, str],
+    robot: RobotSpec,
+    checkpoint: str = "",
+    own: ExporterMetadata | None = None,
+) -> ExporterMetadata | None:
+    """Return what files say together; None where none is of a known kind.
+
+    Args:
+        texts: name and text of each, as `files_beside_checkpoint` gives them.
+        robot: whose joints patterns and motors' numbers mean.
+        checkpoint: the name of the file that they are about; files that name another are left out.
+        own: what the checkpoint says itself.
+    """
+    read: list[tuple[float, ExporterMetadata]] = []
+    if own is not None:
+        read.append((_ORDER.index("checkpoint"), own))
+    parsed: dict[str, Data] = {}
+    for name, text in texts.items():
+        try:
+            parsed[name] = parse_yaml(text, file=name, foreign=True).data
+        except YamlProblems:
+            continue
+    for name, data in parsed.items():
+        kind, reader = _kind(data)
+        if reader is None:
+            continue
+        said = reader(data, robot, list(parsed.values()))
+        is_other = bool(said.model) and Path(said.model).stem != Path(checkpoint).stem
+        marked = {f.name: plain(name) for f in fields(said) if getattr(said, f.name)}
+        note = f"{plain(name)} is about {plain(Path(said.model).name)}: is that this file?"
+        notes = (*said.notes, note) if is_other else said.notes
+        # Files of one kind that name this checkpoint are believed before others.
+        rank = _ORDER.index(kind) + 0.5 * is_other
+        read.append((rank, replace(said, sources=marked, notes=notes)))
+    if not read:
+        return None
+    read.sort(key=lambda pair: pair[0])
+    whole = read[0][1]
+    for _, other in read[1:]:
+        whole = merged(whole, other)
+    return whole
+
+
+def merged(one: ExporterMetadata, other: ExporterMetadata) -> ExporterMetadata:
+    """Return what two files say together; where both say something, the first is believed."""
+    names = one.joint_names or other.joint_names
+    taken: dict[str, Any] = {}
+    sources = dict(one.sources)
+    for field in fields(one):
+        mine, theirs = getattr(one, field.name), getattr(other, field.name)
+        is_apart = field.name in {"sources", "notes", "guessed_order"}
+        if is_apart or mine or not theirs:
+            continue
+        if field.name in _PER_JOINT:
+            theirs = _reordered(theirs, other.joint_names or names, names)
+            if not theirs:
+                continue
+        taken[field.name] = theirs
+        if field.name in other.sources:
+            sources[field.name] = other.sources[field.name]
+    notes = tuple(dict.fromkeys((*one.notes, *other.notes)))
+    is_guess = one.guessed_order if one.joint_names else other.guessed_order
+    return replace(one, **taken, sources=sources, notes=notes, guessed_order=is_guess)
+
+
+def _reordered(
+    values: Sequence[float], names: Sequence[str], wanted: Sequence[str]
+) -> tuple[float, ...]:
+    """Return values for joints in another order; empty where they are of other joints."""
+    by_name = dict(zip(map(short_name, names), values, strict=False))
+    if len(values) == 1 or list(names) == list(wanted):
+        return tuple(values)
+    own = [short_name(name) for name in wanted]
+    return tuple(by_name[name] for name in own) if set(own) <= set(by_name) else ()
+
+
+_Reader = Callable[[Data, RobotSpec, Sequence[Data]], ExporterMetadata]
+
+
+def _kind(data: Data) -> tuple[str, _Reader | None]:
+    """Return what kind of file it is, by its keys, and what reads it."""
+    inner = next((value for value in data.values() if isinstance(value, dict)), {})
+    policy = _dict(data.get("policy"))
+    if isinstance(data.get("joint_ids_map"), list) and "step_dt" in data:
+        return "deploy", _deploy
+    if {"actions", "observations", "articulations"} <= set(data):
+        return "io_descriptors", _descriptors
+    if isinstance(policy.get("joint_ids_map"), list) and "policy_dt" in policy:
+        return "legged_rl_deploy", _legged_rl_deploy
+    if {"observations", "rl_kp"} <= set(inner):
+        return "rl_sar", _rl_sar
+    if {"kps", "kds", "default_angles"} <= set(data):
+        return "gym", _gym
+    if {"sim", "decimation", "observations", "actions"} <= set(data):
+        return "env", _environment
+    if _activation(data):
+        return "agent", _agent
+    return "", None
+
+
+def _dict(value: Any) -> Data:
+    return cast("Data", value) if isinstance(value, dict) else {}
+
+
+def _number(value: Any) -> float | None:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) if is_number and math.isfinite(value) else None
+
+
+def _numbers(value: Any) -> tuple[float, ...]:
+    """Return a list of numbers, or one; empty where it is something else."""
+    items = cast("list[Any]", value) if isinstance(value, list) else [value]
+    numbers = [_number(item) for item in items]
+    return () if None in numbers else tuple(cast("list[float]", numbers))
+
+
+def _texts(value: Any) -> tuple[str, ...]:
+    items = cast("list[Any]", value) if isinstance(value, list) else []
+    return tuple(item for item in items if isinstance(item, str))
+
+
+def _limits(value: Any) -> tuple[float, float] | None:
+    """Return [low, high], or one number for both sides, or a list of equal pairs."""
+    if isinstance(value, list) and value and all(pair == value[0] for pair in value):
+        value = value[0] if isinstance(value[0], list) else value
+    numbers = _numbers(value)
+    if len(numbers) == 1 and numbers[0] > 0:
+        return -numbers[0], numbers[0]
+    return (numbers[0], numbers[1]) if len(numbers) == 2 and numbers[0] < numbers[1] else None
+
+
+def _per_second(seconds: Any) -> float | None:
+    number = _number(seconds)
+    return round(1 / number, 6) if number else None
+
+
+def _speeds(commands: Any) -> dict[str, tuple[float, float]]:
+    """Return the ranges of a velocity command, wherever they stand below `commands`."""
+    for command in _dict(commands).values():
+        ranges = _dict(_dict(command).get("ranges"))
+        found = {
+            key: limits
+            for key in ("lin_vel_x", "lin_vel_y", "ang_vel_z")
+            if len(limits := _numbers(ranges.get(key))) == 2
+        }
+        if found:
+            return found
+    return {}
+
+
+def motor_names(robot: RobotSpec) -> tuple[str, ...]:
+    """Return the joints as their maker counts the motors: Unitree's quadrupeds FR, FL, RR, RL."""
+    own = [short_name(joint) for joint in robot.joints]
+    return RIGHT_FIRST if sorted(own) == sorted(RIGHT_FIRST) else tuple(own)
+
+
+def _mapped(places: Any, robot: RobotSpec) -> tuple[str, ...]:
+    """Return the joints of a policy from the numbers of their motors; empty for another robot."""
+    names, numbers = motor_names(robot), _numbers(places)
+    if sorted(numbers) != list(range(len(names))):
+        return ()
+    return tuple(names[int(number)] for number in numbers)
+
+
+def _deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
+    """Read what unitree_rl_lab and unitree_rl_mjlab deploy with.
+
+    `joint_ids_map` has the motor of each joint of the policy. Gains are in the order of the motors,
+    all other lists in that of the policy.
+    """
+    names = _texts(data.get("joint_names")) or _mapped(data.get("joint_ids_map"), robot)
+    motors = motor_names(robot)
+    actions = _dict(data.get("actions"))
+    kind, action = next(iter(actions.items()), ("", {}))
+    action = _dict(action)
+    described = _dict(data.get("observations"))
+    by_step = described.get("use_gym_history") is True
+    offset = _numbers(action.get("offset"))
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=_reordered(_numbers(data.get("stiffness")), motors, names),
+        joint_damping=_reordered(_numbers(data.get("damping")), motors, names),
+        default_joint_pos=_numbers(data.get("default_joint_pos")),
+        action=_action_kind(kind, offset),
+        action_scale=_numbers(action.get("scale")),
+        action_clip=_limits(action.get("clip")),
+        rate=_per_second(data.get("step_dt")),
+        speeds=_speeds(data.get("commands")),
+        observation_terms=tuple(
+            _manager_term(name, _dict(term), by_step=by_step)
+            for name, term in described.items()
+            if isinstance(term, dict)
+        ),
+        joint_count=len(_numbers(data.get("joint_ids_map"))),
+    )
+
+
+def _action_kind(kind: str, offset: Sequence[float]) -> str:
+    if re.search("effort|torque", kind, re.IGNORECASE):
+        return "joint_torque"
+    is_absolute = bool(offset) and not any(offset)
+    return "joint_position" if is_absolute else "joint_position_offset"
+
+
+def _manager_term(
+    name: str, term: Data, *, by_step: bool = False, function: str = ""
+) -> ExportedTerm:
+    """Return a term of Isaac Lab's observation manager, or of one like it."""
+    scale = _numbers(term["scale"]) if term.get("scale") is not None else (1.0,)
+    limits = _limits(term.get("clip"))
+    steps = _number(term.get("history_length"))
+    period = _number(_dict(term.get("params")).get("period"))
+    flat = term.get("flatten_history_dim")
+    return ExportedTerm(
+        name=name,
+        function=function,
+        scale=scale or None,
+        clip=limits or (-math.inf, math.inf),
+        history=min(max(int(steps or 0), 1), 100),
+        flat_history=flat if isinstance(flat, bool) else None,
+        width=len(scale) if len(scale) > 1 else None,
+        form=f"order: oldest_first, by: {'step' if by_step else 'term'}",
+        keys=f"frequency: {1 / period:g}" if period and "phase" in name else "",
+    )
+
+
+def _descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
+    """Read what Isaac Lab exports with `export_io_descriptors`."""
+    actions = cast("list[Any]", data["actions"]) if isinstance(data["actions"], list) else []
+    action = _dict(actions[0]) if actions else {}
+    names = _texts(action.get("joint_names"))
+    robot = _dict(next(iter(_dict(data["articulations"]).values()), {}))
+    theirs = _texts(robot.get("joint_names"))
+    scene = _dict(data.get("scene"))
+
+    def per_joint(key: str) -> tuple[float, ...]:
+        values = _numbers(robot.get(key))
+        return _reordered(values, theirs, names) if any(values) else ()
+
+    groups = _dict(data["observations"])
+    group = groups.get("policy", groups.get("actor", next(iter(groups.values()), [])))
+    terms = cast("list[Any]", group) if isinstance(group, list) else []
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=per_joint("default_joint_stiffness"),
+        joint_damping=per_joint("default_joint_damping"),
+        default_joint_pos=per_joint("default_joint_pos"),
+        armature=per_joint("default_joint_armature"),
+        action=_action_kind(str(action.get("full_path")), _numbers(action.get("offset"))),
+        action_scale=_numbers(action.get("scale")),
+        action_clip=_limits(action.get("clip")),
+        rate=_per_second(scene.get("dt")),
+        physics_rate=_per_second(scene.get("physics_dt")),
+        observation_terms=tuple(_described_term(_dict(term)) for term in terms),
+        notes=("several terms make its action: " + str(len(actions)),) if len(actions) > 1 else (),
+    )
+
+
+def _described_term(term: Data) -> ExportedTerm:
+    sizes = _numbers(term.get("shape"))
+    read = _manager_term(
+        str(term.get("name")),
+        _dict(term.get("overloads")),
+        function=str(term.get("full_path")).rpartition(".")[2],
+    )
+    return replace(read, width=int(math.prod(sizes)) if sizes else None)
+
+
+def _legged_rl_deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
+    """Read what legged_rl_deploy runs a policy with; its lists are in the policy's order."""
+    policy = _dict(data["policy"])
+    names = _mapped(policy["joint_ids_map"], robot)
+    kind, action = next(iter(_dict(policy.get("actions")).items()), ("", {}))
+    action = _dict(action)
+    described = _dict(policy.get("observations"))
+    stack = _dict(described.get("stack"))
+    steps = int(_number(stack.get("length")) or 1)
+    order = stack.get("order") if stack.get("order") == "newest_first" else "oldest_first"
+    command = _dict(_dict(policy.get("commands")).get("base_velocity"))
+    low, high = _numbers(command.get("min")), _numbers(command.get("max"))
+    ranges = zip(
+        ("lin_vel_x", "lin_vel_y", "ang_vel_z"), zip(low, high, strict=False), strict=False
+    )
+    first = _texts(action.get("process_order"))[:1] == ("clip",)
+    offset = _numbers(action.get("offset"))
+
+    def term(name: str, words: Data) -> ExportedTerm:
+        scale = _numbers(words["scale"]) if "scale" in words else (1.0,)
+        bounds = [*_numbers(words.get("min")), *_numbers(words.get("max"))]
+        steps_of = _texts(words.get("process_order"))
+        if "scale" in steps_of and steps_of[-1:] == ("clip",):
+            # A card clips first. Limits of what is scaled by several factors are not kept.
+            bounds = [bound / scale[0] for bound in bounds] if len(set(scale)) == 1 else []
+        cycle = _number(_dict(words.get("params")).get("cycle_time"))
+        return ExportedTerm(
+            name=name.removesuffix("_B"),
+            scale=scale or None,
+            clip=_limits(bounds) or (-math.inf, math.inf),
+            history=steps,
+            form=f"order: {order}, by: step",
+            keys=f"frequency: {1 / cycle:g}" if cycle else "",
+        )
+
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=_numbers(policy.get("stiffness")),
+        joint_damping=_numbers(policy.get("damping")),
+        default_joint_pos=offset if any(offset) else (),
+        action=_action_kind(kind, offset),
+        action_scale=_numbers(action.get("scale")),
+        action_clip=_limits([*_numbers(action.get("min")), *_numbers(action.get("max"))])
+        if first
+        else None,
+        rate=_per_second(policy["policy_dt"]),
+        physics_rate=_per_second(data.get("ll_dt")),
+        speeds=dict(ranges) if len(low) == len(high) == 3 else {},
+        observation_terms=tuple(
+            term(name, _dict(words)) for name, words in _dict(described.get("terms")).items()
+        ),
+        model=str(policy.get("model_path") or ""),
+        joint_count=len(_numbers(policy["joint_ids_map"])),
+    )
+
+
+_SAR_SCALES = {
+    "lin_vel": "lin_vel_scale",
+    "ang_vel": "ang_vel_scale",
+    "dof_pos": "dof_pos_scale",
+    "dof_vel": "dof_vel_scale",
+    "commands": "commands_scale",
+}
+
+
+def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMetadata:
+    """Read what rl_sar runs a policy with: `config.yaml`, and the robot's `base.yaml`.
+
+    `joint_mapping` has the robot's joint of each joint of the policy; lists are in the policy's
+    order.
+    """
+    name, value = next((key, v) for key, v in data.items() if "rl_kp" in _dict(v))
+    config = _dict(value)
+    base = next(
+        (_dict(other.get(name.split("/")[0])) for other in others if name.split("/")[0] in other),
+        {},
+    )
+    joints = _texts(base.get("joint_names")) or motor_names(robot)
+    mapping = [int(number) for number in _numbers(config.get("joint_mapping"))]
+    names = tuple(joints[n] for n in mapping) if sorted(mapping) == list(range(len(joints))) else ()
+    past = [int(number) for number in _numbers(config.get("observations_history"))]
+    steps = len(past) or 1
+    newest = past[:1] == [0] and steps > 1
+    by = "term" if config.get("observations_history_priority") == "term" else "step"
+    form = f"order: {'newest_first' if newest else 'oldest_first'}, by: {by}"
+    period = [_number(base.get(key, config.get(key))) for key in ("dt", "decimation")]
+    low, high = (
+        _numbers(config.get("clip_actions_lower")),
+        _numbers(config.get("clip_actions_upper")),
+    )
+    terms = [
+        ExportedTerm(
+            name=word,
+            scale=_numbers(config.get(_SAR_SCALES.get(word, ""), 1.0)) or None,
+            clip=(-math.inf, math.inf),
+            history=steps,
+            form=form,
+            keys="clipped: true" if word == "actions" and low and high else "",
+        )
+        for word in _texts(config.get("observations"))
+    ]
+    count = int(_number(config.get("num_of_dofs", base.get("num_of_dofs"))) or len(robot.joints))
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=_numbers(config.get("rl_kp")),
+        joint_damping=_numbers(config.get("rl_kd")),
+        default_joint_pos=_numbers(config.get("default_dof_pos", base.get("default_dof_pos"))),
+        action="joint_position_offset",
+        action_scale=_numbers(config.get("action_scale")),
+        action_clip=(max(low), min(high)) if low and high else None,
+        torque_limits=_numbers(config.get("torque_limits", base.get("torque_limits"))),
+        rate=round(1 / (period[0] * period[1]), 6) if all(period) else None,  # type: ignore[operator]
+        physics_rate=_per_second(period[0]),
+        observation_terms=tuple(terms),
+        observation_clip=_number(config.get("clip_obs")),
+        model=str(config.get("model_name") or ""),
+        joint_count=count,
+    )
+
+
+def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
+    """Read unitree_rl_gym's deploy/configs: the terms of its deploy scripts, in their order."""
+    joints = int(_number(data.get("num_actions")) or len(_numbers(data["default_angles"])))
+    terms = [
+        ExportedTerm(name=name, scale=scale, clip=(-math.inf, math.inf), history=1, width=width)
+        for name, key, width in (
+            ("ang_vel", "ang_vel_scale", 3),
+            ("projected_gravity", "", 3),
+            ("commands", "cmd_scale", 3),
+            ("dof_pos", "dof_pos_scale", joints),
+            ("dof_vel", "dof_vel_scale", joints),
+            ("actions", "", joints),
+        )
+        if (scale := _numbers(data.get(key, 1.0)))
+    ]
+    if _number(data.get("num_obs")) == 11 + 3 * joints:
+        # Sine and cosine of a phase of 0.8 s, as its deploy scripts have it.
+        term = ExportedTerm(name="phase", scale=(1.0,), clip=(-math.inf, math.inf), history=1)
+        terms.append(replace(term, keys="frequency: 1.25"))
+    step, every = (_number(data.get(key)) for key in ("simulation_dt", "control_decimation"))
+    names = [short_name(joint) for joint in robot.joints]
+    order = _texts(data.get("joint_names")) or (names if len(names) == joints else [])
+    fastest = _numbers(data.get("max_cmd"))
+    keys = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
+    return ExporterMetadata(
+        joint_names=tuple(order),
+        joint_stiffness=_numbers(data["kps"]),
+        joint_damping=_numbers(data["kds"]),
+        default_joint_pos=_numbers(data["default_angles"]),
+        action="joint_position_offset",
+        action_scale=_numbers(data.get("action_scale")),
+        rate=_per_second(step * every if step and every else data.get("control_dt")),
+        physics_rate=_per_second(step),
+        speeds={key: (-most, most) for key, most in zip(keys, fastest, strict=False)},
+        observation_terms=tuple(terms),
+        model=str(data.get("policy_path") or ""),
+        joint_count=joints,
+    )
+
+
+def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
+    """Read the environment of a training in Isaac Lab, or in mjlab, where patterns name joints."""
+    asset = _dict(_dict(data.get("scene")).get("robot"))
+    action = next(
+        (_dict(term) for term in _dict(data["actions"]).values() if "scale" in _dict(term)), {}
+    )
+    groups = _dict(data["observations"])
+    group = _dict(groups.get("policy", groups.get("actor", next(iter(groups.values()), {}))))
+    steps = _number(group.get("history_length"))
+    terms: list[ExportedTerm] = []
+    for name, words in group.items():
+        term = _dict(words)
+        if "func" in term:
+            own = {**term, "history_length": steps} if steps else term
+            function = re.split(r"[.:]", str(term["func"]))[-1]
+            terms.append(_manager_term(name, own, function=function))
+    names, is_guess = _joint_order(action, robot)
+    patterns = _Patterns(names)
+    groups_of_motors = [_dict(motor) for motor in _dict(asset.get("actuators")).values()]
+    simulation = _dict(data["sim"])
+    step = _number(simulation.get("dt", _dict(simulation.get("mujoco")).get("timestep")))
+    every = _number(data.get("decimation"))
+    pose = _dict(asset.get("init_state")).get("joint_pos")
+    offset = action.get("use_default_offset") is not False or _numbers(action.get("offset"))
+    kind = str(action.get("class_type"))
+    known = any(groups_of_motors) or bool(pose)
+    return ExporterMetadata(
+        joint_names=names if known else (),
+        joint_stiffness=patterns.motors(groups_of_motors, "stiffness"),
+        joint_damping=patterns.motors(groups_of_motors, "damping"),
+        default_joint_pos=patterns.values(pose),
+        torque_limits=patterns.motors(groups_of_motors, "effort_limit"),
+        armature=patterns.motors(groups_of_motors, "armature"),
+        action=_action_kind(kind, () if offset else (0.0,)),
+        action_scale=patterns.values(action.get("scale")),
+        action_clip=_limits(next(iter(_dict(action.get("clip")).values()), None)),
+        rate=_per_second(step * every if step and every else None),
+        physics_rate=_per_second(step),
+        speeds=_speeds(data.get("commands")),
+        observation_terms=tuple(terms),
+        guessed_order=is_guess and known,
+    )
+
+
+def _joint_order(action: Data, robot: RobotSpec) -> tuple[tuple[str, ...], bool]:
+    """Return the joints of the action, and whether their order is a guess."""
+    own = [short_name(joint) for joint in robot.joints]
+    listed = [short_name(name) for name in _texts(action.get("joint_names"))]
+    if sorted(listed) == sorted(own) and action.get("preserve_order") is True:
+        return tuple(listed), False
+    is_lab = "isaaclab" in str(action.get("class_type"))
+    known = is_lab and sorted(own) == sorted(TYPE_BY_TYPE)
+    return (TYPE_BY_TYPE if known else tuple(own)), True
+
+
+class _Patterns:
+    """Values by regular expressions that a joint's name must match in full.
+
+    Args:
+        names: short names of the joints, in the order of what is returned.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = names
+
+    def values(self, value: Any) -> tuple[float, ...]:
+        """Return one number for all joints or one each; empty where some are not said."""
+        if not isinstance(value, dict):
+            return _numbers(value)
+        found = [self._of(name, cast("Data", value)) for name in self._names]
+        return () if None in found or not found else tuple(cast("list[float]", found))
+
+    def motors(self, groups: Iterable[Data], key: str) -> tuple[float, ...]:
+        """Return the values of groups of motors."""
+        found: dict[str, float] = {}
+        for group in groups:
+            listed = group.get("joint_names_expr", group.get("target_names_expr"))
+            for name in self._names:
+                if any(_matches(pattern, name) for pattern in _texts(listed)):
+                    value = group.get(key)
+                    own = self._of(name, value) if isinstance(value, dict) else _number(value)
+                    if own is not None:
+                        found[name] = own
+        complete = bool(found) and set(found) == set(self._names)
+        return tuple(found[name] for name in self._names) if complete else ()
+
+    @staticmethod
+    def _of(name: str, values: Data) -> float | None:
+        return next((_number(v) for pattern, v in values.items() if _matches(pattern, name)), None)
+
+
+def _matches(pattern: str, name: str) -> bool:
+    """Whether a pattern of at most 100 characters means a joint, with `_joint` or without."""
+    # Brackets, dots, stars and words are all that such patterns have; others could take long.
+    if len(pattern) > 100 or pattern.count("*") + pattern.count("+") > 3:
+        return False
+    try:
+        return any(re.fullmatch(pattern, whole) for whole in (f"{name}_joint", name))
+    except re.error:
+        return False
+
+
+def _agent(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
+    """Read the trainer's own settings: rsl_rl, skrl or rl_games."""
+    return ExporterMetadata(
+        activation=_activation(data), action_clip=_limits(data.get("clip_actions"))
+    )
+
+
+def _activation(data: Data) -> str:
+    for path in (
+        ("actor", "activation"),
+        ("policy", "activation"),
+        ("models", "policy", "network", "activations"),
+        ("params", "network", "mlp", "activation"),
+    ):
+        value: Any = data
+        for key in path:
+            if isinstance(value, list) and value:
+                value = cast("list[Any]", value)[0]
+            value = _dict(value).get(key)
+        if isinstance(value, list) and value:
+            value = cast("list[Any]", value)[0]
+        if isinstance(value, str):
+            return value.rpartition(".")[2].lower()
+    return ""
+
+
+_LOOKS: tuple[tuple[str, str], ...] = (
+    (r"LF_HAA", "ANYmal"),
+    (r"fl[._]hx", "Boston Dynamics' Spot"),
+    (r"FR_foot|FR_wheel", "a quadruped on wheels, such as Go2-W or B2-W"),
+    (r"FL_HipX", "Lite3 of DeepRobotics"),
+    (r"waist_yaw|waist_roll", "Unitree's G1"),
+    (r"left_ankle_(pitch|roll)", "a humanoid, such as Unitree's G1 or H1-2"),
+    (r"left_hip_yaw", "a biped, such as Unitree's H1"),
+    (r"FR_hip", "a quadruped of Unitree: A1, Go1, Go2, B2"),
+)
+"""By a name among the joints, whose they are."""
+
+
+def refuse_another_robot(
+    facts: CheckpointFacts, known: ExporterMetadata | None, robot: RobotSpec
+) -> None:
+    """Refuse a checkpoint whose joints, or whose number of actions, are another robot's.
+
+    Raises:
+        PolicyError: they are.
+    """
+    own = {short_name(joint) for joint in robot.joints}
+    names = [short_name(name) for name in (known.joint_names if known else ())]
+    sizes = [output.shape[-1] for output in facts.outputs if output.shape]
+    given = {size for size in sizes if size is not None and size > 1}
+    count = known.joint_count if known else 0
+    if names and set(names) != own:
+        source = known.sources.get("joint_names", "the file") if known else "the file"
+        reason = f"{source} names {plural(len(names), 'joint')}, {', '.join(names)[:200]}"
+    elif count and count != len(own):
+        reason = f"what lies beside it is about {plural(count, 'joint')}"
+    elif given and len(sizes) == len(given) and len(own) not in given:
+        reason = f"it gives {' or '.join(map(str, sorted(given)))} numbers"
+    else:
+        return
+    looks = next((robot for mark, robot in _LOOKS if re.search(mark, " ".join(names))), "")
+    raise PolicyError(
+        f"{facts.path}: it drives another robot than {robot.name}, which has "
+        f"{plural(len(own), 'joint')}: {reason}" + (f"; that looks like {looks}" if looks else ""),
+        fix="name the robot that it was trained on with --robot",
+    )

@@ -1,0 +1,231 @@
+"""Policies from what a training saves: a chain of linear and recurrent layers.
+
+The names of the tensors say which layers there are (`networks.layers`); the card says what is not
+in the file: the activation, and how observations are normalised. Checkpoints of rsl_rl, skrl,
+rl_games, CleanRL, Stable-Baselines3, brax and flax have such networks.
+
+Normalisation is (x - mean) / (std + eps) as in rsl_rl and brax, with std = sqrt(variance) as in
+skrl, or (x - mean) / sqrt(variance + eps) as in rl_games; then a clip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Literal
+
+import torch
+from pydantic import Field, model_validator
+from torch import Tensor, nn
+from torch.nn import functional
+
+from nw_eval.arrays import pack
+from nw_eval.cards.model import CardModel, Limits
+from nw_eval.errors import PolicyError, nearest
+from nw_eval.policies.bundle import Bundle, read_options
+from nw_eval.policies.networks.layers import Layer, chain
+from nw_eval.policies.policy import unpacked
+from nw_eval.policies.torch_network import NetworkPolicy, checkpoint_tensors, input_spec
+
+ActivationName = Literal[
+    "elu", "relu", "tanh", "silu", "swish", "selu", "gelu", "leaky_relu", "sigmoid", "softplus",
+    "softsign", "mish", "identity",
+]  # fmt: skip
+_ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
+    "elu": functional.elu,
+    "relu": functional.relu,
+    "tanh": torch.tanh,
+    "silu": functional.silu,
+    "swish": functional.silu,
+    "selu": functional.selu,
+    "gelu": functional.gelu,
+    "leaky_relu": functional.leaky_relu,
+    "sigmoid": torch.sigmoid,
+    "softplus": functional.softplus,
+    "softsign": functional.softsign,
+    "mish": functional.mish,
+    "identity": lambda x: x,
+}
+
+
+class Normaliser(CardModel):
+    """How observations are normalised before the first layer; names are those of tensors."""
+
+    mean: str
+    std: str | None = None
+    """Standard deviations; `variance` in their place where the file has those."""
+    variance: str | None = None
+    eps: float = Field(default=0.0, ge=0.0)
+    """Added to the divisor."""
+    eps_in: Literal["std", "variance"] = "std"
+    """Whether `eps` is added to the standard deviation, or to the variance below the root."""
+    clip: Limits | None = None
+    """Limits of what is normalised."""
+
+    @model_validator(mode="after")
+    def _one_spread(self) -> Normaliser:
+        if (self.std is None) == (self.variance is None):
+            raise ValueError("name one of `std` and `variance`")
+        if self.eps_in == "variance" and self.variance is None:
+            raise ValueError("`eps_in: variance` needs `variance`")
+        return self
+
+
+class MlpOptions(CardModel):
+    """What the file of weights does not say."""
+
+    weights: str | list[str]
+    """What the names of the tensors begin with: of the whole network, or of each of its parts in
+    the order in which they run."""
+    activation: ActivationName
+    """Between two linear layers."""
+    last: ActivationName = "identity"
+    """After the last layer."""
+    outputs: int | None = Field(default=None, ge=1)
+    """How many numbers of the last layer are the action, from the first; None = all."""
+    normaliser: Normaliser | None = None
+
+
+class MlpPolicy(NetworkPolicy):
+    """A chain of layers; the hidden state of those that have one is its memory."""
+
+    def __init__(self, bundle: Bundle, *, joints: int) -> None:
+        """Open the file of a card.
+
+        Raises:
+            PolicyError: it cannot be read, or has not the layers that the card names.
+        """
+        options = read_options(bundle, MlpOptions)
+        where = str(bundle.checkpoint)
+        tensors = checkpoint_tensors(bundle)
+        weights = [options.weights] if isinstance(options.weights, str) else options.weights
+        shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+        layers = chain(shapes, weights, where)
+        given = layers[-1].outputs
+        if (options.outputs or given) != joints or given < joints:
+            raise PolicyError(
+                f"{bundle.where}: the last layer, {layers[-1].name!r}, gives {given} numbers, the "
+                f"robot {bundle.card.robot!r} has {joints} joints",
+                fix=f"write `outputs: {joints}` in `options` if the first ones are the action"
+                if given > joints
+                else "name the right robot with `robot`, or the actor's layers with `weights`",
+            )
+        self._joints_of_last = joints
+        self._activation = _ACTIVATIONS[options.activation]
+        self._last = _ACTIVATIONS[options.last]
+        self._layers = [(layer, _module(layer, tensors)) for layer in layers]
+        self._normalise = _normalise(options.normaliser, tensors, layers[0].inputs, where)
+        super().__init__(bundle, (input_spec("obs", layers[0].inputs),), joints=joints)
+
+    def forget(self) -> None:
+        """Begin with hidden states of zeros."""
+        self._hidden: dict[str, tuple[Tensor, ...]] = {
+            layer.name: (torch.zeros(layer.depth, 1, layer.outputs),) * (1 + (layer.kind == "lstm"))
+            for layer, _ in self._layers
+            if layer.kind in {"lstm", "gru", "rnn"}
+        }
+
+    def infer(self, inputs: dict[str, Tensor]) -> Tensor:
+        """Return the mean of the action's distribution."""
+        x = self._normalise(inputs["obs"])
+        for layer, module in self._layers:
+            if layer.name in self._hidden:
+                hidden = self._hidden[layer.name]
+                x, after = module(x[None], hidden if layer.kind == "lstm" else hidden[0])
+                x = x[0]
+                self._hidden[layer.name] = after if layer.kind == "lstm" else (after,)
+            else:
+                x = module(x)
+            if layer.activated:
+                x = self._activation(x)
+        return self._last(x[..., : self._joints_of_last])
+
+    def state(self) -> bytes:
+        """Return the hidden states."""
+        if not self._hidden:
+            return b""
+        return pack(
+            {
+                f"{place} {number}": tensor.numpy()
+                for place, hidden in enumerate(self._hidden.values())
+                for number, tensor in enumerate(hidden)
+            }
+        )
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`.
+
+        Raises:
+            TrialError: the state belongs to another policy.
+        """
+        if not self._hidden:
+            super().restore(state)
+            return
+        with unpacked(state, self._name) as arrays:
+            self._hidden = {
+                name: tuple(
+                    torch.from_numpy(arrays[f"{place} {number}"]).view(tensor.shape)
+                    for number, tensor in enumerate(hidden)
+                )
+                for place, (name, hidden) in enumerate(self._hidden.items())
+            }
+
+
+def _module(layer: Layer, tensors: Mapping[str, Tensor]) -> nn.Module:
+    """Return a layer with its weights, float32."""
+    prefix = f"{layer.name}." if layer.name else ""
+    own = {
+        name.removeprefix(prefix): tensor.to(torch.float32)
+        for name, tensor in tensors.items()
+        if name.startswith(prefix)
+    }
+    if "kernel" in own:
+        own["weight"] = own.pop("kernel").T.contiguous()
+    biased = any(name.startswith("bias") for name in own)
+    with torch.device("meta"):
+        if layer.kind == "linear":
+            module: nn.Module = nn.Linear(layer.inputs, layer.outputs, bias=biased)
+        elif layer.kind == "norm":
+            module = nn.LayerNorm(layer.inputs, bias=biased)
+        else:
+            make = {"lstm": nn.LSTM, "gru": nn.GRU, "rnn": nn.RNN}[layer.kind]
+            module = make(layer.inputs, layer.outputs, num_layers=layer.depth, bias=biased)
+    module.load_state_dict(own, assign=True)
+    return module.eval().requires_grad_(requires_grad=False)
+
+
+def _normalise(
+    options: Normaliser | None, tensors: Mapping[str, Tensor], size: int, where: str
+) -> Callable[[Tensor], Tensor]:
+    """Return what is done to observations before the first layer.
+
+    Raises:
+        PolicyError: the file has no such tensors, or they are of another size.
+    """
+    if options is None:
+        return lambda x: x
+
+    def numbers(name: str) -> Tensor:
+        if name not in tensors:
+            raise PolicyError(
+                f"{where}: no tensor is called {name!r}",
+                fix=f"correct `normaliser`; {nearest(name, list(tensors))}",
+            )
+        if tensors[name].numel() != size:
+            raise PolicyError(
+                f"{where}: {name!r} has {tensors[name].numel()} numbers, the first layer takes "
+                f"{size}",
+                fix="correct `normaliser`: it is another network's",
+            )
+        return tensors[name].to(torch.float32).reshape(1, size)
+
+    mean, eps = numbers(options.mean), options.eps
+    if options.eps_in == "variance":
+        divisor = torch.sqrt(numbers(options.variance or "") + eps)
+    elif options.variance is not None:
+        divisor = torch.sqrt(numbers(options.variance)) + eps
+    else:
+        divisor = numbers(options.std or "") + eps
+    limits = options.clip
+    if limits is None:
+        return lambda x: (x - mean) / divisor
+    return lambda x: torch.clamp((x - mean) / divisor, *limits)

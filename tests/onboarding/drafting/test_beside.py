@@ -1,0 +1,447 @@
+"""What exporters and trainings write beside a checkpoint becomes the card, and says so."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nw_eval.api.policies import init_policy
+from nw_eval.cards.card import Card
+from nw_eval.cards.load import load_card
+from nw_eval.errors import PolicyError, UsageError
+
+LEFT_FIRST = [
+    f"{leg}_{kind}" for leg in ("FL", "FR", "RL", "RR") for kind in ("hip", "thigh", "calf")
+]
+BY_TYPE = [f"{leg}_{kind}" for kind in ("hip", "thigh", "calf") for leg in ("FL", "FR", "RL", "RR")]
+MAP = [3, 0, 9, 6, 4, 1, 10, 7, 5, 2, 11, 8]
+"""The motor of each joint of BY_TYPE: motors are counted FR, FL, RR, RL, leg by leg."""
+
+DEPLOY = """
+joint_ids_map: [3, 0, 9, 6, 4, 1, 10, 7, 5, 2, 11, 8]
+step_dt: 0.02
+stiffness: [20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31]
+damping: [.5, .5, .5, .5, .5, .5, .5, .5, .5, .5, .5, .6]
+default_joint_pos: [.1, -.1, .1, -.1, .8, .8, 1, 1, -1.5, -1.5, -1.5, -1.5]
+commands:
+  base_velocity:
+    ranges: {lin_vel_x: [-0.4, 0.6], lin_vel_y: [-0.2, 0.2], ang_vel_z: [-0.5, 0.5], heading: null}
+actions:
+  JointPositionAction:
+    clip: null
+    joint_names: [.*]
+    scale: [.25, .25, .25, .25, .25, .25, .25, .25, .25, .25, .25, .25]
+    offset: [.1, -.1, .1, -.1, .8, .8, 1, 1, -1.5, -1.5, -1.5, -1.5]
+    joint_ids: !!python/object/apply:builtins.slice [null, null, null]
+observations:
+  base_ang_vel: {params: {}, clip: [-50, 50], scale: [.2, .2, .2], history_length: 3}
+  projected_gravity: {params: {}, clip: null, scale: [1, 1, 1], history_length: 3}
+  velocity_commands: {params: {}, clip: null, scale: [2, 2, .25], history_length: 3}
+  gait_phase: {params: {period: 0.5}, clip: null, scale: [1, 1], history_length: 3}
+  joint_pos_rel: {scale: [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1], history_length: 3}
+  last_action: {scale: [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1], history_length: 3}
+"""
+
+
+@pytest.fixture
+def card_of(onnx_file):
+    """Write files beside a graph, and return the text of its card and the card."""
+
+    def draft(size: int, beside: dict[str, str], robot="go2", metadata=None) -> tuple[str, Card]:
+        path = onnx_file({"obs": [1, size]}, metadata, name="run/exported/policy.onnx")
+        for name, text in beside.items():
+            (path.parent / name).parent.mkdir(parents=True, exist_ok=True)
+            (path.parent / name).write_text(text)
+        text = init_policy(path, robot=robot).text
+        return text, load_card(path.parent / "policy.yaml")
+
+    return draft
+
+
+def words(card: Card) -> list[str]:
+    return [term.term for term in card.observations["obs"].frame_terms]
+
+
+def test_deploy_yaml_is_the_whole_card(card_of):
+    text, card = card_of(3 * 35, {"../params/deploy.yaml": DEPLOY})
+    control, seen = card.control, card.observations["obs"]
+    assert control.joints == BY_TYPE
+    assert control.kp == [20 + motor for motor in MAP], "gains are counted by motor"
+    assert control.kd == [0.6 if motor == 11 else 0.5 for motor in MAP]
+    assert control.default_pose == [0.1, -0.1] * 2 + [0.8] * 2 + [1] * 2 + [-1.5] * 4
+    assert (control.rate, control.scale, control.action) == (50, 0.25, "joint_position_offset")
+    assert words(card) == ["ang_vel", "gravity", "command", "clock", "joint_pos", "last_output"]
+    ang_vel, _, command, clock, *_ = seen.frame_terms
+    assert (ang_vel.scale, ang_vel.clip) == (0.2, (-50, 50))
+    assert (command.scale, clock.frequency) == ([2, 2, 0.25], 2.0)
+    assert (seen.history.steps, seen.history.order, seen.history.by) == (3, "oldest_first", "term")
+    assert (card.command.speed, card.command.yaw_limit) == (0.6, 0.5)
+    for line in ("rate: 50", "scale: 0.25", "kp: [23, ", "sensor: proprio"):
+        (found,) = [one for one in text.splitlines() if line in one]
+        assert "# ../params/deploy.yaml" in found
+        assert "CHECK" not in found
+    assert "rounds these numbers" not in text
+
+
+def test_a_deploy_yaml_beside_env_yaml_is_believed_first(card_of):
+    beside = {"../params/deploy.yaml": DEPLOY, "../params/env.yaml": ENVIRONMENT}
+    text, card = card_of(3 * 35, beside)
+    assert card.control.kp == [20 + motor for motor in MAP]
+    assert "torque_limits: 23.5  # ../params/env.yaml" in text, "what only the other one says"
+
+
+ENVIRONMENT = """
+decimation: 4
+sim: {dt: 0.005, gravity: !!python/tuple [0.0, 0.0, -9.81]}
+scene:
+  robot:
+    init_state:
+      pos: !!python/tuple [0.0, 0.0, 0.4]
+      joint_pos: {.*L_hip_joint: 0.1, .*R_hip_joint: -0.1, "F[L,R]_thigh_joint": 0.8,
+        "R[L,R]_thigh_joint": 1.0, .*_calf_joint: -1.5}
+    actuators:
+      legs:
+        class_type: isaaclab.actuators.actuator_pd:DCMotor
+        joint_names_expr: [.*_hip_joint, .*_thigh_joint, .*_calf_joint]
+        effort_limit: 23.5
+        stiffness: {.*_hip_joint: 25.0, .*_thigh_joint: 26.0, .*_calf_joint: 27.0}
+        damping: 0.5
+        armature: null
+observations:
+  policy:
+    concatenate_terms: true
+    history_length: null
+    base_ang_vel: {func: isaaclab.envs.mdp.observations:base_ang_vel, clip: null, scale: 0.2,
+      history_length: 0}
+    gravity: {func: "isaaclab.envs.mdp.observations:projected_gravity", clip: null, scale: null}
+    velocity: {func: "isaaclab.envs.mdp.observations:generated_commands", clip: null, scale: null}
+    joint_pos: {func: "isaaclab.envs.mdp.observations:joint_pos", clip: null, scale: null}
+    joint_vel: {func: "isaaclab.envs.mdp.observations:joint_vel_rel", clip: !!python/tuple [-9, 9]}
+    actions: {func: "isaaclab.envs.mdp.observations:last_action", clip: null, scale: null}
+actions:
+  joint_pos:
+    class_type: isaaclab.envs.mdp.actions.joint_actions:JointPositionAction
+    joint_names: [.*]
+    scale: {.*_hip_joint: 0.125, "^(?!.*_hip_joint).*": 0.25}
+    clip: {.*: !!python/tuple [-3.0, 3.0]}
+    use_default_offset: true
+    preserve_order: false
+events:
+  feet: {joint_ids: !!python/object/apply:builtins.slice [null, null, null]}
+commands:
+  base_velocity:
+    ranges: {lin_vel_x: !!python/tuple [-1.0, 1.0], lin_vel_y: !!python/tuple [-1.0, 1.0],
+      ang_vel_z: !!python/tuple [-1.0, 1.0]}
+"""
+
+
+def test_env_yaml_says_what_its_patterns_say_of_each_joint(card_of):
+    text, card = card_of(45, {"../params/env.yaml": ENVIRONMENT})
+    control = card.control
+    assert control.joints == BY_TYPE
+    assert "CHECK: the order of the checkpoint: ../params/env.yaml names no order" in text
+    assert control.kp == [25] * 4 + [26] * 4 + [27] * 4
+    assert control.default_pose == [0.1, -0.1] * 2 + [0.8, 0.8, 1, 1] + [-1.5] * 4
+    assert control.scale == [0.125] * 4 + [0.25] * 8
+    assert (control.clip, control.torque_limits, control.rate) == ((-3, 3), 23.5, 50)
+    assert words(card) == ["ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"]
+    seen = card.observations["obs"].frame_terms
+    assert (seen[0].scale, seen[3].relative, seen[4].clip) == (0.2, False, (-9, 9))
+
+
+def test_the_order_that_a_graph_names_is_that_of_env_yaml_too(card_of):
+    order = {"joint_names": ",".join(f"{name}_joint" for name in LEFT_FIRST)}
+    text, card = card_of(45, {"params/env.yaml": ENVIRONMENT}, metadata=order)
+    assert card.control.joints == LEFT_FIRST
+    assert card.control.kp == [25, 26, 27] * 4
+    assert "names no order" not in text
+
+
+def test_names_that_env_yaml_lists_in_order_are_the_order(card_of):
+    listed = json.dumps([f"{name}_joint" for name in LEFT_FIRST])
+    exact = ENVIRONMENT.replace("joint_names: [.*]", f"joint_names: {listed}")
+    exact = exact.replace("preserve_order: false", "preserve_order: true")
+    text, card = card_of(45, {"params/env.yaml": exact})
+    assert card.control.joints == LEFT_FIRST
+    assert "names no order" not in text
+
+
+DESCRIPTORS = {
+    "actions": [
+        {
+            "full_path": "isaaclab.envs.mdp.actions.joint_actions.JointPositionAction",
+            "joint_names": [f"{name}_joint" for name in LEFT_FIRST],
+            "scale": 0.5,
+            "clip": None,
+            "offset": [0.1, 0.8, -1.5] * 4,
+        }
+    ],
+    "articulations": {
+        "robot": {
+            "joint_names": [f"{name}_joint" for name in BY_TYPE],
+            "default_joint_pos": [n / 100 for n in range(8)] + [n / 100 - 1.6 for n in range(4)],
+            "default_joint_stiffness": [0.0] * 12,
+            "default_joint_damping": [0.0] * 12,
+            "default_joint_armature": [0.01] * 8 + [0.02] * 4,
+        }
+    },
+    "observations": {
+        "policy": [
+            {"name": "base_ang_vel", "full_path": "a.base_ang_vel", "shape": [3],
+             "overloads": {"clip": None, "scale": 0.25, "history_length": 2}},
+            {"name": "heard", "full_path": "a.heard", "shape": [7],
+             "overloads": {"clip": None, "scale": None, "history_length": 2}},
+            {"name": "joint_pos_rel", "full_path": "a.joint_pos_rel", "shape": [12],
+             "overloads": {"clip": None, "scale": None, "history_length": 2}},
+        ]
+    },
+    "scene": {"decimation": 8, "dt": 0.04, "physics_dt": 0.005},
+}  # fmt: skip
+
+
+def test_io_descriptors_give_joints_terms_and_rates(card_of):
+    text, card = card_of(44, {"../io_descriptors/IO_descriptors.yaml": json.dumps(DESCRIPTORS)})
+    control = card.control
+    assert (control.joints, control.scale, control.rate) == (LEFT_FIRST, 0.5, 25)
+    by_type = [n / 100 for n in range(8)] + [n / 100 - 1.6 for n in range(4)]
+    pose = [by_type[BY_TYPE.index(name)] for name in LEFT_FIRST]
+    assert control.default_pose == pytest.approx(pose)
+    assert control.armature == [0.01, 0.01, 0.02] * 4
+    assert "kp: 30  # CHECK" in text, "zeros of explicit motors are no gains"
+    assert words(card) == ["ang_vel", "constant", "joint_pos"]
+    assert "THESE 7 ZEROS STAND FOR heard" in text
+    assert card.observations["obs"].history.steps == 2
+
+
+SAR = """
+go2/mine:
+  model_name: "policy.onnx"
+  observations: ["commands", "ang_vel", "gravity_vec", "dof_pos", "dof_vel", "actions"]
+  observations_history: [0, 1, 2]
+  observations_history_priority: "time"
+  clip_obs: 100.0
+  clip_actions_lower: [-100, -100, -100, -100, -100, -100, -100, -100, -100, -100, -100, -100]
+  clip_actions_upper: [100, 100, 100, 100, 100, 100, 100, 100, 100, 100, 100, 100]
+  rl_kp: [40, 41, 42, 40, 41, 42, 40, 41, 42, 40, 41, 42]
+  rl_kd: [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+  num_of_dofs: 12
+  action_scale: [0.125, 0.25, 0.25, 0.125, 0.25, 0.25, 0.125, 0.25, 0.25, 0.125, 0.25, 0.25]
+  ang_vel_scale: 0.25
+  dof_pos_scale: 1.0
+  dof_vel_scale: 0.05
+  commands_scale: [2.0, 2.0, 0.25]
+  torque_limits: [33.5, 33.5, 33.5, 33.5, 33.5, 33.5, 33.5, 33.5, 33.5, 33.5, 33.5, 33.5]
+  default_dof_pos: [.1, .8, -1.5, -.1, .8, -1.5, .1, 1, -1.5, -.1, 1, -1.5]
+  joint_mapping: [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]
+"""
+BASE = """
+go2:
+  dt: 0.005
+  decimation: 8
+  joint_names: [%s]
+"""
+
+
+def test_the_config_of_rl_sar_and_its_base_are_read(card_of):
+    legs = ", ".join(f"{leg}_{k}_joint" for leg in ("FR", "FL", "RR", "RL") for k in ("hip", "thigh", "calf"))  # fmt: skip  # noqa: E501
+    text, card = card_of(3 * 45, {"config.yaml": SAR, "../base.yaml": BASE % legs})
+    control, seen = card.control, card.observations["obs"]
+    assert (control.joints, control.rate, control.clip) == (LEFT_FIRST, 25, (-100, 100))
+    assert (control.kp, control.torque_limits) == ([40, 41, 42] * 4, 33.5)
+    assert control.scale == [0.125, 0.25, 0.25] * 4
+    assert words(card) == ["command", "ang_vel", "gravity", "joint_pos", "joint_vel", "last_output"]
+    assert (seen.history.order, seen.history.by, seen.clip) == ("newest_first", "step", (-100, 100))
+    assert seen.frame_terms[-1].clipped
+    assert "is about" not in text
+
+
+def test_a_config_of_another_file_is_read_and_said_to_be(card_of):
+    text, card = card_of(3 * 45, {"config.yaml": SAR.replace("policy.onnx", "jump.pt")})
+    assert card.control.kp == [40, 41, 42] * 4
+    assert "# CHECK: config.yaml is about jump.pt: is that this file?" in text
+
+
+LEGGED = """
+ll_dt: 0.002
+policy:
+  model_path: src/policies/policy.onnx
+  policy_dt: 0.02
+  joint_ids_map: [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]
+  stiffness: [20, 21, 22, 20, 21, 22, 20, 21, 22, 20, 21, 22]
+  damping: [0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5]
+  commands:
+    base_velocity: {process_order: [clip], min: [-1.0, -0.4, -0.3], max: [0.5, 0.4, 0.3]}
+  actions:
+    JointPositionAction:
+      process_order: [clip, scale, offset]
+      min: -50.0
+      max: 50.0
+      scale: 0.25
+      offset: [0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1.0, -1.5, -0.1, 1.0, -1.5]
+  observations:
+    stack: {length: 2, order: newest_first}
+    terms:
+      gait_phase_2: {params: {cycle_time: 0.4}}
+      velocity_commands:
+      base_ang_vel_B: {process_order: [scale, clip], scale: [0.5, 0.5, 0.5], min: -10.0, max: 10.0}
+      eulerZYX_rpy:
+      joint_pos: {process_order: [offset, clip, scale], min: -9.0, max: 9.0, scale: 1.0}
+      last_action:
+"""
+
+
+def test_the_config_of_legged_rl_deploy_is_read(card_of):
+    text, card = card_of(2 * 35, {"config.yaml": LEGGED})
+    control, seen = card.control, card.observations["obs"]
+    assert (control.joints, control.clip, control.rate) == (LEFT_FIRST, (-50, 50), 50)
+    assert control.default_pose == [0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1, -1.5, -0.1, 1, -1.5]
+    assert words(card) == [
+        "clock", "command", "ang_vel", "roll_pitch", "yaw", "joint_pos", "last_output",
+    ]  # fmt: skip
+    clock, _, ang_vel, *_ = seen.frame_terms
+    assert (clock.frequency, ang_vel.scale, ang_vel.clip) == (2.5, 0.5, (-20, 20))
+    assert (seen.history.steps, seen.history.order, seen.history.by) == (2, "newest_first", "step")
+    assert (card.command.speed, card.command.yaw_limit) == (0.5, 0.3)
+    assert "physics_rate: 200  config.yaml says 500" in text
+
+
+def test_the_configs_of_unitree_rl_gym_have_a_clock_where_numbers_are_left(card_of):
+    config = """
+    simulation_dt: 0.002
+    control_decimation: 10
+    kps: [100, 101, 102, 100, 101, 102, 100, 101, 102, 100, 101, 102]
+    kds: [2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2]
+    default_angles: [0, 0.8, -1.5, 0, 0.8, -1.5, 0, 1.0, -1.5, 0, 1.0, -1.5]
+    ang_vel_scale: 0.25
+    dof_pos_scale: 1.0
+    dof_vel_scale: 0.05
+    action_scale: 0.25
+    cmd_scale: [2.0, 2.0, 0.25]
+    num_actions: 12
+    num_obs: 47
+    """
+    _, card = card_of(47, {"configs/go2.yaml": config})
+    assert words(card) == [
+        "ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output", "clock",
+    ]  # fmt: skip
+    assert card.observations["obs"].frame_terms[-1].frequency == 1.25
+    assert (card.control.kp, card.control.rate) == ([100, 101, 102] * 4, 50)
+
+
+def test_what_exploy_writes_into_a_graph_is_read(card_of):
+    metadata = {
+        "exploy_version": "0.1.0",
+        "update_rate": "25.0",
+        "output.joint_targets.legs": json.dumps(
+            {"names": LEFT_FIRST, "stiffness": [20.0] * 12, "damping": [0.5] * 11 + [0.7]}
+        ),
+        "cmd.se2_velocity.vel": json.dumps({"ranges": {"lin_vel_x": [-0.5, 0.5]}}),
+    }
+    _, card = card_of(45, {}, metadata=metadata)
+    assert (card.control.joints, card.control.rate, card.control.kp) == (LEFT_FIRST, 25, 20)
+    assert card.control.kd == [0.5] * 11 + [0.7]
+    assert card.command.speed == 0.5
+
+
+def model(path: Path, joints: int = 12) -> Path:
+    layers = {"actor.0": (16, 45), "actor.2": (joints, 16)}
+    state = {f"{name}.weight": torch.zeros(shape) for name, shape in layers.items()}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    torch.save({"model_state_dict": state, "iter": 3}, path)
+    return path
+
+
+AGENTS = {
+    "rsl_rl": "policy: {class_name: ActorCritic, activation: relu}\nclip_actions: 4.0",
+    "rsl_rl 5": "actor: {class_name: MLPModel, activation: relu}\nclip_actions: 4.0",
+    "skrl": "models: {policy: {network: [{name: net, activations: relu}]}}\nclip_actions: 4.0",
+    "rl_games": "params: {network: {mlp: {units: [8], activation: relu}}}\nclip_actions: 4.0",
+}
+
+
+@pytest.mark.parametrize("trainer", AGENTS)
+def test_agent_yaml_says_the_activation_of_a_trainings_checkpoint(trainer, tmp_path):
+    checkpoint = model(tmp_path / "run/model_3.pt")
+    (tmp_path / "run/params").mkdir()
+    (tmp_path / "run/params/agent.yaml").write_text(AGENTS[trainer])
+    text = init_policy(checkpoint, robot="go2").text
+    card = load_card(tmp_path / "run/policy.yaml")
+    assert card.options["activation"] == "relu"
+    assert "  activation: relu  # params/agent.yaml" in text
+    assert card.control.clip == (-4, 4)
+
+
+def test_a_folder_of_a_training_gives_its_newest_step(tmp_path):
+    for step in (100, 900, 1500, 1000):
+        model(tmp_path / f"run/model_{step}.pt")
+    (tmp_path / "run/params").mkdir()
+    (tmp_path / "run/params/agent.yaml").write_text(AGENTS["rsl_rl"])
+    draft = init_policy(tmp_path / "run", robot="go2")
+    assert draft.file == tmp_path / "run/policy.yaml"
+    assert load_card(draft.file).checkpoint.file == "model_1500.pt"
+    first = draft.text.splitlines()[0]
+    assert first.startswith("# model_1500.pt is the newest checkpoint here, beside model_100.pt")
+    assert "model_900.pt" in first
+    with pytest.raises(UsageError, match="exists already"):
+        init_policy(tmp_path / "run", robot="go2")
+
+
+def test_a_folder_without_a_checkpoint_is_said(tmp_path):
+    with pytest.raises(PolicyError, match=r"no checkpoint lies in it.*pt"):
+        init_policy(tmp_path, robot="go2")
+
+
+def test_a_checkpoint_of_another_robot_is_refused_by_its_joints(card_of):
+    legs = [f"{leg}_{kind}" for kind in ("HAA", "HFE", "KFE") for leg in ("LF", "LH", "RF", "RH")]
+    anymal = json.loads(json.dumps(DESCRIPTORS))
+    anymal["actions"][0]["joint_names"] = legs
+    with pytest.raises(PolicyError, match=r"another robot than go2.*LF_HAA.*looks like ANYmal"):
+        card_of(45, {"IO_descriptors.yaml": json.dumps(anymal)})
+
+
+def test_a_checkpoint_with_the_joints_of_a_humanoid_is_refused(card_of):
+    humanoid = DEPLOY.replace(str(MAP), str(list(range(29))))
+    assert humanoid != DEPLOY
+    with pytest.raises(PolicyError, match=r"go2, which has 12 joints: .* about 29 joints"):
+        card_of(45, {"params/deploy.yaml": humanoid})
+    names = {"joint_names": "left_hip_pitch_joint,waist_yaw_joint"}
+    with pytest.raises(PolicyError, match=r"names 2 joints.*looks like Unitree's G1"):
+        card_of(45, {}, metadata=names)
+
+
+LAUGHS = "a: &a [x, x]\n" + "\n".join(
+    f"{new}: &{new} [{', '.join([f'*{old}'] * 9)}]"
+    for old, new in zip("abcdefghij", "bcdefghijk", strict=True)
+)
+
+
+def test_no_tag_of_a_file_runs_anything(card_of, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    evil = DEPLOY + "extra: !!python/object/apply:os.system ['touch ran']\n"
+    evil += "more: !!python/object/new:subprocess.Popen [[touch, ran]]\n"
+    _, card = card_of(3 * 35, {"params/deploy.yaml": evil})
+    assert card.control.kp == [20 + motor for motor in MAP]
+    assert not list(tmp_path.rglob("ran"))
+
+
+@pytest.mark.parametrize(
+    "text", ["kps: [", "\x00", LAUGHS, "- 1", "joint_ids_map: 3\nstep_dt: nan", "[" * 5000, ""]
+)
+def test_a_file_that_says_nothing_changes_nothing(text, card_of, onnx_file):
+    plain, _ = card_of(45, {})
+    (onnx_file({"obs": [1, 45]}, name="run/exported/policy.onnx").parent / "policy.yaml").unlink()
+    with_it, _ = card_of(45, {"params/deploy.yaml": text})
+    assert with_it == plain
+
+
+def test_values_of_other_kinds_are_left_out(card_of):
+    odd = DEPLOY.replace("step_dt: 0.02", "step_dt: soon").replace(
+        "damping: [.5, .5, .5,", "damping: [.5, {}, .inf,"
+    )
+    text, card = card_of(3 * 35, {"params/deploy.yaml": odd})
+    assert card.control.rate == 50
+    assert "rate: 50  # CHECK" in text
+    assert "# CHECK: the go2's own" in text
+    assert np.all(np.array(card.control.kp) == [20 + motor for motor in MAP])
