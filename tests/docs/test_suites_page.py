@@ -137,13 +137,17 @@ def test_its_suite_has_every_key_and_is_taken(tmp_path: Path) -> None:
 def test_suites_of_one_panel_differ_in_what_the_page_says_only() -> None:
     hurdles, smoke = load_suite("hurdles"), load_suite("smoke")
     assert hurdles.digest == smoke.digest
-    same = {"robot", "protocol", "seed", "episode", "perturb"}
+    same = {"robot", "protocol", "seed", "episode", "task", "perturb"}
     for key in same:
         assert getattr(hurdles, key) == getattr(smoke, key)
+<<<<<<< HEAD
     assert (
         "covers robot, protocol, seed, episode and `perturb`, and nothing else but the `plugins`"
         in PROSE
     )
+=======
+    assert "covers robot, protocol, seed, episode, `task` and `perturb`, and nothing else" in PROSE
+>>>>>>> task
 
 
 def test_with_a_friction_of_the_suite_that_value_alone_counts() -> None:

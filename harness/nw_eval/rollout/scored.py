@@ -37,6 +37,7 @@ class ScoreMeter:
     def __init__(self, names: Sequence[str], world: World, task: Task) -> None:
         self._world, self._task = world, task
         self._physics = world.at_physics_rate()
+        self._moving = world.moving()  # Views of the simulation's memory.
         figures = Figures(
             control_period=world.control_period,
             timestep=world.timestep,
@@ -79,7 +80,7 @@ class ScoreMeter:
         kept, now, world = self._kept, self._count, self._world
         kept["servo"][now] = self._physics.servo
         kept["joint_rates"][now] = self._physics.rates
-        positions, quats, joints, _, velocity = world.moving()
+        positions, quats, joints, _, velocity = self._moving
         trunk = world.bodies[0]
         kept["joint_positions"][now] = joints
         kept["targets"][now] = targets

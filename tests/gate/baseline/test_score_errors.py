@@ -11,7 +11,7 @@ import pytest
 
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.judge import compare
-from nw_eval.gate.scores import with_scores
+from nw_eval.gate.baseline.scores import with_scores
 from nw_eval.results.bank import SavedBank
 from nw_eval.scores import specs_of
 from nw_eval.suite.model import Gate

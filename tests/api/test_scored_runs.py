@@ -1,0 +1,59 @@
+"""A suite with scores from its file to its pages."""
+
+from html import unescape
+
+import pytest
+
+from nw_eval import api
+from nw_eval.reporting.junit import junit_xml
+from nw_eval.results.parquet import read_rows
+
+SUITE = """
+nw-eval: 1
+name: scored
+robot: go1
+policy: stand
+trials: 2
+seed: 1
+episode: {duration: 0.4}
+scenes: [hurdles/one_low_carpet]
+record: none
+scores: [mean_power, base_roll_rms, time_to_finish]
+gate:
+  scores:
+    foot_slip: {bar: 0.9}
+    mean_power: {bar: 0.001, range: [0, 0.01]}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "scored.yaml").write_text(SUITE)
+    return tmp_path
+
+
+def test_scores_are_in_rows_and_on_every_page(folder):
+    api.run("scored.yaml", out=folder / "run", workers=1)
+    rows, _ = read_rows(folder / "run" / "trials.parquet")
+    assert [set(dict(row.scores)) for row in rows] == [
+        {"mean_power", "base_roll_rms", "foot_slip"}
+    ] * 2, "a robot that stands finishes nothing"
+    report = api.report(folder / "run")
+    by_name = {item.spec.name: item for item in report.verdict.scores}
+    assert list(by_name) == ["mean_power", "base_roll_rms", "time_to_finish", "foot_slip"]
+    assert by_name["time_to_finish"].undefined == 2
+    assert by_name["time_to_finish"].mean == 60.0
+    assert by_name["mean_power"].word is not None
+    assert by_name["base_roll_rms"].word is None
+    page = (folder / "run" / "report.md").read_text()
+    html = (folder / "run" / "report.html").read_text()
+    for item in by_name.values():
+        assert item.spec.name in page
+        assert item.spec.meaning in unescape(html)
+    junit = junit_xml(report.info, report.rows, report.verdict, folder / "run", None).decode()
+    assert f'name="score_foot_slip" value="{by_name["foot_slip"].mean:.6g}"' in junit
+    assert 'name="score_mean_power_verdict"' in junit
+    again = api.judge(folder / "run")
+    assert again.verdict.scores == report.verdict.scores
