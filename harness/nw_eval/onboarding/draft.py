@@ -249,16 +249,16 @@ def control_lines(
         if values:
             lines.append(f"  {name}: {one_or_list(values)}")
         elif name in theirs:
-            note = f"{of} the {robot.name}'s own is {number(own)}"
+            note = f"{of} the {robot.name}'s own is {_motors(robot, own)}"
             lines.append(f"  {name}: {theirs[name]}  {note}")
         else:
-            lines.append(f"  {name}: {number(own)}  {CHECK} the {robot.name}'s own")
+            lines.append(f"  {name}: {_motors(robot, own)}  {CHECK} the {robot.name}'s own")
     if known.default_joint_pos or known.joint_stiffness:
         lines.append("  # The exporter rounds these numbers to three decimals.")
     for name, own, unit in (
         ("torque_limits", _by_joint(robot, robot.torque_limits), "N m"),
-        ("armature", number(robot.armature), "kg m^2"),
-        ("friction_loss", number(robot.friction_loss), "N m"),
+        ("armature", _motors(robot, robot.armature), "kg m^2"),
+        ("friction_loss", _motors(robot, robot.friction_loss), "N m"),
     ):
         note = f"{unit}; not in the file: the {robot.name}'s own is used"
         lines.append(f"  # {name}: {own}  {CHECK} {note}")
@@ -295,6 +295,11 @@ def _joints(known: ExporterMetadata, robot: RobotSpec, frame: Frame | None) -> l
     if frame is not None and frame.joints:
         return [f"  joints: {published(frame, robot)['joints']}  {CHECK} as {frame.name}"]
     return [f"  joints: [{', '.join(own)}]  {CHECK} the order of the checkpoint"]
+
+
+def _motors(robot: RobotSpec, values: Sequence[float]) -> str:
+    """Return values as one number where all joints have it, else as a mapping."""
+    return number(values[0]) if len(set(values)) == 1 else _by_joint(robot, values)
 
 
 def _by_joint(robot: RobotSpec, values: Sequence[float]) -> str:

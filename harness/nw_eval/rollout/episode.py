@@ -30,7 +30,6 @@ from nw_eval.rollout.mcap.messages import SimState, StatePart
 from nw_eval.rollout.mcap.states import Saved
 from nw_eval.scenes.scene import Nearness
 from nw_eval.sensors.sensor import Moment
-from nw_eval.sim import Limits
 from nw_eval.words import Outcome
 
 if TYPE_CHECKING:
@@ -238,7 +237,7 @@ class Episode:
             self.step += 1
             credited = self.progress.update(self.world.trunk_position)
             outcome = self._termination.check(self.world, self.progress, self.step)
-            self.state_digest.update(self.world.data.qpos, self.world.data.qvel)
+            self.state_digest.update(*self.world.coordinates())
             self.action_digest.update(decision.applied)
         return Step(decision, outcome, credited)
 
@@ -248,10 +247,13 @@ class Episode:
         return self._termination.contact_seconds
 
     def end_reason(self, outcome: Outcome) -> str:
-        """Say what decided an outcome: the angle, the geom, the clock."""
+        """Say what decided an outcome: the angle, the height, the part, the clock."""
         if outcome == "fell":
+            tilt = self._termination.limits.tilt
             roll, pitch, _ = np.abs(self.world.roll_pitch_yaw)
-            return "roll" if roll > Limits().tilt and roll >= pitch else "pitch"
+            if max(roll, pitch) <= tilt:
+                return "height"
+            return "roll" if roll > tilt and roll >= pitch else "pitch"
         if outcome == "collided":
             forces = self.world.monitored_forces()
             return f"contact {max(forces, key=forces.__getitem__)}"

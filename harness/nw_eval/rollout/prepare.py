@@ -32,7 +32,7 @@ from nw_eval.rollout.perturbed import (
 )
 from nw_eval.scenes import Scene
 from nw_eval.sensors import build_sensors
-from nw_eval.sim import Actuators, Termination, TrailProgress, World
+from nw_eval.sim import Actuators, Limits, Termination, TrailProgress, World
 from nw_eval.suite.trials import Trial
 
 if TYPE_CHECKING:
@@ -130,6 +130,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
                 protocol=protocol,
                 duration=job.duration,
                 control_period=period,
+                limits=Limits.of(robot),
                 contact_termination=job.contact_termination,
             ),
             clock=clock,
