@@ -7,6 +7,7 @@
     ├─ PolicyError         exit 2   a card or checkpoint that cannot be used, found before physics
     │  ├─ CodeError        exit 2   Python code that a card names failed
     │  └─ CrashError       exit 4   the process that opened a checkpoint died
+    ├─ PluginError         exit 2   a package's plug-in that cannot be imported, or is none
     ├─ PrerequisiteError   exit 2   an extra, a driver or a backend that is not installed
     ├─ TrialError          exit 4   a trial that could not be run to a result
     │  ├─ ActionError      exit 4   an action that is none: the policy's own failure
@@ -102,6 +103,10 @@ class SuiteError(NwEvalError):
         self.others = tuple(others)
 
 
+class RobotError(UsageError):
+    """A robot's folder cannot be used. The message has a line for each fault."""
+
+
 class SceneError(NwEvalError):
     """A scene cannot be loaded or built."""
 
@@ -122,6 +127,12 @@ class CrashError(PolicyError):
     """The process that opened a checkpoint died: of the checkpoint, or of the machine."""
 
     exit_code = 4
+
+
+class PluginError(NwEvalError):
+    """What an installed package brings along cannot be imported, or is not what it says."""
+
+    exit_code = 2
 
 
 class PrerequisiteError(NwEvalError):

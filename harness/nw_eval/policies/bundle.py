@@ -24,6 +24,7 @@ from nw_eval.errors import PolicyError, nearest
 from nw_eval.files.inside import OutsideError, inside, regular, what_is
 from nw_eval.files.shipped import available, shipped
 from nw_eval.policies.computes import computed_digest
+from nw_eval.robots import get_robot
 
 if TYPE_CHECKING:
     from nw_eval.hub.fetched import Fetched
@@ -213,6 +214,17 @@ class Bundle:
             options = fields["options"].items()
             fields["options"] = {key: value for key, value in options if key not in _WHEREABOUTS}
         return fields
+
+    @cached_property
+    def joints(self) -> int:
+        """How many joints the card's robot has, and numbers an action.
+
+        A process that is sent the bundle is sent them, too, and need not find the robot.
+
+        Raises:
+            UsageError: there is no such robot.
+        """
+        return len(get_robot(self.card.robot).joints)
 
     def read_checkpoint(self) -> bytes:
         """Return the bytes of the weights, verified again: what is loaded is what was checked.

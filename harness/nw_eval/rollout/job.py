@@ -17,7 +17,8 @@ class TrialJob:
     """
 
     trial: Trial
-    robot: str
+    robot: str  # what robots.get_robot understands
+    robot_folder: Path | None = None  # where it lies, if that is a folder
     protocol: Protocol = "strict"
     duration: float  # s of simulated time after which the trial times out
     contact_termination: bool = True  # whether a blow to head or trunk ends it

@@ -78,7 +78,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
     trial = job.trial
     cell = cell_of(trial)
     scene = library.scene(job.scene, job.collision)
-    bundle = library.bundle(job.policy, job.checkpoint)
+    bundle = library.bundle_of(job)
     _check_same(job, scene, bundle)
     robot = perturbed_robot(mounted_robot(get_robot(job.robot), bundle.card), cell)
     card = perturbed_card(bundle.card, cell)

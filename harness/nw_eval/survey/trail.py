@@ -20,7 +20,6 @@ from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import HeightField, Scene
 from nw_eval.sim import World
 from nw_eval.sim.course import REACH_RADIUS
-from nw_eval.words import Robot
 
 Values = NDArray[np.float64]
 
@@ -240,7 +239,7 @@ def start_finding(scene: Scene) -> SceneFinding | None:
     )
 
 
-def trail_findings(scene: Scene, robot: Robot) -> list[SceneFinding]:
+def trail_findings(scene: Scene, robot: str) -> list[SceneFinding]:
     """Return what is wrong with a trail, apart from the ground and the views along it.
 
     Args:
@@ -283,7 +282,7 @@ def trail_findings(scene: Scene, robot: Robot) -> list[SceneFinding]:
     return found if end is None else [*found, end]
 
 
-def _end(scene: Scene, path: Values, robot: Robot, length: float) -> SceneFinding | None:
+def _end(scene: Scene, path: Values, robot: str, length: float) -> SceneFinding | None:
     """Return that the ground ends too near behind the last waypoint; None if it does not."""
     legs = [b - a for a, b in pairwise(path) if np.linalg.norm(b - a) > 1e-6]
     if not legs:
