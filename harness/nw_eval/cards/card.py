@@ -45,7 +45,7 @@ class Card(CardModel):
     """The built-in scenes that it was trained in, as suites name them, such as `split:train`.
     Reports mark them; no part of the digest."""
     robot: str
-    """The robot that the policy drives: go1 or go2."""
+    """The name of the robot that the policy drives: go1, go2, or another."""
     adapter: Adapter
     """How the checkpoint is run; `zero` has none and answers every observation with zeros, `remote`
     has it on a server, `python:package.module:Class` is code and needs --allow-code."""

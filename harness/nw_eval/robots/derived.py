@@ -7,7 +7,7 @@ are written anew, one for each joint that is driven, and what is seen is told fr
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -182,18 +182,20 @@ class _Derivation:
             elif kind != mujoco.mjtJoint.mjJNT_FREE:
                 name = model.joint(joint).name
                 raise self._fault(("model",), f"joint {name!r} is no hinge; only these are driven")
-        named = set(self._written())
-        named |= {
-            name
-            for group in self.settings.motors
-            for name in self._names(hinges)
-            if any(fnmatchcase(name, pattern) for pattern in _patterns(group.joints))
-        }
-        driven = (
-            [joint for joint in hinges if model.joint(joint).name in named] if named else hinges
-        )
+        driven = [joint for joint in hinges if self._names([joint])[0] in self._written()]
+        patterns = [p for group in self.settings.motors for p in _patterns(group.joints)]
+        if not driven:  # The file has no motors; those of robot.yaml are all there are.
+            driven = [
+                joint
+                for joint in hinges
+                if any(fnmatchcase(self._names([joint])[0], pattern) for pattern in patterns)
+            ]
         if not driven:
-            raise self._fault(("model",), "no joint of it is driven")
+            raise self._fault(
+                ("motors",),
+                f"motors: {self.settings.model.file} has no motors, and nothing here names a joint",
+                'add `- {joints: "*", kp: ..., kd: ..., torque: ...}`',
+            )
         return driven
 
     def _names(self, joints: Sequence[int]) -> list[str]:
@@ -393,7 +395,10 @@ class _Derivation:
     def _feet(self, lows: dict[str, float]) -> tuple[str, ...]:
         if self.settings.feet is None:
             lowest = min(lows.values())
-            return tuple(body for body, low in lows.items() if low < lowest + _FOOT_REACH)
+            near = [body for body, low in lows.items() if low < lowest + _FOOT_REACH]
+            # A shin whose foot stands there, too, is none.
+            above = {name for body in near for name in self._ancestors(body)}
+            return tuple(body for body in near if body not in above)
         feet = self._known(("feet",), self.settings.feet)
         for index, foot in enumerate(feet):
             if foot not in lows:
@@ -401,6 +406,11 @@ class _Derivation:
                     ("feet", index), f"feet: nothing of {foot!r} collides", nearest(foot, lows)
                 )
         return tuple(feet)
+
+    def _ancestors(self, body: str) -> Iterator[str]:
+        number = int(self.model.body(body).id)
+        while (number := int(self.model.body_parentid[number])) > 0:
+            yield self._body(number)
 
     def _known(self, key: tuple[str, ...], bodies: Sequence[str]) -> list[str]:
         for index, body in enumerate(bodies):
@@ -483,7 +493,17 @@ class _Derivation:
 
     def _mjcf(self, names: Sequence[str]) -> str:
         """Write the model with one actuator a joint, and groups by what collides and is seen."""
-        spec = self.mjspec
+        spec, model = self.mjspec, self.model
+        # What was compiled is written out, body by body: classes of defaults may say less.
+        for body in spec.bodies[1:]:
+            number = int(model.body(body.name).id)
+            body.explicitinertial = True
+            body.mass, body.inertia = model.body_mass[number], model.body_inertia[number]
+            body.ipos, body.iquat = model.body_ipos[number], model.body_iquat[number]
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+        spec.compiler.settotalmass = -1.0
+        for part in (*self._geoms(), *spec.joints, *spec.sites, *spec.meshes):
+            part.classname = spec.default
         for geom in self._geoms():
             number = int(self.model.geom(geom.name).id)
             geom.rgba, geom.material = self._rgba(number), ""

@@ -95,6 +95,8 @@ def compile_model(
     _set_joints(spec, robot, actuators, protocol)
     if payload > 0.0:
         _add_payload(spec, robot.root, payload)
+    if any(isinstance(solid, HeightField | Triangles) for solid in scene.solids):
+        _box_up(spec)
     add_geometry(spec, scene, friction=friction)
     return spec.compile()
 
@@ -131,6 +133,21 @@ def _set_joints(
     if protocol.joint_defaults_act_on_trunk:
         root = spec.joint(robot.root_joint)
         root.damping[0], root.armature, root.frictionloss = robot.root_defaults
+
+
+def _box_up(spec: MjSpec) -> None:
+    """Let boxes collide in place of what cannot meet a scanned surface: hulls and ellipsoids.
+
+    A mesh gets the box round it, along the axes of its own inertia.
+    """
+    spec.compiler.fitaabb = True
+    for geom in (geom for body in spec.bodies for geom in body.geoms):
+        collides = geom.conaffinity & 1 or geom.contype & 1
+        if collides and geom.type in {
+            mujoco.mjtGeom.mjGEOM_MESH,
+            mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+        }:
+            geom.type = mujoco.mjtGeom.mjGEOM_BOX
 
 
 def _add_payload(spec: MjSpec, root: str, mass: float) -> None:
