@@ -26,7 +26,7 @@ from nw_eval.scenes.neverwhere import PREFIX, inspect_published, load_published,
 from nw_eval.scenes.neverwhere.files import find_places
 from nw_eval.scenes.neverwhere.table import PUBLISHED
 from nw_eval.scenes.scene import Scene
-from nw_eval.words import Collision, Robot
+from nw_eval.words import Collision
 
 if TYPE_CHECKING:
     from nw_eval.hub.fetched import Fetched
@@ -388,7 +388,7 @@ class InspectedScene:
 
 
 def inspect_scene(
-    reference: str | Path, *, robot: Robot = "go1", read_splat: bool = True
+    reference: str | Path, *, robot: str = "go1", read_splat: bool = True
 ) -> InspectedScene:
     """Return all that is wrong or remarkable about a scene for a robot, and its figures.
 

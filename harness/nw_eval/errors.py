@@ -2,6 +2,7 @@
 
     NwEvalError
     ├─ UsageError          exit 2   an option or argument that cannot be used
+    │  └─ RobotError       exit 2   a robot's folder or package that cannot be used
     ├─ SuiteError          exit 2   problems in a suite file, all of them, each with its place
     ├─ SceneError          exit 2   a place that cannot be loaded or built
     ├─ PolicyError         exit 2   a card or checkpoint that cannot be used, found before physics
@@ -101,6 +102,10 @@ class SuiteError(NwEvalError):
         lines = (line for other in others for line in str(other).splitlines())
         super().__init__((*problems, *lines))
         self.others = tuple(others)
+
+
+class RobotError(UsageError):
+    """A robot's folder cannot be used. The message has a line for each fault."""
 
 
 class SceneError(NwEvalError):

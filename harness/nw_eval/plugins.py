@@ -23,6 +23,7 @@ WRAPPERS = "nw_eval.wrappers"
 AXES = "nw_eval.axes"
 SPLAT_FORMATS = "nw_eval.splat_formats"
 REPORTERS = "nw_eval.reporters"
+ROBOTS = "nw_eval.robots"
 """The entry-point groups."""
 
 _Kind = TypeVar("_Kind")

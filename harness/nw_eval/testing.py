@@ -157,7 +157,7 @@ class GlidingWorld(World):
             raise self._raises[done]
         place = self.trunk_position + self._velocity * self.control_period
         self.reset(position=place, yaw=self.start_yaw)
-        self.data.qvel[:3] = self._velocity
+        self._data.qvel[self._linear] = self._velocity
         self.push((0.0, 0.0))  # What follows from the velocity is derived.
         self.steps = done + 1
 

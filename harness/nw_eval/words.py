@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-Robot = Literal["go1", "go2"]
-"""As `robots.robot_names()`, which a test compares: suites and the gate may know no robots."""
-
 Task = Literal["hurdles", "gaps", "ramps", "stairs"]
 """What a scene asks for."""
 
@@ -61,7 +58,8 @@ physics diverged under what it told the motors; its process ended by itself in m
 Fault = Literal["policy_error", "physics_error", "crashed", "hung"]
 """How a trial can fail to come to a result: never counted as a failure of the policy."""
 
-ROBOTS: tuple[Robot, ...] = get_args(Robot)
+ROBOTS = ("go1", "go2")
+"""Of the published scenes, and as `robots.BUILT_IN`, which a test compares."""
 OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 POLICY_FAULTS: tuple[PolicyFault, ...] = get_args(PolicyFault)
 FAULTS: tuple[Fault, ...] = get_args(Fault)

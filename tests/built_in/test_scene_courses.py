@@ -185,7 +185,9 @@ def test_physics_and_rays_meet_the_same_surface(name):
         down, geom = np.array([0.0, 0.0, -1.0]), np.zeros(1, dtype=np.int32)
         physics = [
             top
-            - mujoco.mj_ray(world.model, world.data, np.array([*xy, top]), down, None, 1, -1, geom)
+            - mujoco.mj_ray(
+                world._model, world._data, np.array([*xy, top]), down, None, 1, -1, geom
+            )
             for xy in points
         ]
     eyes = np.column_stack([points, np.full(len(points), top)])

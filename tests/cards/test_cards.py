@@ -230,7 +230,7 @@ def test_a_clip_of_one_number_limits_both_sides(tmp_path):
 
 
 def test_parkour53_has_53_numbers():
-    assert sum(term_size(term) for term in LAYOUTS["parkour53"]) == 53
+    assert sum(term_size(term, 12) for term in LAYOUTS["parkour53"]) == 53
 
 
 def test_a_slow_policys_observations_take_its_rate_unless_they_say_another(tmp_path):
@@ -299,7 +299,7 @@ def test_many_equal_constants_are_said_in_short_and_are_the_same_card():
     long = Constant.model_validate({"term": "constant", "values": [0.5] * 187})
     assert short == long
     assert short.model_dump(mode="json") == long.model_dump(mode="json")
-    assert term_size(short) == 187
+    assert term_size(short, 12) == 187
 
 
 @pytest.mark.parametrize(

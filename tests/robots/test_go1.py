@@ -169,7 +169,7 @@ def test_the_head_one_sees_is_the_head_that_collides(model):
 
 
 def test_the_spec_names_only_what_the_model_has(model):
-    for name in (*GO1.feet, *GO1.monitored_geoms, *GO1.published_monitored_geoms):
+    for name in (*GO1.feet, *GO1.monitored, *GO1.published_monitored):
         assert model.geom(name).group[0] == COLLISION_GROUP
     assert [model.body(i).name for i in range(1, model.nbody)] == list(GO1.bodies)
 

@@ -62,8 +62,8 @@ def test_collision_geometry_is_the_published_one(model, name, kind, size, positi
 
 def test_monitored_geoms_exist_and_are_the_published_three(model):
     robot = go2()
-    assert robot.published_monitored_geoms == ("face_head", "face_dome", "base")
-    for name in (*robot.monitored_geoms, *robot.feet):
+    assert robot.published_monitored == ("face_head", "face_dome", "base")
+    for name in (*robot.monitored, *robot.feet):
         model.geom(name)
 
 

@@ -115,10 +115,10 @@ def test_a_load_is_carried_and_weak_motors_give_less(library, make_job):
         return open_trial(replace(job, trial=trial), library, StageClock())
 
     with opened("payload", 4.0) as loaded, opened("payload", 0.0) as bare:
-        mass = [float(t.episode.world.model.body_mass.sum()) for t in (loaded, bare)]
+        mass = [float(t.episode.world._model.body_mass.sum()) for t in (loaded, bare)]
     assert mass[0] - mass[1] == pytest.approx(4.0)
     with opened("strength", 0.5) as weak, opened("strength", 1.0) as whole:
-        models = [t.episode.world.model for t in (weak, whole)]
+        models = [t.episode.world._model for t in (weak, whole)]
         np.testing.assert_array_equal(
             models[0].actuator_forcerange, 0.5 * models[1].actuator_forcerange
         )
@@ -134,14 +134,14 @@ def test_a_push_is_felt_in_the_step_that_it_is_due(library, make_job):
         episode = opened.episode
         while episode.step < due:
             episode.advance(episode.decide())
-        saved, before = episode.state(), episode.world.data.qvel[:2].copy()
+        saved, before = episode.state(), episode.world._data.qvel[:2].copy()
         episode.advance(episode.decide())
-        after = episode.world.data.qvel[:2].copy()
+        after = episode.world._data.qvel[:2].copy()
         assert np.linalg.norm(after - before - pushes.at(due)) < 1.0
         assert np.linalg.norm(after - before) > 1.0
         episode.restore(saved)
         episode.advance(episode.decide())
-        np.testing.assert_array_equal(episode.world.data.qvel[:2], after)
+        np.testing.assert_array_equal(episode.world._data.qvel[:2], after)
 
 
 def test_pushes_come_every_three_seconds_at_their_speed():

@@ -230,7 +230,7 @@ def test_twist_is_the_simulator_s_velocity_in_the_frame_of_the_trunk(walked, lib
         for state in log.states()[3::4]:
             trial.episode.restore(state)
             twist = twists[round(world.time * 1e9)]
-            velocity, turning = world.data.qvel[:3], world.data.qvel[3:6]
+            velocity, turning = world._data.qvel[:3], world._data.qvel[3:6]
             linear = [twist.linear.x, twist.linear.y, twist.linear.z]
             angular = [twist.angular.x, twist.angular.y, twist.angular.z]
             assert linear == pytest.approx(world.trunk_rotation.T @ velocity, abs=1e-6)

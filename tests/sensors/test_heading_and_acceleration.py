@@ -30,8 +30,8 @@ def read(card_of, moment_of):
 
 def test_yaw_is_the_angle_of_the_nose_on_the_ground(world, read):
     # Walk-these-ways: atan2 of the forward axis, whatever roll and pitch are.
-    world.data.qpos[3:7] = np.array([0.6, 0.3, -0.2, 0.7]) / np.linalg.norm([0.6, 0.3, -0.2, 0.7])
-    mujoco.mj_forward(world.model, world.data)
+    world._data.qpos[3:7] = np.array([0.6, 0.3, -0.2, 0.7]) / np.linalg.norm([0.6, 0.3, -0.2, 0.7])
+    mujoco.mj_forward(world._model, world._data)
     forward = world.trunk_rotation[:, 0]
     yaw = np.arctan2(forward[1], forward[0])
     assert yaw == pytest.approx(1.5, abs=0.2)
@@ -47,8 +47,8 @@ def test_yaw_can_count_from_the_start_and_stays_within_half_a_turn(
     world.reset(position=(0.0, 0.0, 0.4), yaw=start)
     relative = {"term": "yaw", "relative_to": "start"}
     assert read(world, relative) == pytest.approx([0.0], abs=1e-6)
-    world.data.qpos[3:7] = [np.cos(now / 2), 0.0, 0.0, np.sin(now / 2)]
-    mujoco.mj_forward(world.model, world.data)
+    world._data.qpos[3:7] = [np.cos(now / 2), 0.0, 0.0, np.sin(now / 2)]
+    mujoco.mj_forward(world._model, world._data)
     assert read(world, relative) == pytest.approx([expected], abs=1e-6)
 
 
@@ -79,7 +79,7 @@ def test_acceleration_is_what_mujocos_accelerometer_reads_on_a_moving_trunk(inst
     for step in range(60):
         world.step(pose + 0.3 * np.sin(0.5 * step + np.arange(12)))
         found = read(world, {"term": "acceleration", "at": AT})
-        expected = world.data.sensor("accelerometer").data
+        expected = world._data.sensor("accelerometer").data
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-5)
         largest = max(largest, np.abs(expected - read(world, "acceleration")).max())
     assert largest > 1.0  # The place on the trunk counts.

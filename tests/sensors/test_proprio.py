@@ -25,7 +25,7 @@ def terms(*names, **options):
 
 def quaternion_angles(world):
     """Roll, pitch, yaw by the formulas of the published evaluation."""
-    w, x, y, z = world.data.qpos[3:7]
+    w, x, y, z = world._data.qpos[3:7]
     return (
         np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
         np.arcsin(2 * (w * y - z * x)),
@@ -37,19 +37,19 @@ def test_parkour53_is_laid_out_as_published(world, read, moment_of):
     # Indices, order and scales: Neverwhere's published evaluation, section 4.1 of its description.
     frame = read(world, NOW, moment=moment_of(world, applied=0.7))
     roll, pitch, yaw = quaternion_angles(world)
-    goal = world.scene.trail[0, :2] - world.data.qpos[:2]
+    goal = world.scene.trail[0, :2] - world._data.qpos[:2]
     delta = np.arctan2(goal[1], goal[0]) - yaw
     default = [-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5]
     contact = world.foot_contacts | world.previous_foot_contacts
     expected = np.concatenate(
         [
-            world.data.qvel[3:6] * 0.25,
+            world._data.qvel[3:6] * 0.25,
             [roll, pitch, 0.0],
             [delta, delta],
             [0.0, 0.0, 0.8],
             [1.0, 0.0],
-            world.data.qpos[7:] - default,
-            world.data.qvel[6:] * 0.05,
+            world._data.qpos[7:] - default,
+            world._data.qvel[6:] * 0.05,
             np.full(12, 0.7),
             contact - 0.5,
         ]
@@ -118,7 +118,7 @@ def test_feet_come_in_the_order_of_the_card(world, read):
 
 
 def test_a_term_is_clipped_then_scaled_then_shifted(world, read):
-    world.data.qvel[3:6] = [10.0, -10.0, 0.5]
+    world._data.qvel[3:6] = [10.0, -10.0, 0.5]
     term = {"term": "ang_vel", "clip": 2, "scale": [1.0, 10.0, 1.0], "offset": 0.5}
     assert read(world, terms(term)).tolist() == [2.5, -19.5, 1.0]
 
@@ -136,7 +136,7 @@ def test_an_action_is_fed_back_as_it_was_said_or_within_the_limits_of_actions(
 
 
 def test_an_observation_is_clipped_after_scaling(world, read):
-    world.data.qvel[3:6] = [10.0, -10.0, 0.5]
+    world._data.qvel[3:6] = [10.0, -10.0, 0.5]
     term = {"term": "ang_vel", "scale": 20.0}
     assert read(world, terms(term, clip=100)).tolist() == [100.0, -100.0, 10.0]
 
@@ -167,7 +167,7 @@ def stacks(world, card_of, moment_of):
         sensor.reset(0)
         found = []
         for step in range(4):
-            world.data.qvel[3:6] = [step + 1.0, 0.0, 0.0]
+            world._data.qvel[3:6] = [step + 1.0, 0.0, 0.0]
             found.append(sensor.read(moment_of(world, step=step))[::3].tolist())
         return found
 
@@ -205,7 +205,7 @@ def test_a_reset_forgets_the_history(world, card_of, moment_of):
     sensor = build_sensors(card_of({"obs": terms("ang_vel", history=2)}), world)["obs"]
     sensor.reset(0)
     sensor.read(moment_of(world))
-    world.data.qvel[3:6] = 9.0
+    world._data.qvel[3:6] = 9.0
     sensor.reset(0)
     assert sensor.read(moment_of(world)).tolist() == [9.0] * 6
 

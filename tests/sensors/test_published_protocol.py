@@ -47,7 +47,7 @@ def test_pixels_of_the_height_image_are_the_published_size():
 def test_masses_and_height_cameras_are_the_published_ones(place, robot, mass, height_camera):
     spec = robot()
     with World(spec, place(), protocol=NEVERWHERE_2026) as world:
-        assert world.model.body_mass.sum() == pytest.approx(mass, abs=5e-4)
+        assert world._model.body_mass.sum() == pytest.approx(mass, abs=5e-4)
     offset = np.array(spec.height_camera_offset)
     np.testing.assert_allclose(offset, height_camera, atol=5e-6)
 

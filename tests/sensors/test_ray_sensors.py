@@ -43,7 +43,7 @@ def nearest_triangle(origin, directions, triangles):
 
 def nearest_of_robot(world, origin, directions):
     """Every primitive that is drawn, one by one, but for those of the trunk."""
-    model, data = world.model, world.data
+    model, data = world._model, world._data
     trunk = model.body("trunk").id
     drawn = [
         g

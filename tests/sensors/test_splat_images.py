@@ -182,10 +182,10 @@ def test_a_published_cone_is_hidden_by_geometry_not_by_the_splat(look, world, mo
 def test_the_robots_legs_are_seen_only_where_the_card_asks(look, world, moment_of):
     world.reset(position=(0.0, 0.0, 0.4), yaw=0.0)
     # Feet far ahead of the head: front thighs forward, calves stretched.
-    world.data.qpos[7:] = np.tile([0.0, -0.6, -0.95], 4)
+    world._data.qpos[7:] = np.tile([0.0, -0.6, -0.95], 4)
     import mujoco
 
-    mujoco.mj_forward(world.model, world.data)
+    mujoco.mj_forward(world._model, world._data)
     plain = look(width=160, height=90)[0].read(moment_of(world))
     with_robot = look(width=160, height=90, robot=True)[0].read(moment_of(world))
     assert (plain != with_robot).any()

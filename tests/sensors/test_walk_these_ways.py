@@ -143,7 +143,7 @@ def test_a_card_alone_shows_what_walk_these_ways_sees(tmp_path):
     with open_trial(job_of(bundle), ThisBundle(bundle), StageClock()) as trial:
         # Robot FR FL RR RL to FL FR RL RR, which is its own inverse.
         order = np.arange(12).reshape(4, 3)[[1, 0, 3, 2]].ravel()
-        data = trial.episode.world.data
+        data = trial.episode.world._data
         for _ in range(45):
             decision = trial.episode.decide()
             expected = theirs.observe(

@@ -32,7 +32,7 @@ def test_a_fan_meets_what_exact_primitives_say(world, eye):
     eye = np.array(eye, dtype=float)
     directions = rays(300, eye)
     hits = world.ray_robot(eye, directions)
-    model, data = world.model, world.data
+    model, data = world._model, world._data
     seen = np.flatnonzero(model.geom_group == VISUAL_GROUP)
     for direction, distance, geom, normal in zip(directions, *hits, strict=True):
         normals = np.zeros((len(seen), 3))

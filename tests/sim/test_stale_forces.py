@@ -49,20 +49,20 @@ def test_a_contact_beyond_the_last_solve_reads_zero(go1, flat):
     with World(go1, flat) as world:
         for _ in range(50):
             world.step(go1.default_pose)
-        reader = ContactForces(world.model, go1.feet, in_contact_frames=True)
-        solved = world.data.efc_force.copy()
-        assert (reader.read(world.data, solved) > 10.0).all()
-        last = int(world.data.contact.efc_address.max())
-        forces = reader.read(world.data, solved[:last])
+        reader = ContactForces(world._model, go1, go1.feet, in_contact_frames=True)
+        solved = world._data.efc_force.copy()
+        assert (reader.read(world._data, solved) > 10.0).all()
+        last = int(world._data.contact.efc_address.max())
+        forces = reader.read(world._data, solved[:last])
         assert (forces == 0.0).sum() == 1
-        np.testing.assert_array_equal(reader.read(world.data, np.zeros(0)), 0.0)
+        np.testing.assert_array_equal(reader.read(world._data, np.zeros(0)), 0.0)
 
 
 @pytest.mark.parametrize("in_contact_frames", [True, False])
 def test_fresh_forces_are_mujocos_own(go1, flat, swing, in_contact_frames):
     with World(go1, flat) as world:
-        model, data = world.model, world.data
-        reader = ContactForces(model, go1.feet, in_contact_frames=in_contact_frames)
+        model, data = world._model, world._data
+        reader = ContactForces(model, go1, go1.feet, in_contact_frames=in_contact_frames)
         touched = 0
         for step in range(40):
             world.step(swing(step))

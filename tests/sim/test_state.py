@@ -24,8 +24,8 @@ def run(world, swing, steps):
                     world.foot_forces().tobytes(),
                     world.torques.tobytes(),
                     world.previous_foot_contacts.tobytes(),
-                    world.data.xpos.tobytes(),
-                    world.data.subtree_com.tobytes(),
+                    world._data.xpos.tobytes(),
+                    world._data.subtree_com.tobytes(),
                     np.float64(world.time).tobytes(),
                 ]
             )
@@ -58,7 +58,7 @@ def test_restoring_clears_a_failure(go1, bumpy, swing):
     with World(go1, bumpy) as world:
         run(world, swing, range(5))
         good = world.state()
-        world.data.qvel[0] = 1e12
+        world._data.qvel[0] = 1e12
         with pytest.raises(TrialError):
             world.step(swing(5))
         world.restore(good)

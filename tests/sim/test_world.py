@@ -18,7 +18,7 @@ WEIGHT = 12.985904 * 9.806
 
 def test_solver_options_are_the_published_ones(go1, flat):
     with World(go1, flat) as world:
-        option = world.model.opt
+        option = world._model.opt
         assert option.timestep == 0.005
         np.testing.assert_array_equal(option.gravity, (0, 0, -9.806))
         assert option.solver == mujoco.mjtSolver.mjSOL_NEWTON
@@ -31,15 +31,15 @@ def test_solver_options_are_the_published_ones(go1, flat):
 @pytest.mark.parametrize("protocol", [STRICT, NEVERWHERE_2026])
 def test_a_control_step_is_four_plain_physics_steps_bit_for_bit(go1, flat, swing, protocol):
     with World(go1, flat, protocol=protocol) as world:
-        data = mujoco.MjData(world.model)
-        data.qpos[:] = world.data.qpos
+        data = mujoco.MjData(world._model)
+        data.qpos[:] = world._data.qpos
         for step in range(60):
             world.step(swing(step))
             data.ctrl[:] = swing(step)
             for _ in range(4):
-                mujoco.mj_step(world.model, data)
-            assert data.qpos.tobytes() == world.data.qpos.tobytes()
-            assert data.qvel.tobytes() == world.data.qvel.tobytes()
+                mujoco.mj_step(world._model, data)
+            assert data.qpos.tobytes() == world._data.qpos.tobytes()
+            assert data.qvel.tobytes() == world._data.qvel.tobytes()
         assert world.time == pytest.approx(1.2)
 
 
@@ -71,7 +71,7 @@ def test_looks_do_not_change_the_physics(go1, place, swing):
         for step in range(150):
             dressed.step(swing(step))
             naked.step(swing(step))
-        assert dressed.data.qpos.tobytes() == naked.data.qpos.tobytes()
+        assert dressed._data.qpos.tobytes() == naked._data.qpos.tobytes()
 
 
 def test_frames_are_what_they_say(go1, flat, swing):
@@ -82,14 +82,14 @@ def test_frames_are_what_they_say(go1, flat, swing):
         for step in range(40):
             world.step(swing(step))
         # MuJoCo's own answer for the body's velocity, in the world and in the trunk frame.
-        velocity, trunk = np.zeros(6), world.model.body("trunk").id
+        velocity, trunk = np.zeros(6), world._model.body("trunk").id
         kind = mujoco.mjtObj.mjOBJ_XBODY
-        mujoco.mj_objectVelocity(world.model, world.data, kind, trunk, velocity, 1)
+        mujoco.mj_objectVelocity(world._model, world._data, kind, trunk, velocity, 1)
         np.testing.assert_allclose(world.trunk_angular_velocity, velocity[:3], atol=1e-12)
-        mujoco.mj_objectVelocity(world.model, world.data, kind, trunk, velocity, 0)
+        mujoco.mj_objectVelocity(world._model, world._data, kind, trunk, velocity, 0)
         np.testing.assert_allclose(world.trunk_linear_velocity, velocity[3:], atol=1e-12)
         # Poses belong to the newest instant, not to the one before the last physics step.
-        np.testing.assert_allclose(world.trunk_position, world.data.qpos[:3], atol=0)
+        np.testing.assert_allclose(world.trunk_position, world._data.qpos[:3], atol=0)
         positions, quats, *_ = world.moving()
         trunk, *_ = world.bodies
         np.testing.assert_array_equal(positions[trunk], world.trunk_position)
@@ -99,8 +99,8 @@ def test_frames_are_what_they_say(go1, flat, swing):
 def test_roll_and_pitch_have_the_published_signs(go1, flat):
     with World(go1, flat) as world:
         for axis, index in (((1, 0, 0), 0), ((0, 1, 0), 1), ((0, 0, 1), 2)):
-            mujoco.mju_axisAngle2Quat(world.data.qpos[3:7], np.array(axis, dtype=float), 0.3)
-            mujoco.mj_forward(world.model, world.data)
+            mujoco.mju_axisAngle2Quat(world._data.qpos[3:7], np.array(axis, dtype=float), 0.3)
+            mujoco.mj_forward(world._model, world._data)
             expected = np.zeros(3)
             expected[index] = 0.3
             np.testing.assert_allclose(world.roll_pitch_yaw, expected, atol=1e-12)
@@ -120,14 +120,17 @@ def test_the_ego_camera_goes_along_with_the_trunk(go1, flat):
 
 def fresh_forces(world):
     """Solve the present state again, apart from the world, and read all forces."""
-    other = mujoco.MjData(world.model)
-    size = mujoco.mj_stateSize(world.model, mujoco.mjtState.mjSTATE_INTEGRATION)
+    other = mujoco.MjData(world._model)
+    size = mujoco.mj_stateSize(world._model, mujoco.mjtState.mjSTATE_INTEGRATION)
     state = np.zeros(size)
-    mujoco.mj_getState(world.model, world.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-    mujoco.mj_setState(world.model, other, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-    mujoco.mj_forward(world.model, other)
+    mujoco.mj_getState(world._model, world._data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+    mujoco.mj_setState(world._model, other, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+    mujoco.mj_forward(world._model, other)
     reader = ContactForces(
-        world.model, world.robot.feet, in_contact_frames=world.protocol is NEVERWHERE_2026
+        world._model,
+        world.robot,
+        world.robot.feet,
+        in_contact_frames=world.protocol is NEVERWHERE_2026,
     )
     return reader.read(other)
 
@@ -170,8 +173,8 @@ def test_joint_defaults_drag_the_free_joint_only_in_the_published_protocol(go1, 
     def speed_after_flight(protocol):
         with World(go1, flat, protocol=protocol) as world:
             world.reset(position=(0, 0, 3.0), yaw=0.0)
-            world.data.qvel[0] = 1.0
-            mujoco.mj_forward(world.model, world.data)
+            world._data.qvel[0] = 1.0
+            mujoco.mj_forward(world._model, world._data)
             start = world.center_of_mass
             for _ in range(10):
                 world.step(go1.default_pose)
@@ -189,7 +192,7 @@ def test_a_contact_has_the_published_margin_and_the_larger_friction(go1, flat):
     with World(go1, flat) as world:
         for _ in range(50):
             world.step(go1.default_pose)
-        contact = world.data.contact
+        contact = world._data.contact
         assert len(contact.geom) == 4
         np.testing.assert_allclose(contact.includemargin, 0.001, rtol=1e-12)
         np.testing.assert_array_equal(contact.friction, [[1.25, 1.25, 0.3, 0.3, 0.3]] * 4)
@@ -200,7 +203,7 @@ def test_a_friction_override_holds_even_below_that_of_the_feet(go1, place):
     with World(go1, scene, friction=0.4) as world:
         for _ in range(50):
             world.step(go1.default_pose)
-        friction = world.data.contact.friction
+        friction = world._data.contact.friction
         assert len(friction) >= 4
         np.testing.assert_array_equal(friction[:, :2], 0.4)
         np.testing.assert_array_equal(friction[:, 2:], 0.3)
@@ -208,7 +211,7 @@ def test_a_friction_override_holds_even_below_that_of_the_feet(go1, place):
 
 def test_a_payload_is_carried(go1, flat):
     with World(go1, flat, payload=2.0) as world:
-        assert world.model.body_mass.sum() == pytest.approx(12.985904 + 2.0)
+        assert world._model.body_mass.sum() == pytest.approx(12.985904 + 2.0)
         for _ in range(1000):
             world.step(go1.default_pose)
         assert world.foot_forces().sum() == pytest.approx(WEIGHT + 2.0 * 9.806, rel=0.02)
@@ -233,7 +236,7 @@ def test_servo_overrides_reach_every_joint(go1, flat):
         friction_loss=0.01 * rows,
     )
     with World(go1, flat, actuators=actuators) as world:
-        model = world.model
+        model = world._model
         np.testing.assert_array_equal(model.actuator_gainprm[:, 0], 30 + rows)
         np.testing.assert_array_equal(model.actuator_biasprm[:, 1], -30 - rows)
         np.testing.assert_array_equal(model.actuator_forcerange[:, 1], 10 + rows)
@@ -268,7 +271,7 @@ def test_legs_collide_with_each_other(go1, flat):
         met = set()
         for _ in range(20):
             world.step(pose)
-            names = [world.model.geom(g).name for g in world.data.contact.geom.ravel()]
+            names = [world._model.geom(g).name for g in world._data.contact.geom.ravel()]
             met |= {tuple(sorted(pair)) for pair in zip(names[::2], names[1::2], strict=True)}
         assert any({a[:2], b[:2]} == {"FR", "FL"} for a, b in met)
 
@@ -285,7 +288,7 @@ def test_diverged_physics_is_an_error_and_leaves_no_file(go1, flat, tmp_path, mo
     monkeypatch.chdir(tmp_path)
     with World(go1, flat) as world:
         world.step(go1.default_pose)
-        world.data.qvel[0] = 1e12
+        world._data.qvel[0] = 1e12
         with pytest.raises(
             TrialError, match=r"physics failed at .* s: .* is NaN, infinite or huge"
         ):

@@ -72,7 +72,7 @@ def test_a_push_moves_the_robot_its_own_way(stage):
     yaw = world.roll_pitch_yaw[2]
     before = world.trunk_linear_velocity.copy()
     stage.push(0.0, 0.7)
-    added = world.data.qvel[:2] - before[:2]
+    added = world._data.qvel[:2] - before[:2]
     np.testing.assert_allclose(added, [-0.7 * np.sin(yaw), 0.7 * np.cos(yaw)], atol=1e-9)
     assert stage.pushed == pytest.approx(0.7)
 

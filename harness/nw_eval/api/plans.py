@@ -8,7 +8,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 from nw_eval.api.banks import check_rounds, wanted_bank
 from nw_eval.clean import clean
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from nw_eval.policies import Bundle
     from nw_eval.results.bank import Against, Stratum
     from nw_eval.results.provenance import PolicyInfo
+    from nw_eval.robots import FoundRobot
     from nw_eval.scenes import Scene
     from nw_eval.scenes.finding import SceneFinding
     from nw_eval.suite import Draft, Suite, Trial
@@ -95,13 +96,16 @@ def plan_of(
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.prepare import check_splats
     from nw_eval.engine.provenance import policy_info
-    from nw_eval.suite import expand, override
+    from nw_eval.suite import expand, override, with_robot
     from nw_eval.suite.model import plugin_faults
 
-    suite = None if draft.suite is None else override(draft.suite, request)
     faults = Faults(draft)
+    robot = _robot_of(draft, faults, request)
+    suite = None if draft.suite is None else override(draft.suite, request)
     if suite is not None:
         faults.extend(plugin_faults(suite))
+        if robot is not None:
+            suite = with_robot(suite, robot.reference)
     if own_policy is None:
         own_policy = bundle is None and _is_own_policy(draft, request)
     # A process of its own reads the bank, for no longer than an interrupt can wait.
@@ -113,9 +117,9 @@ def plan_of(
         for place in found:
             _ = place.scene.digest  # Kept; what looks at the policy is still starting.
         if bundle is None:
-            bundle = open_policy(draft, faults, request, card=card, may_fail=may_fail)
+            bundle = open_policy(draft, faults, request, robot=robot, card=card, may_fail=may_fail)
         else:
-            bundle = _vet_policy(draft, faults, request, bundle, may_fail=may_fail)
+            bundle = _vet_policy(draft, faults, request, bundle, robot=robot, may_fail=may_fail)
     faults.raise_any()
     assert suite is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"
@@ -144,6 +148,7 @@ def plan_of(
         shard=shard,
         against=against,
         arm=arm,
+        robot_folder=None if robot is None else robot.folder,
     )
     return resolved if against is None else _matched(resolved, against)
 
@@ -444,8 +449,34 @@ def _refused(scene: str, finding: SceneFinding) -> NwEvalError:
     return SceneError(f"scene {clean(scene, at_most=100)}: {finding.message}", fix=finding.fix)
 
 
+def _robot_of(draft: Draft, faults: Faults, request: Request) -> FoundRobot | None:
+    """Return the robot of a request or else of the suite; None if there is none."""
+    from nw_eval.errors import RobotError, UsageError
+    from nw_eval.robots import find_robot
+
+    own = draft.text("robot")
+    try:
+        if request.robot is not None:
+            return find_robot(request.robot)
+        return None if own is None else find_robot(own, draft.base)
+    except RobotError as error:
+        faults.add(error)
+    except UsageError as error:
+        if request.robot is not None:
+            faults.add(UsageError(f"--robot: {error.message}", fix=error.fix))
+        else:
+            faults.at(("robot",), error)
+    return None
+
+
 def open_policy(
-    draft: Draft, faults: Faults, request: Request, *, card: Path | None, may_fail: bool
+    draft: Draft,
+    faults: Faults,
+    request: Request,
+    *,
+    robot: FoundRobot | None,
+    card: Path | None,
+    may_fail: bool,
 ) -> Bundle | None:
     """Return the policy of a request or else of the suite, checked; None if it cannot be used.
 
@@ -453,6 +484,7 @@ def open_policy(
         draft: the suite.
         faults: where to tell what is wrong.
         request: what is asked for in place of the suite's own.
+        robot: that the suite runs; None = its own fault is told already.
         card: where the policy lies, if that is known.
         may_fail: as for `vet_bundle`.
     """
@@ -476,7 +508,7 @@ def open_policy(
     except NwEvalError as error:
         faults.add(error)
         return None
-    return _vet_policy(draft, faults, request, bundle, may_fail=may_fail)
+    return _vet_policy(draft, faults, request, bundle, robot=robot, may_fail=may_fail)
 
 
 def _is_own_policy(draft: Draft, request: Request) -> bool:
@@ -504,7 +536,13 @@ def _is_own_policy(draft: Draft, request: Request) -> bool:
 
 
 def _vet_policy(
-    draft: Draft, faults: Faults, request: Request, bundle: Bundle, *, may_fail: bool
+    draft: Draft,
+    faults: Faults,
+    request: Request,
+    bundle: Bundle,
+    *,
+    robot: FoundRobot | None,
+    may_fail: bool,
 ) -> Bundle | None:
     """Return a policy that is loaded already, checked; None if it cannot be used.
 
@@ -513,17 +551,16 @@ def _vet_policy(
         faults: where to tell what is wrong.
         request: what is asked for in place of the suite's own.
         bundle: the policy.
+        robot: that the suite runs; None = its own fault is told already.
         may_fail: as for `vet_bundle`.
     """
     from nw_eval.protocol import PROTOCOLS, STRICT
     from nw_eval.rollout.confined.vetting import vet_bundle
-    from nw_eval.words import Robot
 
     try:
-        robot = _known(draft.text("robot"), Robot) if request.robot is None else request.robot
         return vet_bundle(
             bundle,
-            robot or bundle.card.robot,
+            bundle.card.robot if robot is None else robot.reference,
             protocol=PROTOCOLS.get(draft.text("protocol") or "", STRICT),
             allow_code=request.allow_code,
             may_fail=may_fail,
@@ -531,11 +568,6 @@ def _vet_policy(
     except NwEvalError as error:
         faults.add(error)
         return None
-
-
-def _known(word: str | None, words: Any) -> str | None:
-    """Return a word of the suite's if it is a valid one; its own fault is told already."""
-    return word if word in get_args(words) else None
 
 
 def _from_base(base: Path, policy: str) -> str:

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from nw_eval.scenes.finding import SceneFinding
     from nw_eval.scenes.overview import SceneFigures
     from nw_eval.survey import Survey
-    from nw_eval.words import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +99,7 @@ def show_scene(reference: str, *, out: Path | None = None) -> SceneFigures:
 def check_scenes(
     references: Sequence[str],
     *,
-    robot: Robot = "go1",
+    robot: str = "go1",
     suite: Path | None = None,
     policy: str | None = None,
 ) -> tuple[CheckedScene, ...]:
@@ -140,7 +139,7 @@ def check_scenes(
     return tuple(checked)
 
 
-def _write_suite(path: Path, references: Sequence[str], robot: Robot, policy: str | None) -> None:
+def _write_suite(path: Path, references: Sequence[str], robot: str, policy: str | None) -> None:
     """Write a suite of scenes; paths in it start from its own folder."""
     from nw_eval.catalogue import from_folder
     from nw_eval.suite.written import write_ready_suite

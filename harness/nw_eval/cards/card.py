@@ -52,7 +52,7 @@ class Card(CardModel):
     """The ranges of velocities that the training commanded: lin_vel_x, lin_vel_y (m/s), ang_vel_z
     (rad/s). `policies check` commands no others; no part of the digest."""
     robot: str
-    """The robot that the policy drives: go1 or go2."""
+    """The name of the robot that the policy drives: go1, go2, or another."""
     adapter: Adapter
     """How the checkpoint is run; `zero` has none and answers every observation with zeros, `remote`
     has it on a server, `python:package.module:Class` is code and needs --allow-code."""

@@ -27,13 +27,13 @@ class JointControl:
     """What a card says about actions, as arrays in the policy's joint order."""
 
     order: NDArray[np.intp]
-    """(12,) for each joint of the policy, its index among the robot's joints."""
+    """(J,) for each joint of the policy, its index among the robot's joints."""
     default_pose: NDArray[np.float64]
-    """(12,) rad."""
+    """(J,) rad."""
     base: NDArray[np.float64]
-    """(12,) rad, the target of action 0: the default pose, or zeros for absolute actions."""
+    """(J,) rad, the target of action 0: the default pose, or zeros for absolute actions."""
     scale: NDArray[np.float64]
-    """(12,) rad, or N m, for each unit of action."""
+    """(J,) rad, or N m, for each unit of action."""
     low: float
     high: float
     """Limits of the raw action."""
@@ -69,9 +69,9 @@ class JointControl:
         """Return what the motors are told, in the robot's order: joint targets in rad, or N m.
 
         Args:
-            action: raw action in the policy's order, (12,).
+            action: raw action in the policy's order, (J,).
         """
-        # Right after a network has run, twelve plain numbers cost 4 us and NumPy's calls 6.
+        # Right after a network has run, a few plain numbers cost 4 us and NumPy's calls 6.
         own: list[float] = action.tolist()
         low, high = self.low, self.high
         return np.array(
@@ -92,22 +92,22 @@ def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float6
     """Return what a card overrides of a robot's motors, or None if it overrides nothing.
 
     Returns:
-        kp, kd, torque_limits, armature, friction_loss: (12,) each in the robot's joint order, the
+        kp, kd, torque_limits, armature, friction_loss: (J,) each in the robot's joint order, the
         keyword arguments of `sim.Actuators`. Motors of torques have no damping of their own.
 
     Raises:
         PolicyError: a joint is unknown, a list has another length, or a value is negative.
     """
     control = card.control
-    damping = 0.0 if control.action == "joint_torque" else robot.joint_damping
-    overrides: dict[str, tuple[PerJoint | None, tuple[float, ...]]] = {
-        "kp": (control.kp, (robot.kp,) * len(robot.joints)),
-        "kd": (control.kd, (damping,) * len(robot.joints)),
-        "torque_limits": (control.torque_limits, robot.torque_limits),
-        "armature": (control.armature, (robot.armature,) * len(robot.joints)),
-        "friction_loss": (control.friction_loss, (robot.friction_loss,) * len(robot.joints)),
-    }
     torques = control.action == "joint_torque"
+    damping = (0.0,) * len(robot.joints) if torques else robot.joint_damping
+    overrides: dict[str, tuple[PerJoint | None, tuple[float, ...]]] = {
+        "kp": (control.kp, robot.kp),
+        "kd": (control.kd, damping),
+        "torque_limits": (control.torque_limits, robot.torque_limits),
+        "armature": (control.armature, robot.armature),
+        "friction_loss": (control.friction_loss, robot.friction_loss),
+    }
     if not torques and all(value is None for value, _ in overrides.values()):
         return None
     order = _named("joints", lambda: joint_order(control.joints or robot.joints, robot.joints))

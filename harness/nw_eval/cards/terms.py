@@ -5,13 +5,15 @@ A term's numbers are `clip(value) * scale + offset`, in SI units and radians bef
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, assert_never
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from nw_eval.cards.model import CardModel, Limits
+from nw_eval.errors import PolicyError, nearest
 
-Foot = Literal["FR", "FL", "RR", "RL"]
+Foot = Annotated[str, Field(min_length=1, max_length=100)]
 
 EARLIER_OUTPUTS = 4
 """How many outputs before the last one a card can ask for."""
@@ -142,11 +144,16 @@ class LastOutput(_FedBack):
 
 
 class FootContacts(_Term):
-    """1 for a foot on the ground (force over 2 N), 0 for one in the air (4)."""
+    """1 for a foot on the ground (force over 2 N), 0 for one in the air: one for each foot."""
 
     term: Literal["foot_contacts"]
-    feet: tuple[Foot, Foot, Foot, Foot] = ("FR", "FL", "RR", "RL")
-    """The order of the feet."""
+    feet: Annotated[tuple[Foot, ...], Field(min_length=1, max_length=100)] = (
+        "FR",
+        "FL",
+        "RR",
+        "RL",
+    )
+    """The feet that are seen, in their order, by the robot's names of them."""
     filter: Literal["two_steps", "none"] = "two_steps"
     """`two_steps`: on the ground now or one control step ago. `none`: now."""
 
@@ -243,7 +250,19 @@ AnyTerm = (
 Term = Annotated[Annotated[AnyTerm, Field(discriminator="term")], BeforeValidator(_bare_word)]
 
 
-def term_size(term: AnyTerm, joints: int = 12) -> int:
+def check_feet(term: FootContacts, feet: Sequence[str]) -> None:
+    """Check that a robot with `feet` has those of a term.
+
+    Raises:
+        PolicyError: it does not.
+    """
+    for foot in term.feet:
+        if foot not in feet:
+            known = nearest(foot, feet)
+            raise PolicyError(f"foot_contacts: the robot has no foot {foot!r}", fix=known)
+
+
+def term_size(term: AnyTerm, joints: int) -> int:
     """Return how many numbers a term has on a robot with `joints` joints."""
     match term:
         case AngularVelocity() | LinearVelocity() | Gravity() | Imu() | Acceleration() | Command():

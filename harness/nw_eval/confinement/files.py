@@ -94,6 +94,14 @@ FILES: tuple[StrangersFile, ...] = (
         refused="paths that leave its folder, numbers out of bounds, sizes over the limits",
     ),
     StrangersFile(
+        kind="robot: YAML, MJCF or URDF, meshes",
+        read_by="readers of our own, trimesh; MuJoCo's compiler gets one text without paths",
+        where="both",
+        may="be a body that physics simulates",
+        refused="elements that are not a body's, paths that leave its folder, sizes over the "
+        "limits",
+    ),
+    StrangersFile(
         kind="splat: PLY, SPZ, SPLAT, gsplat PT",
         read_by="NumPy; torch with `weights_only` for PT",
         where="the main process",

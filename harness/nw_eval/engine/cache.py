@@ -67,7 +67,7 @@ FORMAT = 1
 # digests.
 _LABELS = frozenset({"suite", "scene", "tier", "place"})
 _CIRCUMSTANCE = frozenset(
-    {"trial", "scene", "policy", "policy_name", "checkpoint"}
+    {"trial", "scene", "policy", "policy_name", "checkpoint", "robot_folder"}
     | {"allow_code", "attachments", "mcap", "time_limit"}
 )
 

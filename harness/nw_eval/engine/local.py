@@ -21,6 +21,7 @@ from nw_eval.engine.worker import UnstartedError, WorkerProcess, WorkerStart
 from nw_eval.engine.workers import Finished
 from nw_eval.errors import PrerequisiteError, TrialError
 from nw_eval.policies import load_bundle
+from nw_eval.robots import know_robot
 from nw_eval.rollout.confined.access import policy_rules, running_rules
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ class LocalProcesses:
                 fix="drop it, or run on Linux with /proc",
             )
         job = jobs[0]
+        know_robot(job.robot, job.robot_folder)
         bundle = load_bundle(job.policy, checkpoint=job.checkpoint)
         rules = running_rules(
             bundle,
@@ -78,6 +80,7 @@ class LocalProcesses:
             logs=folder.logs,
             allow_code=job.allow_code,
             render=job.render,
+            also=() if job.robot_folder is None else (job.robot_folder,),
         )
         policy = policy_rules(bundle)
         draws = any(needs_splats(bundle.card, each.record) for each in jobs)

@@ -13,6 +13,8 @@ from nw_eval.rollout.record import attachments
 from nw_eval.suite import suite_yaml
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from nw_eval.catalogue import FoundScene
     from nw_eval.policies import Bundle
     from nw_eval.request import Request
@@ -67,6 +69,8 @@ class Plan:
     drawn: DrawnOrder | None = None
     """Whose order the trials are in, if not in one of the policy's own."""
     arm: Arm = "candidate"
+    robot_folder: Path | None = None
+    """Where the suite's robot lies, if that is a folder."""
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
@@ -148,6 +152,7 @@ def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
         TrialJob(
             trial=trial,
             robot=suite.robot,
+            robot_folder=plan.robot_folder,
             protocol=suite.protocol,
             task=suite.task,
             scores=suite.measured,

@@ -90,6 +90,9 @@ class Outgoing:
         if checkpoint is not None:
             name = checkpoint.name
             yield self._packed({name: checkpoint}, reference=str(checkpoint), entry=name)
+        if plan.robot_folder is not None:
+            files = _all_below(plan.robot_folder)
+            yield self._packed(files, reference=str(plan.robot_folder))
         for found in plan.found:
             own = scene_files(found.reference)
             if own is not None:

@@ -152,6 +152,7 @@ def _at_home(job: TrialJob, places: Mapping[str, str]) -> TrialJob:
         scene=places.get(job.scene, job.scene),
         policy=places.get(job.policy, job.policy),
         checkpoint=checkpoint,
+        robot_folder=None if job.robot_folder is None else here(job.robot_folder, places),
     )
 
 

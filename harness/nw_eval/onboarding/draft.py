@@ -382,10 +382,10 @@ def _pose_and_gains(
         if values := getattr(known, field):
             lines.append(f"  {name}: {one_or_list(values)}{_from(known, field)}")
         elif name in theirs:
-            note = f"{of} the {robot.name}'s own is {number(own)}"
+            note = f"{of} the {robot.name}'s own is {_motors(robot, own)}"
             lines.append(f"  {name}: {theirs[name]}  {note}")
         else:
-            lines.append(f"  {name}: {number(own)}  {CHECK} the {robot.name}'s own")
+            lines.append(f"  {name}: {_motors(robot, own)}  {CHECK} the {robot.name}'s own")
     rounded = {"default_joint_pos", "joint_stiffness"} - set(known.sources)
     if any(getattr(known, field) for field in rounded):
         lines.append("  # The exporter rounds these numbers to three decimals.")
@@ -396,8 +396,8 @@ def _motor_limits(known: ExporterMetadata, robot: RobotSpec) -> list[str]:
     lines: list[str] = []
     for name, values, own, unit in (
         ("torque_limits", known.torque_limits, _by_joint(robot, robot.torque_limits), "N m"),
-        ("armature", known.armature, number(robot.armature), "kg m^2"),
-        ("friction_loss", (), number(robot.friction_loss), "N m"),
+        ("armature", known.armature, _motors(robot, robot.armature), "kg m^2"),
+        ("friction_loss", (), _motors(robot, robot.friction_loss), "N m"),
     ):
         if values:
             lines.append(f"  {name}: {one_or_list(values)}{_from(known, name)}")
@@ -434,6 +434,11 @@ def _joints(known: ExporterMetadata, robot: RobotSpec, frame: Frame | None) -> l
     if frame is not None and frame.joints:
         return [f"  joints: {published(frame, robot)['joints']}  {CHECK} as {frame.name}"]
     return [f"  joints: [{', '.join(own)}]  {CHECK} the order of the checkpoint"]
+
+
+def _motors(robot: RobotSpec, values: Sequence[float]) -> str:
+    """Return values as one number where all joints have it, else as a mapping."""
+    return number(values[0]) if len(set(values)) == 1 else _by_joint(robot, values)
 
 
 def _by_joint(robot: RobotSpec, values: Sequence[float]) -> str:

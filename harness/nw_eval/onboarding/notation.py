@@ -149,7 +149,11 @@ def per_joint(names: Sequence[str], values: Sequence[float]) -> PerJoint:
     if len(set(plain)) == 1:
         return plain[0]
     written: dict[str, float] = {}
-    for kind in dict.fromkeys(name.rsplit("_", 1)[-1] for name in names):
-        own = {n: v for n, v in zip(names, plain, strict=True) if n.endswith(f"_{kind}")}
+    for kind in dict.fromkeys(map(_kind, names)):
+        own = {n: v for n, v in zip(names, plain, strict=True) if _kind(n) == kind}
         written |= {kind: next(iter(own.values()))} if len(set(own.values())) == 1 else own
     return written
+
+
+def _kind(name: str) -> str:
+    return name.rsplit("_", 1)[-1]

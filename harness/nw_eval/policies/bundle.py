@@ -26,6 +26,7 @@ from nw_eval.files.inside import OutsideError, inside, regular, what_is
 from nw_eval.files.shipped import available, shipped
 from nw_eval.plugins import SENSORS, WRAPPERS, identity_of, is_code, key_of
 from nw_eval.policies.computes import computed_digest
+from nw_eval.robots import get_robot
 
 if TYPE_CHECKING:
     from nw_eval.hub.fetched import Fetched
@@ -232,6 +233,17 @@ class Bundle:
                 if not is_code(name):
                     found[key_of(group, name)] = identity_of(group, name)
         return dict(sorted(found.items()))
+
+    @property
+    def joints(self) -> int:
+        """How many joints the card's robot has, and numbers an action.
+
+        A process that is sent the bundle is sent them, too, and need not find the robot.
+
+        Raises:
+            UsageError: there is no such robot.
+        """
+        return len(get_robot(self.card.robot).joints)
 
     def read_checkpoint(self) -> bytes:
         """Return the bytes of the weights, verified again: what is loaded is what was checked.

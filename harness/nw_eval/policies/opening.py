@@ -13,7 +13,6 @@ from nw_eval.policies.apart import ApartPolicy, current_line
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.policy import Observation, Policy
-from nw_eval.robots import get_robot
 
 PROGRAMS = frozenset({"torchscript", "torch-export"})
 """Adapters whose files are programs: torch runs whatever they say."""
@@ -32,7 +31,7 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
     """
     line = current_line()
     if line is not None and bundle.card.adapter != "zero":
-        joints = len(get_robot(bundle.card.robot).joints)
+        joints = bundle.joints
         return ApartPolicy(bundle, line, joints=joints, allow_code=allow_code)
     policy = _open_checkpoint(bundle, allow_code=allow_code)
     if bundle.card.networks:
@@ -46,7 +45,7 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
 
 def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
     """Open a bundle's own checkpoint, without the networks that feed it."""
-    joints = len(get_robot(bundle.card.robot).joints)
+    joints = bundle.joints
     adapter = bundle.card.adapter
     if not is_built_in(adapter):
         from nw_eval.policies.python_code import PythonPolicy

@@ -22,7 +22,6 @@ from nw_eval.errors import PolicyError, PrerequisiteError, ServerError, TrialErr
 from nw_eval.policies.apart import AskedPolicy, Served
 from nw_eval.policies.bundle import NOTHING, Bundle, read_options
 from nw_eval.policies.wire import MESSAGE_LIMIT, PROTOCOL, WAITING, decode, encode
-from nw_eval.robots import get_robot
 
 try:
     from websockets.exceptions import (
@@ -62,7 +61,7 @@ def ask_server(bundle: Bundle) -> Served:
     Raises:
         PolicyError: as `RemotePolicy`.
     """
-    joints = len(get_robot(bundle.card.robot).joints)
+    joints = bundle.joints
     with closing(RemotePolicy(bundle, joints=joints)) as policy:
         assert policy.served is not None, "it was asked"
         return policy.served

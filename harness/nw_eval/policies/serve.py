@@ -25,7 +25,6 @@ from nw_eval.policies.opening import open_policy
 from nw_eval.policies.policy import Policy
 from nw_eval.policies.policy_process import CALLS, respond
 from nw_eval.policies.wire import MESSAGE_LIMIT, PROTOCOL, WAITING, decode, encode
-from nw_eval.robots import get_robot
 
 if TYPE_CHECKING:
     from websockets.http11 import Request, Response
@@ -96,7 +95,7 @@ def serving(
         "protocol": PROTOCOL,
         "policy": bundle.name,
         "digest": bundle.digest,
-        "joints": len(get_robot(bundle.card.robot).joints),
+        "joints": bundle.joints,
         "observations": {name: (shapes or {}).get(name) for name in bundle.card.observations},
         "control": bundle.card.control.model_dump(mode="json"),
     }

@@ -53,6 +53,7 @@ def try_bundle(
         PolicyError: a file cannot be opened, wants another number of values than the card makes, or
             fails on zeros.
     """
+    _ = bundle.joints  # The policy's process may not read the robot's files.
     arguments: dict[str, Any] = {
         "bundle": bundle,
         "shown": tuple(shown),

@@ -135,7 +135,14 @@ class Row:
         float,
         Column("simulated s with head or trunk in contact", added=True),
     ] = 0.0
-    robot: Annotated[str, Column("which robot: go1, go2", repeats=True, of_the_plan=True)]
+    robot: Annotated[
+        str,
+        Column(
+            "which robot: its name, and `@` with its identity if it is not built in",
+            repeats=True,
+            of_the_plan=True,
+        ),
+    ]
     tier: Annotated[
         Tier,
         Column("how much the scene counts: critical, supporting, informational", of_the_plan=True),

@@ -1,11 +1,14 @@
-"""Robots: one frozen specification each, with MJCF of our own written from published figures."""
+"""Robots: one frozen specification each, built in, of an installed package, or of a folder."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
-from nw_eval.errors import UsageError, nearest
+from nw_eval.errors import RobotError, UsageError, nearest
+from nw_eval.plugins import ROBOTS, identity_of, installed, subject
 from nw_eval.robots.go1 import go1
 from nw_eval.robots.go2 import go2
 from nw_eval.robots.spec import CameraMount, RobotSpec, Shape
@@ -13,27 +16,211 @@ from nw_eval.robots.spec import CameraMount, RobotSpec, Shape
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-
-__all__ = ["CameraMount", "RobotSpec", "Shape", "get_robot", "robot_names"]
+__all__ = [
+    "BUILT_IN",
+    "CameraMount",
+    "FoundRobot",
+    "RobotSpec",
+    "Shape",
+    "find_robot",
+    "get_robot",
+    "know_robot",
+    "robot_names",
+]
 
 _BUILDERS: dict[str, Callable[[], RobotSpec]] = {"go1": go1, "go2": go2}
 
+BUILT_IN = tuple(sorted(_BUILDERS))
+"""Names of the robots that nw-eval comes with."""
+
+_FOLDER = "robots"
+"""Of a project, in which folders of robots are found by name."""
+_DIGITS = 32
+"""Hex digits of a folder's digest in a reference: 128 bits."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FoundRobot:
+    """A robot, and what tells it from another of the same name.
+
+    Attributes:
+        spec: the robot.
+        identity: empty for a built-in one; of a folder 32 hex digits of the SHA-256 of its files;
+            of an installed package `package-version-` and 32 hex digits of its code's.
+        folder: where it lies; None = nowhere that files could be sent from.
+    """
+
+    spec: RobotSpec
+    identity: str = ""
+    folder: Path | None = None
+
+    @property
+    def reference(self) -> str:
+        """What suites, jobs and rows call it: its name, with `@` and its identity if it has one."""
+        return f"{self.spec.name}@{self.identity}" if self.identity else self.spec.name
+
+
+_folders: dict[str, Path] = {}
+"""Folders of robots that this process was told of, by name: see `know_robot`."""
+
 
 def robot_names() -> tuple[str, ...]:
-    """Return the names that `get_robot` knows, sorted."""
-    return tuple(sorted(_BUILDERS))
+    """Return the names that can be asked for here, sorted.
+
+    They are those of built-in robots, of installed packages, of the folders in `robots/` of the
+    working directory, and of folders that were found by their paths before.
+    """
+    here = (path.parent.name for path in Path.cwd().glob(f"{_FOLDER}/*/robot.yaml"))
+    return tuple(sorted({*BUILT_IN, *installed(ROBOTS), *here, *_folders}))
+
+
+def get_robot(reference: str) -> RobotSpec:
+    """Return a robot.
+
+    Args:
+        reference: as for `find_robot`.
+
+    Raises:
+        UsageError: as `find_robot`.
+    """
+    return find_robot(reference).spec
+
+
+def find_robot(reference: str, base: Path | None = None) -> FoundRobot:
+    """Find a robot by name or by path.
+
+    A name is one of a built-in robot, then of a folder that was found before in this process, of a
+    folder in `robots/` of the working directory, or of an installed package. What has a slash is
+    the path of a folder.
+
+    Args:
+        reference: for example `go1`, `./my-robot`, or `name@identity` as `FoundRobot.reference`.
+        base: folder that a relative path starts from, by default the working directory.
+
+    Raises:
+        UsageError: there is no such robot; the message holds the nearest name.
+        RobotError: its folder or package cannot be used, or has another identity.
+    """
+    if "/" in reference or reference in {".", ".."}:
+        return _of_folder(Path(base or Path.cwd(), reference))
+    name, _, identity = reference.partition("@")
+    found = _named(name)
+    if identity and found.identity != identity:
+        where = f" in {found.folder}" if found.folder is not None else ""
+        raise RobotError(
+            f"the robot {name!r}{where} is {found.identity or 'built in'}, {identity} is meant",
+            fix="name the folder that is meant with --robot, or install that version",
+        )
+    return found
+
+
+def know_robot(reference: str, folder: Path | None) -> None:
+    """Let `get_robot` find a robot by name in this process.
+
+    Args:
+        reference: as `FoundRobot.reference`.
+        folder: where it lies; None = it is found by its name anyway.
+    """
+    if folder is not None:
+        _folders[reference.partition("@")[0]] = folder
+
+
+def _named(name: str) -> FoundRobot:
+    if name in _BUILDERS:
+        return FoundRobot(spec=_built_in(name))
+    folder = _folders.get(name, Path.cwd() / _FOLDER / name)
+    if name in _folders or (folder / "robot.yaml").is_file():
+        return _of_folder(folder)
+    if name in installed(ROBOTS):
+        return _of_package(name)
+    known = robot_names()
+    raise UsageError(
+        f"unknown robot {name!r}",
+        fix=f"{nearest(name, known)}, or put its folder into {_FOLDER}/, or name its path",
+    )
 
 
 @cache
-def get_robot(name: str) -> RobotSpec:
-    """Return the robot of that name.
+def _built_in(name: str) -> RobotSpec:
+    return _BUILDERS[name]()
+
+
+def _of_folder(folder: Path, *, is_known: bool = True) -> FoundRobot:
+    """Return the robot of a folder; it is read again where a file of it has changed.
 
     Args:
-        name: for example `go1`.
-
-    Raises:
-        UsageError: no robot has that name; the message holds the nearest one.
+        folder: with a robot.yaml.
+        is_known: whether its name means this folder from now on.
     """
-    if name not in _BUILDERS:
-        raise UsageError(f"unknown robot {name!r}", fix=nearest(name, _BUILDERS))
-    return _BUILDERS[name]()
+    folder = folder.resolve()
+    before = _read.get(folder)
+    if before is None or _stamps(folder, before.files) != before.stamps:
+        # The library of meshes and MuJoCo's compiler are for folders alone.
+        from nw_eval.robots.derived import spec_of
+        from nw_eval.robots.folder import read_folder
+
+        read = read_folder(folder)
+        if read.settings.name in BUILT_IN:
+            message = f"name: {read.settings.name!r} is built in"
+            raise RobotError([read.file.problem(("name",), message, "give another name")])
+        stamps = _stamps(folder, read.files)
+        found = FoundRobot(spec=spec_of(read), identity=read.digest[:_DIGITS], folder=folder)
+        before = _read[folder] = _Read(found, read.files, stamps)
+    if is_known:
+        _folders[before.found.spec.name] = folder
+    return before.found
+
+
+class _Read(NamedTuple):
+    """A folder that was read in this process."""
+
+    found: FoundRobot
+    files: tuple[str, ...]
+    stamps: tuple[tuple[int, int], ...]
+
+
+_read: dict[Path, _Read] = {}
+
+
+def _stamps(folder: Path, files: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
+    """Return when files were written last, ns, and their sizes; nothing where one is gone."""
+    try:
+        facts = [(folder / name).stat() for name in files]
+    except OSError:
+        return ()
+    return tuple((each.st_mtime_ns, each.st_size) for each in facts)
+
+
+@cache
+def _of_package(name: str) -> FoundRobot:
+    """Return the robot of an installed package.
+
+    Its entry point names a function that returns a `RobotSpec`, or the path of a robot's folder.
+    """
+    first, *others = installed(ROBOTS)[name]
+    if others:
+        raise RobotError(
+            f"{name!r} is claimed by two packages: {subject(first)} and {subject(others[0])}",
+            fix="uninstall one of them",
+        )
+    try:
+        value = first.load()
+        made = value() if callable(value) else value
+        found = made if isinstance(made, RobotSpec) else _of_folder(Path(str(made)), is_known=False)
+    except UsageError:
+        raise
+    except Exception as error:
+        raise RobotError(
+            f"{subject(first)} cannot be used: {type(error).__name__}: {error}",
+            fix="mend or uninstall that package",
+        ) from error
+    spec = found if isinstance(found, RobotSpec) else found.spec
+    if spec.name != name:
+        raise RobotError(
+            f"{subject(first)} is the robot {spec.name!r}", fix="give both the same name"
+        )
+    package, version, *code = identity_of(ROBOTS, name).split()
+    identity = "-".join((package, version, *(each[:_DIGITS] for each in code)))
+    if not isinstance(found, RobotSpec):
+        identity += f"-{found.identity}"
+    return FoundRobot(spec=spec, identity=identity)

@@ -10,16 +10,18 @@ nothing.
 
 from __future__ import annotations
 
-from nw_eval.robots.mjcf import Attachment, Figures, Inertial, Leg, make_spec
+from nw_eval.robots.mjcf import LEGS, Attachment, Figures, Inertial, Leg, make_spec
 from nw_eval.robots.published import (
+    COLLIDED_FORCE,
     DEFAULT_POSE,
+    FELL_TILT,
     FOLLOWERS,
     SEGMENT,
     TRUNK,
     published_cameras,
     published_leg,
 )
-from nw_eval.robots.spec import LEGS, Z_TO_X, Z_TO_Y, Quaternion, RobotSpec, Shape
+from nw_eval.robots.spec import Z_TO_X, Z_TO_Y, Quaternion, RobotSpec, Shape
 
 _HEAD = (0.27, 0.0, 0.015)  # in the trunk; the camera looks out of its middle
 _HIP = (0.1881, 0.04675, 0.0)
@@ -299,8 +301,10 @@ FIGURES = Figures(
     geom_friction=(1.0, 0.3, 0.3),
     contact_margin=0.001,
     default_pose=DEFAULT_POSE,
-    monitored_geoms=("face", "trunk"),
-    published_monitored_geoms=("face",),
+    monitored=("face", "trunk"),
+    published_monitored=("face",),
+    fell_tilt=FELL_TILT,
+    collided_force=COLLIDED_FORCE,
     height_camera_offset=(-0.02443, -0.00170, 25.03206),
 )
 

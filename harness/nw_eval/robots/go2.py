@@ -12,16 +12,18 @@ from __future__ import annotations
 
 import math
 
-from nw_eval.robots.mjcf import Figures, Inertial, Leg, make_spec
+from nw_eval.robots.mjcf import LEGS, Figures, Inertial, Leg, make_spec
 from nw_eval.robots.published import (
+    COLLIDED_FORCE,
     DEFAULT_POSE,
+    FELL_TILT,
     FOLLOWERS,
     SEGMENT,
     TRUNK,
     published_cameras,
     published_leg,
 )
-from nw_eval.robots.spec import LEGS, Z_TO_X, Z_TO_Y, Quaternion, RobotSpec, Shape, Vector3
+from nw_eval.robots.spec import Z_TO_X, Z_TO_Y, Quaternion, RobotSpec, Shape, Vector3
 
 _EYE = (0.285, 0.0, 0.175)  # in the trunk; the release's camera stands above the head
 _HIP = (0.1934, 0.0465, 0.0)
@@ -356,8 +358,10 @@ FIGURES = Figures(
     geom_friction=(1.0, 0.3, 0.3),
     contact_margin=0.001,
     default_pose=DEFAULT_POSE,
-    monitored_geoms=("face_head", "face_dome", "base"),
-    published_monitored_geoms=("face_head", "face_dome", "base"),
+    monitored=("face_head", "face_dome", "base"),
+    published_monitored=("face_head", "face_dome", "base"),
+    fell_tilt=FELL_TILT,
+    collided_force=COLLIDED_FORCE,
     height_camera_offset=(-0.00341, -0.00162, 25.03764),
 )
 

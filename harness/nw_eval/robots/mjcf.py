@@ -13,12 +13,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from nw_eval.robots.spec import COLLISION_GROUP, JOINT_KINDS, LEGS, VISUAL_GROUP, RobotSpec, Shape
+from nw_eval.robots.spec import COLLISION_GROUP, VISUAL_GROUP, RobotSpec, Shape
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from nw_eval.robots.spec import CameraMount, Quaternion, Vector3
+
+LEGS = ("FR", "FL", "RR", "RL")
+JOINT_KINDS = ("hip", "thigh", "calf")
+TRUNK, ROOT_JOINT = "trunk", "root"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +84,7 @@ class Figures:
     name: str
     trunk: Inertial
     attachments: tuple[Attachment, ...]
-    legs: tuple[Leg, ...]  # in the order of `spec.LEGS`
+    legs: tuple[Leg, ...]  # in the order of `LEGS`
     collisions: tuple[Shape, ...]
     visuals: tuple[Shape, ...]
     cameras: dict[str, CameraMount]
@@ -94,27 +98,36 @@ class Figures:
     geom_friction: Vector3
     contact_margin: float  # m, of a pair of geoms
     default_pose: tuple[float, ...]  # rad, in the order of the joints
-    monitored_geoms: tuple[str, ...]
-    published_monitored_geoms: tuple[str, ...]
+    monitored: tuple[str, ...]  # geoms
+    published_monitored: tuple[str, ...]
+    fell_tilt: float
+    collided_force: float
     height_camera_offset: Vector3  # m, of the published height map's camera
 
 
 def make_spec(figures: Figures) -> RobotSpec:
     """Return the robot of those figures, its MJCF written."""
     links = [link for leg in figures.legs for link in (leg.hip, leg.thigh, leg.calf)]
+    count = len(links)
+    damping, armature, friction = figures.joint_damping, figures.armature, figures.friction_loss
     return RobotSpec(
         name=figures.name,
         joints=tuple(f"{leg}_{kind}_joint" for leg in LEGS for kind in JOINT_KINDS),
         default_pose=figures.default_pose,
         joint_ranges=tuple(link.range for link in links),
-        kp=figures.kp,
-        joint_damping=figures.joint_damping,
-        torque_limits=(figures.torque_limit,) * len(links),
-        armature=figures.armature,
-        friction_loss=figures.friction_loss,
+        kp=(figures.kp,) * count,
+        joint_damping=(damping,) * count,
+        torque_limits=(figures.torque_limit,) * count,
+        armature=(armature,) * count,
+        friction_loss=(friction,) * count,
+        root_joint=ROOT_JOINT,
+        touches="geom",
         feet=LEGS,
-        monitored_geoms=figures.monitored_geoms,
-        published_monitored_geoms=figures.published_monitored_geoms,
+        monitored=figures.monitored,
+        published_monitored=figures.published_monitored,
+        fell_tilt=figures.fell_tilt,
+        collided_force=figures.collided_force,
+        root_defaults=(damping, armature, friction),
         cameras=figures.cameras,
         height_camera_offset=figures.height_camera_offset,
         bodies=body_names(figures),
@@ -137,18 +150,18 @@ _DENSITY = 1000.0
 def write_mjcf(figures: Figures) -> str:
     """Return the robot of those figures as MJCF text.
 
-    The root joint is a free joint named `root` that takes none of the joint defaults; see
-    `sim.model` for the protocol under which it does.
+    The root joint is a free joint that takes none of the joint defaults; see `sim.model` for the
+    protocol under which it does.
     """
     root = Element("mujoco", model=figures.name)
     SubElement(root, "compiler", angle="radian", autolimits="true")
     _defaults(root, figures)
     world = SubElement(root, "worldbody")
     shapes = _by_body((*figures.collisions, *figures.visuals))
-    trunk = SubElement(world, "body", name="trunk", pos=_text((0, 0, figures.spawn_height)))
-    SubElement(trunk, "freejoint", name="root")
+    trunk = SubElement(world, "body", name=TRUNK, pos=_text((0, 0, figures.spawn_height)))
+    SubElement(trunk, "freejoint", name=ROOT_JOINT)
     _inertial(trunk, figures.trunk)
-    _geoms(trunk, shapes["trunk"])
+    _geoms(trunk, shapes[TRUNK])
     _cameras(trunk, figures)
     for attachment in figures.attachments:
         body = SubElement(trunk, "body", name=attachment.name, pos=_text(attachment.position))
@@ -163,7 +176,7 @@ def write_mjcf(figures: Figures) -> str:
 def body_names(figures: Figures) -> tuple[str, ...]:
     """Return every body of the robot, parents before children, in the order of the MJCF."""
     links = [f"{leg.name}_{kind}" for leg in figures.legs for kind in JOINT_KINDS]
-    return ("trunk", *(attachment.name for attachment in figures.attachments), *links)
+    return (TRUNK, *(attachment.name for attachment in figures.attachments), *links)
 
 
 def _defaults(root: Element, figures: Figures) -> None:

@@ -15,6 +15,12 @@ TRUNK = Inertial(
 )
 """The Go1's, which the authors copied to the Go2."""
 
+FELL_TILT = 1.2
+"""Radians of roll or pitch, beyond which it fell."""
+
+COLLIDED_FORCE = 10.0
+"""Newtons on one monitored geom, beyond which it collided."""
+
 SEGMENT = 0.213
 """Length of thigh and calf, metres."""
 
@@ -58,7 +64,7 @@ def published_leg(
     """Return a leg: the hip turns about x, thigh and calf about y.
 
     Args:
-        name: one of `spec.LEGS`.
+        name: one of `mjcf.LEGS`.
         hip: of the front left leg, in the trunk, metres.
         thigh_offset: of the thigh's joint from the hip's, outwards, metres.
         ranges: of hip, thigh and calf, rad.

@@ -1,8 +1,8 @@
 """What the rest of the house knows about a robot.
 
-Frames: the trunk frame has x forward, y left, z up. Camera frames follow OpenCV: x right, y down,
-z forward. Quaternions are w x y z. Joints, actuators and actions share one order, the order of
-`RobotSpec.joints`: FR, FL, RR, RL, and in each leg hip, thigh, calf.
+Frames: the trunk is the root body; its frame has x forward, y left, z up. Camera frames follow
+OpenCV: x right, y down, z forward. Quaternions are w x y z. Joints, actuators and actions share one
+order, the order of `RobotSpec.joints`.
 """
 
 from __future__ import annotations
@@ -21,10 +21,8 @@ Quaternion = tuple[float, float, float, float]
 Z_TO_X: Quaternion = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 Z_TO_Y: Quaternion = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
-LEGS = ("FR", "FL", "RR", "RL")
-JOINT_KINDS = ("hip", "thigh", "calf")
-
-# Geom groups of MuJoCo. Static geometry keeps group 0; rays for overlays see VISUAL_GROUP only.
+# Geom groups of MuJoCo; rays for overlays see VISUAL_GROUP only.
+STATIC_GROUP = 0  # of the scene
 VISUAL_GROUP = 2
 COLLISION_GROUP = 3
 
@@ -69,26 +67,46 @@ class CameraMount:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotSpec:
-    """A robot as policies, sensors and the simulation see it. SI units, radians."""
+    """A robot as policies, sensors and the simulation see it. SI units, radians.
+
+    Per-joint figures are in the order of `joints`, J of them. `feet` (F of them) and the monitored
+    parts are names of geoms or of bodies, as `touches` says. The force on a body is the sum over
+    its geoms, without contacts of the robot with itself; that on a geom counts every contact.
+    """
 
     name: str
-    joints: tuple[str, ...]  # 12 names
-    default_pose: tuple[float, ...]  # (12,) rad; what action 0 means
-    joint_ranges: tuple[tuple[float, float], ...]  # (12, 2) rad
-    kp: float  # N m / rad
-    joint_damping: float  # N m s / rad; the kd of the servo
-    torque_limits: tuple[float, ...]  # (12,) N m, symmetric
-    armature: float  # kg m^2
-    friction_loss: float  # N m
-    feet: tuple[str, ...]  # geom names, in leg order
-    monitored_geoms: tuple[str, ...]  # whose contact ends an episode
-    published_monitored_geoms: tuple[str, ...]  # the same under a protocol that watches those
+    joints: tuple[str, ...]  # J names
+    default_pose: tuple[float, ...]  # (J,) rad; what action 0 means
+    joint_ranges: tuple[tuple[float, float], ...]  # (J, 2) rad
+    kp: tuple[float, ...]  # (J,) N m / rad
+    joint_damping: tuple[float, ...]  # (J,) N m s / rad; the kd of the servos
+    torque_limits: tuple[float, ...]  # (J,) N m, symmetric
+    armature: tuple[float, ...]  # (J,) kg m^2
+    friction_loss: tuple[float, ...]  # (J,) N m
+    root_joint: str  # the free joint of the root body
+    touches: Literal["geom", "body"]  # what `feet` and the monitored parts are names of
+    feet: tuple[str, ...]  # F names; their order is that of foot contacts
+    monitored: tuple[str, ...]  # whose contact ends an episode
+    published_monitored: tuple[str, ...]  # the same under a protocol that watches those
+    fell_tilt: float  # rad of roll or pitch; beyond it the robot fell
+    fell_height: float | None = None  # m of the trunk above the ground; below it the robot fell
+    collided_force: float  # N on a monitored part; beyond it the robot collided
     cameras: dict[str, CameraMount]
     height_camera_offset: Vector3  # published scandots camera minus the centre of mass, m
-    bodies: tuple[str, ...]  # every body, trunk first, parents before children
+    # What the joint defaults of the published file put on the free joint, under a protocol that
+    # keeps it: damping (N s / m, N m s / rad), armature (kg, kg m^2), friction loss (N, N m).
+    root_defaults: Vector3 = (0.0, 0.0, 0.0)
+    bodies: tuple[str, ...]  # every body, the root first, parents before children
     visuals: tuple[Shape, ...]  # what a viewer draws, in body frames
     spawn_height: float  # m, trunk origin above the ground at the start
-    mjcf: str  # the model as MJCF text, without ground or options of the scene
+    # The model as MJCF text, without ground or options of the scene; one actuator a joint, of its
+    # name and in the order of `joints`.
+    mjcf: str
+
+    @property
+    def root(self) -> str:
+        """Name of the body that the free joint moves: the trunk."""
+        return self.bodies[0]
 
 
 def remounted(mount: CameraMount, *, pitch: float, height: float, factor: float) -> CameraMount:

@@ -241,7 +241,7 @@ class Episode:
             self.step += 1
             events = self.task.update(self.world)
             outcome = self.task.end()
-            self.state_digest.update(self.world.data.qpos, self.world.data.qvel)
+            self.state_digest.update(*self.world.coordinates())
             self.action_digest.update(decision.applied)
             if self._scores is not None:
                 self._scores.take(decision.targets)

@@ -18,7 +18,8 @@ class TrialJob:
     """
 
     trial: Trial
-    robot: str
+    robot: str  # what robots.get_robot understands
+    robot_folder: Path | None = None  # where it lies, if that is a folder
     protocol: Protocol = "strict"
     task: AnyTask = COURSE  # what the robot is to do
     scores: tuple[str, ...] = ()  # what is measured beside

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from nw_eval.catalogue import open_scene
 from nw_eval.policies import Bundle, load_bundle
+from nw_eval.robots import know_robot
 from nw_eval.scenes import Scene
 from nw_eval.sim import World
 from nw_eval.words import Collision
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
+    from nw_eval.rollout.job import TrialJob
     from nw_eval.scenes.rays import RayScene
 
 _Key = TypeVar("_Key")
@@ -91,6 +93,15 @@ class Library:
             PolicyError: as `policies.load_bundle`.
         """
         return self._known.get(reference) or self._bundles((reference, checkpoint))
+
+    def bundle_of(self, job: TrialJob) -> Bundle:
+        """Return the bundle of a job, whose robot this process knows from then on.
+
+        Raises:
+            PolicyError: as `policies.load_bundle`.
+        """
+        know_robot(job.robot, job.robot_folder)
+        return self.bundle(job.policy, job.checkpoint)
 
     def _make_rays(self, key: tuple[str, Collision]) -> RayScene:
         from nw_eval.scenes.rays import RayScene

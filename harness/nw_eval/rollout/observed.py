@@ -131,7 +131,7 @@ class Seen:
             name: SeenRow(
                 topic=f"/observation/{self._names[name]}",
                 shape=sensors[name].shape,
-                terms=term_sizes(name, spec, sizes[name]),
+                terms=term_sizes(name, spec, sizes[name], len(world.robot.joints)),
             )
             for name, spec in card.observations.items()
             if name not in self._images
@@ -435,10 +435,10 @@ def element_names(spec: object, joints: Sequence[str]) -> Names:
     return tuple(_aged(name, age) for group in groups for age in ages for name in group)
 
 
-def term_sizes(name: str, spec: object, size: int) -> tuple[tuple[str, int], ...]:
+def term_sizes(name: str, spec: object, size: int, joints: int) -> tuple[tuple[str, int], ...]:
     """Return name and size of the parts of a row: the card's terms, where they are all of it."""
     if isinstance(spec, ProprioObservation):
-        found = tuple((term.term, term_size(term)) for term in spec.frame_terms)
+        found = tuple((term.term, term_size(term, joints)) for term in spec.frame_terms)
         is_whole = spec.select is None and spec.history is None and not spec.wrap
         if is_whole and sum(count for _, count in found) == size:
             return found
@@ -480,7 +480,7 @@ def _parts(term: AnyTerm, joints: Names) -> Sequence[str]:
         case terms.Yaw():
             return ("",) if term.values == "angle" else ("sine", "cosine")
         case terms.Speed() | terms.DeltaYaw() | terms.Constant():
-            size = term_size(term)
+            size = term_size(term, len(joints))
             return ("",) if size == 1 else [str(number) for number in range(size)]
         case _:
             return _PARTS[term.term]

@@ -67,7 +67,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
     """
     trial = job.trial
     scene = library.scene(job.scene, job.collision)
-    bundle = library.bundle(job.policy, job.checkpoint)
+    bundle = library.bundle_of(job)
     _check_same(job, scene, bundle)
     robot = mounted_robot(get_robot(job.robot), bundle.card)
     setup = perturbed(TrialSetup.of(trial, robot, bundle.card), dict(trial.perturbation))

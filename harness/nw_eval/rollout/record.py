@@ -54,7 +54,8 @@ def trial_metadata(job: TrialJob) -> dict[str, str]:
     """Return the job as texts: the readable keys, and `job` with all of it as JSON."""
     trial = job.trial
     fields = _kept(vars(job))
-    fields["checkpoint"] = None if job.checkpoint is None else str(job.checkpoint)
+    for name in ("checkpoint", "robot_folder"):
+        fields[name] = None if fields[name] is None else str(fields[name])
     # What is not used is left out: such a log is as it was before there was a choice.
     del fields["task"]
     if job.task != COURSE:

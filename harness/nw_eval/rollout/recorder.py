@@ -16,12 +16,10 @@ from nw_eval.rollout.observed import LOG_CAMERA, LogCamera, Seen
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
 from nw_eval.rollout.result import policy_fault
 from nw_eval.sensors.terms import velocity_at
-from nw_eval.sim.binding import mujoco
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nw_eval.robots.spec import CameraMount
     from nw_eval.rollout.episode import Decision, Episode, Step
     from nw_eval.rollout.mcap.trial_log import EventKind, TrialLog
     from nw_eval.rollout.prepare import OpenTrial
@@ -71,8 +69,6 @@ class Recorder(Observer):
         )
         own = (LOG_CAMERA,) if self._camera.is_on else ()
         self._mounts = tuple(dict.fromkeys((*(view.mount for view in self._seen.views), *own)))
-        # Views of the simulation's memory.
-        self._moving = [each.data.cast("B") for each in trial.episode.world.moving()]
         self._state_due = True
         self._state_period = STATE_PERIOD
         self._policy_digest = b""  # of the policy, where this step has a state
@@ -89,8 +85,8 @@ class Recorder(Observer):
             start=(x, y, self._trial.scene.spawn.position[2]),
             trail=self._episode.task.goal.waypoints,
             bodies=self._episode.world.bodies,
-            in_model=self._episode.world.model.nbody,
-            cameras={mount: _pose(self._trial.robot.cameras[mount]) for mount in self._mounts},
+            in_model=self._episode.world.body_count,
+            cameras={mount: self._episode.world.mounted(mount) for mount in self._mounts},
             seen=self._seen.rows,
             command=partial(velocity_at, self._trial.bundle.card.command),
             metadata={
@@ -134,7 +130,7 @@ class Recorder(Observer):
             return
         episode = self._episode
         world = episode.world
-        data = b"".join((*self._moving, world.torques.tobytes()))
+        data = b"".join(map(np.ndarray.tobytes, (*world.moving(), world.torques)))
         self._log.step(StepNote(world.time, data, path="shown"))
         if result.status == "ok":
             self._log.state(episode.world.time, episode.saved())
@@ -157,7 +153,7 @@ class Recorder(Observer):
         digest, rows = self._seen.rows.note(decision.observation)
         world = self._episode.world
         outputs = world.torques, decision.action, decision.applied, decision.targets
-        data = b"".join((*self._moving, *map(np.ndarray.tobytes, outputs), *rows))
+        data = b"".join((*map(np.ndarray.tobytes, (*world.moving(), *outputs)), *rows))
         error = None if moment is None else moment.delta_yaw
         call = Call(step, self._policy_digest, error, digest, self._seen.new)
         self._policy_digest = b""
@@ -167,14 +163,6 @@ class Recorder(Observer):
             self._seen.record_images(decision.observation)
         if self._camera.is_on:
             self._camera.record(step)
-
-
-def _pose(camera: CameraMount) -> Array:
-    """Return position and quaternion wxyz of a camera in the trunk, (7,)."""
-    pose = np.empty(7)
-    pose[:3] = camera.position
-    mujoco.mju_mat2Quat(pose[3:], np.array(camera.R_trunk_camera, np.float64).ravel())
-    return pose
 
 
 class Events:

@@ -169,7 +169,7 @@ class Maker:
                 control = JointControl.from_card(self.card, robot)
                 spoils = self.protocol.spoils_first_observation
                 command = self.card.command
-                return Proprio(name, observation, command, control, spoils_first=spoils)
+                return Proprio(name, observation, command, control, robot.feet, spoils_first=spoils)
             case ScandotsObservation():
                 if self.protocol.scandots_from_height_image:
                     return PublishedScandots(observation, rays, robot.height_camera_offset)

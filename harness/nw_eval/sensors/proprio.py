@@ -47,6 +47,7 @@ class Proprio(Measurement):
         observation: ProprioObservation,
         command: Command,
         control: JointControl,
+        feet: Sequence[str],
         *,
         spoils_first: bool = False,
     ) -> None:
@@ -57,11 +58,12 @@ class Proprio(Measurement):
             observation: from the card.
             command: the card's.
             control: the card's.
+            feet: the robot's.
             spoils_first: whether the protocol spoils the first observation of its own 53 numbers.
 
         Raises:
             PolicyError: a list of scales has another length than its term, or `select` or `zero`
-                name numbers that the frame does not have.
+                name numbers that the frame does not have, or a term a foot that the robot has not.
         """
         joints = len(control.order)
         terms = observation.frame_terms
@@ -75,7 +77,7 @@ class Proprio(Measurement):
         for term, a, b in zip(terms, bounds[:-1], bounds[1:], strict=True):
             fixed = fixed_values(term, command)
             if fixed is None:
-                self._readers.append((slice(a, b), reader(term, command, control)))
+                self._readers.append((slice(a, b), reader(term, command, control, feet)))
             else:
                 self._frame[a:b] = fixed
         scale = np.concatenate(

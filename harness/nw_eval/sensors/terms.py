@@ -10,7 +10,7 @@ MuJoCo Playground.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import assert_never
 
 import numpy as np
@@ -20,12 +20,10 @@ from nw_eval.cards import terms
 from nw_eval.cards.command import Command, ConstantCommand
 from nw_eval.cards.joint_control import JointControl
 from nw_eval.cards.model import CONTROL_RATE
-from nw_eval.cards.terms import GaitClock, term_size
+from nw_eval.cards.terms import GaitClock
 from nw_eval.sensors.sensor import Array, Moment
 
 Reader = Callable[[Moment], ArrayLike]
-
-_FEET = ("FR", "FL", "RR", "RL")
 
 # Of Python, not of NumPy, whose vectorised ones differ in the last bit from processor to processor.
 _FUNCTIONS: dict[str, Callable[[float], float]] = {
@@ -47,7 +45,7 @@ def fixed_values(term: terms.AnyTerm, command: Command) -> ArrayLike | None:
 
 
 def reader(  # noqa: C901, PLR0912 - one short case for each term.
-    term: terms.AnyTerm, command: Command, control: JointControl
+    term: terms.AnyTerm, command: Command, control: JointControl, feet: Sequence[str]
 ) -> Reader:
     """Return the function that reads a term.
 
@@ -55,8 +53,12 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
         term: from the card.
         command: the card's, for commanded speeds.
         control: joint order, default pose and limits of actions.
+        feet: the robot's.
+
+    Raises:
+        PolicyError: a term names a foot that the robot does not have.
     """
-    pose, order = control.default_pose, _index(control.order)
+    pose, order = control.default_pose, _index(control.order, len(control.order))
     match term:
         case terms.AngularVelocity():
             return _angular_velocity if term.frame == "trunk" else _angular_velocity_in_world
@@ -86,7 +88,7 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
         case terms.LastOutput():
             return _fed_back(_last_output(term), term, control)
         case terms.FootContacts():
-            return _foot_contacts(term)
+            return _foot_contacts(term, feet)
         case terms.GaitClock():
             return gait_clock(term, command)
         case terms.Constant() | terms.Speed():
@@ -159,16 +161,17 @@ def _fed_back(
     return lambda moment: read(moment).clip(control.low, control.high)
 
 
-def _foot_contacts(term: terms.FootContacts) -> Reader:
-    order = _index(np.array([_FEET.index(foot) for foot in term.feet]))
+def _foot_contacts(term: terms.FootContacts, feet: Sequence[str]) -> Reader:
+    terms.check_feet(term, feet)
+    order = _index(np.array([feet.index(foot) for foot in term.feet]), len(feet))
     if term.filter == "none":
         return lambda moment: moment.world.foot_contacts[order]
     return lambda moment: (moment.world.foot_contacts | moment.world.previous_foot_contacts)[order]
 
 
-def _index(order: NDArray[np.intp]) -> NDArray[np.intp] | slice:
-    """Return what indexes an array in some order; a slice, which is faster, where it is its own."""
-    return slice(None) if (np.diff(order) > 0).all() else order
+def _index(order: NDArray[np.intp], count: int) -> NDArray[np.intp] | slice:
+    """Return what indexes `count` numbers in an order; a slice, which is faster, for their own."""
+    return slice(None) if np.array_equal(order, np.arange(count)) else order
 
 
 def velocity_command(command: Command, moment: Moment) -> tuple[float, float, float]:
@@ -208,7 +211,7 @@ def gait_clock(term: GaitClock, command: Command) -> Callable[[Moment], list[flo
     def read(moment: Moment) -> list[float]:
         if standing is not None and math.hypot(*velocity_command(command, moment)) < standing.below:
             if standing.phase is None:
-                return [0.0] * term_size(term)
+                return [0.0] * (len(functions) * len(term.offsets))
             phases = [standing.phase] * len(term.offsets)
         else:
             cycles = term.frequency * moment.step / CONTROL_RATE

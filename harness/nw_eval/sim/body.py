@@ -1,4 +1,7 @@
-"""Where the robot's body is, how it moves, where its cameras look, and what rays at it meet."""
+"""Where the robot's body is, how it moves, where its cameras look, and what rays at it meet.
+
+These are the readings: nothing outside `nw_eval.sim` touches MuJoCo's model or data.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +11,19 @@ import numpy as np
 import numpy.typing as npt
 
 from nw_eval.errors import UsageError, nearest
-from nw_eval.robots.spec import VISUAL_GROUP
+from nw_eval.robots.spec import STATIC_GROUP, VISUAL_GROUP
 from nw_eval.sim.binding import MjData, MjModel, mujoco
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from nw_eval.robots import RobotSpec
 
 
 Array = npt.NDArray[np.float64]
 
-JOINTS = slice(7, None)
-"""Of qpos, after the free joint's 7 numbers."""
-JOINT_RATES = slice(6, None)  # of qvel
+Places = slice | npt.NDArray[np.intp]
+"""Of numbers in an array of MuJoCo's; a slice, which gives a view, where they lie side by side."""
 
 
 class Body:
@@ -35,47 +39,56 @@ class Body:
 
     Attributes:
         robot: as given.
-        model: compiled model. Read it; changing it makes trials incomparable.
-        data: state of the simulation, for sensors that need more than the properties here.
         bodies: numbers of `robot.bodies` in the model.
+        body_count: how many bodies the model has, the world's among them.
     """
 
     def __init__(self, robot: RobotSpec, model: MjModel, data: MjData) -> None:
         self.robot = robot
-        self.model: MjModel = model
-        self.data: MjData = data
-        self._trunk = int(model.body("trunk").id)
+        self._model: MjModel = model
+        self._data: MjData = data
+        self._trunk = int(model.body(robot.root).id)
         self.bodies = tuple(int(model.body(name).id) for name in robot.bodies)
+        self.body_count = int(model.nbody)
+        root = model.joint(robot.root_joint)
+        joints = [int(model.joint(name).id) for name in robot.joints]
+        # Of the free joint: position and quaternion, linear and angular rates.
+        start, rates = int(root.qposadr[0]), int(root.dofadr[0])
+        self._place, self._turn = slice(start, start + 3), slice(start + 3, start + 7)
+        self._rates = slice(rates, rates + 6)
+        self._linear, self._angular = slice(rates, rates + 3), slice(rates + 3, rates + 6)
+        self._joints = _places(model.jnt_qposadr[joints])
+        self._joint_rates = _places(model.jnt_dofadr[joints])
 
     @property
     def trunk_position(self) -> Array:
         """Origin of the trunk in the world, (3,) m."""
-        return self.data.xpos[self._trunk].copy()
+        return self._data.xpos[self._trunk].copy()
 
     @property
     def trunk_quat(self) -> Array:
         """Orientation of the trunk in the world, (4,) w x y z, normalised."""
-        return self.data.xquat[self._trunk].copy()
+        return self._data.xquat[self._trunk].copy()
 
     @property
     def trunk_rotation(self) -> Array:
         """R_world_trunk, (3, 3)."""
-        return self.data.xmat[self._trunk].reshape(3, 3).copy()
+        return self._data.xmat[self._trunk].reshape(3, 3).copy()
 
     @property
     def trunk_linear_velocity(self) -> Array:
         """Velocity of the trunk's origin, world frame, (3,) m / s."""
-        return self.data.qvel[:3].copy()
+        return self._data.qvel[self._linear].copy()
 
     @property
     def trunk_angular_velocity(self) -> Array:
         """Angular velocity of the trunk, trunk frame, (3,) rad / s."""
-        return self.data.qvel[3:6].copy()
+        return self._data.qvel[self._angular].copy()
 
     @property
     def roll_pitch_yaw(self) -> Array:
         """Euler angles of the trunk, (3,) rad; yaw in (-pi, pi]."""
-        w, x, y, z = self.data.xquat[self._trunk]
+        w, x, y, z = self._data.xquat[self._trunk]
         return np.array(
             [
                 np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
@@ -87,27 +100,27 @@ class Body:
     @property
     def uprightness(self) -> float:
         """Cosine of the angle between the trunk's z axis and the world's."""
-        return float(self.data.xmat[self._trunk, 8])
+        return float(self._data.xmat[self._trunk, 8])
 
     @property
     def center_of_mass(self) -> Array:
         """Centre of mass of the whole robot in the world, (3,) m."""
-        return self.data.subtree_com[self._trunk].copy()
+        return self._data.subtree_com[self._trunk].copy()
 
     @property
     def joint_positions(self) -> Array:
-        """(12,) rad."""
-        return self.data.qpos[JOINTS].copy()
+        """(J,) rad."""
+        return self._data.qpos[self._joints].copy()
 
     @property
     def joint_velocities(self) -> Array:
-        """(12,) rad / s."""
-        return self.data.qvel[JOINT_RATES].copy()
+        """(J,) rad / s."""
+        return self._data.qvel[self._joint_rates].copy()
 
     @property
     def geom_rgba(self) -> npt.NDArray[np.float32]:
         """Colour of every geom, (G, 4), for the geom numbers of `World.ray_robot`."""
-        return self.model.geom_rgba.copy()
+        return self._model.geom_rgba.copy()
 
     def camera_pose(self, name: str) -> Array:
         """Return T_world_camera, (4, 4), of a camera of the robot; OpenCV axes.
@@ -126,16 +139,104 @@ class Body:
         return T_world_trunk @ mount.T_trunk_camera
 
     def moving(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Return what moves, in the simulation's own memory, which changes with it: look, or copy.
+        """Return what moves, now: views of the simulation's memory where that is possible.
 
         Returns:
             Positions (N, 3) and quaternions (N, 4) in the world of all bodies of the model, joint
-            positions, joint velocities (12,) each, and of the trunk linear velocity (world frame),
+            positions, joint velocities (J,) each, and of the trunk linear velocity (world frame),
             then angular velocity (trunk frame), (6,).
         """
-        data = self.data
-        joints = data.qpos[JOINTS], data.qvel[JOINT_RATES]
-        return data.xpos, data.xquat, *joints, data.qvel[:6]
+        data = self._data
+        joints = data.qpos[self._joints], data.qvel[self._joint_rates]
+        return data.xpos, data.xquat, *joints, data.qvel[self._rates]
+
+    def coordinates(self) -> tuple[Array, Array]:
+        """Return all generalised positions and velocities, for digests.
+
+        Returns:
+            Views of the simulation's memory, in the order of the model: of the trunk 7 and 6
+            numbers, of each joint one, also of joints that nothing drives.
+        """
+        return self._data.qpos, self._data.qvel
+
+    def foot_places(self) -> tuple[Array, Array]:
+        """Return where the feet are, (F, 3) m in the world, and half their widths along y, (F,) m.
+
+        Of a foot that is a body, the box round its collision geometry counts.
+        """
+        count = len(self.robot.feet)
+        places, widths = np.empty((count, 3)), np.empty(count)
+        for row, geoms in enumerate(geoms_of(self._model, self.robot, self.robot.feet)):
+            boxes = [_box_round(self._model, self._data, geom) for geom in geoms]
+            if len(boxes) == 1:
+                place, reach = boxes[0]
+            else:
+                low = np.min([middle - half for middle, half in boxes], axis=0)
+                high = np.max([middle + half for middle, half in boxes], axis=0)
+                place, reach = (low + high) / 2, (high - low) / 2
+            places[row], widths[row] = place, reach[1]
+        return places, widths
+
+    def trunk_length(self) -> float:
+        """Return how long the trunk's shapes are along the world's x, in m, legs left out."""
+        own = np.flatnonzero(self._model.geom_bodyid == self._trunk)
+        R = self._data.geom_xmat[own].reshape(-1, 3, 3)
+        centre, half = self._model.geom_aabb[own, :3], self._model.geom_aabb[own, 3:]
+        middle = self._data.geom_xpos[own, 0] + (R[:, 0] * centre).sum(axis=1)
+        reach = (np.abs(R[:, 0]) * half).sum(axis=1)
+        return float((middle + reach).max() - (middle - reach).min())
+
+    def height_over_ground(self) -> float:
+        """Return how far the trunk's origin is above what collides under it, m; inf = nothing."""
+        groups = np.zeros(mujoco.mjNGROUP, dtype=np.uint8)
+        groups[STATIC_GROUP] = 1
+        origin = self._data.xpos[self._trunk]
+        met = np.zeros(1, dtype=np.int32)
+        down = np.array([0.0, 0.0, -1.0])
+        distance = mujoco.mj_ray(self._model, self._data, origin, down, groups, 1, -1, met, None)
+        return float(distance) if met[0] >= 0 else np.inf
+
+    def mounted(self, camera: str) -> Array:
+        """Return where a camera of the robot is on the trunk, (7,): m, quaternion w x y z."""
+        mount = self.robot.cameras[camera]
+        pose = np.empty(7)
+        pose[:3] = mount.position
+        mujoco.mju_mat2Quat(pose[3:], np.array(mount.R_trunk_camera, np.float64).ravel())
+        return pose
+
+
+def _places(addresses: npt.NDArray[np.int32]) -> Places:
+    """Return addresses as a slice, if they follow each other."""
+    first, count = int(addresses[0]), len(addresses)
+    if (addresses == np.arange(first, first + count)).all():
+        return slice(first, first + count)
+    return addresses.astype(np.intp)
+
+
+def geoms_of(model: MjModel, robot: RobotSpec, names: Sequence[str]) -> list[list[int]]:
+    """Return the numbers of the geoms that parts of a robot are made of.
+
+    Args:
+        model: compiled model.
+        robot: says by `touches` what a name means.
+        names: of geoms; or of bodies, whose geoms that collide count.
+    """
+    if robot.touches == "geom":
+        return [[int(model.geom(name).id)] for name in names]
+    collides = (model.geom_contype != 0) & (model.geom_conaffinity != 0)
+    return [
+        np.flatnonzero(collides & (model.geom_bodyid == model.body(name).id)).tolist()
+        for name in names
+    ]
+
+
+def _box_round(model: MjModel, data: MjData, geom: int) -> tuple[Array, Array]:
+    """Return middle and half sizes of the box round a geom, (3,) each, world, m."""
+    half = model.geom_aabb[geom, 3:]
+    R = data.geom_xmat[geom].reshape(3, 3)
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return data.geom_xpos[geom].copy(), half.copy()
+    return data.geom_xpos[geom] + R @ model.geom_aabb[geom, :3], np.abs(R) @ half
 
 
 _NO_CUTOFF = 1e10

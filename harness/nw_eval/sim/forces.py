@@ -1,11 +1,10 @@
 """The forces of one control step: on feet and watched parts, of the motors, and on the trunk.
 
-Contact forces are added up on the few geoms that anything asks about.
+Contact forces are added up on the few parts of the robot that anything asks about.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -14,9 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from nw_eval.sim.binding import MjData, MjModel
+from nw_eval.sim.body import Places, geoms_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from nw_eval.robots import RobotSpec
 
 
 Array = npt.NDArray[np.float64]
@@ -31,21 +33,21 @@ class Forces:
     """What a control step left to be felt."""
 
     feet: Array
-    """(4,) N, contact force on each foot in the order of `robot.feet`."""
+    """(F,) N, contact force on each foot in the order of `robot.feet`."""
     monitored: Array
-    """(M,) N, contact force on each watched geom."""
+    """(M,) N, contact force on each monitored part."""
     torques: Array
-    """(12,) N m, of the servos after clipping, without joint damping."""
+    """(J,) N m, of the servos after clipping, without joint damping."""
     acceleration: Array
     """(6,) of the trunk: linear in the world's axes, m / s^2, angular in its own, rad / s^2."""
     contacts: npt.NDArray[np.bool_]
-    """(4,) whether each foot is in contact."""
+    """(F,) whether each foot is in contact."""
     previous_contacts: npt.NDArray[np.bool_]
-    """(4,) the same, one control step ago."""
+    """(F,) the same, one control step ago."""
 
     @cached_property
     def largest(self) -> float:
-        """The largest contact force on any watched geom, N; judge and log both ask."""
+        """The largest contact force on any monitored part, N; judge and log both ask."""
         return float(self.monitored.max(initial=0.0))
 
 
@@ -96,9 +98,9 @@ class PhysicsRate:
         rates: (S, J) rad/s, at the end of each physics step.
     """
 
-    def __init__(self, model: MjModel, data: MjData, substeps: int, joints: slice) -> None:
+    def __init__(self, model: MjModel, data: MjData, substeps: int, joints: Places) -> None:
         # Views of the simulation's memory, which stays where it is.
-        self._force, self._velocity = data.actuator_force, data.qvel[joints]
+        self._force, self._velocity, self._joints = data.actuator_force, data.qvel, joints
         self.servo = np.zeros((substeps, len(self._force)))
         self.rates = np.zeros((substeps, len(self._force)))
         self._damping = model.dof_damping[joints].copy()
@@ -106,7 +108,7 @@ class PhysicsRate:
     def take(self, substep: int) -> None:
         """Keep the physics step that was just made."""
         self.servo[substep] = self._force
-        self.rates[substep] = self._velocity
+        self.rates[substep] = self._velocity[self._joints]
 
     def motor_torques(self, servo: Array, rates: Array) -> Array:
         """Return the torques of the motors, (..., J) N m: the servos' and their damping.
@@ -121,22 +123,36 @@ class PhysicsRate:
 
 
 class ContactForces:
-    """Adds up contact forces on chosen geoms.
+    """Adds up contact forces on chosen parts of a robot.
 
     Args:
         model: compiled model.
-        names: geom names; the order of every result.
+        robot: its `touches` says whether `names` are of geoms or of bodies. Forces on the geoms of
+            a body add up, and contacts of the robot with itself are left out.
+        names: the order of every result.
         in_contact_frames: add each contact's force in that contact's own frame, unrotated and
             unsigned, as the published evaluation does. Otherwise forces are rotated to the world,
-            where they act on the named geom.
+            where they act on the named part.
     """
 
-    def __init__(self, model: MjModel, names: Sequence[str], *, in_contact_frames: bool) -> None:
-        self._row = {int(model.geom(name).id): row for row, name in enumerate(names)}
+    def __init__(
+        self, model: MjModel, robot: RobotSpec, names: Sequence[str], *, in_contact_frames: bool
+    ) -> None:
+        unique = list(dict.fromkeys(names))
+        parts = geoms_of(model, robot, unique)
+        self._row = {geom: row for row, geoms in enumerate(parts) for geom in geoms}
+        self._count = len(parts)
+        # A part may be asked for twice, as a foot and as one that is monitored.
+        self._order = None if len(unique) == len(names) else [unique.index(name) for name in names]
+        own: list[int] = []
+        if robot.touches == "body":
+            roots = model.body_rootid[model.geom_bodyid]
+            own = np.flatnonzero(roots == model.body(robot.root).id).tolist()
+        self._own = frozenset(own)  # geoms that do not count when they touch each other
         self._in_contact_frames = in_contact_frames
 
     def read(self, data: MjData, solved: Array | None = None) -> Array:
-        """Return the magnitude of the summed force on each geom, (len(names),) in N.
+        """Return the magnitude of the summed force on each part, (len(names),) in N.
 
         Args:
             data: with its contacts.
@@ -146,17 +162,17 @@ class ContactForces:
         rows = data.efc_force if solved is None else solved
         if len(rows) < data.nefc:
             rows = np.concatenate([rows, np.zeros(data.nefc - len(rows))])
-        forces = np.zeros((len(self._row), 3))
+        forces = np.zeros((self._count, 3))
         contact = data.contact
         watched = [
             (index, row, sign)
             for index, pair in enumerate(contact.geom.tolist())
             # Force and frame are those of the first geom acting on the second.
             for geom, sign in zip(pair, (-1.0, 1.0), strict=True)
-            if (row := self._row.get(geom)) is not None
+            if (row := self._row.get(geom)) is not None and not self._own.issuperset(pair)
         ]
         if not watched:
-            return np.zeros(len(forces))
+            return np.zeros(self._count if self._order is None else len(self._order))
         starts, sizes = contact.efc_address.tolist(), contact.dim.tolist()
         friction, frames = contact.friction, contact.frame
         for index, row, sign in watched:
@@ -167,7 +183,8 @@ class ContactForces:
                 # Rows of the frame are its axes: transposed, it rotates to the world.
                 force = sign * (force @ frames[index].reshape(3, 3))
             forces[row] += force
-        return np.linalg.norm(forces, axis=1)
+        found = np.linalg.norm(forces, axis=1)
+        return found if self._order is None else found[self._order]
 
 
 def _contact_force(rows: Array, start: int, size: int, friction: Array) -> Array:

@@ -25,11 +25,13 @@ if TYPE_CHECKING:
 
 
 Array = npt.NDArray[np.float64]
+Model = MjModel
+"""A compiled model as others hold it, who pass it on to this package and do not look into it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Actuators:
-    """Motors, one row a joint in robot order. All arrays are (12,) float64."""
+    """Motors, one row a joint in robot order. All arrays are (J,) float64."""
 
     kp: Array  # N m / rad
     kd: Array  # N m s / rad; acts as joint damping, which MuJoCo integrates implicitly
@@ -42,13 +44,12 @@ class Actuators:
     @classmethod
     def of(cls, robot: RobotSpec) -> Self:
         """Return the robot's own figures, the start of any override by `dataclasses.replace`."""
-        count = len(robot.joints)
         return cls(
-            kp=np.full(count, robot.kp),
-            kd=np.full(count, robot.joint_damping),
+            kp=np.array(robot.kp, dtype=np.float64),
+            kd=np.array(robot.joint_damping, dtype=np.float64),
             torque_limits=np.array(robot.torque_limits, dtype=np.float64),
-            armature=np.full(count, robot.armature),
-            friction_loss=np.full(count, robot.friction_loss),
+            armature=np.array(robot.armature, dtype=np.float64),
+            friction_loss=np.array(robot.friction_loss, dtype=np.float64),
         )
 
 
@@ -93,7 +94,9 @@ def compile_model(
     _set_options(spec, timestep)
     _set_joints(spec, robot, actuators, protocol)
     if payload > 0.0:
-        _add_payload(spec, payload)
+        _add_payload(spec, robot.root, payload)
+    if any(isinstance(solid, HeightField | Triangles) for solid in scene.solids):
+        _box_up(spec)
     add_geometry(spec, scene, friction=friction)
     return spec.compile()
 
@@ -128,15 +131,28 @@ def _set_joints(
         limit = actuators.strength * actuators.torque_limits[index]
         servo.forcerange = [-limit, limit]
     if protocol.joint_defaults_act_on_trunk:
-        root = spec.joint("root")
-        root.damping[0] = robot.joint_damping
-        root.armature = robot.armature
-        root.frictionloss = robot.friction_loss
+        root = spec.joint(robot.root_joint)
+        root.damping[0], root.armature, root.frictionloss = robot.root_defaults
 
 
-def _add_payload(spec: MjSpec, mass: float) -> None:
+def _box_up(spec: MjSpec) -> None:
+    """Let boxes collide in place of what cannot meet a scanned surface: hulls and ellipsoids.
+
+    A mesh gets the box round it, along the axes of its own inertia.
+    """
+    spec.compiler.fitaabb = True
+    for geom in (geom for body in spec.bodies for geom in body.geoms):
+        collides = geom.conaffinity & 1 or geom.contype & 1
+        if collides and geom.type in {
+            mujoco.mjtGeom.mjGEOM_MESH,
+            mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+        }:
+            geom.type = mujoco.mjtGeom.mjGEOM_BOX
+
+
+def _add_payload(spec: MjSpec, root: str, mass: float) -> None:
     inertia = mass * _PAYLOAD_EDGE**2 / 6.0
-    spec.body("trunk").add_body(
+    spec.body(root).add_body(
         name="payload",
         pos=list(_PAYLOAD_POSITION),
         mass=mass,

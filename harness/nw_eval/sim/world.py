@@ -10,7 +10,7 @@ import numpy.typing as npt
 from nw_eval.errors import TrialError
 from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.sim.binding import mujoco
-from nw_eval.sim.body import JOINT_RATES, JOINTS, Body, RobotRays, cast_at_visuals
+from nw_eval.sim.body import Body, RobotRays, cast_at_visuals, geoms_of
 from nw_eval.sim.forces import (
     CONTACT_THRESHOLD,
     ContactForces,
@@ -57,7 +57,7 @@ class World(Body):
     Attributes:
         scene: as given.
         protocol: as given.
-        monitored_geoms: names of the geoms whose contact is a collision.
+        monitored: names of the parts whose contact is a collision.
         control_period: seconds of one control step.
         steps: control steps since the reset.
         start_yaw: heading that the reset gave, rad.
@@ -92,20 +92,21 @@ class World(Body):
         self.control_period = timestep * substeps
         self.steps = 0
         self.start_yaw = 0.0
-        self.monitored_geoms = (
-            robot.published_monitored_geoms
-            if protocol.watches_published_geoms
-            else robot.monitored_geoms
+        self.monitored = (
+            robot.published_monitored if protocol.watches_published_geoms else robot.monitored
         )
         self._holds_pose = motors.follow == "position"
         self._substeps = substeps
         self._fingerprint = fingerprint(model)
         self._closed = False
         self._physics: PhysicsRate | None = None
-        self._feet = [int(model.geom(name).id) for name in robot.feet]
+        feet = geoms_of(model, robot, robot.feet)
+        # A foot that is made of several geoms has no centre of its own.
+        self._feet = [geoms[0] for geoms in feet] if all(len(g) == 1 for g in feet) else None
         self._contact_forces = ContactForces(
             model,
-            (*robot.feet, *self.monitored_geoms),
+            robot,
+            (*robot.feet, *self.monitored),
             in_contact_frames=protocol.adds_forces_in_contact_frames,
         )
         self._forces: Forces
@@ -143,20 +144,20 @@ class World(Body):
             position: (3,) of the trunk's origin in the world, m. For a start on the ground that is
                 `scene.spawn.position` plus `robot.spawn_height` upwards.
             yaw: heading, rad; roll and pitch are 0.
-            joint_positions: (12,) rad, the default pose if None. Servos hold it; motors that
+            joint_positions: (J,) rad, the default pose if None. Servos hold it; motors that
                 follow torques are idle.
         """
         self._require_open()
         pose = self.robot.default_pose if joint_positions is None else joint_positions
-        data = self.data
-        mujoco.mj_resetData(self.model, data)
-        data.qpos[:3] = position
-        data.qpos[3:7] = (np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0))
-        data.qpos[JOINTS] = pose
+        data = self._data
+        mujoco.mj_resetData(self._model, data)
+        data.qpos[self._place] = position
+        data.qpos[self._turn] = (np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0))
+        data.qpos[self._joints] = pose
         data.ctrl[:] = pose if self._holds_pose else 0.0
         self.steps = 0
         self.start_yaw = yaw
-        mujoco.mj_forward(self.model, data)
+        mujoco.mj_forward(self._model, data)
         # Nothing has been sensed before the first step.
         self._forces = self._read_forces(np.zeros(len(self.robot.feet), dtype=np.bool_))
         check(data, self.time)
@@ -164,14 +165,14 @@ class World(Body):
     def push(self, velocity: Sequence[float] | Array) -> None:
         """Add a velocity to the trunk's, (2,) m/s in the world's x and y, before a step."""
         self._require_open()
-        self.data.qvel[:2] += velocity
-        mujoco.mj_step1(self.model, self.data)
+        self._data.qvel[self._linear][:2] += velocity
+        mujoco.mj_step1(self._model, self._data)
 
     def step(self, targets: Sequence[float] | Array) -> None:
         """Run one control step.
 
         Args:
-            targets: (12,) joint positions that the servos steer to, rad; or torques, N m, for
+            targets: (J,) joint positions that the servos steer to, rad; or torques, N m, for
                 motors that follow them.
 
         Raises:
@@ -179,7 +180,7 @@ class World(Body):
             TrialError: a target is not finite, or the physics failed otherwise.
         """
         self._require_open()
-        model, data = self.model, self.data
+        model, data = self._model, self._data
         data.ctrl[:] = targets
         if not np.isfinite(data.ctrl).all():
             raise TrialError(
@@ -207,7 +208,7 @@ class World(Body):
     def state(self) -> bytes:
         """Return everything that the future depends on, for `restore`."""
         self._require_open()
-        return pack(self.model, self.data, self._numbers(), self._fingerprint)
+        return pack(self._model, self._data, self._numbers(), self._fingerprint)
 
     def restore(self, state: bytes) -> None:
         """Go back to a state of a world with the same robot, scene and options, bit for bit.
@@ -217,7 +218,7 @@ class World(Body):
         """
         self._require_open()
         numbers = {name: array.copy() for name, array in self._numbers().items()}
-        unpack(self.model, self.data, numbers, self._fingerprint, state)
+        unpack(self._model, self._data, numbers, self._fingerprint, state)
         # The rest follows from the state; the solver's warm start is part of it.
         self._derive()
         self.steps = int(numbers["steps"][0])
@@ -234,8 +235,8 @@ class World(Body):
     def adopt(self, other: World) -> None:
         """Go on from where another world of the same robot stands, whatever its scene and loads."""
         self._require_open()
-        data, there = self.data, other.data
-        mujoco.mj_resetData(self.model, data)
+        data, there = self._data, other._data
+        mujoco.mj_resetData(self._model, data)
         data.time = there.time
         for name in ("qpos", "qvel", "qacc_warmstart", "ctrl"):
             getattr(data, name)[:] = getattr(there, name)
@@ -251,33 +252,35 @@ class World(Body):
         Nothing is kept before this is asked for: it costs some microseconds a control step.
         """
         if self._physics is None:
-            self._physics = PhysicsRate(self.model, self.data, self._substeps, JOINT_RATES)
+            self._physics = PhysicsRate(self._model, self._data, self._substeps, self._joint_rates)
         return self._physics
 
     @property
     def timestep(self) -> float:
         """Of the physics, s."""
-        return float(self.model.opt.timestep)
+        return float(self._model.opt.timestep)
 
     @property
     def mass(self) -> float:
         """Of the robot with its payload, kg."""
-        return float(self.model.body_subtreemass[self._trunk])
+        return float(self._model.body_subtreemass[self._trunk])
 
     @property
     def gravity(self) -> float:
         """Its size, m / s^2."""
-        return float(np.linalg.norm(self.model.opt.gravity))
+        return float(np.linalg.norm(self._model.opt.gravity))
 
     @property
     def torque_limits(self) -> Array:
-        """Largest torque of each motor here, (12,) N m: card and perturbations included."""
-        return self.model.actuator_forcerange[:, 1].copy()
+        """Largest torque of each motor here, (J,) N m: card and perturbations included."""
+        return self._model.actuator_forcerange[:, 1].copy()
 
     @property
     def foot_positions(self) -> Array:
-        """Centres of the feet in the world, (4, 3) m, in the order of `robot.feet`."""
-        return self.data.geom_xpos[self._feet]
+        """Centres of the feet in the world, (F, 3) m, in the order of `robot.feet`."""
+        if self._feet is None:
+            return self.foot_places()[0]
+        return self._data.geom_xpos[self._feet]
 
     @property
     def time(self) -> float:
@@ -300,17 +303,17 @@ class World(Body):
             acceleration=self._forces.acceleration,
             rates=self.trunk_angular_velocity,
             R_world_trunk=self.trunk_rotation,
-            gravity=self.model.opt.gravity,
+            gravity=self._model.opt.gravity,
         )
 
     @property
     def torques(self) -> Array:
-        """Servo torques after clipping, without joint damping, (12,) N m."""
+        """Servo torques after clipping, without joint damping, (J,) N m."""
         return self._forces.torques.copy()
 
     @property
     def foot_contacts(self) -> npt.NDArray[np.bool_]:
-        """Whether each foot pushes with more than 2 N now, (4,) in the order of `robot.feet`."""
+        """Whether each foot pushes with more than 2 N now, (F,) in the order of `robot.feet`."""
         return self._forces.contacts.copy()
 
     @property
@@ -319,16 +322,16 @@ class World(Body):
         return self._forces.previous_contacts.copy()
 
     def foot_forces(self) -> Array:
-        """Return the contact force on each foot, (4,) N."""
+        """Return the contact force on each foot, (F,) N."""
         return self._forces.feet.copy()
 
     def monitored_force(self) -> float:
-        """Return the largest contact force on any monitored geom, N."""
+        """Return the largest contact force on any monitored part, N."""
         return self._forces.largest
 
     def monitored_forces(self) -> dict[str, float]:
-        """Return the contact force on each monitored geom by name, N."""
-        return dict(zip(self.monitored_geoms, self._forces.monitored.tolist(), strict=True))
+        """Return the contact force on each monitored part by name, N."""
+        return dict(zip(self.monitored, self._forces.monitored.tolist(), strict=True))
 
     def ray_robot(
         self,
@@ -346,28 +349,28 @@ class World(Body):
         """
         self._require_open()
         body = self._trunk if exclude == "trunk" else -1
-        return cast_at_visuals(self.model, self.data, origins, directions, exclude_body=body)
+        return cast_at_visuals(self._model, self._data, origins, directions, exclude_body=body)
 
     # Inside.
 
     def _derive(self) -> None:
         """Compute what follows from the state: forces too, unless those of before are read."""
         if self.protocol.reads_forces_of_last_solve:
-            mujoco.mj_step1(self.model, self.data)
+            mujoco.mj_step1(self._model, self._data)
         else:
-            mujoco.mj_forward(self.model, self.data)
+            mujoco.mj_forward(self._model, self._data)
 
     def _read_forces(
         self, previous_contacts: npt.NDArray[np.bool_], solved: Array | None = None
     ) -> Forces:
-        contact = self._contact_forces.read(self.data, solved)
+        contact = self._contact_forces.read(self._data, solved)
         count = len(self.robot.feet)
         feet = contact[:count]
         return Forces(
             feet=feet,
             monitored=contact[count:],
-            torques=self.data.actuator_force.copy(),
-            acceleration=self.data.qacc[:6].copy(),
+            torques=self._data.actuator_force.copy(),
+            acceleration=self._data.qacc[self._rates].copy(),
             contacts=feet > CONTACT_THRESHOLD,
             previous_contacts=previous_contacts,
         )

@@ -7,7 +7,7 @@ and a seed of its own that nothing else can move.
 from __future__ import annotations
 
 from nw_eval.suite.load import Draft, draft_of, draft_suite, find_suite, load_suite, tier_problems
-from nw_eval.suite.model import Gate, Suite, json_schema, new_suite, override
+from nw_eval.suite.model import Gate, Suite, json_schema, new_suite, override, with_robot
 from nw_eval.suite.trials import Trial, expand
 from nw_eval.suite.written import suite_yaml
 
@@ -26,4 +26,5 @@ __all__ = [
     "override",
     "suite_yaml",
     "tier_problems",
+    "with_robot",
 ]

@@ -34,7 +34,7 @@ from nw_eval.suite.axes import AXES
 from nw_eval.suite.digest import digest_of
 from nw_eval.suite.perturb import Perturb, each_once
 from nw_eval.tasks import COURSE, AnyTask
-from nw_eval.words import Protocol, Record, Robot, Tier
+from nw_eval.words import Protocol, Record, Tier
 
 MAX_CELLS = 10_000
 """Most cells that a perturbation grid may have: a longer one is a slip of the pen."""
@@ -324,7 +324,10 @@ class Suite(_Strict):
 
     version: Literal[1] = Field(alias="nw-eval", description="Version of this format.")
     name: Name = Field(description="The suite's name: letters, digits, '_', '-', '.'.")
-    robot: Robot = Field(description="The robot.")
+    robot: Annotated[str, Field(min_length=1, max_length=1024)] = Field(
+        description="The robot: go1, go2, the name of one in robots/ or of a package, or the path "
+        "of a robot's folder. `name@identity` is that very one."
+    )
     policy: Annotated[str, Field(min_length=1)] = Field(
         description="Default policy: a bundle's name, its folder, its card, or "
         "hub:org/name[@revision]. --policy overrides."
@@ -508,6 +511,11 @@ def override(suite: Suite, request: Request) -> Suite:
     """
     wanted = {name: getattr(request, name) for name in _CHANGED}
     return _with(suite, {name: value for name, value in wanted.items() if value is not None})
+
+
+def with_robot(suite: Suite, reference: str) -> Suite:
+    """Return a suite whose robot was found, by the name that tells it from any other."""
+    return suite if suite.robot == reference else _with(suite, {"robot": reference})
 
 
 def override_gate(

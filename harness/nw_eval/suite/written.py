@@ -12,6 +12,7 @@ from typing import Any, cast
 
 from ruamel.yaml import YAML
 
+from nw_eval.errors import UsageError
 from nw_eval.files.cache import atomic_path, followed
 from nw_eval.suite.model import Suite
 
@@ -87,6 +88,7 @@ def write_ready_suite(
         perturb: values of axes of perturbation.
 
     Raises:
+        UsageError: nw-eval has no policy of the robot, and none is named.
         StoreError: it cannot be written.
     """
     # What makes rows imports this file, and counts no statistics among its code.
@@ -95,7 +97,9 @@ def write_ready_suite(
     gate = {"success_rate": 0.75, "confidence": 0.95}
     cells = prod(len(values) for values in perturb.values())
     needed = ceil(trials_to_certify(gate["success_rate"], gate["confidence"]) / len(scenes) / cells)
-    known = _POLICIES[robot]
+    known = _POLICIES.get(robot)
+    if policy is None and known is None:
+        raise UsageError(f"nw-eval has no policy of the robot {robot!r}", fix="name one: --policy")
     text: dict[str, Any] = {
         "nw-eval": 1,
         "name": re.sub(r"[^A-Za-z0-9_.-]", "-", name)[:_LONGEST_NAME],
@@ -109,7 +113,7 @@ def write_ready_suite(
     }
     if perturb:
         text["perturb"] = {axis: list(values) for axis, values in perturb.items()}
-    head = _ABOUT[robot] + _HEAD if policy in {None, known} else _HEAD
+    head = _ABOUT.get(robot, "") + _HEAD if policy in {None, known} else _HEAD
     # None: a list of names on one line.
     content = head + _yaml(text, default_flow_style=None)
     with atomic_path(followed(path)) as temporary:

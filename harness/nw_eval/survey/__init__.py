@@ -30,7 +30,6 @@ from nw_eval.survey.views import (
     survey_views,
     view_findings,
 )
-from nw_eval.words import Robot
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +45,7 @@ class Survey:
         findings: what is wrong or remarkable.
     """
 
-    robot: Robot
+    robot: str
     length: float
     ground: SurveyedGround
     feet: DroppedFeet
@@ -54,7 +53,7 @@ class Survey:
     findings: tuple[SceneFinding, ...]
 
 
-def survey_scene(scene: Scene, *, robot: Robot = "go1", read_splat: bool = True) -> Survey:
+def survey_scene(scene: Scene, *, robot: str = "go1", read_splat: bool = True) -> Survey:
     """Go along a scene's trail with a robot's eye and feet.
 
     Args:

@@ -16,8 +16,7 @@ from nw_eval.scenes.finding import Code, SceneFinding, Severity
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Scene, Triangles
-from nw_eval.sim.binding import mujoco
-from nw_eval.sim.model import add_geometry
+from nw_eval.sim.batch import drop_balls, solid_heights
 from nw_eval.survey.trail import TrailSamples, trail_samples
 from nw_eval.words import Task
 
@@ -164,18 +163,7 @@ def _felt(scene: Scene, xy: Values, above: Values) -> Values:
             kinds = np.zeros(len(solid.faces), dtype=np.uint8)
             mesh = TriangleMesh(vertices=solid.vertices, faces=solid.faces, kinds=kinds)
             return RayScene(mesh).height(xy, z_from=above)
-    spec = mujoco.MjSpec()
-    add_geometry(spec, scene, friction=None)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    down, met = np.array([0.0, 0.0, -1.0]), np.zeros(1, dtype=np.int32)
-    depths = [
-        mujoco.mj_ray(model, data, np.array([x, y, z]), down, None, 1, -1, met, None)
-        for (x, y), z in zip(xy.tolist(), above.tolist(), strict=True)
-    ]
-    distance = np.array(depths)
-    return np.where(distance >= 0, above - distance, np.nan)
+    return solid_heights(scene, xy, above)
 
 
 def _foot_sized(mask: Mask) -> Mask:
@@ -290,26 +278,9 @@ class DroppedFeet:
 
 def _fallen(scene: Scene, starts: Values) -> Values:
     """Return where feet that fall from places (N, 3) come to rest, (N, 3) m."""
-    spec = mujoco.MjSpec()
-    spec.option.timestep = _STEP
-    add_geometry(spec, scene, friction=None)
-    for x, y, z in starts.tolist():
-        body = spec.worldbody.add_body(pos=[x, y, z])
-        for axis in np.eye(3).tolist():
-            body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[_RADIUS, 0.0, 0.0],
-            mass=_MASS,
-            contype=2,  # Feet fall through each other.
-            conaffinity=1,
-        )
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    data.qvel.reshape(-1, 3)[:, 2] = -_SPEED
-    for _ in range(_STEPS):
-        mujoco.mj_step(model, data)
-    return starts + data.qpos.reshape(-1, 3)
+    return drop_balls(
+        scene, starts, radius=_RADIUS, mass=_MASS, speed=_SPEED, timestep=_STEP, steps=_STEPS
+    )
 
 
 def ground_findings(ground: SurveyedGround, task: Task) -> list[SceneFinding]:

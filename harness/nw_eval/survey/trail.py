@@ -20,7 +20,6 @@ from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import HeightField, Scene
 from nw_eval.sim import World
 from nw_eval.tasks.course import REACH_RADIUS
-from nw_eval.words import Robot
 
 Values = NDArray[np.float64]
 
@@ -42,6 +41,7 @@ _FLAT = Scene(
 # Where a foot may be put down around its place, m: over a gap a robot stands on its rim.
 _FOOTHOLD = np.array([-0.1, -0.05, 0.0, 0.05, 0.1])
 _SETTLING = 50  # control steps until a robot that was put down stands
+_SIDE_BY_SIDE = 0.05  # m along x between feet, up to which none is in front of another
 _STEEPEST = 0.52  # rad; the steepest ramps are of 30 degrees
 _FARTHEST = 0.6  # m that ground may lie off the trail and still carry the robot
 
@@ -138,29 +138,30 @@ def stance_of(robot: RobotSpec) -> Stance:
         for _ in range(_SETTLING):
             world.step(robot.default_pose)
         under = np.array([*world.trunk_position[:2], 0.0])
-        feet = np.array([world.data.geom(foot).xpos for foot in robot.feet]) - under
-        radius = float(world.model.geom(robot.feet[0]).size[0])
+        places, widths = world.foot_places()
+        feet = places - under
         camera = world.camera_pose(CAMERA).copy()
-        length = _length(world)
+        length = world.trunk_length()
     camera[:3, 3] -= under
+    fore, hind = _fore_and_hind(feet[:, 0], widths)
     return Stance(
         T_ground_camera=camera,
-        fore=float(feet[:2, 0].mean()),
-        hind=float(feet[2:, 0].mean()),
-        half_width=float(np.abs(feet[:, 1]).max()) + radius,
+        fore=fore,
+        hind=hind,
+        half_width=float(np.abs(feet[:, 1]).max()) + float(widths[0]),
         length=length,
     )
 
 
-def _length(world: World) -> float:
-    """Return how long trunk and head are along x, m: of their shapes' boxes as they are turned."""
-    model, data = world.model, world.data
-    own = np.flatnonzero(model.geom_bodyid == model.body("trunk").id)
-    R = data.geom_xmat[own].reshape(-1, 3, 3)
-    centre, half = model.geom_aabb[own, :3], model.geom_aabb[own, 3:]
-    middle = data.geom_xpos[own, 0] + (R[:, 0] * centre).sum(axis=1)
-    reach = (np.abs(R[:, 0]) * half).sum(axis=1)
-    return float((middle + reach).max() - (middle - reach).min())
+def _fore_and_hind(along: Values, widths: Values) -> tuple[float, float]:
+    """Return where a robot's feet are along x, m: the middle of those in front and behind.
+
+    Feet that stand side by side, as a biped's, carry it from their tips to their heels.
+    """
+    front = along > along.mean()
+    if np.ptp(along) > _SIDE_BY_SIDE:
+        return float(along[front].mean()), float(along[~front].mean())
+    return float((along + widths).max()), float((along - widths).min())
 
 
 def camera_poses(samples: TrailSamples, rays: RayScene, stance: Stance) -> Values:
@@ -238,7 +239,7 @@ def start_finding(scene: Scene) -> SceneFinding | None:
     )
 
 
-def trail_findings(scene: Scene, robot: Robot) -> list[SceneFinding]:
+def trail_findings(scene: Scene, robot: str) -> list[SceneFinding]:
     """Return what is wrong with a trail, apart from the ground and the views along it.
 
     Args:
@@ -281,7 +282,7 @@ def trail_findings(scene: Scene, robot: Robot) -> list[SceneFinding]:
     return found if end is None else [*found, end]
 
 
-def _end(scene: Scene, path: Values, robot: Robot, length: float) -> SceneFinding | None:
+def _end(scene: Scene, path: Values, robot: str, length: float) -> SceneFinding | None:
     """Return that the ground ends too near behind the last waypoint; None if it does not."""
     legs = [b - a for a, b in pairwise(path) if np.linalg.norm(b - a) > 1e-6]
     if not legs:

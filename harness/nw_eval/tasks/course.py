@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -155,11 +155,19 @@ class Limits:
     """What a trial may not exceed."""
 
     tilt: float = 1.2  # rad of roll or pitch; beyond it the robot fell
-    monitored_force: float = 10.0  # N on a monitored geom; beyond it the robot collided
+    height: float | None = None  # m of the trunk above the ground; below it the robot fell
+    monitored_force: float = 10.0  # N on a monitored part; beyond it the robot collided
     stuck_after: float = 4.0  # s without getting `stuck_distance` closer to the trail's end
     stuck_distance: float = 0.15  # m
     off_course_distance: float = 2.0  # m from the trail, in the ground plane
     below_ground: float = 1.0  # m under the ground: fell through or off the scene
+
+    @classmethod
+    def of(cls, robot: TaskRobot) -> Self:
+        """Return the limits of a robot."""
+        return cls(
+            tilt=robot.fell_tilt, height=robot.fell_height, monitored_force=robot.collided_force
+        )
 
 
 class _SoFar(NamedTuple):
@@ -179,11 +187,11 @@ class Termination:
     the robot is 2 m away from the trail or a metre below the ground. Neither can take a credited
     waypoint away; they only end a trial that has stopped going anywhere.
 
-    `collided` means more than 10 N on one monitored geom at the end of a control step. Which geoms
-    those are is the robot's and the protocol's to say. A belly that hits an obstacle carries
-    hundreds of newtons (the robot weighs 127 N), so the published limit, which is the head's,
-    serves for the trunk as well. Without contact termination, as in the evaluation of LucidSim's
-    repository, collisions are only counted.
+    `collided` means more than the robot's limit (10 N for Go1 and Go2) on one monitored part at the
+    end of a control step. Which parts those are is the robot's and the protocol's to say. A belly
+    that hits an obstacle carries hundreds of newtons (the robot weighs 127 N), so the published
+    limit, which is the head's, serves for the trunk as well. Without contact termination, as in the
+    evaluation of LucidSim's repository, collisions are only counted.
 
     Args:
         waypoints: (K, 3) world, m, as the trial has them.
@@ -191,7 +199,7 @@ class Termination:
         protocol: whether it `ends_when_stuck` and `ends_off_course`.
         duration: of the trial, s.
         control_period: seconds of one control step.
-        limits: thresholds.
+        limits: thresholds, the robot's (`Limits.of`); None = those of Go1 and Go2.
         contact_termination: whether a collision ends the trial.
     """
 
@@ -216,8 +224,8 @@ class Termination:
         self._last_step = round(duration / control_period)
         self._control_period = control_period
         self._contact_termination = contact_termination
-        self._limits = Limits() if limits is None else limits
-        self._surely_upright = math.cos(self._limits.tilt) + 1e-6
+        self.limits = Limits() if limits is None else limits
+        self._surely_upright = math.cos(self.limits.tilt) + 1e-6
         to_first = float(np.linalg.norm(points[0] - corners[0]))
         whole = to_first + float(self._onward[0])
         self._so_far = _SoFar(best_remaining=whole, best_step=0, contact_steps=0)
@@ -235,16 +243,14 @@ class Termination:
             progress: after its update for that step.
             step: control steps done, 1 after the first.
         """
-        limits = self._limits
+        limits = self.limits
         has_collided = world.monitored_force() > limits.monitored_force
         if has_collided:
             self._so_far = self._so_far._replace(contact_steps=self._so_far.contact_steps + 1)
         if progress.reached == progress.total:
             return "completed"
-        if world.uprightness < self._surely_upright:  # Neither angle is larger than that to z.
-            roll, pitch, _ = world.roll_pitch_yaw
-            if abs(roll) > limits.tilt or abs(pitch) > limits.tilt:
-                return "fell"
+        if self._has_fallen(world):
+            return "fell"
         if has_collided and self._contact_termination:
             return "collided"
         position = world.trunk_position
@@ -263,11 +269,19 @@ class Termination:
         """Go back to a `state` of this trial."""
         self._so_far = _SoFar(*json.loads(state))
 
+    def _has_fallen(self, world: Readings) -> bool:
+        limits = self.limits
+        if world.uprightness < self._surely_upright:  # Neither angle is larger than that to z.
+            roll, pitch, _ = world.roll_pitch_yaw
+            if abs(roll) > limits.tilt or abs(pitch) > limits.tilt:
+                return True
+        return limits.height is not None and world.height_over_ground() < limits.height
+
     def _is_off_course(self, position: npt.NDArray[np.float64], ground: float) -> bool:
-        if position[2] < ground - self._limits.below_ground:
+        if position[2] < ground - self.limits.below_ground:
             return True
         x, y = position[:2].tolist()
-        most, corners = self._limits.off_course_distance, self._corners
+        most, corners = self.limits.off_course_distance, self._corners
         return all(_distance(x, y, *span) > most for span in pairwise(corners))
 
     def _is_stuck(
@@ -275,10 +289,10 @@ class Termination:
     ) -> bool:
         offset = progress.target[:2] - position
         remaining = math.sqrt(offset.dot(offset)) + float(self._onward[progress.index])
-        if remaining < self._so_far.best_remaining - self._limits.stuck_distance:
+        if remaining < self._so_far.best_remaining - self.limits.stuck_distance:
             self._so_far = self._so_far._replace(best_remaining=remaining, best_step=step)
         waited = (step - self._so_far.best_step) * self._control_period
-        return waited >= self._limits.stuck_after
+        return waited >= self.limits.stuck_after
 
 
 def distance_to_polyline(point: npt.NDArray[np.float64], corners: npt.NDArray[np.float64]) -> float:
@@ -318,6 +332,7 @@ class Course(Task):
     ) -> None:
         del settings
         self._rules = TaskRules() if rules is None else rules
+        self._limits = Limits()
         self._ended: Outcome | None = None
         self._readings: Readings | None = None
         self._progress: TrailProgress
@@ -344,7 +359,7 @@ class Course(Task):
 
     def reset(self, streams: Streams, scene: Place, robot: TaskRobot) -> Goal:
         """Draw start and waypoints."""
-        del robot
+        self._limits = Limits.of(robot)
         spawn = scene.spawn
         drawn = draw_start(
             streams,
@@ -367,6 +382,7 @@ class Course(Task):
             protocol=rules.protocol,
             duration=rules.duration,
             control_period=rules.control_period,
+            limits=self._limits,
             contact_termination=rules.contact_termination,
         )
         self._ended, self._readings = None, None
@@ -395,7 +411,7 @@ class Course(Task):
         if self._ended is None or self._readings is None:
             return ""
         if self._ended == "fell":
-            return tilted_by(self._readings)
+            return fallen_by(self._readings, self._limits)
         if self._ended == "collided":
             return touched_by(self._readings)
         reasons: dict[Outcome, str] = {
@@ -441,10 +457,12 @@ class Course(Task):
         self._termination.restore(state["termination"])
 
 
-def tilted_by(readings: Readings) -> str:
-    """Return the angle that makes a fall: `roll` or `pitch`."""
+def fallen_by(readings: Readings, limits: Limits) -> str:
+    """Return what makes a fall: `roll`, `pitch` or `height`."""
     roll, pitch, _ = np.abs(readings.roll_pitch_yaw)
-    return "roll" if roll > Limits().tilt and roll >= pitch else "pitch"
+    if max(roll, pitch) <= limits.tilt:
+        return "height"
+    return "roll" if roll > limits.tilt and roll >= pitch else "pitch"
 
 
 def touched_by(readings: Readings) -> str:

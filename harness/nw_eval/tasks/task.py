@@ -154,6 +154,21 @@ class TaskRobot(Protocol):
         ...
 
     @property
+    def fell_tilt(self) -> float:
+        """Roll or pitch beyond which it fell, rad."""
+        ...
+
+    @property
+    def fell_height(self) -> float | None:
+        """Height of the trunk over the ground below which it fell, m; None = none."""
+        ...
+
+    @property
+    def collided_force(self) -> float:
+        """Contact force on a monitored part beyond which it collided, N."""
+        ...
+
+    @property
     def spawn_height(self) -> float:
         """Trunk origin above the ground at the start, m."""
         ...
@@ -198,6 +213,10 @@ class Readings(Protocol):
     @property
     def roll_pitch_yaw(self) -> Array:
         """(3,) rad."""
+        ...
+
+    def height_over_ground(self) -> float:
+        """Return how far the trunk's origin is above what collides under it, m; inf = nothing."""
         ...
 
     @property

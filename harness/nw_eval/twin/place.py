@@ -30,7 +30,7 @@ from nw_eval.splat.transform import quaternions
 from nw_eval.suite.written import write_ready_suite
 from nw_eval.twin.capture import Capture
 from nw_eval.twin.moved import moved_capture, moved_points, similarity_entry
-from nw_eval.words import Robot, Task
+from nw_eval.words import Task
 
 COLLISION, SPLAT, CAPTURES, SUITE = "collision.ply", "splat.ply", "captures.json", "suite.yaml"
 
@@ -78,7 +78,7 @@ def write_place(
     course: Route,
     capture: Capture | None = None,
     title: str = "",
-    robot: Robot = "go1",
+    robot: str = "go1",
 ) -> None:
     """Write a scene folder, and a suite of it beside; scene.yaml appears last.
 

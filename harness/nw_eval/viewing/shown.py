@@ -90,7 +90,7 @@ def shown_by_card(card: Card, robot: RobotSpec) -> Shown:
     for name, topic in topics.items():
         spec = card.observations[name]
         if elements := element_names(spec, names["/nw/policy.action"]):
-            seen = _lines(topic, term_sizes(name, spec, len(elements)), elements)
+            seen = _lines(topic, term_sizes(name, spec, len(elements), len(robot.joints)), elements)
             break
     return _shown(
         trunk=robot.bodies[0],

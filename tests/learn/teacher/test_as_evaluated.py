@@ -6,13 +6,14 @@ import pytest
 from nw_eval.catalogue import get_scene
 from nw_eval.learn.teacher.lanes import lane_of
 from nw_eval.learn.teacher.senses import FRAME, SCANDOTS, Senses, bodies
-from nw_eval.learn.teacher.simulation import Simulation, Trails
+from nw_eval.learn.teacher.simulation import Trails
 from nw_eval.robots import get_robot
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.result import StageClock
 from nw_eval.sim import World
+from nw_eval.sim.batch import Simulation
 from nw_eval.suite.trials import Trial
 from nw_eval.tasks.course import TrailProgress, distance_to_polyline
 
@@ -37,7 +38,7 @@ def test_physics_is_that_of_the_evaluation(lane, trained_robot):
             targets = robot.default_pose + rng.uniform(-0.4, 0.4, 12)
             world.step(targets)
             simulation.step(np.tile(targets, (2, 1)))
-            assert simulation.qpos[1] == pytest.approx(world.data.qpos, abs=1e-5)
+            assert simulation.qpos[1] == pytest.approx(world._data.qpos, abs=1e-5)
         for _ in range(60):  # Standing still, since forces are those of one solve earlier.
             world.step(robot.default_pose)
             simulation.step(np.tile(robot.default_pose, (2, 1)))
@@ -72,7 +73,7 @@ def test_observations_are_those_of_the_card(lane):
     with open_trial(job, library, StageClock()) as opened:
         episode = opened.episode
         for _ in range(120):
-            data = episode.world.data
+            data = episode.world._data
             body = bodies(data.qpos[None], data.qvel[None])
             delta_yaw = np.array([episode._moment().delta_yaw])
             seen = senses.see(body, delta_yaw, everybody * 0, lane.heights[None], everybody)[0]

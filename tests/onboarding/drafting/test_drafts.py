@@ -90,8 +90,8 @@ def test_motors_that_the_file_does_not_hold_are_shown_as_they_will_be(onnx_file,
     text, card, _ = drafted(onnx_file({"obs": [1, 48]}, {"joint_stiffness": "35.000"}))
     for key, own in (
         ("torque_limits", GO1.torque_limits[2]),
-        ("armature", GO1.armature),
-        ("friction_loss", GO1.friction_loss),
+        ("armature", GO1.armature[0]),
+        ("friction_loss", GO1.friction_loss[0]),
     ):
         line = re.search(rf"^  # {key}: (.*)  # CHECK: ", text, re.MULTILINE)
         assert line is not None, key

@@ -20,7 +20,7 @@ def standing(robot, scene, position=(0.0, 0.0, 0.4), seconds=1.0):
         for _ in range(round(seconds / world.control_period)):
             world.step(get_robot(robot).default_pose)
         assert world.foot_contacts.all()
-        feet = [world.data.geom(name).xpos[2] for name in get_robot(robot).feet]
+        feet = [world._data.geom(name).xpos[2] for name in get_robot(robot).feet]
         return world.trunk_position, world.roll_pitch_yaw, np.array(feet)
 
 
@@ -62,7 +62,7 @@ def test_triangles_and_terrain_carry_the_robot_alike(writer):
 def test_friction_of_a_trial_acts_on_terrain(writer):
     scene = load_published(writer.write())
     with World(get_robot("go1"), scene, friction=0.35) as world:
-        model = world.model
+        model = world._model
         static = model.geom_bodyid == 0
         assert model.geom_friction[static, 0] == pytest.approx(0.35)
         assert (model.geom_priority[static] == 1).all()

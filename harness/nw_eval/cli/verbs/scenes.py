@@ -13,7 +13,6 @@ import tyro
 from nw_eval.amounts import in_words
 from nw_eval.clean import clean
 from nw_eval.plural import plural
-from nw_eval.words import Robot
 
 if TYPE_CHECKING:
     from nw_eval.api import CheckedScene, ListedScene, PushedScene
@@ -62,7 +61,7 @@ class Check:
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
     """Built-in names, scene folders, neverwhere:<folder or published name>, or hub:org/name."""
-    robot: Robot = "go1"
+    robot: str = "go1"
     """Whose feet, camera and length count."""
     suite: Path | None = None
     """Write a suite of them to this file, ready to run, unless something is wrong."""

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from nw_eval.words import Robot
-
 if TYPE_CHECKING:
     from nw_eval.twin.building.build import BuildSettings
     from nw_eval.twin.label.labelling import Labelling
@@ -73,7 +71,7 @@ class PlaceFlags:
     """The scene's name; that of its folder when absent."""
     licence: str = "unknown"
     """Of the photographs: an SPDX identifier, or words."""
-    robot: Robot = "go1"
+    robot: str = "go1"
     """The robot of the scene's suite: whose feet, camera and length the check goes by."""
 
 
@@ -219,7 +217,7 @@ class LabelScene:
     """A scene folder; with --out any place that a suite can name."""
     out: Path | None = None
     """Label a copy, in this new folder: built-in and fetched places are not edited in place."""
-    robot: Robot = "go1"
+    robot: str = "go1"
     """With --out: the robot of the suite that is written beside the copy."""
     port: int = 0
     """Port to listen at, on this machine's own address only; 0 chooses a free one."""

@@ -23,8 +23,9 @@ from nw_eval.learn.teacher.senses import (
     privileged_features,
     read_cells,
 )
-from nw_eval.learn.teacher.simulation import CONTROL_PERIOD, Simulation, Trails
+from nw_eval.learn.teacher.simulation import Trails
 from nw_eval.robots import RobotSpec
+from nw_eval.sim.batch import CONTROL_PERIOD, Simulation
 from nw_eval.sim.forces import CONTACT_THRESHOLD
 from nw_eval.tasks.course import Limits
 
@@ -127,7 +128,7 @@ class Episodes:
         count = len(curriculum.tasks)
         self._pose = np.array(robot.default_pose)
         self._feet = len(robot.feet)
-        self._monitored = slice(self._feet, self._feet + len(robot.monitored_geoms))
+        self._monitored = slice(self._feet, self._feet + len(robot.monitored))
         self._lanes, self._curriculum, self._weights, self._rng = lanes, curriculum, weights, rng
         self._simulation = Simulation(robot, lanes.models, count, threads=threads)
         self._trails = Trails(count)

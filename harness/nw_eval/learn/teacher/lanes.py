@@ -17,10 +17,10 @@ from nw_eval.learn.teacher.config import GROUNDS, CourseSettings
 from nw_eval.learn.teacher.courses import draw_course
 from nw_eval.protocol import STRICT
 from nw_eval.robots import RobotSpec
+from nw_eval.scenes.mesh import rotation_matrix
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box, Scene
-from nw_eval.sim.binding import MjModel, mujoco
-from nw_eval.sim.model import Actuators, compile_model
+from nw_eval.sim.model import Actuators, Model, compile_model
 
 _FLAT = GROUNDS.index("flat")
 _STREAM = 1
@@ -91,7 +91,7 @@ class Lanes:
         self.floors = np.zeros(count)
         self.trails: list[NDArray[np.float64]] = []
         self.noises = np.zeros((count, 2))
-        self.models: list[MjModel] = []
+        self.models: list[Model] = []
         for number in range(count):
             if say is not None and number % 100 == 0:
                 say(f"{number} of {count} courses")
@@ -100,7 +100,7 @@ class Lanes:
             self.trails.append(lane.trail)
             self._fill(number, lane)
 
-    def redraw(self, number: int) -> MjModel:
+    def redraw(self, number: int) -> Model:
         """Draw a random course anew, and return its model."""
         self.generations[number] += 1
         lane = self._lane(number)
@@ -142,7 +142,7 @@ class Lane:
         floor: height of the lowest ground, m.
     """
 
-    model: MjModel
+    model: Model
     heights: NDArray[np.float32]
     edges: NDArray[np.uint8]
     trail: NDArray[np.float64]
@@ -196,9 +196,7 @@ def lane_of(scene: Scene, robot: RobotSpec) -> Lane:
 
 def _is_near(box: Box, points: NDArray[np.float64]) -> bool:
     """Say whether a box, seen from above, is within reach of any point (P, 2) of the trail."""
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, np.array(box.quat))
-    half = np.abs(rotation.reshape(3, 3)) @ np.array(box.half_size)
+    half = np.abs(rotation_matrix(box.quat)) @ np.array(box.half_size)
     # Along the trail every few centimetres: how far outside the box's outline each point is.
     outside = np.maximum(np.abs(points - np.array(box.center[:2])) - half[:2], 0.0)
     return bool((np.hypot(*outside.T) < _REACH).any())

@@ -121,7 +121,7 @@ def hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
         *scaled_cards(card, robot),
         *turned_cards(card, robot),
         *absolute_terms(card),
-        *swapped_terms(card),
+        *swapped_terms(card, len(robot.joints)),
         *moved_terms(card),
         *framed_terms(card),
         *other_velocities(card),
@@ -234,7 +234,7 @@ def scaled_cards(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
 def _factors(
     card: Card, robot: RobotSpec, patterns: Sequence[str], factor: float
 ) -> NDArray[np.float64]:
-    """Return (12,) in the policy's order: `factor` for joints that a pattern names, else 1."""
+    """Return (J,) in the policy's order: `factor` for joints that a pattern names, else 1."""
     named = [any(fnmatchcase(name, p) for p in patterns) for name in joint_names(card, robot)]
     return np.where(named, factor, 1.0)
 
@@ -314,11 +314,12 @@ def _poses(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
 def _gains(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
     names, order = joint_names(card, robot), JointControl.from_card(card, robot).order
     motors = motor_values(card, robot)
-    own = {"kp": robot.kp, "kd": robot.joint_damping}
+    own = {"kp": np.array(robot.kp), "kd": np.array(robot.joint_damping)}
     if card.control.action == "joint_torque":
         return
     if any((motors[key] != value).any() for key, value in own.items()):
-        yield "the robot's own gains", _with_control(card, **own)
+        gains = {key: per_joint(names, value[order].tolist()) for key, value in own.items()}
+        yield "the robot's own gains", _with_control(card, **gains)
     for which in (("kp", "kd"), ("kp",), ("kd",)):
         for factor in _GAIN_FACTORS:
             new = {key: per_joint(names, (motors[key][order] * factor).tolist()) for key in which}
@@ -360,18 +361,17 @@ def _with_control(card: Card, **changes: Any) -> Card:
 
 
 def motor_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float64]]:
-    """Return kp, kd, torque_limits, armature and friction_loss: (12,) each, in the robot's order.
+    """Return kp, kd, torque_limits, armature and friction_loss: (J,) each, in the robot's order.
 
     Raises:
         PolicyError: they do not fit the robot.
     """
-    count = len(robot.joints)
     return actuator_values(card, robot) or {
-        "kp": np.full(count, robot.kp),
-        "kd": np.full(count, robot.joint_damping),
+        "kp": np.array(robot.kp),
+        "kd": np.array(robot.joint_damping),
         "torque_limits": np.array(robot.torque_limits),
-        "armature": np.full(count, robot.armature),
-        "friction_loss": np.full(count, robot.friction_loss),
+        "armature": np.array(robot.armature),
+        "friction_loss": np.array(robot.friction_loss),
     }
 
 
@@ -469,14 +469,14 @@ def moved_terms(card: Card) -> Iterator[tuple[str, Card]]:
                 yield words, _with_terms(card, {observation: terms})
 
 
-def swapped_terms(card: Card) -> Iterator[tuple[str, Card]]:
+def swapped_terms(card: Card, joints: int) -> Iterator[tuple[str, Card]]:
     """Yield cards in which two terms of equal size are exchanged, neighbours first."""
     for observation, terms in _listed_terms(card):
         pairs = sorted(combinations(range(len(terms)), 2), key=lambda pair: pair[1] - pair[0])
         for i, j in pairs:
             one, other = terms[i], terms[j]
             is_change = one.term != other.term and "constant" not in {one.term, other.term}
-            if is_change and term_size(one) == term_size(other):
+            if is_change and term_size(one, joints) == term_size(other, joints):
                 swapped = list(terms)
                 swapped[i], swapped[j] = other, one
                 words = f"`{one.term}` and `{other.term}` of `{observation}` exchanged"

@@ -82,7 +82,7 @@ def _terms(name: str, observation: ProprioObservation, card: Card, robot: RobotS
             every = observation.model_copy(update={"history": past})
         sample: NDArray[np.float32] = tags
         shot = Shot(step=2, moment=None, generator=np.random.default_rng)
-        for wrapper in Proprio(name, every, card.command, control).form:
+        for wrapper in Proprio(name, every, card.command, control, robot.feet).form:
             sample = wrapper(sample, shot)
         return sample
 

@@ -120,7 +120,7 @@ class Collector(Observer):
             targets=np.stack(targets),
             positions=np.stack([self._first, *positions]),
             torques=np.stack(torques),
-            torque_limits=world.model.actuator_forcerange[:, 1].copy(),
+            torque_limits=world.torque_limits,
             tilt=np.array(tilts),
             velocity=np.stack(velocities),
             period=world.control_period,

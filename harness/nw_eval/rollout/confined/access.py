@@ -41,11 +41,14 @@ def folding_rules(checkpoint: Path, folder: Path) -> Rules:
     )
 
 
-def opening_rules(bundle: Bundle, *, allow_code: bool) -> Rules:
-    """Return the rules of a process that checks a card, opens its checkpoint, and runs it once."""
+def opening_rules(bundle: Bundle, *, allow_code: bool, also: Sequence[Path] = ()) -> Rules:
+    """Return the rules of a process that checks a card, opens its checkpoint, and runs it once.
+
+    It may read what `also` names.
+    """
     is_code = allow_code and bool(bundle.code_sha256)
     return Rules(
-        reads=_files(bundle),
+        reads=(*_files(bundle), *also),
         memory=None if is_code else memory_to_open(_size(*bundle.files)),
         seconds=None if is_code else OPENING_SECONDS,
         off=why_off(code=allow_code and senses_by_code(bundle.card)),

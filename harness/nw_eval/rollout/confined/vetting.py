@@ -10,7 +10,7 @@ from nw_eval.cards import physics_steps
 from nw_eval.errors import PolicyError
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.protocol import STRICT, EvaluationProtocol
-from nw_eval.robots import RobotSpec, get_robot
+from nw_eval.robots import RobotSpec, find_robot, get_robot, know_robot
 from nw_eval.rollout.confined.access import opening_rules, policy_rules
 from nw_eval.rollout.confined.isolated import TIME_LIMIT, IsolatedCall
 from nw_eval.rollout.confined.start import prepare_for, prepare_kernels
@@ -47,17 +47,21 @@ def vet_bundle(
         check_bundle(bundle, get_robot(robot), allow_code=allow_code, may_fail=may_fail)
         return bundle
     prepare_for(bundle.card)
+    folder = find_robot(robot).folder
     arguments = {
         "card": bundle.reference,
         "checkpoint": None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
         "robot": robot,
+        "robot_folder": None if folder is None else str(folder),
         "allow_code": allow_code,
         "may_fail": may_fail,
     }
     with IsolatedCall(
         _check,
         subject=bundle.where,
-        rules=opening_rules(bundle, allow_code=allow_code),
+        rules=opening_rules(
+            bundle, allow_code=allow_code, also=() if folder is None else (folder,)
+        ),
         renders=False,
         policy=policy_rules(bundle) if bundle.python is not None and allow_code else None,
         arguments=arguments,
@@ -92,8 +96,15 @@ def _size(shape: tuple[int, ...]) -> str:
 
 
 def _check(
-    *, card: str, checkpoint: str | None, robot: str, allow_code: bool, may_fail: bool
+    *,
+    card: str,
+    checkpoint: str | None,
+    robot: str,
+    robot_folder: str | None,
+    allow_code: bool,
+    may_fail: bool,
 ) -> None:
+    know_robot(robot, None if robot_folder is None else Path(robot_folder))
     bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
     check_bundle(bundle, get_robot(robot), allow_code=allow_code, may_fail=may_fail)
 

@@ -337,7 +337,7 @@ def _readied(
         NwEvalError: scene or policy are not there.
         UsageError: CUDA must draw what is seen, and the caller does not allow code.
     """
-    bundle = library.bundle(job.policy, job.checkpoint)
+    bundle = library.bundle_of(job)
     scene = library.scene(job.scene, job.collision)
     renders = (bool(bundle.card.splat_images) or draws) and scene.splat is not None
     if renders and job.render == "cuda" and not job.allow_code:
@@ -348,8 +348,9 @@ def _readied(
         )
     if renders:
         scene.splat_store()
+    robot = [] if job.robot_folder is None else [job.robot_folder]
     rules = running_rules(
-        bundle, scenes=[job.scene], logs=folder, allow_code=job.allow_code, also=[log]
+        bundle, scenes=[job.scene], logs=folder, allow_code=job.allow_code, also=[log, *robot]
     )
     return _Readied(rules=rules, policy=policy_rules(bundle), renders=renders)
 

@@ -90,7 +90,7 @@ def agreed(
 
 
 def _refuse_servers(logged: LoggedTrial, library: Library) -> None:
-    bundle = library.bundle(logged.job.policy, logged.job.checkpoint)
+    bundle = library.bundle_of(logged.job)
     if bundle.card.adapter == "remote":
         raise PolicyError(
             f"{logged.path}: {bundle.where}, which the log names, asks a policy on a server",

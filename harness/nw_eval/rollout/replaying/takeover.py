@@ -87,7 +87,7 @@ def take_over(
     job = second_job(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
-    bundle = library.bundle(job.policy, job.checkpoint)
+    bundle = library.bundle_of(job)
     job = replace(job, mcap=out, record="all", attachments=carried(recorded, bundle, handover))
     with open_trial(job, library, StageClock()) as trial:
         result = _driven(trial, recorded, handover, library, film)
@@ -146,7 +146,7 @@ def second_job(
     job = agreed(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     ).job
-    bundle = library.bundle(job.policy, job.checkpoint)
+    bundle = library.bundle_of(job)
     code_from = bundle.folder if allow_code else None
     check_card(bundle.card, get_robot(job.robot), where=bundle.card_path, code_from=code_from)
     digest = "" if bundle.card.adapter == "remote" else bundle.checkpoint_digest

@@ -25,7 +25,7 @@ from nw_eval.scenes.neverwhere.scan import SPLATS, Scan, is_scan, read_scan
 from nw_eval.scenes.neverwhere.table import row_of
 from nw_eval.scenes.neverwhere.tree import Tree, read_tree
 from nw_eval.scenes.scene import Plane, Scene, Spawn
-from nw_eval.words import ROBOTS, Collision, Robot
+from nw_eval.words import ROBOTS, Collision
 
 PREFIX = "neverwhere:"
 """What a reference to a published scene begins with, in suites and on the command line."""
@@ -52,7 +52,7 @@ class Inspection:
 
 
 def load_published(
-    reference: str | Path, *, robot: Robot = "go1", collision: Collision = "terrain"
+    reference: str | Path, *, robot: str = "go1", collision: Collision = "terrain"
 ) -> Scene:
     """Return a published scene.
 
@@ -68,7 +68,7 @@ def load_published(
 
 
 def inspect_published(
-    reference: str | Path, *, robot: Robot = "go1", collision: Collision = "terrain"
+    reference: str | Path, *, robot: str = "go1", collision: Collision = "terrain"
 ) -> Inspection:
     """Read a published scene and say all that is wrong or remarkable about it; raises nothing."""
     from nw_eval.scenes.check import check_scene

@@ -14,7 +14,7 @@ from xml.parsers import expat
 
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import OutsideError, inside, regular, what_is
-from nw_eval.words import ROBOTS, Robot
+from nw_eval.words import ROBOTS
 
 _BYTES = 10_000_000
 _DEPTH = 60
@@ -75,7 +75,7 @@ class Places:
         raise missing
 
 
-def find_places(reference: Path, robot: Robot = "go1") -> Places:
+def find_places(reference: Path, robot: str = "go1") -> Places:
     """Return the places of a scene.
 
     Args:

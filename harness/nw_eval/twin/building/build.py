@@ -34,7 +34,6 @@ from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh
 from nw_eval.twin.reconstruct.options import ReconstructOptions
 from nw_eval.twin.reconstruct.reconstruct import reconstruct
 from nw_eval.twin.trail import FLOOR, TrailProposal, propose_trail
-from nw_eval.words import Robot
 
 Say = Callable[[str], None]
 
@@ -71,7 +70,7 @@ class BuildSettings:
     splat: AppearanceOptions = field(default_factory=AppearanceOptions)
     name: str | None = None
     licence: str = "unknown"
-    robot: Robot = "go1"
+    robot: str = "go1"
     threads: int = 2
 
 

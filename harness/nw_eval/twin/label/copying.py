@@ -18,12 +18,11 @@ from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.suite.written import write_ready_suite
 from nw_eval.twin.moved import similarity_entry
 from nw_eval.twin.place import COLLISION, SPLAT, SUITE, rounded, write_collision, write_yaml
-from nw_eval.words import Robot
 
 _BOXES = "collision.yaml"
 
 
-def own_folder(reference: str, out: Path | None, *, robot: Robot = "go1") -> Path:
+def own_folder(reference: str, out: Path | None, *, robot: str = "go1") -> Path:
     """Return the scene folder to label, copied first where `out` says so.
 
     Args:
@@ -61,7 +60,7 @@ def own_folder(reference: str, out: Path | None, *, robot: Robot = "go1") -> Pat
     )
 
 
-def copy_place(reference: str, out: Path, *, robot: Robot = "go1") -> None:
+def copy_place(reference: str, out: Path, *, robot: str = "go1") -> None:
     """Write a scene folder of any place, with a suite that runs it; whole or not at all.
 
     A folder's files are copied. Of built-in and published places the boxes are written, or the mesh

@@ -25,7 +25,7 @@ from nw_eval.scenes.neverwhere.table import row_of
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.twin.label.state import mapped, shift, turn
 from nw_eval.twin.place import Route
-from nw_eval.words import ROBOTS, Robot
+from nw_eval.words import ROBOTS
 
 _NAME_OF_TASK = {"hurdles": "hurdle", "gaps": "gaps", "ramps": "ramp", "stairs": "stairs"}
 
@@ -217,7 +217,7 @@ def _write_obj(path: Path, vertices: NDArray[np.float64], mesh: TriangleMesh) ->
 
 def scene_xml(
     *,
-    robot: Robot,
+    robot: str,
     scene: str,
     scale: float,
     position: Iterable[float],
