@@ -38,6 +38,7 @@ FAULTS = {
         "    hurdles/three_hi: critical",
         "5: gate.tiers: the suite runs no scene 'hurdles/three_hi'; did you mean 'hurdles/three",
     ),
+    "robot": ("robot: go1", "robot: go3", "1: unknown robot 'go3'; did you mean 'go"),
     "policy": (
         "policy: stand",
         "policy: stnad",

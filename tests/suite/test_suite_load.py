@@ -77,7 +77,7 @@ def test_every_problem_of_a_file_is_told_at_once_in_file_order(tmp_path: Path) -
         """\
         nw-eval: 2
         nam: hurdles
-        robot: go3
+        robot: [go1]
         policy: go1-parkour
         trials: 0
         seed: 1.5
@@ -96,7 +96,7 @@ def test_every_problem_of_a_file_is_told_at_once_in_file_order(tmp_path: Path) -
     for words in (
         "'name' is missing",
         "unknown key 'nam'; did you mean 'name'?",
-        "'go3' is not one of them; did you mean 'go",
+        "robot: should be text",
         "trials: should be greater than or equal to 1, got 0",
         "got 1.5",
         "got '12'",

@@ -135,6 +135,9 @@ def plan_of(
     )
     if suite.plugins:
         _try_axes(trials, suite, bundle)
+    folder = None if robot is None else robot.folder
+    if folder is not None:  # Who goes on with the run finds it by its path.
+        request = replace(request, robot=str(folder))
     resolved = Plan(
         request=request.from_anywhere(),
         suite=suite,
@@ -148,7 +151,7 @@ def plan_of(
         shard=shard,
         against=against,
         arm=arm,
-        robot_folder=None if robot is None else robot.folder,
+        robot_folder=folder,
     )
     return resolved if against is None else _matched(resolved, against)
 

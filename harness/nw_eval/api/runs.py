@@ -368,9 +368,11 @@ def _bundle(
     """Return an object with its card, completed from the suite and the object."""
     from nw_eval.cards.load import card_of
     from nw_eval.policies import instance_bundle
+    from nw_eval.robots import find_robot
     from nw_eval.suite import load_suite
 
     if isinstance(card, Mapping):
+        own = load_suite(suite)
         origin: Any = policy if hasattr(policy, "__name__") else type(policy)
         module, name = (
             re.sub(r"[^\w.]", "_", origin.__module__),
@@ -380,7 +382,7 @@ def _bundle(
             {
                 "nw-policy": 1,
                 "name": re.sub(r"[^a-z0-9.]+", "-", name.lower()).strip("-.")[:64] or "policy",
-                "robot": card.get("robot") or load_suite(suite).robot,
+                "robot": card.get("robot") or find_robot(own.robot, own.base).spec.name,
                 "adapter": f"python:{module}:{name}",
                 **card,
             }

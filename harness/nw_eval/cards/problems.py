@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING
 
 from nw_eval.cards.joints import PerJoint, joint_order, joint_values, named_joints, short_name
 from nw_eval.cards.networks import feeding_order, input_parts, listed_inputs, way_back
-from nw_eval.errors import PolicyError, Problem, nearest
-from nw_eval.robots import get_robot, robot_names
+from nw_eval.cards.observations import ProprioObservation
+from nw_eval.cards.terms import FootContacts, check_feet
+from nw_eval.errors import PolicyError, Problem, UsageError, nearest
+from nw_eval.robots import get_robot
 
 if TYPE_CHECKING:
     from nw_eval.cards.card import Card
@@ -157,12 +159,15 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
         card: valid in itself.
         file: that it was read from.
     """
-    if card.robot not in robot_names():
-        known = nearest(card.robot, robot_names())
-        return [file.problem(("robot",), f"robot: unknown robot {card.robot!r}", known)]
-    robot = get_robot(card.robot)
+    if "/" in card.robot:
+        message = f"robot: {card.robot!r} is a path, and a card names its robot by name"
+        return [file.problem(("robot",), message, "write the `name` of its robot.yaml")]
+    try:
+        robot = get_robot(card.robot)
+    except UsageError as error:
+        return [file.problem(("robot",), f"robot: {error.message}", error.fix)]
     own = robot.joints
-    faults: list[Problem | None] = []
+    faults: list[Problem | None] = _feet_problems(card, file, robot)
     joints = own
     if (named := card.control.joints) is not None:
         order = _fault(file, ("control", "joints"), lambda: joint_order(named, own))
@@ -176,6 +181,21 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
         faults += _range_problems(file, pose, joints, robot)
     problems = [problem for problem in faults if problem is not None]
     return sorted(problems, key=lambda problem: (problem.line, problem.column))
+
+
+def _feet_problems(card: Card, file: YamlFile, robot: RobotSpec) -> list[Problem | None]:
+    """Return a problem for each term of feet that the robot does not have."""
+    return [
+        _fault(
+            file,
+            ("observations", name, "terms", index, "feet"),
+            lambda asked=term: check_feet(asked, robot.feet),
+        )
+        for name, observation in card.observations.items()
+        if isinstance(observation, ProprioObservation)
+        for index, term in enumerate(observation.terms or ())
+        if isinstance(term, FootContacts)
+    ]
 
 
 def _value_problems(

@@ -133,11 +133,8 @@ def _named(name: str) -> FoundRobot:
         return _of_folder(folder)
     if name in installed(ROBOTS):
         return _of_package(name)
-    known = robot_names()
-    raise UsageError(
-        f"unknown robot {name!r}",
-        fix=f"{nearest(name, known)}, or put its folder into {_FOLDER}/, or name its path",
-    )
+    hint = f"a robot of yours is a path, such as ./{name}, or lies in {_FOLDER}/"
+    raise UsageError(f"unknown robot {name!r}", fix=f"{nearest(name, robot_names())}; {hint}")
 
 
 @cache

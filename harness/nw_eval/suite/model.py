@@ -326,7 +326,8 @@ class Suite(_Strict):
     name: Name = Field(description="The suite's name: letters, digits, '_', '-', '.'.")
     robot: Annotated[str, Field(min_length=1, max_length=1024)] = Field(
         description="The robot: go1, go2, the name of one in robots/ or of a package, or the path "
-        "of a robot's folder. `name@identity` is that very one."
+        "of a robot's folder. `name@identity` is that very one.",
+        examples=["go1", "go2"],
     )
     policy: Annotated[str, Field(min_length=1)] = Field(
         description="Default policy: a bundle's name, its folder, its card, or "

@@ -14,7 +14,7 @@ from nw_eval.cards.load import CARD_FILE, parse_card
 from nw_eval.cards.observations import CameraObservation
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, StoreError
-from nw_eval.robots import get_robot
+from nw_eval.robots import get_robot, know_robot
 from nw_eval.rollout.replaying.logged import LoggedTrial, read_logged_trial
 
 F64 = NDArray[np.float64]
@@ -161,6 +161,7 @@ def _is_seen(logged: LoggedTrial) -> bool:
 
 
 def _bodies(logged: LoggedTrial) -> tuple[str, ...]:
+    know_robot(logged.job.robot, logged.job.robot_folder)
     return get_robot(logged.job.robot).bodies
 
 

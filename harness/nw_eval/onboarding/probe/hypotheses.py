@@ -38,7 +38,7 @@ from nw_eval.cards.terms import (
 )
 from nw_eval.errors import PolicyError
 from nw_eval.onboarding.notation import changed_lines, flow, listed, per_joint
-from nw_eval.robots import RobotSpec, get_robot, robot_names
+from nw_eval.robots import BUILT_IN, RobotSpec, get_robot
 
 TRIED = (
     "orders, signs and scales of joints, history, scales, signs, frames and order of terms, "
@@ -346,7 +346,7 @@ def _rates(card: Card) -> Iterator[tuple[str, Card]]:
 
 
 def _robots(card: Card) -> Iterator[tuple[str, Card]]:
-    for name in robot_names():
+    for name in BUILT_IN:
         other = card.model_copy(update={"robot": name})
         try:
             JointControl.from_card(other, get_robot(name))

@@ -33,7 +33,7 @@ from nw_eval.onboarding.probe.following import Followed
 from nw_eval.onboarding.probe.parts import parts_of
 from nw_eval.onboarding.probe.recording import Metered, Recording, SceneRig
 from nw_eval.policies import Bundle, load_bundle
-from nw_eval.robots import RobotSpec, get_robot
+from nw_eval.robots import RobotSpec, find_robot, get_robot, know_robot
 from nw_eval.rollout.confined.access import OPENING_SECONDS, policy_rules, running_rules
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.confined.vetting import check_bundle
@@ -162,15 +162,19 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
     place = get_scene(scene)
     if sees and place.splat is not None:
         place.splat_store()  # The cache is out of that process's reach.
+    robot = find_robot(bundle.card.robot)
+    folders = () if robot.folder is None else (robot.folder,)
     answer = call_isolated(
         _probe,
         subject=bundle.where,
-        rules=running_rules(bundle, scenes=[scene], allow_code=allow_code),
+        rules=running_rules(bundle, scenes=[scene], allow_code=allow_code, also=folders),
         time_limit=_TIME_LIMIT,
         renders=sees,
         policy_process=policy_rules(bundle),
         card=bundle.reference,
         checkpoint=None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),
+        robot=robot.reference,
+        robot_folder=None if robot.folder is None else str(robot.folder),
         scene=scene,
         allow_code=allow_code,
     )
@@ -183,7 +187,16 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
         ) from None
 
 
-def _probe(*, card: str, checkpoint: str | None, scene: str, allow_code: bool) -> dict[str, Any]:
+def _probe(
+    *,
+    card: str,
+    checkpoint: str | None,
+    robot: str,
+    robot_folder: str | None,
+    scene: str,
+    allow_code: bool,
+) -> dict[str, Any]:
+    know_robot(robot, None if robot_folder is None else Path(robot_folder))
     bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
     if not allow_code:  # As before a run, whose trials come after it.
         check_bundle(bundle, get_robot(bundle.card.robot), seconds=OPENING_SECONDS)
