@@ -92,8 +92,8 @@ FILES: tuple[StrangersFile, ...] = (
         read_by="ruamel.yaml",
         where="a confined process",
         may="say what the drafted card says",
-        refused="nothing of a tag is run; files over 1 MiB, aliases that grow and what is no number "
-        "are left out",
+        refused="nothing of a tag is run; files over 1 MiB, aliases that grow and what is no "
+        "number are left out",
     ),
     StrangersFile(
         kind="scene: YAML, XML, meshes",
