@@ -231,12 +231,13 @@ def test_signs_that_the_checkpoint_does_not_have_are_found_in_the_targets(tmp_pa
 @pytest.mark.assets
 @needs_assets
 @pytest.mark.nightly
-def test_hips_with_half_of_their_scale_walk_but_do_not_step_sideways(tmp_path):
+def test_hips_with_half_of_their_scale_are_no_fault_for_they_do_what_trials_command(tmp_path):
+    """rl_sar has this scale in its own configuration of the checkpoint."""
     card = example("himloco-go2")
     card["control"]["scale"] = {"hip": 0.125, "thigh": 0.25, "calf": 0.25}
     write(tmp_path, card)
     told = api.check_policy(str(tmp_path), checkpoint=WEIGHTS["himloco-go2"])
-    assert not told.passed
+    assert told.passed
     ahead, left = (
         re.search(
             rf"\n{words} +[\d.]+ m/s +(-?[\d.]+) m/s +(-?[\d.]+)\n", probe_page(told)
@@ -246,7 +247,7 @@ def test_hips_with_half_of_their_scale_walk_but_do_not_step_sideways(tmp_path):
     assert float(ahead[1]) > 0.8
     assert float(left[1]) < 0.6
     assert f"note: `command`: 0.5 m/s to the left, {left[0]} m/s reached" in probe_page(told)
-    assert "fault: it follows with the scale of the hips doubled" in probe_page(told)
+    assert "note: it follows better with the scale of the hips doubled" in probe_page(told)
     assert mend(card, probe_page(told)) == 1
     assert card["control"]["scale"] == 0.25
     assert check(tmp_path, card, WEIGHTS["himloco-go2"]).passed

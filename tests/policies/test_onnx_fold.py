@@ -44,7 +44,7 @@ def save(folder):
         [numpy_helper.from_array(WEIGHT, "weight")],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    helper.set_model_props(model, {"joint_names": "a,b"})
+    helper.set_model_props(model, {"run_path": "a,b"})
     onnx.save(
         model,
         folder / "policy.onnx",

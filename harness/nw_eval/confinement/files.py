@@ -50,8 +50,9 @@ FILES: tuple[StrangersFile, ...] = (
         refused=f"without a fence, unless `--allow-code`; {_ARCHIVE}",
     ),
     StrangersFile(
-        kind="state dict, safetensors",
-        read_by="a reader of our own",
+        kind="state dict, safetensors, zip of Stable-Baselines3, parameters of brax (a pickle) and "
+        "flax (msgpack)",
+        read_by="readers of our own, msgpack",
         where="a confined process",
         may="fill the networks that we know",
         refused=_ARCHIVE,
@@ -85,6 +86,14 @@ FILES: tuple[StrangersFile, ...] = (
         where="the main process",
         may="choose among what we offer",
         refused="tags, aliases that grow, unknown keys, paths that leave its folder",
+    ),
+    StrangersFile(
+        kind="YAML beside a checkpoint, for `policies init`",
+        read_by="ruamel.yaml",
+        where="a confined process",
+        may="say what the drafted card says",
+        refused="nothing of a tag is run; files over 1 MiB, aliases that grow and what is no "
+        "number are left out",
     ),
     StrangersFile(
         kind="scene: YAML, XML, meshes",

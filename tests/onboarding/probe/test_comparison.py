@@ -131,6 +131,14 @@ def test_a_card_under_which_only_the_sides_are_slow_is_no_fault(compared, obeys)
     assert findings[2][1].startswith("it follows better with the scale of the hips halved; if")
 
 
+def test_a_card_under_which_it_goes_the_other_way_is_a_fault(compared, obeys):
+    def walk(card, _):
+        return obeys(card, (1.0, 1.0 if halved_hips(card) else -0.9, 1.0))
+
+    _, findings, _ = compared(walk)
+    assert [kind for kind, _ in findings] == ["note", "note", "fault"]
+
+
 def test_a_stumbling_policy_is_told_with_which_card_it_walks(compared, obeys):
     def walk(card, _):
         return obeys(card, tilt=0.1 if halved_hips(card) else 0.5)

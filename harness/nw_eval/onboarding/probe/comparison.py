@@ -76,9 +76,10 @@ def compare(
 ) -> tuple[list[Followed], list[ProbeFinding]]:
     """Return what becomes of commands under a card, and if another card does better.
 
-    Another card that mends everything makes the card as it is a fault where the policy stumbles, or
-    misses what trials command. Where it misses only what no trial commands, it is a note: a right
-    card may go sideways at half of what it is told, and a change that helps there can cost success.
+    Another card that mends everything makes the card as it is a fault where the policy stumbles,
+    misses what trials command, or goes the opposite way. Where it is only slow at what no trial
+    commands, it is a note: a right card may go sideways at half of what it is told, and a change
+    that helps there can cost success.
 
     Args:
         rig: of the policy; when its budget is used up, what was found until then is returned.
@@ -126,11 +127,12 @@ def _others(
     except SpentError:
         cut = [_cut(rig, "note", "every other card")]
     if best is not None and best.helps:
-        in_trials = any(
-            (one.is_missed or one.stumbled) and (one.motion.is_used or one.motion.is_own)
+        matters = any(
+            one.is_opposite
+            or ((one.is_missed or one.stumbled) and (one.motion.is_used or one.motion.is_own))
             for one in written
         )
-        is_fault = (stumbles or in_trials) and best.mends
+        is_fault = (stumbles or matters) and best.mends
         does = ("walks" if stumbles else "follows") + ("" if is_fault else " better")
         text = f"it {does} {best.hypothesis.advice(card)}\n  then reached: {best.figures}"
         return [ProbeFinding(kind="fault" if is_fault else "note", text=text), *cut]

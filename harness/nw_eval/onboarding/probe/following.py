@@ -83,6 +83,11 @@ class Followed:
         return self.fell or not _FOLLOWS <= self.ratio <= 1.0 / _FOLLOWS
 
     @property
+    def is_opposite(self) -> bool:
+        """Whether it goes the other way, as no policy does under its own card."""
+        return self.ratio <= -_FOLLOWS
+
+    @property
     def is_weak(self) -> bool:
         """Whether another card may do better."""
         return self.stumbled or self.fell or not _WELL <= self.ratio <= 1.0 / _WELL
