@@ -20,6 +20,7 @@ from torch import nn
 from nw_eval.cards.checkpoint import ADAPTERS, NetworkAdapter
 from nw_eval.policies import instance_bundle, load_bundle
 from nw_eval.policies.act import ActPolicy
+from nw_eval.policies.mlp import MlpPolicy
 from nw_eval.policies.networks.act import Act, ActSizes
 from nw_eval.policies.networks.lucidsim import LucidSimTransformer
 from nw_eval.policies.networks.parkour import DepthEncoder, Estimator, ParkourActor
@@ -218,6 +219,14 @@ def randomized(module):
         }
 
 
+def mlp(case):
+    layers = nn.Sequential(nn.Linear(18, 16), nn.ELU(), nn.Linear(16, 12))
+    file = case.save({f"actor.{name}": value for name, value in randomized(layers).items()})
+    written_to(case, MlpPolicy, "infer")
+    options = "{weights: actor, activation: elu}"
+    return case.card("mlp", f"  obs: {{{BODY}}}\n", "", file, options=options)
+
+
 def act(case):
     sizes = ActSizes(
         width=16, heads=8, feedforward=8, encoder_layers=1, decoder_layers=1, pre_norm=False,
@@ -312,6 +321,7 @@ CASES = {
     "onnx": lambda case: case.card("onnx", file=onnx_file(case)),
     "torchscript": lambda case: case.card("torchscript", file=script_file(case)),
     "torch-export": lambda case: case.card("torch-export", file=export_file(case)),
+    "mlp": mlp,
     "lucidsim": lucidsim,
     "extreme-parkour": parkour,
     "act": act,
