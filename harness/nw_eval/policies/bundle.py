@@ -234,7 +234,7 @@ class Bundle:
                     found[key_of(group, name)] = identity_of(group, name)
         return dict(sorted(found.items()))
 
-    @property
+    @cached_property
     def joints(self) -> int:
         """How many joints the card's robot has, and numbers an action.
 
