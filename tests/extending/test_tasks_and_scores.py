@@ -201,10 +201,11 @@ def test_results_are_taken_over_until_the_code_of_a_package_changes(
     both, tmp_path, tilt, monkeypatch
 ):
     monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("NW_EVAL_CACHE_GB", "1")
     both.write_text(SUITE.replace("trials: 1", "trials: 3"))
 
     def taken_over(name):
-        run = api.run(str(both), out=tmp_path / name, in_process=True)
+        run = api.run(str(both), out=tmp_path / name, workers=1)
         return sum(row.cached for row in run.rows)
 
     assert taken_over("first") == 0

@@ -104,19 +104,19 @@ def test_every_score_at_physics_rate_is_its_formula_written_out(steps):
     names = [name for name in BUILT_IN if name != "time_to_finish"]
     with World(robot, get_scene(SCENE), payload=2.0) as world:
         meter = ScoreMeter(names, world, task)
-        mass = float(sum(world.model.body_mass))
-        damping, limits = world.model.dof_damping[6:], np.array(robot.torque_limits)
+        mass = float(sum(world._model.body_mass))
+        damping, limits = world._model.dof_damping[6:], np.array(robot.torque_limits)
         shares, powers, at_limit = [], [], 0
         slips, forces, errors, turns, places = [], [], [], [], []
         before = None
         for _ in range(steps):
             targets = np.array(robot.default_pose) + rng.normal(0.0, 0.6, 12)
-            twin = mujoco.MjData(world.model)
-            mujoco.mj_copyData(twin, world.model, world.data)
+            twin = mujoco.MjData(world._model)
+            mujoco.mj_copyData(twin, world._model, world._data)
             twin.ctrl[:] = targets
             full = False
             for substep in range(4):
-                (mujoco.mj_step2 if substep == 0 else mujoco.mj_step)(world.model, twin)
+                (mujoco.mj_step2 if substep == 0 else mujoco.mj_step)(world._model, twin)
                 torques = twin.actuator_force - damping * twin.qvel[6:]
                 shares.append(np.abs(torques) / limits)
                 powers.append(
@@ -125,13 +125,13 @@ def test_every_score_at_physics_rate_is_its_formula_written_out(steps):
                 full |= bool((np.abs(torques) >= limits).any())
             world.step(targets)
             meter.take(targets)
-            np.testing.assert_array_equal(twin.qvel, world.data.qvel)
+            np.testing.assert_array_equal(twin.qvel, world._data.qvel)
             joints = world.joint_positions
             at_limit += full or any(
                 not low + 0.01 <= q <= high - 0.01
                 for q, (low, high) in zip(joints, robot.joint_ranges, strict=True)
             )
-            feet = [world.data.geom(name).xpos.copy() for name in robot.feet]
+            feet = [world._data.geom(name).xpos.copy() for name in robot.feet]
             now = list(zip(feet, world.foot_forces().tolist(), strict=True))
             if before is not None:
                 slips += [
