@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import hashlib
 import warnings
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from nw_eval.errors import PluginError, nearest
 
@@ -24,6 +24,8 @@ AXES = "nw_eval.axes"
 SPLAT_FORMATS = "nw_eval.splat_formats"
 REPORTERS = "nw_eval.reporters"
 ROBOTS = "nw_eval.robots"
+TASKS = "nw_eval.tasks"
+SCORES = "nw_eval.scores"
 """The entry-point groups."""
 
 _Kind = TypeVar("_Kind")
@@ -73,6 +75,32 @@ def known_or_raise(name: str, group: str, built_in: Collection[str]) -> None:
         raise ValueError(message)
 
 
+def imported(group: str, name: str) -> object:
+    """Import the value of an installed plug-in, whatever it is.
+
+    Args:
+        group: the entry-point group.
+        name: of the plug-in, which `installed` has.
+
+    Raises:
+        PluginError: two packages claim the name, or the module cannot be imported. The message
+            names package and entry point.
+    """
+    first, *others = installed(group)[name]
+    if others:
+        raise PluginError(
+            f"{name!r} is claimed by two packages: {subject(first)} and {subject(others[0])}",
+            fix="uninstall one of them",
+        )
+    try:
+        return first.load()
+    except Exception as error:
+        raise PluginError(
+            f"{subject(first)} cannot be imported: {type(error).__name__}: {error}",
+            fix="mend or uninstall that package",
+        ) from error
+
+
 def load(group: str, name: str, kind: type[_Kind]) -> _Kind:
     """Import the value of an installed plug-in.
 
@@ -82,22 +110,9 @@ def load(group: str, name: str, kind: type[_Kind]) -> _Kind:
         kind: what the entry point must name an instance of, with its own name as `name`.
 
     Raises:
-        PluginError: two packages claim the name, the module cannot be imported, or the value is
-            something else. The message names package and entry point.
+        PluginError: as `imported`, or the value is something else.
     """
-    first, *others = installed(group)[name]
-    if others:
-        raise PluginError(
-            f"{name!r} is claimed by two packages: {subject(first)} and {subject(others[0])}",
-            fix="uninstall one of them",
-        )
-    try:
-        value: object = first.load()
-    except Exception as error:
-        raise PluginError(
-            f"{subject(first)} cannot be imported: {type(error).__name__}: {error}",
-            fix="mend or uninstall that package",
-        ) from error
+    value = imported(group, name)
     called = getattr(value, "name", None)
     if not isinstance(value, kind):
         found = f"a {type(value).__name__}, no nw_eval.{kind.__name__}"
@@ -106,8 +121,36 @@ def load(group: str, name: str, kind: type[_Kind]) -> _Kind:
     else:
         return value
     raise PluginError(
-        f"{subject(first)} is {found}",
+        f"{subject(installed(group)[name][0])} is {found}",
         fix=f"the entry point {name!r} must name an nw_eval.{kind.__name__} with name={name!r}",
+    )
+
+
+def load_class(
+    group: str, name: str, base: type[_Kind], own_name: Callable[[Any], object]
+) -> type[_Kind]:
+    """Import the class of an installed plug-in.
+
+    Args:
+        group: the entry-point group, which is the module that has `base`, too.
+        name: of the plug-in, which `installed` has.
+        base: what the entry point must name a subclass of.
+        own_name: returns the name that such a class gives itself, which must be `name`.
+
+    Raises:
+        PluginError: as `imported`, or the value is something else.
+    """
+    value = imported(group, name)
+    kind = f"{group}.{base.__name__}"
+    if not (isinstance(value, type) and base in value.__mro__):
+        found = f"a {type(value).__name__}, no subclass of {kind}"
+    elif (called := own_name(value)) != name:
+        found = f"the {base.__name__} {called!r}"
+    else:
+        return value
+    raise PluginError(
+        f"{subject(installed(group)[name][0])} is {found}",
+        fix=f"the entry point {name!r} must name a subclass of {kind} of that name",
     )
 
 
@@ -167,10 +210,29 @@ def key_of(group: str, name: str) -> str:
     return f"{group.partition('.')[2]}.{name}"
 
 
+def is_measure(key: str) -> bool:
+    """Whether what `key_of` calls so is a score, which changes no trial."""
+    return key.startswith(key_of(SCORES, ""))
+
+
 def version_named(key: str) -> str | None:
     """Return `version_of` what `key_of` calls so."""
     group, _, name = key.partition(".")
     return version_of(f"nw_eval.{group}", name)
+
+
+def is_elsewhere(group: str, name: str, said: Mapping[str, str]) -> bool:
+    """Whether a suite says another version of a plug-in than is installed here.
+
+    Its run may have used the plug-in elsewhere, and is judged here: nothing of it is checked then.
+
+    Args:
+        group: the entry-point group.
+        name: of the plug-in.
+        said: `plugins` of the suite.
+    """
+    version = said.get(key_of(group, name))
+    return version is not None and version != version_of(group, name)
 
 
 def code_named(key: str) -> str:

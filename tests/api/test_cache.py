@@ -17,7 +17,6 @@ from nw_eval.engine.plan import plan_jobs
 from nw_eval.errors import TrialError, UsageError
 from nw_eval.results.row import from_dict, rows_digest, to_dict
 from nw_eval.results.run_folder import RunFolder
-from nw_eval.tasks import TaskSettings
 from nw_eval.view.sources import kind_of, open_shelf
 
 SUITE = """\
@@ -251,10 +250,8 @@ def test_what_is_not_known_by_its_bytes_is_never_taken_over(place):
     }
     for why, bundle in bundles.items():
         assert knowing._unfit(replace(plan, bundle=bundle)) == why
-    scored = plan.suite.model_copy(update={"scores": ("mine",)})
-    assert knowing._unfit(replace(plan, suite=scored)) == "the score 'mine' is a plug-in"
-    tasked = plan.suite.model_copy(update={"task": TaskSettings(kind="mine")})
-    assert knowing._unfit(replace(plan, suite=tasked)) == "the task 'mine' is a plug-in"
+    suite = plan.suite.model_copy(update={"plugins": {"tasks.mine": "mine 1.0"}})
+    assert knowing._unfit(replace(plan, suite=suite)) == "the code of tasks.mine is not found"
     _, known = jobs_and_known(place, render="cuda")
     assert known.info.off == "--render cuda"
     jobs, known = jobs_and_known(place, off="--no-cache")

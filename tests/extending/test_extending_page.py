@@ -14,6 +14,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 PACKAGES = Path(__file__).parent / "packages"
+HARNESS = ROOT / "harness" / "nw_eval"
 BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SECTIONS = {
     section.partition("\n")[0]: BLOCK.findall(section) for section in PAGE.split("\n## ")[1:]
@@ -61,7 +62,7 @@ class Reader:
         """Write files, run commands, and compare what is printed with what the page shows."""
         for kind, file, text in blocks:
             if file:
-                (self.folder / file).parent.mkdir(exist_ok=True)
+                (self.folder / file).parent.mkdir(parents=True, exist_ok=True)
                 (self.folder / file).write_text(text)
             elif kind == "sh":
                 self.printed = ""
@@ -91,7 +92,8 @@ def test_the_packages_of_the_page_are_those_of_the_tests():
     real = {
         path.relative_to(PACKAGES).as_posix(): path.read_text(encoding="utf-8")
         for path in PACKAGES.rglob("*")
-        if path.suffix in {".py", ".toml"} and "build" not in path.relative_to(PACKAGES).parts
+        if path.suffix in {".py", ".toml", ".xml", ".yaml"}
+        and "build" not in path.relative_to(PACKAGES).parts
     }
     assert shown == real
 
@@ -102,14 +104,39 @@ def test_the_table_names_every_entry_point_group():
     groups = {
         plugins.AXES,
         plugins.REPORTERS,
+        plugins.ROBOTS,
+        plugins.SCORES,
         plugins.SENSORS,
         plugins.SPLAT_FORMATS,
+        plugins.TASKS,
         plugins.WRAPPERS,
     }
     assert set(re.findall(r"^\| `(nw_eval\.\w+)` \|", PAGE, re.MULTILINE)) == groups
     for package in PACKAGES.iterdir():
         project = tomllib.loads((package / "pyproject.toml").read_text())["project"]
         assert set(project["entry-points"]) <= groups
+
+
+def test_each_kind_of_extension_takes_one_source_file_in_a_package_of_its_own():
+    from nw_eval import plugins
+
+    sources = {}
+    for package in PACKAGES.iterdir():
+        project = tomllib.loads((package / "pyproject.toml").read_text())["project"]
+        (group,) = project["entry-points"]
+        assert len(project["entry-points"][group]) == 1
+        (source,) = (
+            path
+            for path in package.rglob("*.py")
+            if not path.name.startswith("test_") and "build" not in path.parts
+        )
+        sources[group] = source
+    linked = {
+        plugins.SENSORS,
+        plugins.WRAPPERS,
+    }  # Of docs/wrappers.md, which has a test of its own.
+    groups = set(re.findall(r"^\| `(nw_eval\.\w+)` \|", PAGE, re.MULTILINE))
+    assert set(sources) == groups - linked
 
 
 def test_its_reporters_are_those_that_are_built_in():
@@ -121,9 +148,11 @@ def test_its_reporters_are_those_that_are_built_in():
 
 
 @pytest.mark.slow
-def test_the_commands_of_the_page_do_what_it_says(reader):
+def test_the_commands_of_the_page_do_what_it_says_and_change_no_file_of_ours(reader):
+    before = {path: path.read_bytes() for path in HARNESS.rglob("*.py")}
     for blocks in SECTIONS.values():
         reader.follow(blocks)
+    assert {path: path.read_bytes() for path in HARNESS.rglob("*.py")} == before
 
 
 def test_the_page_tells_all_that_is_there_for_tests():

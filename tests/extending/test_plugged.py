@@ -144,7 +144,7 @@ def test_a_run_meets_it_and_says_whose_it_is_and_is_judged_where_it_is_not_insta
     assert code == 0, said
     info = read_run_info(tmp_path / "run" / "run.json")
     assert info.plugins == {"axes.gain": identity_of(AXES, "gain")}
-    assert info.engine["axes.gain"] == info.plugins["axes.gain"].split()[2][:16]
+    assert info.engine["axes.gain"] == info.plugins["axes.gain"][: len("gainer 1.0 ") + 16]
     rows = nw_eval.read_rows(tmp_path / "run")
     assert len(set(rows["action_digest"])) <= 2
     assert len(set(rows["state_digest"])) == 2

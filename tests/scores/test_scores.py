@@ -2,7 +2,6 @@
 
 import math
 import re
-import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -23,7 +22,7 @@ from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.result import StageClock
 from nw_eval.rollout.scored import ScoreMeter
 from nw_eval.rollout.trial import run_trial
-from nw_eval.scores import ScoreSpec, TrialEnd, registry, score_names
+from nw_eval.scores import ScoreSpec, TrialEnd
 from nw_eval.scores.registry import BUILT_IN
 from nw_eval.sim import World
 from nw_eval.suite.trials import Trial
@@ -244,50 +243,3 @@ def test_the_page_has_every_score_as_it_is_declared():
 def test_every_undefined_score_counts_as_the_worst():
     for cls in BUILT_IN.values():
         assert cls.spec.scaled(None) == 0.0
-
-
-@pytest.fixture
-def package(tmp_path, monkeypatch):
-    """Install the package of the page."""
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    (tmp_path / "strolling.py").write_text(code)
-    info = tmp_path / "strolling-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: strolling\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[nw_eval.scores]\npeak_speed = strolling:PeakSpeed\nother = strolling:PeakSpeed\n"
-        "gone = no_such_module:X\nnumber = strolling:np\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    forget()
-    yield
-    forget()
-
-
-def forget():
-    registry._installed.cache_clear()
-    registry._plugin.cache_clear()
-    sys.modules.pop("strolling", None)
-
-
-@pytest.mark.usefixtures("package")
-def test_the_score_of_the_page_is_measured():
-    assert "peak_speed" in score_names()
-    ((name, value),) = run_trial(job(["peak_speed"])).scores
-    assert name == "peak_speed"
-    assert 0.5 < value < 3.0
-
-
-@pytest.mark.usefixtures("package")
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("peak_sped", "'peak_sped' is no score; did you mean 'peak_speed'"),
-        ("other", "declares no `spec` of that name"),
-        ("gone", "score 'gone' of strolling is broken: ModuleNotFoundError"),
-        ("number", "is no subclass of nw_eval.scores.Score"),
-    ],
-)
-def test_a_name_that_is_no_score_is_told(name, said):
-    with pytest.raises(ValueError, match=re.escape(said)):
-        registry.score_class(name)

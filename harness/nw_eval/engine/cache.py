@@ -394,7 +394,7 @@ class Conditions:
         """Return the hex sha256 of everything that can change a trial's result, or its log."""
         trial = _without(vars(job.trial), _LABELS | {"identity"})  # It is a digest of the others.
         fields = _without(vars(job), _CIRCUMSTANCE)
-        fields["task"] = job.task.identity()
+        fields["task"] = job.task.model_dump()
         return digest_of([self.digest, trial, fields])
 
 

@@ -22,11 +22,10 @@ from nw_eval.engine.cache import NO_ENTRY, CacheEntry, Conditions, TrialStore, l
 from nw_eval.engine.provenance import journal_header
 from nw_eval.engine.rows import taken_over
 from nw_eval.errors import StoreError
+from nw_eval.plugins import code_named
 from nw_eval.plural import plural
 from nw_eval.results.ended import of_plan
 from nw_eval.results.provenance import CacheInfo
-from nw_eval.scores.registry import plugins_among
-from nw_eval.tasks.registry import is_plugin
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Sequence
@@ -102,10 +101,9 @@ def _unfit(plan: Plan) -> str:
         return "the policy is on a server"
     if plan.bundle.code_sha256:
         return "the policy imports code"  # It may read other files, and import from other folders.
-    if is_plugin(plan.suite.task):  # It may be edited, and keep its version.
-        return f"the task {plan.suite.task.kind!r} is a plug-in"
-    if found := plugins_among(plan.suite.measured):
-        return f"the score {found[0]!r} is a plug-in"
+    for key in plan.suite.plugins:
+        if not code_named(key):  # It may be edited, and keep its version.
+            return f"the code of {key} is not found"
     if plan.render != "cpu":
         return f"--render {plan.render}"  # Pictures depend on the device and on its driver.
     return ""

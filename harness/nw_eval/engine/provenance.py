@@ -13,7 +13,7 @@ from nw_eval.built_in.splits import split_of
 from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
 from nw_eval.engine.machine import cpu_kind
-from nw_eval.plugins import code_named
+from nw_eval.plugins import code_named, version_named
 from nw_eval.policies.bundle import senses_by_code
 from nw_eval.results.journal import JournalHeader
 from nw_eval.results.machine import (
@@ -117,8 +117,8 @@ def engine_of(render: Backend, plugins: Iterable[str] = ()) -> dict[str, str]:
 
     Args:
         render: the splat renderer.
-        plugins: what packages bring along to the suite, as `Suite.plugins` names it; their code
-            counts, of which a version may not be told apart.
+        plugins: what packages bring along, as `Suite.plugins` names it. Their code counts beside
+            their version, which may not tell it apart.
     """
     versions = library_versions()
     return {
@@ -126,7 +126,7 @@ def engine_of(render: Backend, plugins: Iterable[str] = ()) -> dict[str, str]:
         "renderer": _renderer(render),
         "cpu": cpu_kind(),
         "code": rows_code_digest()[:16],
-        **{key: code_named(key)[:16] for key in plugins},
+        **{key: f"{version_named(key)} {code_named(key)[:16]}" for key in plugins},
     }
 
 

@@ -52,13 +52,11 @@ def facts(
         plugins: the run's `Plan.plugins`, of which a node may have others.
     """
     from nw_eval.engine.provenance import engine_of, fence_of
-    from nw_eval.plugins import code_named, version_named
 
     return {
         "nw-eval": __version__,
         "Python": platform.python_version(),
-        **engine_of(render),
-        **{key: f"{version_named(key)} {code_named(key)[:16]}" for key in plugins},
+        **engine_of(render, plugins),
         "fence": fence_of(adapter, code=code, render=render),
     }
 

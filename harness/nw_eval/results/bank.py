@@ -15,6 +15,7 @@ from hashlib import sha256
 from pydantic import BaseModel, ConfigDict, Field
 
 from nw_eval.files.shipped import available
+from nw_eval.plugins import is_measure
 from nw_eval.results.column import Settings
 from nw_eval.results.provenance import BaselineInfo, RunInfo
 from nw_eval.results.row import Row
@@ -38,6 +39,8 @@ class BankKey(_Part):
     """Digests of the scenes by name."""
     simulator: dict[str, str]
     """Versions of what makes the simulated world: mujoco, embreex, renderer."""
+    measured: dict[str, str] = {}
+    """Package, version and code of each score that a package brings along: `scores.NAME`."""
 
 
 class BankPolicy(_Part):
@@ -98,6 +101,7 @@ def key_of(run: RunInfo) -> BankKey:
         protocol=str(run.suite.get("protocol", "")),
         scenes={name: scene.digest for name, scene in run.scenes.items()},
         simulator={name: run.engine[name] for name in _SIMULATOR if name in run.engine},
+        measured={key: whose for key, whose in run.plugins.items() if is_measure(key)},
     )
 
 
@@ -108,7 +112,11 @@ def machine_of(run: RunInfo) -> dict[str, str]:
 
 def machine_in(engine: Mapping[str, str]) -> dict[str, str]:
     """Return the class of machine that `RunInfo.engine` names."""
-    return {name: value for name, value in engine.items() if name not in _SIMULATOR}
+    return {
+        name: value
+        for name, value in engine.items()
+        if name not in _SIMULATOR and not is_measure(name)
+    }
 
 
 Stratum = tuple[str, Settings]

@@ -10,7 +10,7 @@ from typing import Literal
 from nw_eval.results.bank import BankKey, BankPolicy, Panel, SavedBank, Start, score
 from nw_eval.results.column import Settings
 
-Part = Literal["suite", "scene", "simulator", "policy", "machine"]
+Part = Literal["suite", "scene", "simulator", "score", "policy", "machine"]
 """What a field is of. All but the machine must match for a bank to hold."""
 
 _NONE = "none"
@@ -81,7 +81,7 @@ def bank_change(then: SavedBank, now: SavedBank) -> BankChange:
 
 
 def key_changes(then: BankKey, now: BankKey) -> tuple[FieldChange, ...]:
-    """Return what differs between two keys: suite, scenes, simulator, in this order."""
+    """Return what differs between two keys: suite, scenes, simulator, scores, in this order."""
     suite = [
         ("seed", str(then.seed), str(now.seed)),
         ("protocol", then.protocol, now.protocol),
@@ -97,6 +97,7 @@ def key_changes(then: BankKey, now: BankKey) -> tuple[FieldChange, ...]:
         *changed,
         *_differences("scene", *short),
         *_differences("simulator", then.simulator, now.simulator),
+        *_differences("score", then.measured, now.measured),
     )
 
 

@@ -7,8 +7,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from nw_eval.errors import RobotError, UsageError, nearest
-from nw_eval.plugins import ROBOTS, identity_of, installed, subject
+from nw_eval.errors import PluginError, RobotError, UsageError, nearest
+from nw_eval.plugins import ROBOTS, identity_of, imported, installed, subject, warn_if_built_in
 from nw_eval.robots.go1 import go1
 from nw_eval.robots.go2 import go2
 from nw_eval.robots.spec import CameraMount, RobotSpec, Shape
@@ -127,6 +127,7 @@ def know_robot(reference: str, folder: Path | None) -> None:
 
 def _named(name: str) -> FoundRobot:
     if name in _BUILDERS:
+        warn_if_built_in(ROBOTS, name)
         return FoundRobot(spec=_built_in(name))
     folder = _folders.get(name, Path.cwd() / _FOLDER / name)
     if name in _folders or (folder / "robot.yaml").is_file():
@@ -194,28 +195,23 @@ def _of_package(name: str) -> FoundRobot:
 
     Its entry point names a function that returns a `RobotSpec`, or the path of a robot's folder.
     """
-    first, *others = installed(ROBOTS)[name]
-    if others:
-        raise RobotError(
-            f"{name!r} is claimed by two packages: {subject(first)} and {subject(others[0])}",
-            fix="uninstall one of them",
-        )
+    whose = subject(installed(ROBOTS)[name][0])
     try:
-        value = first.load()
+        value = imported(ROBOTS, name)
         made = value() if callable(value) else value
         found = made if isinstance(made, RobotSpec) else _of_folder(Path(str(made)), is_known=False)
     except UsageError:
         raise
+    except PluginError as error:  # The error of robots, which is told beside a suite's others.
+        raise RobotError(error.message, fix=error.fix) from error
     except Exception as error:
         raise RobotError(
-            f"{subject(first)} cannot be used: {type(error).__name__}: {error}",
+            f"{whose} cannot be used: {type(error).__name__}: {error}",
             fix="mend or uninstall that package",
         ) from error
     spec = found if isinstance(found, RobotSpec) else found.spec
     if spec.name != name:
-        raise RobotError(
-            f"{subject(first)} is the robot {spec.name!r}", fix="give both the same name"
-        )
+        raise RobotError(f"{whose} is the robot {spec.name!r}", fix="give both the same name")
     package, version, *code = identity_of(ROBOTS, name).split()
     identity = "-".join((package, version, *(each[:_DIGITS] for each in code)))
     if not isinstance(found, RobotSpec):

@@ -6,7 +6,7 @@ types.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -20,20 +20,32 @@ from pydantic import (
     PrivateAttr,
     SerializerFunctionWrapHandler,
     ValidationError,
+    ValidationInfo,
     field_validator,
     model_serializer,
     model_validator,
 )
 
-from nw_eval.errors import Problem, UsageError
+from nw_eval.errors import NwEvalError, Problem, UsageError
 from nw_eval.plugins import AXES as GROUP
-from nw_eval.plugins import key_of, version_named, version_of
+from nw_eval.plugins import (
+    SCORES,
+    TASKS,
+    is_elsewhere,
+    is_measure,
+    key_of,
+    version_named,
+    version_of,
+    warn_if_built_in,
+)
 from nw_eval.request import Request
 from nw_eval.scores import ScoreSpec, specs_of
+from nw_eval.scores.registry import BUILT_IN as SCORE_CLASSES
 from nw_eval.suite.axes import AXES
 from nw_eval.suite.digest import digest_of
 from nw_eval.suite.perturb import Perturb, each_once
 from nw_eval.tasks import COURSE, AnyTask
+from nw_eval.tasks.registry import BUILT_IN as TASK_CLASSES
 from nw_eval.words import Protocol, Record, Tier
 
 MAX_CELLS = 10_000
@@ -283,12 +295,13 @@ class Gate(_Strict):
 
     @field_validator("scores")
     @classmethod
-    def _known_scores(cls, gates: dict[str, ScoreGate]) -> dict[str, ScoreGate]:
+    def _known_scores(
+        cls, gates: dict[str, ScoreGate], info: ValidationInfo
+    ) -> dict[str, ScoreGate]:
         if "success" in gates:
             raise ValueError("success is judged by success_rate and max_drop; set those of `gate`")
-        specs = specs_of(gates)
-        for name, gate in gates.items():
-            if fault := gate.fault(name, specs[name]):
+        for name, declared in _declared(gates, info).items():
+            if fault := gates[name].fault(name, declared):
                 raise ValueError(fault)
         return gates
 
@@ -373,12 +386,14 @@ class Suite(_Strict):
             fields.pop("task", None)
         if not self.scores:
             fields.pop("scores", None)
+        if not self.plugins:
+            fields.pop("plugins", None)
         return fields
 
     @field_validator("scores")
     @classmethod
-    def _known_scores(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        specs_of(names)
+    def _known_scores(cls, names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
+        _declared(names, info)
         return each_once(names)
 
     @model_validator(mode="after")
@@ -389,14 +404,6 @@ class Suite(_Strict):
         if cells > MAX_CELLS:
             raise ValueError(f"perturb has {cells} cells, over {MAX_CELLS}; name fewer values")
         return self
-
-    @model_serializer(mode="wrap")
-    def _without_plugins(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what came later, while it is not used: a suite keeps its digest."""
-        fields: dict[str, Any] = write(self)
-        if not self.plugins:
-            fields.pop("plugins", None)
-        return fields
 
     @property
     def source(self) -> Source:
@@ -418,19 +425,21 @@ class Suite(_Strict):
         """Hex sha256 of what decides the course of a trial.
 
         That is robot, protocol, seed, episode, task and perturbations, with the versions of the
-        packages that have some of their axes. It names trials, so it must not
-        change with policy, gate, record, name, scenes or the number of trials: raising `trials`
-        keeps the earlier ones, and two policies meet the same ones.
+        packages that have the task or some of their axes. It names trials, so it must not
+        change with policy, gate, scores, record, name, scenes or the number of trials: raising
+        `trials` keeps the earlier ones, and two policies meet the same ones.
         """
         fields = self.model_dump(include={"robot", "protocol", "seed", "episode", "perturb"})
-        if self.plugins:  # What an axis does is a matter of its version.
-            fields["plugins"] = self.plugins
+        # What an axis or a task does is a matter of its version. A score changes no trial.
+        acting = {key: said for key, said in self.plugins.items() if not is_measure(key)}
+        if acting:
+            fields["plugins"] = acting
         # What is not used is left out, so that new axes and switches keep old digests.
         fields["perturb"] = {axis: values for axis, values in fields["perturb"].items() if values}
         if fields["episode"]["contact_termination"]:
             del fields["episode"]["contact_termination"]
         if self.task != COURSE:
-            fields["task"] = self.task.identity()
+            fields["task"] = self.task.model_dump()
         return digest_of(fields)
 
     @property
@@ -463,12 +472,41 @@ def new_suite(settings: Mapping[str, Any], source: Source | None = None) -> Suit
 
 def _installed_plugins(settings: Mapping[str, Any]) -> dict[str, str]:
     """Return the versions of the packages that have what settings name; none is imported."""
-    perturb = settings.get("perturb")
+    task, scores = settings.get("task"), settings.get("scores")
+    measured = cast("tuple[Any, ...]", scores) if isinstance(scores, tuple) else ()
+    gated = _mapping(_mapping(settings.get("gate")).get("scores"))
+    named: list[tuple[str, Any, Container[str]]] = [
+        *((GROUP, name, AXES) for name in _mapping(settings.get("perturb"))),
+        *((SCORES, name, SCORE_CLASSES) for name in (*measured, *gated)),
+        (TASKS, task if isinstance(task, str) else _mapping(task).get("kind"), TASK_CLASSES),
+    ]
     found: dict[str, str] = {}
-    for name in cast("Mapping[Any, Any]", perturb) if isinstance(perturb, Mapping) else ():
-        if name not in AXES and (version := version_of(GROUP, str(name))) is not None:
-            found[key_of(GROUP, name)] = version
+    for group, name, built_in in named:
+        if not isinstance(name, str):
+            continue
+        if name in built_in:
+            if group != GROUP:  # Of axes the grid warns, where they have values.
+                warn_if_built_in(group, name)
+        elif (version := version_of(group, name)) is not None:
+            found[key_of(group, name)] = version
     return dict(sorted(found.items()))
+
+
+def _mapping(value: Any) -> Mapping[Any, Any]:
+    return cast("Mapping[Any, Any]", value) if isinstance(value, Mapping) else {}
+
+
+def _declared(names: Iterable[str], info: ValidationInfo) -> dict[str, ScoreSpec]:
+    """Return the declarations of scores, but for those whose package is installed elsewhere only.
+
+    Raises:
+        ValueError: there is no such score, or its package is broken.
+    """
+    said = (info.context or {}).get("plugins", {})
+    try:
+        return specs_of(name for name in names if not is_elsewhere(SCORES, name, said))
+    except NwEvalError as error:
+        raise ValueError(str(error)) from None
 
 
 def plugin_faults(suite: Suite) -> list[Problem]:

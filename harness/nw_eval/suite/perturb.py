@@ -27,7 +27,7 @@ from pydantic_core import InitErrorDetails
 
 from nw_eval.errors import PluginError, UsageError, nearest
 from nw_eval.plugins import AXES as GROUP
-from nw_eval.plugins import distribution, installed, key_of, version_of, warn_if_built_in
+from nw_eval.plugins import distribution, installed, is_elsewhere, warn_if_built_in
 from nw_eval.plural import plural
 from nw_eval.suite.axes import AXES, Axis, axis_named, axis_names, is_axis
 
@@ -90,7 +90,8 @@ class _Grid(BaseModel):
         wrong: list[InitErrorDetails] = []
         for name, values in settings.items():
             if name not in cls.model_fields:
-                wrong += _faults_of(name, values, named.get(key_of(GROUP, name)))
+                is_saved = is_elsewhere(GROUP, str(name), named)
+                wrong += _faults_of(name, values, is_saved=is_saved)
             elif values:
                 warn_if_built_in(GROUP, name)
         try:
@@ -121,16 +122,14 @@ class _Grid(BaseModel):
         return tuple(cells)
 
 
-def _faults_of(name: Any, values: Any, version: str | None) -> Iterator[InitErrorDetails]:
+def _faults_of(name: Any, values: Any, *, is_saved: bool) -> Iterator[InitErrorDetails]:
     """Yield what is wrong with an axis that is not built in.
 
     Args:
         name: as the suite has it.
         values: likewise.
-        version: of its package, as the suite has it. Where that is not installed, a run may have
-            met the axis elsewhere, and is judged here: any numbers are fine then.
+        is_saved: whether its package is installed elsewhere only: any numbers are fine then.
     """
-    is_saved = version is not None and version != version_of(GROUP, name)
     if not is_saved and not (isinstance(name, str) and is_axis(name)):
         yield InitErrorDetails(type="extra_forbidden", loc=(name,), input=values)
         return

@@ -7,8 +7,6 @@ a suite names it. Built-in names always win.
 
 from __future__ import annotations
 
-from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from typing import Annotated, Any, Self, cast
 
 from pydantic import (
@@ -17,20 +15,19 @@ from pydantic import (
     Discriminator,
     Tag,
     ValidationError,
+    ValidationInfo,
     model_validator,
 )
 
-from nw_eval.errors import UsageError, nearest
+from nw_eval.errors import NwEvalError, PluginError, UsageError, nearest
+from nw_eval.plugins import TASKS, installed, is_elsewhere, load_class, subject
 from nw_eval.scores import ScoreSpec
 from nw_eval.tasks.course import Course, CourseSettings
 from nw_eval.tasks.task import Task, TaskRules, TaskSettings
 
-TASKS = "nw_eval.tasks"
-"""The entry-point group."""
-
-_BUILT_IN: dict[str, type[Task]] = {cls.kind: cls for cls in (Course,)}
+BUILT_IN: dict[str, type[Task]] = {cls.kind: cls for cls in (Course,)}
+"""By name."""
 _PLUGIN = "plug-in"
-_NEEDED = ("reset", "update", "end", "state", "restore")
 
 
 class PluginTask(TaskSettings):
@@ -39,25 +36,24 @@ class PluginTask(TaskSettings):
     model_config = ConfigDict(extra="allow")
 
     @model_validator(mode="after")
-    def _valid(self) -> Self:
-        cls = _plugin(self.kind)
+    def _valid(self, info: ValidationInfo) -> Self:
+        if is_elsewhere(TASKS, self.kind, (info.context or {}).get("plugins", {})):
+            return self
         try:
-            cls.settings.model_validate(self.model_dump())
+            _plugin(self.kind).settings.model_validate(self.model_dump())
         except ValidationError as error:
             first = error.errors()[0]
             place = ".".join(["task", *(str(part) for part in first["loc"])])
             raise ValueError(f"{place}: {first['msg'].lower()}") from None
+        except NwEvalError as error:
+            raise ValueError(str(error)) from None
         return self
-
-    def identity(self) -> dict[str, Any]:
-        """Return its keys, with the package and its version: another one may be another task."""
-        return {**self.model_dump(), "plug-in": _version(self.kind)}
 
 
 def _branch(value: Any) -> str:
     found = cast("dict[str, Any]", value) if isinstance(value, dict) else {}
     kind = found.get("kind") if found else getattr(value, "kind", None)
-    return kind if isinstance(kind, str) and kind in _BUILT_IN else _PLUGIN
+    return kind if isinstance(kind, str) and kind in BUILT_IN else _PLUGIN
 
 
 def _by_name(value: Any) -> Any:
@@ -74,18 +70,12 @@ AnyTask = Annotated[
 
 def task_kinds() -> tuple[str, ...]:
     """Return the names of all kinds, the built-in ones first."""
-    return (*_BUILT_IN, *sorted(_installed().keys() - _BUILT_IN.keys()))
-
-
-def is_plugin(settings: TaskSettings) -> bool:
-    """Whether a task is that of an installed package."""
-    return settings.kind not in _BUILT_IN
+    return (*BUILT_IN, *sorted(installed(TASKS).keys() - BUILT_IN.keys()))
 
 
 def declared_by(settings: TaskSettings) -> tuple[ScoreSpec, ...]:
     """Return the scores that a kind of task has of its own."""
-    cls = _BUILT_IN.get(settings.kind) or _plugin(settings.kind)
-    return cls.declared
+    return (BUILT_IN.get(settings.kind) or _plugin(settings.kind)).declared
 
 
 def open_task(settings: TaskSettings, rules: TaskRules) -> Task:
@@ -96,65 +86,39 @@ def open_task(settings: TaskSettings, rules: TaskRules) -> Task:
         rules: of the suite's trials.
 
     Raises:
-        UsageError: a plug-in cannot be imported, or its class refuses.
+        UsageError: there is no such kind.
+        PluginError: its package is broken, or its class refuses.
     """
-    if (built_in := _BUILT_IN.get(settings.kind)) is not None:
+    if (built_in := BUILT_IN.get(settings.kind)) is not None:
         return built_in(settings, rules)  # pyright: ignore[reportCallIssue]  # As every class.
+    cls = _plugin(settings.kind)
     try:
-        cls = _plugin(settings.kind)
         return cls(cls.settings.model_validate(settings.model_dump()), rules)  # pyright: ignore[reportCallIssue]
-    except ValueError as error:
-        raise UsageError(str(error), fix="install its package, or repair it") from error
     except Exception as error:
-        raise UsageError(
+        raise PluginError(
             f"{_subject(settings.kind)} cannot be opened: {type(error).__name__}: {error}",
             fix="its class must take (settings, rules)",
         ) from error
 
 
-@cache
-def _installed() -> dict[str, EntryPoint]:
-    found: dict[str, EntryPoint] = {}
-    for point in sorted(entry_points(group=TASKS), key=lambda p: (p.name, _owner(p))):
-        found.setdefault(point.name, point)
-    return found
-
-
-def _owner(point: EntryPoint) -> str:
-    return "unknown package" if point.dist is None else str(point.dist.name)
-
-
 def _subject(kind: str) -> str:
-    point = _installed().get(kind)
-    return f"task {kind!r}" if point is None else f"task {kind!r} of {_owner(point)}"
+    return subject(installed(TASKS)[kind][0])
 
 
-def _version(kind: str) -> str:
-    point = _installed().get(kind)
-    return "" if point is None or point.dist is None else f"{_owner(point)} {point.dist.version}"
-
-
-@cache
 def _plugin(kind: str) -> type[Task]:
-    """Return the class of an installed kind.
+    """Return the class of a kind that is not built in.
 
     Raises:
-        ValueError: there is none, or it is no task.
+        UsageError: there is no such kind.
+        PluginError: its package is broken, or the class is no task.
     """
-    point = _installed().get(kind)
-    if point is None:
-        known = {*_BUILT_IN, *_installed()}
-        raise ValueError(f"{kind!r} is no kind of task; {nearest(kind, known)}")
-    try:
-        cls = point.load()
-    except Exception as error:
-        raise ValueError(
-            f"{_subject(kind)} is broken: {type(error).__name__}: {error}; install it again"
-        ) from error
-    lacking = [name for name in _NEEDED if not callable(getattr(cls, name, None))]
+    if kind not in installed(TASKS):
+        raise UsageError(f"{kind!r} is no kind of task", fix=nearest(kind, task_kinds()))
+    cls: Any = load_class(TASKS, kind, Task, lambda cls: getattr(cls, "kind", None))
     settings = getattr(cls, "settings", None)
     if not (isinstance(settings, type) and issubclass(settings, TaskSettings)):
-        lacking.append("settings")
-    if lacking:
-        raise ValueError(f"{_subject(kind)} has no {', '.join(lacking)}; see docs/tasks.md")
+        raise PluginError(
+            f"{_subject(kind)} has no `settings`",
+            fix="give it a subclass of nw_eval.tasks.TaskSettings",
+        )
     return cls

@@ -38,10 +38,6 @@ class TaskSettings(BaseModel):
 
     kind: Any
 
-    def identity(self) -> dict[str, Any]:
-        """Return what of it decides the course of a trial, as JSON values."""
-        return self.model_dump()
-
 
 @dataclass(frozen=True, kw_only=True)
 class TaskRules:

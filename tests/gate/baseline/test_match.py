@@ -8,6 +8,7 @@ import pytest
 from nw_eval.errors import IncomparableError
 from nw_eval.gate.baseline.match import check_match
 from nw_eval.request import Request
+from nw_eval.results.bank import key_of, machine_of
 from nw_eval.results.provenance import SceneInfo
 
 if TYPE_CHECKING:
@@ -70,8 +71,8 @@ def test_what_names_the_starts_is_named_with_both_values(
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"robot": "go2"}, "robot or episode differ"),
-        ({"episode": {"duration": 20.0}}, "robot or episode differ"),
+        ({"robot": "go2"}, "robot, task, episode or version of a plug-in differ"),
+        ({"episode": {"duration": 20.0}}, "robot, task, episode or version of a plug-in differ"),
         (
             {"perturb": {"friction": (0.6, 1.0)}},
             "perturb is friction 0.6, friction 1, the baseline's ",
@@ -131,7 +132,7 @@ def test_fresh_starts_are_of_another_seed_and_of_no_other_difference(
     same = refusal(make_run(["a", "b"], 10, panel="fresh"), bank)
     assert same == "its seed 20261 is the baseline's, so its starts are not fresh"
     other = make_run(["a", "b"], 10, panel="fresh", suite={"seed": 5, "robot": "go2"})
-    assert refusal(other, bank).endswith("robot or episode differ")
+    assert refusal(other, bank).endswith("robot, task, episode or version of a plug-in differ")
 
 
 def test_the_command_names_the_suite_and_the_policy_as_they_can_be_typed_here(
@@ -147,3 +148,25 @@ def test_the_command_names_the_suite_and_the_policy_as_they_can_be_typed_here(
         "`nw-eval baseline save 'my suites/own.yaml' --policy policies/own/policy.yaml --renew "
         "--name shipped`"
     )
+
+
+@pytest.mark.parametrize("whose", [f"leaning 1.1 {'a' * 64}", f"leaning 1.0 {'b' * 64}"])
+def test_a_score_of_another_version_or_code_than_the_baselines_is_not_compared(
+    run: RunInfo, bank: SavedBank, whose: str
+) -> None:
+    before = run.model_copy(update={"plugins": {"scores.lean": f"leaning 1.0 {'a' * 64}"}})
+    manifest = bank.manifest.model_copy(update={"key": key_of(before), "scores": ("lean",)})
+    measured = replace(bank, manifest=manifest)
+    now = before.model_copy(
+        update={
+            "plugins": {"scores.lean": whose, "sensors.beam": "beams 2.0"},
+            "engine": {**run.engine, "scores.lean": whose[:28]},
+        }
+    )
+    check_match(before, measured)
+    short = f"leaning {whose.split()[1]} {whose[-8:]}"
+    words = f"its scores.lean is {short}, the baseline's leaning 1.0 {'a' * 8}"
+    assert refusal(now, measured) == words
+    # A score changes no bit of a trial, so the class of machine is the same.
+    assert machine_of(now) == machine_of(before)
+    check_match(now, bank)

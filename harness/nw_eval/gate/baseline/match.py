@@ -31,7 +31,12 @@ def check_match(run: RunInfo, bank: SavedBank) -> None:
     Raises:
         IncomparableError: naming every field that differs.
     """
-    faults = [*_suite_faults(run, bank), *_scene_faults(run, bank), *_simulator_faults(run, bank)]
+    faults = [
+        *_suite_faults(run, bank),
+        *_scene_faults(run, bank),
+        *_simulator_faults(run, bank),
+        *_score_faults(run, bank),
+    ]
     if faults:
         raise IncomparableError(
             f"baseline {bank.manifest.name} is not compatible with run {run.id}: "
@@ -85,7 +90,7 @@ def _what_else(suite: Suite, bank: SavedBank) -> str:
     ours = sorted(suite.perturb.cells)
     theirs = sorted({cell for _, cell in bank.panels[0].by_stratum})
     if ours == theirs:
-        return "robot or episode differ"
+        return "robot, task, episode or version of a plug-in differ"
     return f"perturb is {_cells(ours)}, the baseline's {_cells(theirs)}"
 
 
@@ -122,6 +127,20 @@ def _simulator_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
         if ours.get(name) != theirs.get(name):
             there = theirs.get(name, "none")
             yield f"its {name} is {ours.get(name, 'none')}, the baseline's {there}"
+
+
+def _score_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
+    ours, theirs = key_of(run).measured, bank.manifest.key.measured
+    for key in sorted(ours):
+        name = key.partition(".")[2]
+        if name in bank.manifest.scores and ours[key] != theirs.get(key):
+            there = theirs.get(key, "unknown")
+            yield f"its {key} is {_short(ours[key])}, the baseline's {_short(there)}"
+
+
+def _short(identity: str) -> str:
+    """Return `package version` with the first digits of the code's digest."""
+    return re.sub(r"\b([0-9a-f]{8})[0-9a-f]{56}$", r"\1", identity)
 
 
 _NOTHING = sha256(b"").hexdigest()
