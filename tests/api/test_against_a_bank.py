@@ -419,7 +419,7 @@ def test_without_a_bank_the_first_line_says_what_is_not_judged(monkeypatch):
 
     monkeypatch.setattr(session, "run_trials", stop)
     with pytest.raises(KeyboardInterrupt):
-        against(ears=ears, baseline="none")
+        against(ears=ears, baseline=None)
     assert "max_drop 0.5 was not judged: no baseline is named for ./soft" in ears.lines[0]
     assert "`nw-eval baseline save quick.yaml --policy ./soft`" in ears.lines[0]
     assert ears.lines[1].startswith("run folder: ")

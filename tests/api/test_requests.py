@@ -282,7 +282,7 @@ def test_the_same_words_after_run_and_check_are_the_same_request():
     assert run.request == check.request
     assert None not in vars(run.request).values()
     assert run.request.scenes == ("gaps/*", "flat/*")
-    published = {"junit", "github", "no_github", "comment", "track"}
+    published = {"junit", "github", "no_github", "comment", "track", "reporter"}
     own = {"out", "resume", "in_process", "ledger", "no_cache", "all_rounds"}
     own |= {"engine", "address"}
     assert set(vars(run)) - set(vars(check)) == own | published

@@ -46,6 +46,7 @@ NAMING = {
     "policy": TEXT,
     "policy_name": TEXT,
     "checkpoint": TEXT.map(Path),
+    "robot_folder": TEXT.map(Path),
     "allow_code": st.booleans(),
     "mcap": TEXT.map(Path),
     "time_limit": REAL,
