@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import StoreError
-from nw_eval.gate.absolute import judge
+from nw_eval.gate.absolute import courses, judge
 from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.suite import Gate
 
@@ -300,3 +300,14 @@ def test_success_is_still_found_under_its_old_name_which_warns(
     verdict = judge(run_scene("a", [4, 2]), BAR, {"a": 2})
     with pytest.warns(DeprecationWarning, match="Verdict.effect is now Verdict.success"):
         assert verdict.effect == verdict.success == 0.75
+
+
+def test_trials_of_a_task_without_waypoints_count_as_done_or_not(
+    run_scene: Callable[..., Any],
+) -> None:
+    rows = [
+        replace(row, task_kind="reach", waypoints_reached=0, waypoints_total=0)
+        for row in run_scene("a", [4, 4, 0])
+    ]
+    (seen,) = courses({"a": rows}, judge(rows, BAR, {"a": 3}).per_scene)
+    assert seen.counts.tolist() == [1, 2]

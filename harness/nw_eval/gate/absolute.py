@@ -410,8 +410,12 @@ def courses(
             if row.success is not None and row.trial_id not in left
         ]
         if item.tier != "informational" and rows:
-            reached = [row.waypoints_reached for row in rows]
-            waypoints = [row.waypoints_total for row in rows]
+            # A trial of a task without parts counts as one, which is done or not.
+            waypoints = [max(1, row.waypoints_total) for row in rows]
+            reached = [
+                row.waypoints_reached if row.waypoints_total else round(row.success or 0.0)
+                for row in rows
+            ]
             found.append(SceneCounts.of(reached, waypoints, alone=item.tier == "critical"))
     return found
 

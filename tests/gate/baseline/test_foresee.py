@@ -55,6 +55,19 @@ def test_a_policy_that_failed_by_itself_counts_as_in_a_comparison(panel: Any) ->
     assert outset_of_bank(changed, GATE).seen[0].counts.tolist() == [1, 0, 0, 1, 28]
 
 
+def test_a_task_without_waypoints_counts_what_was_completed(panel: Any) -> None:
+    ends = [1.0, 0.0, *[1.0] * 28]
+    starts = [
+        dataclasses.replace(
+            start, task_kind="reach", success=end, waypoints_reached=0, waypoints_total=0
+        )
+        for start, end in zip(panel.starts, ends * 4, strict=True)
+    ]
+    outset = outset_of_bank(dataclasses.replace(panel, starts=tuple(starts)), GATE)
+    assert [course.counts.tolist() for course in outset.seen] == [[1, 29]] * 3
+    assert outset.baseline == pytest.approx(29 / 30)
+
+
 def test_rows_are_counted_where_they_have_a_result(make_run: Make, run_rows: Make) -> None:
     rows = run_rows(make_run("ab", 5), {"a": [1.0, None, 0.5, 1.0, 1.0], "b": [1.0] * 5})
     outset = outset_of_rows(rows, GATE, starts=60)

@@ -208,9 +208,10 @@ def _outset(
 
 
 def _counts(trials: Sequence[Start] | Sequence[Row]) -> SceneCounts:
-    counted = ((score(trial) or 0.0, trial.waypoints_total) for trial in trials)
+    # A trial of a task without parts counts as one, which is done or not.
+    counted = [(score(trial) or 0.0, max(1, trial.waypoints_total)) for trial in trials]
     reached = [round(success * waypoints) for success, waypoints in counted]
-    return SceneCounts.of(reached, [trial.waypoints_total for trial in trials])
+    return SceneCounts.of(reached, [waypoints for _, waypoints in counted])
 
 
 def _worse(point: CurvePoint) -> str:
