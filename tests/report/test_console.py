@@ -10,6 +10,7 @@ from nw_eval.gate.absolute import judge
 from nw_eval.gate.verdict import EXIT_CODES, Word
 from nw_eval.reporting.console import _COLOURS, print_summary
 from nw_eval.reporting.headline import headline
+from nw_eval.reporting.tables.trials import worst_table
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:
@@ -79,3 +80,13 @@ def test_a_suite_without_a_bar_ends_with_the_word_ran_and_never_with_pass(
 
 def test_every_word_of_the_gate_has_a_colour_and_an_exit_code() -> None:
     assert set(_COLOURS) == set(EXIT_CODES) == set(get_args(Word))
+
+
+def test_a_task_without_waypoints_shows_success_in_place_of_waypoints(
+    make_row: Callable[..., Row],
+) -> None:
+    row = make_row(
+        "flat/a", 0, 1, task_kind="reach", waypoints_reached=0, waypoints_total=0, waypoint_times=()
+    )
+    (line,) = worst_table([row], Path("run")).rows
+    assert line[1] == "0.25"

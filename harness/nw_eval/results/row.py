@@ -228,6 +228,13 @@ class Row:
         return sha256(_ENCODE(kept).encode()).hexdigest()
 
     @property
+    def standing(self) -> str:
+        """How far the trial came, for people: `3/4` waypoints, or the success of a task without."""
+        if self.waypoints_total:
+            return f"{self.waypoints_reached}/{self.waypoints_total}"
+        return "" if self.success is None else f"{self.success:.2f}"
+
+    @property
     def lost_its_log(self) -> bool:
         """Whether it has a result and no log, which could not be written.
 

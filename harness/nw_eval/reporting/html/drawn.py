@@ -416,7 +416,7 @@ def _drawn(row: Row, points: Points) -> DrawnPath:
     return DrawnPath(
         trial_id=row.trial_id,
         outcome=row.outcome,
-        text=f"{row.trial_id}: {row.outcome}, {row.waypoints_reached}/{row.waypoints_total}",
+        text=f"{row.trial_id}: {row.outcome}, {row.standing}",
         d=f"M{thinned[0][0]} {thinned[0][1]}{moves}",
         end=thinned[-1],
     )

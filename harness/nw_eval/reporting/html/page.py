@@ -148,7 +148,7 @@ def trial_lines(rows: Sequence[Row], run: RunInfo, folder: Path) -> tuple[TrialL
             setting=", ".join([f"{axis} {value:g}" for axis, value in row.perturbation]),
             outcome=row.outcome,
             reason=row.end_reason,
-            success="" if row.success is None else f"{row.waypoints_reached}/{row.waypoints_total}",
+            success="" if row.success is None else row.standing,
             at=f"{row.sim_s:.2f}",
             wall=f"{row.wall_s:.1f}",
             command=replay_command(row, folder),

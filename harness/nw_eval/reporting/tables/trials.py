@@ -90,7 +90,7 @@ def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
         rows=tuple(
             (
                 row.trial_id,
-                f"{row.waypoints_reached}/{row.waypoints_total}",
+                row.standing,
                 how_ended(row),
                 f"{row.sim_s:.2f} s",
                 replay_command(row, folder),
