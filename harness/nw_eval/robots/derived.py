@@ -129,15 +129,22 @@ class _Derivation:
                 spec.delete(each)
         tops = list(world.bodies)
         moving = [body for body in tops if _has_joints(body)]
+        if len(moving) > 1:
+            # Some files keep bodies of joints that are locked beside the robot (Unitree's g1, h1).
+            moving = [body for body in moving if _is_free(body)] or moving
         if len(moving) > 1 or not tops:
             names = ", ".join(body.name or "?" for body in moving) or "none"
             raise self._fault(("model",), f"it must have one body at the top, and has {names}")
         root = moving[0] if moving else tops[0]
+        place = [body.name for body in tops].index(root.name)
+        # Keyframes have the numbers of the bodies that are left out, too.
+        self.before = sum(map(_coordinates, tops[:place]))
+        self.after = sum(map(_coordinates, tops[place + 1 :]))
         for body in tops:
             if body.name != root.name:
                 spec.delete(body)
         joints = list(root.joints)
-        if not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in joints):
+        if not _is_free(root):
             if joints:
                 raise self._fault(
                     ("model",), f"its top body {root.name!r} has joints that are not free"
@@ -315,24 +322,30 @@ class _Derivation:
         low, high = self.model.jnt_range[joint].tolist()
         return low, high
 
+    def _keyframe(self, said: str) -> list[float]:
+        """Return the angles of the joints in a keyframe."""
+        if said not in self.folder.poses:
+            raise self._fault(
+                ("pose",), f"pose: no keyframe {said!r}", nearest(said, self.folder.poses)
+            )
+        values = _numbers(self.folder.poses[said])
+        if len(values) == self.before + self.model.nq + self.after:
+            values = values[self.before : self.before + self.model.nq]
+        if len(values) != self.model.nq:
+            raise self._fault(
+                ("pose",),
+                f"pose: keyframe {said!r} has {len(values)} numbers, the model {self.model.nq}",
+                'write the angles: {"*_thigh_joint": 0.8}',
+            )
+        return [values[int(self.model.jnt_qposadr[joint])] for joint in self.joints]
+
     def _pose(self, names: Sequence[str], ranges: Sequence[tuple[float, float]]) -> list[float]:
         said = self.settings.pose
         if said is None and "home" in self.folder.poses:
             said = "home"
         pose = [min(max(0.0, low), high) for low, high in ranges]
         if isinstance(said, str):
-            if said not in self.folder.poses:
-                raise self._fault(
-                    ("pose",), f"pose: no keyframe {said!r}", nearest(said, self.folder.poses)
-                )
-            values = _numbers(self.folder.poses[said])
-            if len(values) != self.model.nq:
-                raise self._fault(
-                    ("pose",),
-                    f"pose: keyframe {said!r} has {len(values)} numbers, the model {self.model.nq}",
-                    'write the angles: {"*_thigh_joint": 0.8}',
-                )
-            return [values[int(self.model.jnt_qposadr[joint])] for joint in self.joints]
+            return self._keyframe(said)
         for pattern, angle in (said or {}).items():
             hits = [i for i, name in enumerate(names) if fnmatchcase(name, pattern)]
             if not hits:
@@ -547,6 +560,17 @@ def _free_name(name: str, taken: set[str]) -> str:
         name += "_"
     taken.add(name)
     return name
+
+
+def _is_free(body: Any) -> bool:
+    return any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+
+
+def _coordinates(body: Any) -> int:
+    """Return how many numbers of a keyframe a body and those below it have."""
+    sizes = {mujoco.mjtJoint.mjJNT_FREE: 7, mujoco.mjtJoint.mjJNT_BALL: 4}
+    own = sum(sizes.get(joint.type, 1) for joint in body.joints)
+    return own + sum(map(_coordinates, body.bodies))
 
 
 def _has_joints(body: Any) -> bool:

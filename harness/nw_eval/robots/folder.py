@@ -244,12 +244,13 @@ class _Reader:
         """Return the bytes of a file.
 
         Raises:
+            FileNotFoundError: there is none.
             ValueError: what is wrong with it.
         """
         try:
             return self.take(name, bounded_bytes(inside(self.folder, name), most))
         except FileNotFoundError:
-            message = f"there is no file {name!r} in the folder"
+            raise
         except OutsideError as error:
             message = f"{name!r} leaves the folder: {error}"
         except OSError as error:
@@ -263,6 +264,9 @@ class _Reader:
         self.where = str(self.folder / model.file)
         try:
             content = self.read(model.file, XML_BYTES)
+        except FileNotFoundError:
+            message = f"model.file: there is no file {model.file!r} in the folder"
+            raise RobotError([self.file.problem(("model", "file"), message)]) from None
         except ValueError as error:
             problem = self.file.problem(("model", "file"), f"model.file: {error}")
             raise RobotError([problem]) from None
@@ -271,6 +275,7 @@ class _Reader:
             message = f"model.sha256: that of {model.file} is {found}"
             problem = self.file.problem(("model", "sha256"), message, "write it, if that is meant")
             raise RobotError([problem])
+        self._content = content
         return self._tree(content)
 
     def fault(self, message: str, fix: str | None = None, line: int = 1) -> RobotError:
@@ -350,10 +355,17 @@ class _Reader:
     def _mesh(self, path: Path) -> str:
         """Read a mesh, and return the name that it has from now on."""
         fix = "thin it out, or leave it out"
+        line = 1 + self._content.partition(path.name.encode())[0].count(b"\n")
+        if path.name.encode() not in self._content:
+            line = 1
         try:
             content = self.read(str(path), MESH_BYTES)
+        except FileNotFoundError:
+            fix = "put it there, or remove the mesh and its geoms from the file"
+            message = f"mesh {str(path)!r} is not in the folder"
+            raise self.fault(message, fix, line) from None
         except ValueError as error:
-            raise self.fault(f"mesh {error}", fix) from None
+            raise self.fault(f"mesh {error}", fix, line) from None
         name = f"{len(self.meshes)}{path.suffix.lower()}"
         self.meshes[name], self.names[name] = content, str(path)
         if len(self.meshes) > MESHES or sum(map(len, self.meshes.values())) > MESHES_BYTES:
