@@ -5,6 +5,7 @@ from html import unescape
 import pytest
 
 from nw_eval import api
+from nw_eval.errors import UsageError
 from nw_eval.reporting.junit import junit_xml
 from nw_eval.results.parquet import read_rows
 
@@ -57,3 +58,26 @@ def test_scores_are_in_rows_and_on_every_page(folder):
     assert 'name="score_mean_power_verdict"' in junit
     again = api.judge(folder / "run")
     assert again.verdict.scores == report.verdict.scores
+
+
+def test_a_drop_of_a_score_that_no_baseline_is_there_for_is_said_not_to_be_judged(folder):
+    (folder / "scored.yaml").write_text(
+        SUITE.partition("gate:")[0] + "gate: {scores: {mean_power: {max_drop: 100}}}\n"
+    )
+    report = api.run("scored.yaml", out=folder / "run", workers=1)
+    said = "mean_power: max_drop 100 was not judged, there is no baseline"
+    assert said in report.verdict.reasons
+    assert said in (folder / "run" / "report.md").read_text()
+
+
+def test_a_run_that_fails_removes_its_own_earlier_comment_and_no_file_of_the_users(folder):
+    where = api.Surfaces(comment=folder / "notes.md")
+    error = UsageError("no such suite")
+    (folder / "notes.md").write_text("my notes")
+    api.publish_error(error, "scored", where)
+    assert (folder / "notes.md").read_text() == "my notes"
+    report = api.run("scored.yaml", out=folder / "run", workers=1)
+    api.publish(report, where)
+    assert (folder / "notes.md").read_text() != "my notes"
+    api.publish_error(error, "scored", where)
+    assert not (folder / "notes.md").exists()

@@ -1,10 +1,12 @@
 """A training's folder is evaluated as it fills, by real trials in one scene."""
 
 import json
+import os
 import shutil
 import threading
 import time
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -88,6 +90,22 @@ def test_the_latest_comes_first_and_each_is_gated_against_the_best_before_it(tra
     assert (more.checkpoints[-1].verdict, more.checkpoints[-1].against) == ("REGRESSED", 2)
     assert more.exit_code == 1
     assert more.checkpoints[:3] == found.checkpoints
+
+
+def test_the_exit_code_is_not_that_of_an_earlier_checkpoint_than_the_newest(training):
+    good(training / "model_1.onnx")
+    (training / "model_2.onnx").write_bytes(b"no graph")
+    found = watched(training, trials=1)
+    assert [made.verdict for made in found.checkpoints] == ["RAN", ""]
+    assert found.exit_code == 2
+
+
+def test_names_that_are_no_utf_8_and_numbers_that_are_no_steps_stop_nothing(training):
+    Path(os.fsdecode(os.fsencode(training) + b"/bad\xff_3.onnx")).write_bytes(b"no graph")
+    (training / f"model_{10**25}.onnx").write_bytes(b"no graph")
+    found = watched(training, trials=1)
+    assert [made.name for made in found.checkpoints] == [r"bad\udcff_3.onnx"]
+    assert watched(training, trials=1).checkpoints == found.checkpoints
 
 
 def test_a_checkpoint_that_appears_is_taken_once_it_is_whole(training):

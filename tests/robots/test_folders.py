@@ -256,6 +256,13 @@ def test_what_robot_yaml_says_wrongly_is_told_with_its_place(tmp_path, line, sai
         ("shell.stl", "shell.dae", "mesh 'shapes/shell.dae' is not in the folder"),
         ("<mujoco model", "<!DOCTYPE x><mujoco model", "declares a document type or entities"),
         ("</mujoco>", "", "is not XML"),
+        (
+            "\n<mujoco model",
+            '<?xml version="1.0" encoding="utf-7"?><mujoco model',
+            "write it in UTF-8",
+        ),
+        ('mass="5"', 'mass="nan"', "<geom> has mass='nan'; write numbers"),
+        ('pos="0 0.1 0"', 'pos="0 -inf 0"', "<body> has pos='0 -inf 0'"),
         ('type="free"', 'type="ball"', "has joints that are not free"),
         (
             '<joint name="toe_l" axis',
@@ -263,7 +270,7 @@ def test_what_robot_yaml_says_wrongly_is_told_with_its_place(tmp_path, line, sai
             "'toe_l' is no hinge",
         ),
         ('mass="5"', 'mass="-5"', "MuJoCo cannot"),
-        ('size="0.03" mass="0.2"', 'size="nan" mass="0.2"', "MuJoCo cannot"),
+        ('size="0.03" mass="0.2"', 'size="nan" mass="0.2"', "<geom> has size='nan'"),
     ],
 )
 def test_a_model_that_reaches_out_of_its_folder_or_is_none_is_refused(tmp_path, old, new, said):

@@ -181,7 +181,7 @@ def publish_error(error: NwEvalError, suite: str, where: Surfaces) -> Published:
     writers = [
         _writer(each, target, partial(each.failed, error, suite))
         if each.failed is not None
-        else (each.writes, partial(_remove, target if each.target == "file" else None))
+        else (each.writes, partial(_remove, each, target))
         for each, target in wanted
     ]
     if where.github:
@@ -212,9 +212,18 @@ def _writer(reporter: Reporter, target: str | None, write: Callable[[Any], objec
     return reporter.writes, call
 
 
-def _remove(target: str | None) -> None:
-    if target is not None and Path(target).is_file():
+def _remove(reporter: Reporter, target: str | None) -> None:
+    """Remove what an earlier run wrote, so that nobody takes it for this run's."""
+    if target is None or reporter.target != "file" or not Path(target).is_file():
+        return
+    with Path(target).open("rb") as stream:
+        is_ours = stream.read(len(_COMMENT)) == _COMMENT
+    if is_ours or reporter.name != "comment":
         Path(target).unlink()
+
+
+_COMMENT = b"<!-- nw-eval"
+"""What a comment begins with; a file of the user's stays."""
 
 
 def _write_all(writers: Sequence[_Writer]) -> Published:

@@ -31,6 +31,8 @@ _REPORTS = Path("reports")
 _STATE, _TABLE, _PAGE = "watch.json", "watch.parquet", "index.html"
 _MOST_STATE = 64 * 2**20
 _AS_WRITTEN: dict[str, Any] = {"strict": True, "extra": "forbid", "allow_inf_nan": False}
+_MOST_DIGITS = 15
+"""Of a training step; a longer number is a date, a digest or the like."""
 _FIRST_LOOK = 1.0
 """Seconds between the first two looks at a folder."""
 
@@ -97,14 +99,14 @@ class WatchedTraining:
 
     @property
     def exit_code(self) -> int:
-        """That of the verdict on the newest checkpoint; 130 if interrupted, 2 if none was used."""
+        """That of the newest checkpoint's verdict, 2 if it has none; 130 if interrupted."""
         from nw_eval.gate.verdict import EXIT_CODES
 
         if self.interrupted:
             return 130
-        used = [each for each in self.checkpoints if each.verdict]
         codes: dict[str, int] = {str(word): code for word, code in EXIT_CODES.items()}
-        return codes[used[-1].verdict] if used else UsageError.exit_code
+        verdict = self.checkpoints[-1].verdict if self.checkpoints else ""
+        return codes.get(verdict, UsageError.exit_code)
 
 
 def watch(
@@ -206,9 +208,14 @@ def training_step(path: Path) -> int | None:
     It is the last number: 1500 of `model_1500.pt`, 20 of `run3/000020/params.msgpack`.
     """
     for name in (path.stem, path.parent.name):
-        if numbers := re.findall(r"\d+", name):
-            return int(numbers[-1])
+        if numbers := re.findall(r"[0-9]+", name):
+            return int(numbers[-1]) if len(numbers[-1]) <= _MOST_DIGITS else None
     return None
+
+
+def _printable(path: Path) -> str:
+    """Return a path as text that any file can hold: names need not be UTF-8."""
+    return str(path).encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def checkpoints_in(folder: Path, pattern: str = "*") -> list[Path]:
@@ -244,7 +251,7 @@ def _ready(
         if seen.get(path) == now[path]:
             step = training_step(path)
             assert step is not None, "it is among those that have one"
-            found.append(_Found(step, str(path.relative_to(folder)), path, now[path]))
+            found.append(_Found(step, _printable(path.relative_to(folder)), path, now[path]))
     return found, now, any(seen.get(path) != mark for path, mark in now.items())
 
 

@@ -151,6 +151,9 @@ class RobotFile(_Part):
     """Of the root's origin above the ground at the start, m; derived."""
 
 
+_NOT_FINITE = {sign + word for sign in ("", "+", "-") for word in ("nan", "inf", "infinity")}
+
+
 @dataclass(frozen=True, kw_only=True)
 class RobotFolder:
     """A folder that was read, and nothing of it derived yet.
@@ -299,6 +302,8 @@ class _Reader:
                     raise self.fault(f"it has over {ELEMENTS} elements, or {DEPTH} in each other")
         except ParseError as error:
             raise self.fault(f"it is not XML: {error}", line=error.position[0]) from None
+        except (ValueError, LookupError) as error:  # An encoding that the parser does not know.
+            raise self.fault(f"it cannot be read: {error}", "write it in UTF-8") from None
         if root is None or root.tag not in {"mujoco", "robot"}:
             tag = "nothing" if root is None else f"<{root.tag}>"
             raise self.fault(f"it begins with {tag}", "give an MJCF (<mujoco>) or a URDF (<robot>)")
@@ -324,6 +329,9 @@ class _Reader:
             if child.tag in _LEFT_OUT:
                 parent.remove(child)
             elif child.tag in _KNOWN:
+                for key, value in child.attrib.items():
+                    if key != "name" and _NOT_FINITE & set(value.lower().split()):
+                        raise self.fault(f"<{child.tag}> has {key}={value[:40]!r}", "write numbers")
                 self._check(child)
             else:
                 raise self.fault(

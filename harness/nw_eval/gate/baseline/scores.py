@@ -74,6 +74,7 @@ def with_scores(
     judged = [item for item in found if item.word is not None]
     judged.sort(key=lambda item: _ORDER.index(item.word or "PASS"), reverse=True)
     told = [reason for item in judged for reason in item.reasons]
+    told += [reason for item in found if item.word is None for reason in item.reasons]
     first = word not in {verdict.verdict, "PASS"}
     reasons = (*told, *verdict.reasons) if first else (*verdict.reasons, *told)
     return replace(verdict, verdict=word, reasons=reasons)
