@@ -81,3 +81,12 @@ def test_a_run_that_fails_removes_its_own_earlier_comment_and_no_file_of_the_use
     assert (folder / "notes.md").read_text() != "my notes"
     api.publish_error(error, "scored", where)
     assert not (folder / "notes.md").exists()
+
+
+def test_no_surface_takes_the_place_of_a_file_of_the_run_itself(folder):
+    report = api.run("scored.yaml", out=folder / "run", workers=1)
+    before = (folder / "run" / "run.json").read_bytes()
+    shown = api.publish(report, api.Surfaces(junit=folder / "run" / "run.json"))
+    assert "run.json is a file of the run itself" in shown.warnings[0]
+    assert (folder / "run" / "run.json").read_bytes() == before
+    assert not api.publish(report, api.Surfaces(junit=folder / "run" / "junit.xml")).warnings

@@ -108,6 +108,14 @@ def test_names_that_are_no_utf_8_and_numbers_that_are_no_steps_stop_nothing(trai
     assert watched(training, trials=1).checkpoints == found.checkpoints
 
 
+def test_a_link_out_of_the_folder_is_not_followed(training):
+    bad(training.parent / "elsewhere.onnx")
+    (training / "model_9.onnx").symlink_to(training.parent / "elsewhere.onnx")
+    found = watched(training, trials=1)
+    assert found.checkpoints == ()
+    assert list((found.folder / "checkpoints").iterdir()) == []
+
+
 def test_a_checkpoint_that_appears_is_taken_once_it_is_whole(training):
     good(training / "model_1.onnx")
     whole = (training / "model_1.onnx").read_bytes()

@@ -156,7 +156,10 @@ def publish(judged: RunReport, where: Surfaces, *, exit_code: int | None = None)
     """
     code = judged.exit_code if exit_code is None else exit_code
     wanted = where.wanted
-    writers = [_writer(each, target, partial(each.report, judged)) for each, target in wanted]
+    writers = [
+        _writer(each, target, partial(each.report, judged), run=judged.folder)
+        for each, target in wanted
+    ]
     if where.github:
         writers += [
             ("step summary", partial(_write_summary, judged)),
@@ -197,16 +200,25 @@ _Writer = tuple[str, Callable[[], Sequence[str] | None]]
 """A surface's name, and what writes it; what that returns is for the runner to read."""
 
 
-def _writer(reporter: Reporter, target: str | None, write: Callable[[Any], object]) -> _Writer:
+def _writer(
+    reporter: Reporter,
+    target: str | None,
+    write: Callable[[Any], object],
+    run: Path | None = None,
+) -> _Writer:
     """Return what lets a reporter write; its file appears whole or not at all."""
 
     def call() -> None:
         from nw_eval.files.cache import atomic_path, followed
+        from nw_eval.results.run_folder import RunFolder
 
         if reporter.target != "file" or target is None:
             write(target)
             return
-        with atomic_path(followed(Path(target))) as temporary:
+        path = followed(Path(target))
+        if run is not None and path.resolve() in RunFolder(path=run).files:
+            raise UsageError(f"{target} is a file of the run itself", fix="name another file")
+        with atomic_path(path) as temporary:
             write(temporary)
 
     return reporter.writes, call

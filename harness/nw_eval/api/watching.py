@@ -245,7 +245,11 @@ def _ready(
             facts = path.stat()
         except OSError:  # It was removed meanwhile.
             continue
-        if not stat.S_ISREG(facts.st_mode) or path.resolve().is_relative_to(own):
+        real = path.resolve()
+        # A link may lead to another checkpoint of the training, and nowhere else.
+        if not real.is_relative_to(folder.resolve()) or real.is_relative_to(own):
+            continue
+        if not stat.S_ISREG(facts.st_mode):
             continue
         now[path] = facts.st_size, facts.st_mtime_ns
         if seen.get(path) == now[path]:

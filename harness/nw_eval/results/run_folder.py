@@ -71,6 +71,13 @@ class RunFolder:
         return self.path / "workers.log"
 
     @property
+    def files(self) -> frozenset[Path]:
+        """All files of the run itself, but for the logs of trials."""
+        own = (self.run_json, self.journal, self.trials, self.digests, self.report_md)
+        own += (self.report_html, self.cause, self.workers_log, self.layout)
+        return frozenset(path.resolve() for path in own)
+
+    @property
     def layout(self) -> Path:
         """A layout of Foxglove and Lichtblick for the logs of this run."""
         return self.path / "foxglove.json"
