@@ -1,0 +1,39 @@
+"""Go1 and Go2 are what they were when they were written in Python, to the last bit.
+
+`shipped_specs.json` holds every field of their specifications at 0fb181e, floats as hexadecimal
+digits: another program wrote it, before their folders were there.
+"""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from nw_eval.robots import BUILT_IN, find_robot, get_robot
+
+BEFORE = json.loads(Path(__file__).with_name("shipped_specs.json").read_text(encoding="utf-8"))
+
+
+def plain(value):
+    """Return a value of a specification as JSON has it."""
+    if dataclasses.is_dataclass(value):
+        return {
+            field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)
+        }
+    if isinstance(value, float):
+        return value.hex()
+    if isinstance(value, dict):
+        return {key: plain(each) for key, each in value.items()}
+    return [plain(each) for each in value] if isinstance(value, tuple) else value
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_every_field_of_a_shipped_robot_is_bit_for_bit_what_it_was(name):
+    now = plain(get_robot(name))
+    assert {field: now[field] for field in BEFORE[name]} == BEFORE[name]
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_rows_and_jobs_name_a_shipped_robot_by_its_name_alone(name):
+    assert find_robot(name).reference == name
