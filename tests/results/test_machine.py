@@ -50,7 +50,10 @@ def test_a_report_may_be_worded_anew_on_the_same_class_of_machine(digests, name)
 
 @pytest.mark.parametrize(
     "name",
-    ["sim/world.py", "rollout/episode.py", "engine/rounds.py", "protocol.py"],
+    [
+        *("sim/world.py", "rollout/episode.py", "engine/rounds.py", "protocol.py"),
+        *("robots/go1/robot.yaml", "robots/go2/robot.xml"),
+    ],
 )
 def test_whatever_makes_rows_makes_another_class_of_machine(digests, name):
     assert digests()[0] != digests(name)[0]

@@ -146,6 +146,55 @@ def test_its_own_camera_is_its_eye(hopper):
     assert eye.fovy == pytest.approx(np.radians(70.0))
 
 
+def test_cameras_have_names_and_look_where_a_rotation_or_a_pitch_says(tmp_path):
+    yaml = YAML + (
+        "cameras:\n"
+        "  back: {position: [-0.2, 0, 0.1], fovy: 60,\n"
+        "    rotation: [[0, 0, -1], [1, 0, 0], [0, -1, 0]]}\n"
+        "  down: {position: [0.1, 0, 0], pitch: 1.5707963267948966}\n"
+    )
+    cameras = find_robot(f"{written(tmp_path, MJCF, yaml)}/").spec.cameras
+    assert list(cameras) == ["ego", "back", "down"]
+    assert cameras["back"].fovy == pytest.approx(np.pi / 3)
+    ahead = {name: np.array(mount.R_trunk_camera)[:, 2] for name, mount in cameras.items()}
+    np.testing.assert_allclose(ahead["ego"], (1, 0, 0), atol=1e-12)
+    np.testing.assert_allclose(ahead["back"], (-1, 0, 0), atol=1e-12)
+    np.testing.assert_allclose(ahead["down"], (0, 0, -1), atol=1e-12)
+
+
+def test_feet_and_watched_parts_may_be_geoms_and_a_force_may_be_newtons(tmp_path):
+    mjcf = MJCF.replace('type="sphere" size="0.03"', 'name="ball_{}" type="sphere" size="0.03"')
+    mjcf = mjcf.replace("ball_{}", "ball_l", 1).replace("ball_{}", "ball_r")
+    yaml = YAML + (
+        "touches: geom\nfeet: [ball_r, ball_l]\ncollided: {newtons: 12.5}\n"
+        "published: {body: [ball_l], free_joint: {damping: 0.3}, height_camera: [0, 0, 25.03]}\n"
+    )
+    spec = find_robot(f"{written(tmp_path, mjcf, yaml)}/").spec
+    assert (spec.touches, spec.feet, spec.monitored) == ("geom", ("ball_r", "ball_l"), ("hull",))
+    assert spec.published_monitored == ("ball_l",)
+    assert spec.root_defaults == (0.3, 0.0, 0.0)
+    assert spec.height_camera_offset == (0.0, 0.0, 25.03)
+    assert Limits.of(spec).monitored_force == 12.5
+    with World(spec, FLAT) as world:
+        for _ in range(8):
+            world.step(spec.default_pose)
+        assert world.foot_contacts.all()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("", "", "the world holds other than one body"),
+        ('<geom name="floor" type="plane" size="9 9 1"/>', "", "its actuators are other than one"),
+    ],
+)
+def test_a_model_is_as_it_is_written_only_where_that_is_a_robot(tmp_path, old, new, said):
+    yaml = YAML.replace("hopper.xml}", "hopper.xml, as_written: true}")
+    message = faults(tmp_path, MJCF.replace(old, new), yaml)
+    assert message == (f"robot.yaml:3:27: model.as_written: {said}{message.partition(said)[2]}")
+    assert message.endswith("leave as_written out, and the file is rewritten")
+
+
 def test_a_servo_and_a_motor_without_words_keep_what_the_model_says(tmp_path):
     yaml = YAML[: YAML.index("motors:")] + "motors: [{joints: '?*_r', kp: 1, torque: 2}]\n"
     mended = MJCF.replace('joint="toe_l"', 'joint="toe_l" gear="2"')
@@ -229,6 +278,16 @@ def test_a_urdf_gets_a_free_joint(tmp_path):
         (
             "eye: {body: toe_l, position: [0, 0, 0]}",
             "robot.yaml:4:7: eye.body: joints move 'toe_l'",
+        ),
+        ("touches: geom", "robot.yaml:4:1: touches: geom; name the geoms of `feet`"),
+        (
+            "touches: geom\nfeet: [hull, toe]",
+            "robot.yaml:5:14: feet: no geom that collides 'toe'; ",
+        ),
+        ("published: {body: [hul]}", "robot.yaml:4:20: published.body: no body 'hul'; did you"),
+        (
+            "cameras: {a: {position: [0, 0, 0], rotation: [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}",
+            "robot.yaml:4:36: cameras.a.rotation: it is no rotation",
         ),
         ("feets: [toe_l]", "robot.yaml:4:1: unknown key 'feets'; did you mean 'feet'?"),
         ("fell: {tilt: -1}", "robot.yaml:4:8: fell.tilt"),

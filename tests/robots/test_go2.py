@@ -6,12 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.robots.go2 import go2
+from nw_eval.robots import get_robot
+
+GO2 = get_robot("go2")
 
 
 @pytest.fixture(scope="module")
 def model():
-    return mujoco.MjModel.from_xml_string(go2().mjcf)
+    return mujoco.MjModel.from_xml_string(GO2.mjcf)
 
 
 def test_total_mass_is_the_published_one(model):
@@ -20,7 +22,7 @@ def test_total_mass_is_the_published_one(model):
 
 def test_joint_order_is_right_before_left_and_front_before_rear(model):
     names = [model.joint(index).name for index in range(1, model.njnt)]
-    assert names == list(go2().joints)
+    assert names == list(GO2.joints)
     assert names[0] == "FR_hip_joint"
     assert names[-1] == "RL_calf_joint"
     assert [model.actuator(i).name for i in range(model.nu)] == names
@@ -61,14 +63,14 @@ def test_collision_geometry_is_the_published_one(model, name, kind, size, positi
 
 
 def test_monitored_geoms_exist_and_are_the_published_three(model):
-    robot = go2()
+    robot = GO2
     assert robot.published_monitored == ("face_head", "face_dome", "base")
     for name in (*robot.monitored, *robot.feet):
         model.geom(name)
 
 
 def test_ego_camera_looks_18_degrees_down_from_above_the_head(model):
-    camera = go2().cameras["ego"]
+    camera = GO2.cameras["ego"]
     rotation = np.array(camera.R_trunk_camera)
     assert rotation.T @ rotation == pytest.approx(np.eye(3), abs=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
@@ -86,15 +88,15 @@ def test_ego_camera_looks_18_degrees_down_from_above_the_head(model):
 def test_height_camera_is_the_published_constant_above_the_centre_of_mass(model):
     data = mujoco.MjData(model)
     data.qpos[2] = 0.4
-    data.qpos[7:] = go2().default_pose
+    data.qpos[7:] = GO2.default_pose
     mujoco.mj_forward(model, data)
     offset = data.cam_xpos[model.camera("heightmap").id] - data.subtree_com[1]
-    assert offset == pytest.approx(go2().height_camera_offset, abs=2e-5)
+    assert offset == pytest.approx(GO2.height_camera_offset, abs=2e-5)
 
 
 def test_legs_mirror_each_other(model):
     data = mujoco.MjData(model)
-    data.qpos[7:] = go2().default_pose
+    data.qpos[7:] = GO2.default_pose
     mujoco.mj_forward(model, data)
     for right, left in (("FR", "FL"), ("RR", "RL")):
         mirrored = data.geom_xpos[model.geom(left).id] * [1, -1, 1]
@@ -102,13 +104,13 @@ def test_legs_mirror_each_other(model):
 
 
 def test_it_stands_in_its_default_pose():
-    spec = mujoco.MjSpec.from_string(go2().mjcf)
+    spec = mujoco.MjSpec.from_string(GO2.mjcf)
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
     spec.option.timestep = 0.005
     standing = spec.compile()
     data = mujoco.MjData(standing)
     data.qpos[2] = 0.33
-    data.qpos[7:] = data.ctrl[:] = go2().default_pose
+    data.qpos[7:] = data.ctrl[:] = GO2.default_pose
     for _ in range(400):
         mujoco.mj_step(standing, data)
     assert 0.2 < data.qpos[2] < 0.34
@@ -119,5 +121,5 @@ def test_it_stands_in_its_default_pose():
 
 def test_seen_shapes_carry_no_mass_and_touch_nothing(model):
     visual = model.geom_group == 2
-    assert visual.sum() == len(go2().visuals)
+    assert visual.sum() == len(GO2.visuals)
     assert (model.geom_conaffinity[visual] == 0).all()

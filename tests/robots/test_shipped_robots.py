@@ -6,10 +6,12 @@ digits: another program wrote it, before their folders were there.
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
+from nw_eval import robots
 from nw_eval.robots import BUILT_IN, find_robot, get_robot
 
 BEFORE = json.loads(Path(__file__).with_name("shipped_specs.json").read_text(encoding="utf-8"))
@@ -37,3 +39,17 @@ def test_every_field_of_a_shipped_robot_is_bit_for_bit_what_it_was(name):
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_rows_and_jobs_name_a_shipped_robot_by_its_name_alone(name):
     assert find_robot(name).reference == name
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_a_copy_of_a_shipped_folder_is_the_same_robot_under_its_own_name(name, tmp_path):
+    folder = shutil.copytree(Path(robots.__file__).parent / name, tmp_path / "mine")
+    file = folder / "robot.yaml"
+    file.write_text(file.read_text().replace(f"name: {name}\n", "name: mine\n"))
+    mine = find_robot(f"{folder}/").spec
+    assert dataclasses.replace(mine, name=name) == get_robot(name)
+
+
+def test_the_folder_of_a_shipped_robot_names_the_robot_itself():
+    folder = Path(robots.__file__).parent / "go1"
+    assert find_robot(f"{folder}/") == find_robot("go1")

@@ -8,8 +8,6 @@ import pytest
 from nw_eval.policies import ActionDelay
 from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.robots import get_robot
-from nw_eval.robots.go1 import go1
-from nw_eval.robots.go2 import go2
 from nw_eval.sensors import build_sensors
 from nw_eval.sensors.heights import PIXELS_PER_METRE
 from nw_eval.sensors.proprio import spoilt_frames
@@ -40,12 +38,12 @@ def test_pixels_of_the_height_image_are_the_published_size():
 @pytest.mark.parametrize(
     ("robot", "mass", "height_camera"),
     [
-        (go1, 12.986, (-0.02443, -0.00170, 25.03206)),
-        (go2, 13.086, (-0.00341, -0.00162, 25.03764)),
+        ("go1", 12.986, (-0.02443, -0.00170, 25.03206)),
+        ("go2", 13.086, (-0.00341, -0.00162, 25.03764)),
     ],
 )
 def test_masses_and_height_cameras_are_the_published_ones(place, robot, mass, height_camera):
-    spec = robot()
+    spec = get_robot(robot)
     with World(spec, place(), protocol=NEVERWHERE_2026) as world:
         assert world._model.body_mass.sum() == pytest.approx(mass, abs=5e-4)
     offset = np.array(spec.height_camera_offset)
@@ -54,10 +52,10 @@ def test_masses_and_height_cameras_are_the_published_ones(place, robot, mass, he
 
 @pytest.mark.parametrize(
     ("robot", "position", "pitch"),
-    [(go1, (0.27, 0, 0.015), 0.0), (go2, (0.285, 0, 0.175), 18.4)],
+    [("go1", (0.27, 0, 0.015), 0.0), ("go2", (0.285, 0, 0.175), 18.4)],
 )
 def test_the_camera_is_mounted_as_published(robot, position, pitch):
-    mount = robot().cameras["ego"]
+    mount = get_robot(robot).cameras["ego"]
     np.testing.assert_allclose(mount.position, position)
     ahead = np.array(mount.R_trunk_camera)[:, 2]
     assert np.rad2deg(np.arctan2(-ahead[2], ahead[0])) == pytest.approx(pitch, abs=0.05)

@@ -5,16 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from nw_eval.errors import PluginError, RobotError, UsageError, nearest
 from nw_eval.plugins import ROBOTS, identity_of, imported, installed, subject, warn_if_built_in
-from nw_eval.robots.go1 import go1
-from nw_eval.robots.go2 import go2
 from nw_eval.robots.spec import CameraMount, RobotSpec, Shape
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 __all__ = [
     "BUILT_IN",
@@ -28,10 +23,11 @@ __all__ = [
     "robot_names",
 ]
 
-_BUILDERS: dict[str, Callable[[], RobotSpec]] = {"go1": go1, "go2": go2}
+_SHIPPED = Path(__file__).resolve().parent
+"""Where the folders of robots lie that nw-eval comes with."""
 
-BUILT_IN = tuple(sorted(_BUILDERS))
-"""Names of the robots that nw-eval comes with."""
+BUILT_IN = tuple(sorted(path.parent.name for path in _SHIPPED.glob("*/robot.yaml")))
+"""Their names."""
 
 _FOLDER = "robots"
 """Of a project, in which folders of robots are found by name."""
@@ -126,7 +122,7 @@ def know_robot(reference: str, folder: Path | None) -> None:
 
 
 def _named(name: str) -> FoundRobot:
-    if name in _BUILDERS:
+    if name in BUILT_IN:
         warn_if_built_in(ROBOTS, name)
         return FoundRobot(spec=_built_in(name))
     folder = _folders.get(name, Path.cwd() / _FOLDER / name)
@@ -140,7 +136,10 @@ def _named(name: str) -> FoundRobot:
 
 @cache
 def _built_in(name: str) -> RobotSpec:
-    return _BUILDERS[name]()
+    from nw_eval.robots.derived import spec_of
+    from nw_eval.robots.folder import read_folder
+
+    return spec_of(read_folder(_SHIPPED / name))
 
 
 def _of_folder(folder: Path, *, is_known: bool = True) -> FoundRobot:
@@ -151,6 +150,8 @@ def _of_folder(folder: Path, *, is_known: bool = True) -> FoundRobot:
         is_known: whether its name means this folder from now on.
     """
     folder = folder.resolve()
+    if folder.parent == _SHIPPED:
+        return _named(folder.name)
     before = _read.get(folder)
     if before is None or _stamps(folder, before.files) != before.stamps:
         # The library of meshes and MuJoCo's compiler are for folders alone.

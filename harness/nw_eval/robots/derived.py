@@ -12,14 +12,14 @@ from copy import deepcopy
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
+from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 import mujoco as _mujoco
 import numpy as np
 import numpy.typing as npt
 
 from nw_eval.errors import RobotError, nearest
-from nw_eval.robots.folder import RobotFolder, fill_meshes
+from nw_eval.robots.folder import Camera, RobotFolder, fill_meshes
 from nw_eval.robots.spec import (
     COLLISION_GROUP,
     VISUAL_GROUP,
@@ -39,10 +39,15 @@ MOST_JOINTS, MOST_BODIES, MOST_GEOMS = 100, 300, 2_000
 _GRAVITY = 9.806
 _CLEARANCE = 0.01  # m between the lowest point and the ground at the start
 _FOOT_REACH = 0.02  # m above the lowest collision point, within which a body stands on the ground
-_HIDDEN = 1 << 30  # contype of what is only seen: why it has one says `mjcf.write_mjcf`
+# contype of what is only seen, which nothing has in its conaffinity. It is not 0 because
+# `mj_multiRay` of MuJoCo 4.0 passes over a body when the ray misses the box around those of its
+# geoms that have any collision bit, and with it over visual geoms that stick out.
+_HIDDEN = 1 << 30
 _MOST_SHAPES = 400  # drawn in logs
 _AHEAD = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 _UNLIMITED = 1e6  # rad
+_TURN = 1e-6  # by which a rotation may miss
+_REWRITE = "leave as_written out, and the file is rewritten"
 _GREY = (0.6, 0.62, 0.65, 1.0)
 
 
@@ -220,15 +225,13 @@ class _Derivation:
         lows = self._lows()
         feet = self._feet(lows)
         weight = float(self.model.body_mass.sum()) * _GRAVITY
-        watched = tuple(
-            self._known(
-                ("body",), [self.root] if self.settings.body is None else self.settings.body
-            )
-        )
-        height = self.settings.spawn_height
-        cameras = {"ego": self._eye()}
+        collided, published = self.settings.collided, self.settings.published
+        watched = tuple(self._parts(("body",), self._watched()))
+        height, free = self.settings.spawn_height, published.free_joint
+        cameras = self._cameras()
         visuals = self._visuals()
-        mjcf = self._mjcf(names)
+        as_written = self.settings.model.as_written
+        mjcf = self._text_as_written(names) if as_written else self._mjcf(names)
         return RobotSpec(
             name=self.settings.name,
             joints=tuple(names),
@@ -240,15 +243,18 @@ class _Derivation:
             armature=tuple(motor.armature for motor in motors),
             friction_loss=tuple(motor.friction for motor in motors),
             root_joint=self.root_joint,
-            touches="body",
+            touches=self.settings.touches,
             feet=feet,
             monitored=watched,
-            published_monitored=watched,
+            published_monitored=watched
+            if published.body is None
+            else tuple(self._parts(("published", "body"), published.body)),
             fell_tilt=self.settings.fell.tilt,
             fell_height=self.settings.fell.height,
-            collided_force=self.settings.collided.force * weight,
+            collided_force=collided.newtons or collided.force * weight,
             cameras=cameras,
-            height_camera_offset=(0.0, 0.0, 25.0),
+            height_camera_offset=published.height_camera,
+            root_defaults=(free.damping, free.armature, free.friction),
             bodies=(self.root, *(body for body in self.bodies if body != self.root)),
             visuals=visuals,
             spawn_height=-min(lows.values()) + _CLEARANCE if height is None else height,
@@ -406,6 +412,10 @@ class _Derivation:
         return centre - float(np.abs(down) @ size)
 
     def _feet(self, lows: dict[str, float]) -> tuple[str, ...]:
+        if self.settings.touches == "geom":
+            if self.settings.feet is None:
+                raise self._fault(("touches",), "touches: geom", "name the geoms of `feet`")
+            return tuple(self._parts(("feet",), self.settings.feet))
         if self.settings.feet is None:
             lowest = min(lows.values())
             near = [body for body, low in lows.items() if low < lowest + _FOOT_REACH]
@@ -425,17 +435,48 @@ class _Derivation:
         while (number := int(self.model.body_parentid[number])) > 0:
             yield self._body(number)
 
-    def _known(self, key: tuple[str, ...], bodies: Sequence[str]) -> list[str]:
-        for index, body in enumerate(bodies):
-            if body not in self.bodies:
+    def _watched(self) -> Sequence[str]:
+        """Return the parts whose contact is `collided`: by default, all of the root."""
+        if self.settings.body is not None:
+            return self.settings.body
+        if self.settings.touches == "body":
+            return [self.root]
+        number = int(self.model.body(self.root).id)
+        own = np.flatnonzero(self.model.geom_bodyid == number).tolist()
+        return [str(self.model.geom(geom).name) for geom in own if self._collides(geom)]
+
+    def _parts(self, key: tuple[str, ...], names: Sequence[str]) -> list[str]:
+        """Return bodies, or geoms that collide, which the model has."""
+        if self.settings.touches == "body":
+            return self._known(key, names)
+        geoms = [self.model.geom(g).name for g in range(self.model.ngeom) if self._collides(g)]
+        return self._known(key, names, "geom that collides", [str(name) for name in geoms])
+
+    def _known(
+        self,
+        key: tuple[str, ...],
+        names: Sequence[str],
+        kind: str = "body",
+        known: Sequence[str] | None = None,
+    ) -> list[str]:
+        known, where = self.bodies if known is None else known, ".".join(key)
+        for index, name in enumerate(names):
+            if name not in known:
                 raise self._fault(
-                    (*key, index), f"{key[0]}: no body {body!r}", nearest(body, self.bodies)
+                    (*key, index), f"{where}: no {kind} {name!r}", nearest(name, known)
                 )
-            if body in bodies[:index]:
-                raise self._fault((*key, index), f"{key[0]}: {body!r} is named twice")
-        return list(bodies)
+            if name in names[:index]:
+                raise self._fault((*key, index), f"{where}: {name!r} is named twice")
+        return list(names)
 
     # What it sees, and how it looks.
+
+    def _cameras(self) -> dict[str, CameraMount]:
+        found = {
+            name: self._mounted(camera, ("cameras", name))
+            for name, camera in self.settings.cameras.items()
+        }
+        return found if "ego" in found else {"ego": self._eye()} | found
 
     def _eye(self) -> CameraMount:
         eye = self.settings.eye
@@ -443,13 +484,22 @@ class _Derivation:
             return self._camera() or CameraMount(
                 position=(self._front(), 0.0, 0.0), R_trunk_camera=_AHEAD, fovy=math.pi / 2
             )
-        (body,) = self._known(("eye", "body"), [eye.body or self.root])
-        T = self._in_root(body, ("eye", "body"))
-        cosine, sine = math.cos(eye.pitch), math.sin(eye.pitch)
-        turn = np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
-        R = T[:3, :3] @ np.array(_AHEAD) @ turn
-        position = T[:3, :3] @ np.array(eye.position) + T[:3, 3]
-        return _mount(position, R, math.radians(eye.fovy))
+        return self._mounted(Camera(**dict(eye)), ("eye",))
+
+    def _mounted(self, camera: Camera, key: tuple[str, ...]) -> CameraMount:
+        (body,) = self._known((*key, "body"), [camera.body or self.root])
+        axes = np.array(_AHEAD if camera.rotation is None else camera.rotation)
+        if np.abs(axes.T @ axes - np.eye(3)).max() > _TURN or np.linalg.det(axes) < 0.0:
+            name = ".".join(key)
+            raise self._fault((*key, "rotation"), f"{name}.rotation: it is no rotation")
+        position = np.array(camera.position)
+        if camera.pitch != 0.0:
+            cosine, sine = math.cos(camera.pitch), math.sin(camera.pitch)
+            axes = axes @ np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
+        if body != self.root:
+            T = self._in_root(body, (*key, "body"))
+            axes, position = T[:3, :3] @ axes, T[:3, :3] @ position + T[:3, 3]
+        return _mount(position, axes, math.radians(camera.fovy))
 
     def _camera(self) -> CameraMount | None:
         """Return the first camera of the model that nothing moves against the trunk."""
@@ -481,7 +531,7 @@ class _Derivation:
         if not self._is_rigid(body):
             raise self._fault(
                 key,
-                f"eye.body: joints move {body!r} against {self.root!r}",
+                f"{'.'.join(key)}: joints move {body!r} against {self.root!r}",
                 f"name {self.root!r}, or a body that is fixed to it",
             )
         root, own = self.data.body(self.root), self.data.body(body)
@@ -536,6 +586,36 @@ class _Derivation:
         self._compiled(spec)
         return str(spec.to_xml())
 
+    def _text_as_written(self, names: Sequence[str]) -> str:
+        """Return the model file's own text, where it needs no rewriting."""
+        tree, model = deepcopy(self.folder.model), self.model
+        tops = [child for world in tree.iter("worldbody") for child in world]
+        free = {
+            each.tag if each.get("type") != "free" else "freejoint" for top in tops for each in top
+        }
+        motors = [(each.tag, each.get("name"), each.get("joint")) for each in tree.iter("position")]
+        kinds = [
+            COLLISION_GROUP if self._collides(geom) else VISUAL_GROUP for geom in range(model.ngeom)
+        ]
+        for what, is_so in (
+            ("the file is no MJCF", tree.tag == "mujoco"),
+            ("the world holds other than one body", [top.tag for top in tops] == ["body"]),
+            ("its body has no free joint", "freejoint" in free),
+            (
+                "its actuators are other than one position servo a joint, of its name",
+                motors == [("position", name, name) for name in names] and model.nu == len(names),
+            ),
+            (
+                f"groups of geoms are not {COLLISION_GROUP}, and {VISUAL_GROUP} where none collides",
+                model.geom_group.tolist() == kinds,
+            ),
+        ):
+            if not is_so:
+                raise self._fault(("model", "as_written"), f"model.as_written: {what}", _REWRITE)
+        fill_meshes(tree, self.folder)
+        indent(tree)  # Comments of the file are gone, and left their lines empty.
+        return tostring(tree, encoding="unicode")
+
     def _geoms(self) -> list[Any]:
         return [geom for body in self.mjspec.bodies for geom in body.geoms]
 
@@ -588,6 +668,11 @@ def _numbers(text: str) -> list[float]:
         return []
 
 
+def _decimals(values: npt.NDArray[np.float32]) -> tuple[float, ...]:
+    """Return what single-precision numbers were written as: 0.8, not 0.800000011920929."""
+    return tuple(float(str(value)) for value in values)
+
+
 def _mount(position: Array, R: Array, fovy: float) -> CameraMount:
     x, y, z = position.tolist()
     rows = tuple((a, b, c) for a, b, c in R.tolist())
@@ -608,7 +693,7 @@ def _shapes(model: Any, geom: int, body: str) -> list[Shape]:
     position, turn = model.geom_pos[geom], tuple(model.geom_quat[geom].tolist())
     material = int(model.geom_matid[geom])
     rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
-    look: dict[str, Any] = {"body": body, "quat": turn, "rgba": tuple(rgba.tolist())}
+    look: dict[str, Any] = {"body": body, "quat": turn, "rgba": _decimals(rgba)}
     if kind in _KINDS:
         name, count = _KINDS[kind]
         at = tuple(position.tolist())

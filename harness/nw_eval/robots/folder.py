@@ -65,6 +65,7 @@ class _Part(BaseModel):
 
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Names = Annotated[list[Name], Field(max_length=200)]
+Row = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 
@@ -76,6 +77,10 @@ class ModelFile(_Part):
     """MJCF (`.xml`) or URDF (`.urdf`), in the folder; its meshes lie beside it."""
     sha256: str | None = None
     """Hex digest that the file must have; None = whatever lies there."""
+    as_written: bool = False
+    """Whether the MJCF is simulated as it is written, to the bit: it holds the robot alone, with
+    one position servo a joint, of its name; its defaults of geoms hold for the scene, too. Geoms
+    that collide are of group 3, those that are only seen of group 2."""
 
 
 class Motors(_Part):
@@ -109,6 +114,8 @@ class Collided(_Part):
 
     force: Positive = 0.08
     """Force on one part of `body`, in times the robot's weight."""
+    newtons: Positive | None = None
+    """The same force in N, in place of `force`."""
 
 
 class Eye(_Part):
@@ -124,6 +131,35 @@ class Eye(_Part):
     """Vertical field of view, degrees."""
 
 
+class Camera(Eye):
+    """A camera of a body."""
+
+    rotation: tuple[Row, Row, Row] | None = None
+    """R_body_camera, row by row, in place of `pitch`: OpenCV's x right, y down, z forward."""
+
+
+class FreeJoint(_Part):
+    """What acts on the free joint."""
+
+    damping: NotNegative = 0.0
+    """N s / m, and N m s / rad."""
+    armature: NotNegative = 0.0
+    """kg, and kg m^2."""
+    friction: NotNegative = 0.0
+    """N, and N m."""
+
+
+class Published(_Part):
+    """What is otherwise under the protocol `neverwhere-2026`."""
+
+    body: Names | None = None
+    """Parts whose contact is `collided`; None = those of `body`."""
+    free_joint: FreeJoint = FreeJoint()
+    """What joint defaults of the published file put on the free joint."""
+    height_camera: Row = (0.0, 0.0, 25.0)
+    """From the centre of mass to the camera of the published height map, m."""
+
+
 class RobotFile(_Part):
     """`robot.yaml`: what a model file does not say about a robot, or says otherwise."""
 
@@ -134,8 +170,11 @@ class RobotFile(_Part):
     model: ModelFile
     root: Name | None = None
     """The body with the free joint, which is the trunk; derived."""
+    touches: Literal["body", "geom"] = "body"
+    """What `feet` and `body` name. The force on a body is the sum over its geoms, without contacts
+    of the robot with itself; that on a geom counts every contact."""
     feet: Annotated[Names, Field(min_length=1)] | None = None
-    """Bodies, in the order that cards may use; derived: those lowest in the pose."""
+    """In the order that cards may use; derived: the bodies lowest in the pose."""
     pose: Name | dict[Name, float] | None = None
     """A keyframe of the model, or angles (rad) by patterns of joint names; what is not named is 0,
     or the nearest in its range. None = the keyframe `home`, if there is one."""
@@ -147,8 +186,14 @@ class RobotFile(_Part):
     collided: Collided = Collided()
     eye: Eye | None = None
     """None = the model's first camera on the trunk, or one at its front."""
+    cameras: Annotated[dict[Name, Camera], Field(max_length=50)] = Field(
+        default_factory=dict[str, Camera]
+    )
+    """Cameras by the names that cards use; `ego` is that of `eye`, unless it is here."""
     spawn_height: Positive | None = None
     """Of the root's origin above the ground at the start, m; derived."""
+    published: Published = Published()
+    """For robots of the published evaluation."""
 
 
 _NOT_FINITE = {sign + word for sign in ("", "+", "-") for word in ("nan", "inf", "infinity")}
