@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from nw_eval.cards.joints import PerJoint
+from nw_eval.cards.joints import ActionKind, PerJoint
 from nw_eval.cards.model import CONTROL_RATE, CardModel, Limits
 
 Array = NDArray[np.float64]
@@ -91,11 +91,11 @@ class Control(CardModel):
     """Actions per second, Hz. Below 50 each action is held for 50 / rate control steps."""
     physics_rate: PhysicsRate = PHYSICS_RATE
     """Physics steps per second, Hz: a multiple of 50."""
-    action: Literal["joint_position_offset", "joint_position", "joint_torque"]
-    """Joint target = default pose + scale * action, or scale * action; or torque = scale * action.
-    """
+    action: ActionKind | Annotated[dict[str, ActionKind], Field(min_length=1, max_length=200)]
+    """Joint target = default pose + scale * action, or scale * action; or velocity, or torque, =
+    scale * action. One word for all joints, or words by joint, type or pattern, as for `scale`."""
     scale: PerJoint = 1.0
-    """rad, or N m, for each unit of action."""
+    """rad, rad/s or N m for each unit of action."""
     clip: Limits | None = None
     """Limits of the raw action, before scaling."""
     delay_steps: int = Field(default=0, ge=0, le=10)
@@ -109,7 +109,8 @@ class Control(CardModel):
     kp: PerJoint | None = None
     """Position gain, N m/rad; None = the robot's, here and below."""
     kd: PerJoint | None = None
-    """Joint damping, N m s/rad; None = none where actions are torques."""
+    """Joint damping, N m s/rad; None = none where actions are torques. Where actions are
+    velocities it is the gain: torque = kd * (target - velocity)."""
     torque_limits: PerJoint | None = None
     """N m."""
     armature: PerJoint | None = None
@@ -132,6 +133,12 @@ class Control(CardModel):
             message = f"a cutoff of {low_pass.cutoff:g} Hz is not below half of {rate} actions a"
             raise ValueError(f"{message} second; give less than {rate / 2:g}, or remove `filter`")
         return low_pass
+
+    @property
+    def has_torques(self) -> bool:
+        """Whether the actions of all joints are torques."""
+        kinds = {self.action} if isinstance(self.action, str) else set(self.action.values())
+        return kinds == {"joint_torque"}
 
     @property
     def hold(self) -> int:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards import Card, actuator_values
+from nw_eval.cards import Card, actuator_values, motors_follow
 from nw_eval.cards.observations import (
     AnyObservation,
     DepthObservation,
@@ -85,8 +85,7 @@ class TrialSetup:
         values = actuator_values(card, robot)
         motors = Actuators.of(robot)
         if values is not None:
-            follow = "torque" if card.control.action == "joint_torque" else "position"
-            motors = replace(motors, follow=follow, **values)
+            motors = replace(motors, follow=motors_follow(card, robot), **values)
         return cls(trial=trial, robot=robot, card=card, motors=motors)
 
     def generator(self, stream: str) -> np.random.Generator:

@@ -58,7 +58,6 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
     Raises:
         PolicyError: a term names a foot that the robot does not have.
     """
-    pose, order = control.default_pose, _index(control.order, len(control.order))
     match term:
         case terms.AngularVelocity():
             return _angular_velocity if term.frame == "trunk" else _angular_velocity_in_world
@@ -78,11 +77,8 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
             return lambda moment: moment.delta_yaw
         case terms.Command():
             return lambda moment: velocity_command(command, moment)
-        case terms.JointPosition():
-            zero = pose if term.relative else np.zeros_like(pose)
-            return lambda moment: moment.world.joint_positions[order] - zero
-        case terms.JointVelocity():
-            return lambda moment: moment.world.joint_velocities[order]
+        case terms.JointPosition() | terms.JointVelocity():
+            return _joints(term, control)
         case terms.AppliedAction():
             return _fed_back(lambda moment: moment.applied_action, term, control)
         case terms.LastOutput():
@@ -96,6 +92,27 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
             return lambda moment: values  # noqa: ARG005 - as every reader.
         case _:
             assert_never(term)
+
+
+def _joints(term: terms.JointPosition | terms.JointVelocity, control: JointControl) -> Reader:
+    pose, order = control.default_pose, _index(control.order, len(control.order))
+    if term.leave_out:
+        seen = terms.seen_joints(term, control.names)
+        pose, order = pose[seen], control.order[seen]
+    if isinstance(term, terms.JointVelocity):
+        return lambda moment: moment.world.joint_velocities[order]
+    zero = pose if term.relative else np.zeros_like(pose)
+    if not term.zero:
+        return lambda moment: moment.world.joint_positions[order] - zero
+    names = [control.names[index] for index in terms.seen_joints(term, control.names)]
+    still = list(terms.named_places(term.zero, names, "joint_pos: zero"))
+
+    def read(moment: Moment) -> Array:
+        values = moment.world.joint_positions[order] - zero
+        values[still] = 0.0
+        return values
+
+    return read
 
 
 def _angular_velocity(moment: Moment) -> Array:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from nw_eval.cards import JointControl
+from nw_eval.cards import JointControl, motors_follow
 from nw_eval.cards.load import CARD_FILE, parse_card
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, StoreError, UsageError
@@ -62,7 +62,6 @@ _SUITE = "suite.yaml"
 _POLICY_TOPIC = "/nw/policy"
 _DIGEST = "state_digest"  # A part of every recorded state.
 Array = NDArray[np.float64]
-_TORQUE = "joint_torque"
 
 
 def lead(
@@ -382,9 +381,10 @@ def translator(first: Card, second: Card, robot: RobotSpec) -> Callable[[Array],
         robot: that both drive.
 
     Returns:
-        None where there is no such action: one of them answers torques, the other one positions.
+        None where there is no such action: one of them answers torques, the other one positions
+        or velocities.
     """
-    if (first.control.action == _TORQUE) != (second.control.action == _TORQUE):
+    if motors_follow(first, robot) != motors_follow(second, robot):
         return None
     own, other = JointControl.from_card(first, robot), JointControl.from_card(second, robot)
     meanings = ((own.order, other.order), (own.base, other.base), (own.scale, other.scale))
