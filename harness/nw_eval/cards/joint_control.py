@@ -186,7 +186,7 @@ def physics_steps(card: Card, protocol: EvaluationProtocol) -> tuple[float, int]
     """Return the physics step, s, and how many of them make a control step.
 
     Raises:
-        PolicyError: the card's physics rate is not that of the protocol.
+        PolicyError: the card's physics rate is not that of the protocol, or its control steps.
     """
     rate = card.control.physics_rate
     if protocol.fixed_physics_rate and rate != PHYSICS_RATE:
@@ -195,7 +195,13 @@ def physics_steps(card: Card, protocol: EvaluationProtocol) -> tuple[float, int]
             f"{protocol.name!r} has {PHYSICS_RATE}",
             fix="remove it from the card, or use `protocol: strict` in the suite",
         )
-    return 1.0 / rate, rate // CONTROL_RATE
+    if protocol.fixed_physics_rate and card.control.step_rate != CONTROL_RATE:
+        raise PolicyError(
+            f"card {card.name!r}: control.rate is {card.control.rate}, the protocol "
+            f"{protocol.name!r} has control steps of {1 / CONTROL_RATE:g} s",
+            fix="use `protocol: strict` in the suite, or a policy whose rate divides 50",
+        )
+    return 1.0 / rate, card.control.substeps
 
 
 def _named(key: str, resolve: Callable[[], _T]) -> _T:

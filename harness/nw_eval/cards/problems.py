@@ -19,6 +19,7 @@ from nw_eval.cards.joints import (
     named_joints,
     short_name,
 )
+from nw_eval.cards.model import is_whole
 from nw_eval.cards.networks import feeding_order, input_parts, listed_inputs, way_back
 from nw_eval.cards.observations import ProprioObservation
 from nw_eval.cards.terms import FootContacts, check_feet, named_places
@@ -79,7 +80,7 @@ class _Checked:
                     f"`recurrent` is for adapter onnx; `{network.adapter}` keeps its state itself"
                 )
                 self._tell((*place, "recurrent"), words, "remove it")
-            if network.rate is not None and card.control.rate % network.rate:
+            if network.rate is not None and not is_whole(card.control.rate / network.rate):
                 words = f"{network.rate} Hz, the policy acts at {card.control.rate} Hz"
                 self._tell((*place, "rate"), words, "give a rate that divides it")
         if card.networks and card.inputs is None and not card.adapter.startswith("python:"):

@@ -24,6 +24,7 @@ from nw_eval.robots.spec import (
     COLLISION_GROUP,
     VISUAL_GROUP,
     CameraMount,
+    Follow,
     RobotSpec,
     Shape,
 )
@@ -229,7 +230,7 @@ class _Derivation:
         height = self.settings.spawn_height
         cameras = {"ego": self._eye()}
         visuals = self._visuals()
-        follows = tuple(motor.follows for motor in motors)
+        follows: tuple[Follow, ...] = tuple(motor.follows for motor in motors)
         self._round_wheels(
             [j for j, follow in zip(self.joints, follows, strict=True) if follow != "position"]
         )
@@ -311,11 +312,10 @@ class _Derivation:
         ):
             lacking = [name for name, value in zip(names, values, strict=True) if value is None]
             if lacking:
-                group = lacking[0] if len(lacking) == 1 else "*"
                 raise self._fault(
                     ("motors",),
                     f"motors: nothing says the {what} of {', '.join(lacking)[:300]}",
-                    f'add `- {{joints: "{group}", {what}: ...}}` with its {unit}',
+                    f'add `- {{joints: "*", {what}: ...}}` with its {unit}',
                 )
         return motors
 

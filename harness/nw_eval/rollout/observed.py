@@ -90,7 +90,7 @@ Bytes = NDArray[np.uint8]
 
 LOG_CAMERA = "ego"
 _LOG_SIZE = (160, 90)  # pixels
-_LOG_PERIOD = 5  # control steps between two frames: 10 Hz
+_LOG_RATE = 10  # frames a second
 LOG_TOPIC = f"/camera/{LOG_CAMERA}"
 
 
@@ -532,7 +532,7 @@ class LogCamera:
 
     def record(self, step: int) -> None:
         """Write the frame of a control step, if it has one."""
-        if self.is_on and step % _LOG_PERIOD == 0:
+        if self.is_on and step % max(1, round(self._world.control_rate / _LOG_RATE)) == 0:
             T_world_camera = self._world.camera_pose(LOG_CAMERA)
             self._log.later_picture(
                 self._world.time, LOG_TOPIC, lambda: self._render(T_world_camera), mount=LOG_CAMERA

@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from nw_eval.cards import terms
 from nw_eval.cards.command import Command, ConstantCommand
 from nw_eval.cards.joint_control import JointControl
-from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.cards.terms import GaitClock
 from nw_eval.sensors.sensor import Array, Moment
 
@@ -231,7 +230,7 @@ def gait_clock(term: GaitClock, command: Command) -> Callable[[Moment], list[flo
                 return [0.0] * (len(functions) * len(term.offsets))
             phases = [standing.phase] * len(term.offsets)
         else:
-            cycles = term.frequency * moment.step / CONTROL_RATE
+            cycles = term.frequency * moment.step / moment.world.control_rate
             phases = [_warped((cycles + offset) % 1.0, term.stance) for offset in term.offsets]
         return [function(phase) for function in functions for phase in phases]
 

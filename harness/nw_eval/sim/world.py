@@ -59,6 +59,7 @@ class World(Body):
         protocol: as given.
         monitored: names of the parts whose contact is a collision.
         control_period: seconds of one control step.
+        control_rate: control steps in a second, Hz.
         steps: control steps since the reset.
         start_yaw: heading that the reset gave, rad.
     """
@@ -90,6 +91,8 @@ class World(Body):
         self.scene = scene
         self.protocol = protocol
         self.control_period = timestep * substeps
+        rate = 1.0 / self.control_period
+        self.control_rate = round(rate) if abs(rate - round(rate)) < 1e-9 else rate
         self.steps = 0
         self.start_yaw = 0.0
         self.monitored = (

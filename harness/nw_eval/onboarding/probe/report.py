@@ -78,7 +78,7 @@ class ProbedOutput:
     network: str
     output: str
     numbers: int
-    rate: int
+    rate: float
     """Hz at which the network is asked."""
     low: float
     mean: float

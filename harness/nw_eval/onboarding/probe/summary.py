@@ -32,7 +32,7 @@ class CardTerm:
     """Of the observation."""
     form: str
     """Scale, offset and limits as the card has them; empty where nothing is changed."""
-    rate: int
+    rate: float
     """Hz."""
 
 
@@ -55,7 +55,7 @@ class CardFile:
     """Which network of the card it is; empty for the policy's own."""
     file: str
     adapter: str
-    rate: int
+    rate: float
     """Hz at which it is asked."""
     bytes: int = 0
     sha256: str = ""

@@ -22,7 +22,7 @@ from pydantic import TypeAdapter, ValidationError
 from nw_eval.cards import JointControl, motors_follow
 from nw_eval.cards.load import CARD_FILE, parse_card
 from nw_eval.clean import clean
-from nw_eval.errors import PolicyError, StoreError, UsageError
+from nw_eval.errors import PolicyError, StoreError, TrialError, UsageError
 from nw_eval.policies import Bundle
 from nw_eval.policies.bundle import NOTHING
 from nw_eval.rollout.episode import Decision
@@ -83,6 +83,12 @@ def lead(
         TrialError: the policy that looks on fails, or a state does not fit.
     """
     card, robot = _first_card(logged), trial.robot
+    if trial.episode.world.control_rate != logged.control_rate:
+        raise TrialError(
+            f"the policy has {trial.episode.world.control_rate:g} control steps a second, the "
+            f"recorded trial {logged.control_rate:g}",
+            fix="let a policy of the same `control.rate` take over",
+        )
     in_its_words = translator(card, trial.bundle.card, robot)
     recorded = _recorded_digests(logged.log)
     follower = trial.episode
