@@ -193,7 +193,10 @@ def test_a_missing_card_is_one_line(tmp_path):
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("  eye: {sensor: splat_rgb, rate: 15}", "15 Hz does not divide"),
+        (
+            "  eye: {sensor: splat_rgb, rate: 15}",
+            "sampled at 15 Hz, the policy acts at 50 Hz; give a rate that divides it",
+        ),
         ("  eye: {sensor: splat_rgb, latency: 0.03}", "whole number of control steps"),
         ("  eye: {sensor: splat_rgb, sampling: published, width: 160}", "makes 80 x 45"),
         ("  dots: {sensor: scandots, clip: [1, -1]}", "are empty"),
@@ -230,7 +233,7 @@ def test_a_clip_of_one_number_limits_both_sides(tmp_path):
 
 
 def test_parkour53_has_53_numbers():
-    assert sum(term_size(term, 12) for term in LAYOUTS["parkour53"]) == 53
+    assert sum(term_size(term, get_robot("go1").joints) for term in LAYOUTS["parkour53"]) == 53
 
 
 def test_a_slow_policys_observations_take_its_rate_unless_they_say_another(tmp_path):
@@ -245,9 +248,14 @@ def test_a_slow_policys_observations_take_its_rate_unless_they_say_another(tmp_p
 @pytest.mark.parametrize(
     ("control", "words"),
     [
-        ("rate: 100", "100 actions a second do not fit the 50 Hz of every trial"),
-        ("rate: 30", "use 50, 25, 10, 5, 2 or 1"),
-        ("physics_rate: 240", "240 physics steps a second are not a multiple of 50"),
+        (
+            "rate: 30",
+            "6.667 for an action of 0.03333 s; use `physics_rate: 210 or 240 or 270`, or `rate: 28",
+        ),
+        ("rate: 62.5", "use `physics_rate: 250 or 375 or 500`, or `rate: 50 or 66.6667`"),
+        ("rate: 400", "use `physics_rate: 400 or 800 or 1200`"),
+        ("rate: 0.5", "greater than or equal to 1"),
+        ("physics_rate: 240", "240 physics steps a second are 4.8 for a control step of 0.02 s"),
         ("action: joint_torque, kp: 20", "kp has no meaning for torques"),
     ],
 )
@@ -299,7 +307,7 @@ def test_many_equal_constants_are_said_in_short_and_are_the_same_card():
     long = Constant.model_validate({"term": "constant", "values": [0.5] * 187})
     assert short == long
     assert short.model_dump(mode="json") == long.model_dump(mode="json")
-    assert term_size(short, 12) == 187
+    assert term_size(short, ()) == 187
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,11 @@ inputs: [body, adaptation.latent, adaptation.velocity{uses}]
             r":11:3: networks\.adaptation: no input uses .*\.latent; use it",
         ),
         ("inputs: [body, ", "inputs: [", r":8:3: no input uses the observation body; use it"),
-        ("rate: 5", "rate: 15", r":16:5: networks\.adaptation\.rate: .*15 Hz does not divide"),
+        (
+            "rate: 5",
+            "rate: 15",
+            r":16:5: networks\.adaptation\.rate: 15 Hz, the policy acts at 25 Hz",
+        ),
         ("rate: 5", "rate: 10", r":16:5: .*10 Hz, the policy acts at 25 Hz; give a rate that div"),
         (
             "adapter: onnx",

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import TypeAdapter, ValidationError
 
 from nw_eval.api.verifying import Kind, RepeatedTrial, Repeats, draw
-from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.clean import clean
 from nw_eval.confinement import Rules
 from nw_eval.errors import IncomparableError, NwEvalError, PolicyError, UsageError
@@ -30,6 +29,8 @@ from nw_eval.results.provenance import read_run_info
 from nw_eval.results.row import COLUMNS, MEASURED
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.mcap.reader import LogReader
+from nw_eval.rollout.record import VERDICT
+from nw_eval.rollout.replaying.logged import recorded_rate
 from nw_eval.rollout.replaying.reports import Difference
 
 if TYPE_CHECKING:
@@ -255,6 +256,7 @@ def partings(recorded: Path, now: Path) -> dict[Kind, int]:
     Raises:
         StoreError: one of them cannot be read.
     """
+    control_rate = recorded_rate(LogReader(recorded).metadata().get(VERDICT, {}))
     was, is_ = _entries(recorded), _entries(now)
     found: dict[Kind, int] = {}
     for key in {*was, *is_}:
@@ -262,7 +264,7 @@ def partings(recorded: Path, now: Path) -> dict[Kind, int]:
         if not (key in was and key in is_) and topic.startswith(_KEPT_AT_WILL):
             continue
         if (time_ns := _first_difference(was[key], is_[key])) is not None:
-            step = round(time_ns * 1e-9 * CONTROL_RATE)
+            step = round(time_ns * 1e-9 * control_rate)
             found[kind] = min(step, found.get(kind, step))
     return found
 

@@ -9,6 +9,7 @@ from nw_eval.cards.joint_control import (
     Action,
     JointControl,
     actuator_values,
+    motors_follow,
     mounted_robot,
     physics_steps,
 )
@@ -21,6 +22,7 @@ __all__ = [
     "JointControl",
     "actuator_values",
     "load_card",
+    "motors_follow",
     "mounted_robot",
     "physics_steps",
 ]

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field, model_validator
 from nw_eval.cards.checkpoint import Adapter, Checkpoint
 from nw_eval.cards.command import Command, WaypointCommand
 from nw_eval.cards.control import CameraMounting, Control
-from nw_eval.cards.model import CONTROL_RATE, CardModel, Line
+from nw_eval.cards.model import CONTROL_RATE, CardModel, Line, is_whole
 from nw_eval.cards.networks import Inputs, Network, OutputKey, input_parts
 from nw_eval.cards.observations import Observation, ProprioObservation
 from nw_eval.cards.terms import AppliedAction, LastOutput
@@ -92,10 +92,10 @@ class Card(CardModel):
     @model_validator(mode="before")
     @classmethod
     def _slow_observations(cls, data: Any) -> Any:
-        """Let a slow policy's observations default to its own rate, in place of 50 Hz."""
+        """Let observations default to the policy's own rate, in place of 50 Hz."""
         try:
             rate = data["control"].get("rate", CONTROL_RATE)
-            if rate == CONTROL_RATE or not isinstance(rate, int):
+            if rate == CONTROL_RATE or not isinstance(rate, int | float):
                 return data
             slowed = {
                 name: {"rate": rate, **observation}
@@ -128,12 +128,17 @@ class Card(CardModel):
         return self
 
     def _check_rates(self) -> None:
+        control = self.control
         for name, observation in self.observations.items():
-            if self.control.rate % observation.rate:
+            if not is_whole(control.rate / observation.rate) or observation.rate > control.rate:
                 raise ValueError(
                     f"{name!r} is sampled at {observation.rate} Hz, the policy acts at "
-                    f"{self.control.rate} Hz; give a rate that divides it"
+                    f"{control.rate} Hz; give a rate that divides it"
                 )
+            if not is_whole(observation.latency * control.step_rate):
+                message = f"{name!r}: a latency of {observation.latency:g} s is not a whole number"
+                step = 1 / control.step_rate
+                raise ValueError(f"{message} of control steps; use a multiple of {step:g}")
 
     def _check_terms(self) -> None:
         """Refuse terms that need what the card does not say."""

@@ -16,10 +16,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
-from nw_eval.cards.joints import PerJoint
-from nw_eval.cards.model import CONTROL_RATE, CardModel, Limits
+from nw_eval.cards.joints import ActionKind, PerJoint
+from nw_eval.cards.model import CONTROL_RATE, CardModel, Limits, Rate
 
 Array = NDArray[np.float64]
 
@@ -62,40 +62,29 @@ PHYSICS_RATE = 200
 """Physics steps per second of every protocol, unless a card says otherwise, Hz."""
 
 
-def _control_rate(rate: int) -> int:
-    if rate < 1 or CONTROL_RATE % rate:
-        message = f"{rate} actions a second do not fit the {CONTROL_RATE} Hz of every trial"
-        raise ValueError(f"{message}, in which waypoints, sensors and logs count; {_SLOWER}")
-    return rate
+MOST_PHYSICS_RATE = 2000
+"""Physics steps per second at most, Hz."""
 
+PhysicsRate = Annotated[int, Field(ge=100, le=MOST_PHYSICS_RATE)]
+"""Physics steps per second, Hz."""
 
-_SLOWER = "use 50, 25, 10, 5, 2 or 1, or export a policy of one of these rates"
-
-ControlRate = Annotated[int, AfterValidator(_control_rate)]
-
-
-def _physics_rate(rate: int) -> int:
-    if rate % CONTROL_RATE or not 2 * CONTROL_RATE <= rate <= 2000:
-        message = f"{rate} physics steps a second are not a multiple of {CONTROL_RATE} up to 2000"
-        raise ValueError(f"{message}; use 200 (the default), 250, 500 or 1000")
-    return rate
-
-
-PhysicsRate = Annotated[int, AfterValidator(_physics_rate)]
+_NEAR = 1e-3  # share by which a rate such as 33.33 may miss a whole number of physics steps
 
 
 class Control(CardModel):
     """What a raw action means, and the motors that it drives."""
 
-    rate: ControlRate = CONTROL_RATE
-    """Actions per second, Hz. Below 50 each action is held for 50 / rate control steps."""
-    physics_rate: PhysicsRate = PHYSICS_RATE
-    """Physics steps per second, Hz: a multiple of 50."""
-    action: Literal["joint_position_offset", "joint_position", "joint_torque"]
-    """Joint target = default pose + scale * action, or scale * action; or torque = scale * action.
+    rate: Rate = CONTROL_RATE
+    """Actions per second, Hz. Each lasts a whole number of physics steps. A rate that divides 50 is
+    held for 50 / rate control steps of 0.02 s; with any other, a control step is one action long.
     """
+    physics_rate: PhysicsRate = Field(default=PHYSICS_RATE, validate_default=True)
+    """Physics steps per second, Hz: a multiple of `rate`, and of 50 where that divides 50."""
+    action: ActionKind | Annotated[dict[str, ActionKind], Field(min_length=1, max_length=200)]
+    """Joint target = default pose + scale * action, or scale * action; or velocity, or torque, =
+    scale * action. One word for all joints, or words by joint, type or pattern, as for `scale`."""
     scale: PerJoint = 1.0
-    """rad, or N m, for each unit of action."""
+    """rad, rad/s or N m for each unit of action."""
     clip: Limits | None = None
     """Limits of the raw action, before scaling."""
     delay_steps: int = Field(default=0, ge=0, le=10)
@@ -109,13 +98,26 @@ class Control(CardModel):
     kp: PerJoint | None = None
     """Position gain, N m/rad; None = the robot's, here and below."""
     kd: PerJoint | None = None
-    """Joint damping, N m s/rad; None = none where actions are torques."""
+    """Joint damping, N m s/rad; None = none where actions are torques. Where actions are
+    velocities it is the gain: torque = kd * (target - velocity)."""
     torque_limits: PerJoint | None = None
     """N m."""
     armature: PerJoint | None = None
     """kg m^2."""
     friction_loss: PerJoint | None = None
     """N m."""
+
+    @field_validator("physics_rate")
+    @classmethod
+    def _whole_steps(cls, physics_rate: int, info: ValidationInfo) -> int:
+        rate = info.data.get("rate", CONTROL_RATE)
+        steps = physics_rate / _step_rate(rate)
+        if steps < 1 - _NEAR or abs(steps - round(steps)) > _NEAR * steps:
+            every = "a control step" if CONTROL_RATE % rate == 0 else "an action"
+            message = f"{physics_rate} physics steps a second are {steps:.4g} for {every} of"
+            message += f" {1 / _step_rate(rate):.4g} s; use `physics_rate: {_fitting(rate)}`"
+            raise ValueError(f"{message}, or `rate: {_near(physics_rate, rate)}`")
+        return physics_rate
 
     @field_validator("kp")
     @classmethod
@@ -134,9 +136,47 @@ class Control(CardModel):
         return low_pass
 
     @property
+    def has_torques(self) -> bool:
+        """Whether the actions of all joints are torques."""
+        kinds = {self.action} if isinstance(self.action, str) else set(self.action.values())
+        return kinds == {"joint_torque"}
+
+    @property
     def hold(self) -> int:
-        """Control steps of 0.02 s from one action to the next."""
-        return CONTROL_RATE // self.rate
+        """Control steps from one action to the next."""
+        return round(_step_rate(self.rate) / self.rate)
+
+    @property
+    def substeps(self) -> int:
+        """Physics steps in a control step."""
+        return round(self.physics_rate / _step_rate(self.rate))
+
+    @property
+    def step_rate(self) -> float:
+        """Control steps per second, Hz: 50, or the policy's own rate where that does not divide 50.
+
+        Waypoints, sensors and logs count in control steps.
+        """
+        rate = self.physics_rate / self.substeps
+        return int(rate) if rate == int(rate) else rate
+
+
+def _step_rate(rate: float) -> float:
+    return rate if CONTROL_RATE % rate else CONTROL_RATE
+
+
+def _fitting(rate: float) -> str:
+    """Return the physics rates from 200 on that a rate fits into, as words."""
+    wanted = range(PHYSICS_RATE, MOST_PHYSICS_RATE + 1)
+    steps = _step_rate(rate)
+    fitting = [each for each in wanted if abs(each / steps - round(each / steps)) < 1e-9]
+    return " or ".join(map(str, fitting[:3])) or "another"
+
+
+def _near(physics_rate: int, rate: float) -> str:
+    """Return the rates next to one that physics steps fit into, as words."""
+    steps = max(1, int(physics_rate / rate))
+    return " or ".join(f"{physics_rate / each:.6g}" for each in (steps + 1, steps))
 
 
 class CameraMounting(CardModel):

@@ -5,18 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards.card import Card
 from nw_eval.cards.control import PHYSICS_RATE
-from nw_eval.cards.joints import PerJoint, joint_order, joint_values
+from nw_eval.cards.joints import (
+    ActionKind,
+    PerJoint,
+    joint_actions,
+    joint_order,
+    joint_values,
+    short_name,
+)
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.protocol import EvaluationProtocol
 from nw_eval.robots import RobotSpec
-from nw_eval.robots.spec import remounted
+from nw_eval.robots.spec import Follow, remounted
+
+_T = TypeVar("_T")
 
 Action = NDArray[np.float64]
 """Raw action, one number for each joint in the order of `control.joints`."""
@@ -28,12 +38,16 @@ class JointControl:
 
     order: NDArray[np.intp]
     """(J,) for each joint of the policy, its index among the robot's joints."""
+    names: tuple[str, ...]
+    """(J,) of these joints."""
+    kinds: tuple[ActionKind, ...]
+    """(J,) what the action of each means."""
     default_pose: NDArray[np.float64]
     """(J,) rad."""
     base: NDArray[np.float64]
     """(J,) rad, the target of action 0: the default pose, or zeros for absolute actions."""
     scale: NDArray[np.float64]
-    """(J,) rad, or N m, for each unit of action."""
+    """(J,) rad, rad/s or N m for each unit of action."""
     low: float
     high: float
     """Limits of the raw action."""
@@ -54,19 +68,22 @@ class JointControl:
             pose = _named(
                 "default_pose", lambda: joint_values(own_pose, names, robot_pose.tolist())
             )
-        offset = control.action == "joint_position_offset"
+        kinds = _named("action", lambda: joint_actions(control.action, names))
+        offset = np.array(kinds) == "joint_position_offset"
         low, high = control.clip or (-np.inf, np.inf)
         return cls(
             order=order,
+            names=tuple(names),
+            kinds=kinds,
             default_pose=pose,
-            base=pose if offset else np.zeros_like(pose),
+            base=np.where(offset, pose, 0.0),
             scale=_named("scale", lambda: joint_values(control.scale, names)),
             low=low,
             high=high,
         )
 
     def targets(self, action: Action) -> NDArray[np.float64]:
-        """Return what the motors are told, in the robot's order: joint targets in rad, or N m.
+        """Return what the motors are told, in the robot's order: rad, rad/s or N m.
 
         Args:
             action: raw action in the policy's order, (J,).
@@ -88,6 +105,25 @@ class JointControl:
         return [(float(self.base[i]), float(self.scale[i]), int(i)) for i in places]
 
 
+_FOLLOWS: dict[ActionKind, Follow] = {
+    "joint_position_offset": "position",
+    "joint_position": "position",
+    "joint_velocity": "velocity",
+    "joint_torque": "torque",
+}
+
+
+def motors_follow(card: Card, robot: RobotSpec) -> tuple[Follow, ...]:
+    """Return what a card tells each motor of a robot, (J,) in the robot's joint order.
+
+    Raises:
+        PolicyError: a joint is unknown or has no action.
+    """
+    control = card.control
+    kinds = _named("action", lambda: joint_actions(control.action, robot.joints))
+    return tuple(_FOLLOWS[kind] for kind in kinds)
+
+
 def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float64]] | None:
     """Return what a card overrides of a robot's motors, or None if it overrides nothing.
 
@@ -96,11 +132,16 @@ def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float6
         keyword arguments of `sim.Actuators`. Motors of torques have no damping of their own.
 
     Raises:
-        PolicyError: a joint is unknown, a list has another length, or a value is negative.
+        PolicyError: a joint is unknown, a list has another length, a value is negative, or a gain
+            0 without which a motor cannot do what the card tells it.
     """
     control = card.control
-    torques = control.action == "joint_torque"
-    damping = (0.0,) * len(robot.joints) if torques else robot.joint_damping
+    follows = motors_follow(card, robot)
+    torques = "torque" in follows
+    damping = tuple(
+        0.0 if follow == "torque" else own
+        for own, follow in zip(robot.joint_damping, follows, strict=True)
+    )
     overrides: dict[str, tuple[PerJoint | None, tuple[float, ...]]] = {
         "kp": (control.kp, robot.kp),
         "kd": (control.kd, damping),
@@ -108,7 +149,9 @@ def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float6
         "armature": (control.armature, robot.armature),
         "friction_loss": (control.friction_loss, robot.friction_loss),
     }
-    if not torques and all(value is None for value, _ in overrides.values()):
+    robot_follows = robot.follows or ("position",) * len(follows)
+    is_own = follows == robot_follows
+    if is_own and not torques and all(value is None for value, _ in overrides.values()):
         return None
     order = _named("joints", lambda: joint_order(control.joints or robot.joints, robot.joints))
     names = [robot.joints[i] for i in order]
@@ -122,6 +165,20 @@ def actuator_values(card: Card, robot: RobotSpec) -> dict[str, NDArray[np.float6
         if (values < 0).any():
             raise PolicyError(f"control.{key}: {values.min():g} is negative", fix="give 0 or more")
         result[key] = values
+    for which, follow in (("kp", "position"), ("kd", "velocity")):
+        lame = [
+            short_name(name)
+            for name, told, own, value in zip(
+                robot.joints, follows, robot_follows, result[which], strict=True
+            )
+            if told == follow != own and not value
+        ]
+        if lame:
+            raise PolicyError(
+                f"control.action: {', '.join(lame[:8])} cannot follow a {follow}: {which} is 0",
+                fix=f"give `{which}`, or another `action`, such as "
+                '{"*": joint_position_offset, "*_wheel": joint_velocity}',
+            )
     return result
 
 
@@ -129,7 +186,7 @@ def physics_steps(card: Card, protocol: EvaluationProtocol) -> tuple[float, int]
     """Return the physics step, s, and how many of them make a control step.
 
     Raises:
-        PolicyError: the card's physics rate is not that of the protocol.
+        PolicyError: the card's physics rate is not that of the protocol, or its control steps.
     """
     rate = card.control.physics_rate
     if protocol.fixed_physics_rate and rate != PHYSICS_RATE:
@@ -138,10 +195,16 @@ def physics_steps(card: Card, protocol: EvaluationProtocol) -> tuple[float, int]
             f"{protocol.name!r} has {PHYSICS_RATE}",
             fix="remove it from the card, or use `protocol: strict` in the suite",
         )
-    return 1.0 / rate, rate // CONTROL_RATE
+    if protocol.fixed_physics_rate and card.control.step_rate != CONTROL_RATE:
+        raise PolicyError(
+            f"card {card.name!r}: control.rate is {card.control.rate}, the protocol "
+            f"{protocol.name!r} has control steps of {1 / CONTROL_RATE:g} s",
+            fix="use `protocol: strict` in the suite, or a policy whose rate divides 50",
+        )
+    return 1.0 / rate, card.control.substeps
 
 
-def _named(key: str, resolve: Callable[[], NDArray]) -> NDArray:
+def _named(key: str, resolve: Callable[[], _T]) -> _T:
     """Call `resolve`, and say in its errors which key of `control` they are about."""
     try:
         return resolve()

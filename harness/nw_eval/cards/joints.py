@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from nw_eval.plural import plural
 
 Number = Annotated[float, Strict()]
 """A number and nothing that could be read as one: `kp: true` and `kp: "35"` are slips."""
+
+ActionKind = Literal["joint_position_offset", "joint_position", "joint_velocity", "joint_torque"]
+"""What an action of a joint means."""
 
 PerJoint = Number | list[Number] | dict[str, Number]
 """One number for all joints; a list in the order of `control.joints`; or a mapping.
@@ -93,6 +96,25 @@ def joint_values(
     if missing:
         raise PolicyError(f"no value for {', '.join(missing)}", fix="name every joint")
     return np.array(result, dtype=np.float64)
+
+
+def joint_actions(
+    action: ActionKind | dict[str, ActionKind], joints: Sequence[str]
+) -> tuple[ActionKind, ...]:
+    """Return what the action of each of `joints` means, in their order.
+
+    Args:
+        action: what the card says: one word, or words by joint, type or pattern.
+        joints: joint names.
+
+    Raises:
+        PolicyError: a key names no joint, or a joint has no word.
+    """
+    if isinstance(action, str):
+        return (action,) * len(joints)
+    kinds = get_args(ActionKind)
+    numbers = joint_values({key: kinds.index(kind) for key, kind in action.items()}, joints)
+    return tuple(kinds[int(number)] for number in numbers)
 
 
 def _exactness(key: str, names: Sequence[str]) -> int:

@@ -11,10 +11,18 @@ from collections.abc import Callable, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from nw_eval.cards.joints import PerJoint, joint_order, joint_values, named_joints, short_name
+from nw_eval.cards.joints import (
+    PerJoint,
+    joint_actions,
+    joint_order,
+    joint_values,
+    named_joints,
+    short_name,
+)
+from nw_eval.cards.model import is_whole
 from nw_eval.cards.networks import feeding_order, input_parts, listed_inputs, way_back
 from nw_eval.cards.observations import ProprioObservation
-from nw_eval.cards.terms import FootContacts, check_feet
+from nw_eval.cards.terms import FootContacts, check_feet, named_places
 from nw_eval.errors import PolicyError, Problem, UsageError, nearest
 from nw_eval.robots import get_robot
 
@@ -72,7 +80,7 @@ class _Checked:
                     f"`recurrent` is for adapter onnx; `{network.adapter}` keeps its state itself"
                 )
                 self._tell((*place, "recurrent"), words, "remove it")
-            if network.rate is not None and card.control.rate % network.rate:
+            if network.rate is not None and not is_whole(card.control.rate / network.rate):
                 words = f"{network.rate} Hz, the policy acts at {card.control.rate} Hz"
                 self._tell((*place, "rate"), words, "give a rate that divides it")
         if card.networks and card.inputs is None and not card.adapter.startswith("python:"):
@@ -173,6 +181,12 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
         order = _fault(file, ("control", "joints"), lambda: joint_order(named, own))
         faults.append(order)
         joints = own if order else named
+    action = card.control.action
+    for key in () if isinstance(action, str) else action:
+        place = ("control", "action", key)
+        faults.append(_fault(file, place, lambda one=key: named_places([one], own, "action")))
+    if not any(faults):
+        faults.append(_fault(file, ("control", "action"), lambda: joint_actions(action, own)))
     for key in _PER_JOINT:
         value: PerJoint | None = getattr(card.control, key)
         if value is not None:

@@ -8,8 +8,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal, assert_never
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
+from nw_eval.cards.joints import named_joints, short_name
 from nw_eval.cards.model import CardModel, Limits
 from nw_eval.errors import PolicyError, nearest
 
@@ -108,15 +115,32 @@ class Speed(_Term):
     term: Literal["speed"]
 
 
-class JointPosition(_Term):
+JointKeys = Annotated[list[Foot], Field(min_length=1, max_length=200)]
+"""Joints, types or patterns, as the keys of `control.scale` are."""
+
+
+class _OfJoints(_Term):
+    leave_out: JointKeys | None = None
+    """Joints that it has no number for, such as the positions of wheels: names, types, patterns."""
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out lists of joints that are not given: cards keep the digest that they had."""
+        fields: dict[str, Any] = write(self)
+        return {k: v for k, v in fields.items() if v is not None or k not in {"leave_out", "zero"}}
+
+
+class JointPosition(_OfJoints):
     """Joint positions, rad, in the order of `control.joints` (12)."""
 
     term: Literal["joint_pos"]
     relative: bool = True
     """Minus `control.default_pose`."""
+    zero: JointKeys | None = None
+    """Joints whose number is 0, such as those of wheels, which turn for ever."""
 
 
-class JointVelocity(_Term):
+class JointVelocity(_OfJoints):
     """Joint velocities, rad/s, in the order of `control.joints` (12)."""
 
     term: Literal["joint_vel"]
@@ -262,8 +286,41 @@ def check_feet(term: FootContacts, feet: Sequence[str]) -> None:
             raise PolicyError(f"foot_contacts: the robot has no foot {foot!r}", fix=known)
 
 
-def term_size(term: AnyTerm, joints: int) -> int:
-    """Return how many numbers a term has on a robot with `joints` joints."""
+def seen_joints(term: JointPosition | JointVelocity, joints: Sequence[str]) -> list[int]:
+    """Return the places in `joints` that a term has a number for.
+
+    Raises:
+        PolicyError: `leave_out` names no joint, or all of them.
+    """
+    out = named_places(term.leave_out or (), joints, f"{term.term}: leave_out")
+    if len(out) == len(joints):
+        raise PolicyError(f"{term.term}: leave_out names every joint", fix="remove the term")
+    return [index for index in range(len(joints)) if index not in out]
+
+
+def named_places(keys: Sequence[str], joints: Sequence[str], where: str) -> set[int]:
+    """Return the places in `joints` that keys name: joints, types or patterns.
+
+    Raises:
+        PolicyError: a key names no joint; the message begins with `where`.
+    """
+    names = [short_name(joint) for joint in joints]
+    places: set[int] = set()
+    for key in keys:
+        hits = named_joints(key, names)
+        if not hits:
+            message = f"{where}: {key!r} names no joint"
+            raise PolicyError(message, fix=nearest(short_name(key), names))
+        places |= {names.index(name) for name in hits}
+    return places
+
+
+def term_size(term: AnyTerm, joints: Sequence[str]) -> int:  # noqa: C901 - one line a term.
+    """Return how many numbers a term has on a robot with those joints.
+
+    Raises:
+        PolicyError: it names joints that the robot does not have.
+    """
     match term:
         case AngularVelocity() | LinearVelocity() | Gravity() | Imu() | Acceleration() | Command():
             return 3
@@ -277,8 +334,10 @@ def term_size(term: AnyTerm, joints: int) -> int:
             return 1 if term.values == "angle" else 2
         case DeltaYaw():
             return term.copies
-        case JointPosition() | JointVelocity() | AppliedAction() | LastOutput():
-            return joints
+        case JointPosition() | JointVelocity():
+            return len(seen_joints(term, joints)) if term.leave_out else len(joints)
+        case AppliedAction() | LastOutput():
+            return len(joints)
         case GaitClock():
             return len(term.offsets) * len(term.values)
         case Constant():

@@ -72,8 +72,9 @@ class ActionFilter:
         if card.control.filter is None:
             return None
         rest = np.zeros_like(control.scale)
-        if card.control.action == "joint_position":
-            np.divide(control.default_pose, control.scale, out=rest, where=control.scale != 0.0)
+        absolute = np.array(control.kinds) == "joint_position"
+        turned = absolute & (control.scale != 0.0)
+        np.divide(control.default_pose, control.scale, out=rest, where=turned)
         return cls(
             card.control.filter,
             rate=card.control.rate,

@@ -153,7 +153,7 @@ class _Feeder:
         self.name = name
         self.bundle = bundle.of_network(name)
         self.outputs = network.given_as(name)
-        self.every = 1 if network.rate is None else bundle.card.control.rate // network.rate
+        self.every = 1 if network.rate is None else round(bundle.card.control.rate / network.rate)
         """Actions from one time that it is asked to the next."""
         wanted = [output.output for output in self.outputs.values()]
         self.network = _open_network(network.adapter, self.bundle, wanted, allow_code=allow_code)

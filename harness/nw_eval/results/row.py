@@ -86,7 +86,9 @@ class Row:
     waypoints_reached: Annotated[int, Column("number of waypoints reached, in their order")]
     waypoints_total: Annotated[int, Column("number of waypoints of the trail")]
     waypoint_times: Annotated[Numbers, Column("when each was reached, simulated s")] = ()
-    steps: Annotated[int, Column("control steps done, 50 in a simulated second")]
+    steps: Annotated[
+        int, Column("control steps done, 50 a simulated second or as many as the card's rate")
+    ]
     sim_s: Annotated[float, Column("simulated s")]
     physics_s: Annotated[float, Column("wall s spent on physics", measured=True)]
     render_s: Annotated[
@@ -292,7 +294,7 @@ def _contradiction_of_times(row: Row) -> str | None:
         return "waypoint_times go back"
     if times and times[-1] > sim_s + _SINGLE:
         return f"a waypoint reached at {times[-1]:.3f} s of {sim_s:.3f} s"
-    if abs(row.steps / CONTROL_RATE - sim_s) > _ROUNDING:
+    if not _is_rate(row.steps, sim_s):
         return f"{row.steps} steps, {CONTROL_RATE} a second, in {sim_s:.3f} s"
     if not 0.0 <= row.contact_s <= sim_s + _ROUNDING:
         return f"{row.contact_s:.3f} s in contact of {sim_s:.3f} s"
@@ -304,8 +306,29 @@ def _contradiction_of_times(row: Row) -> str | None:
     return f"coverage_mean {mean}" if mean > 1.0 + _ROUNDING else None
 
 
+def _is_rate(steps: int, seconds: float) -> bool:
+    """Return whether so many control steps can last so long.
+
+    A step is 0.02 s, or as many physics steps, up to 2000 a second, as a card's rate asks for.
+    """
+    if abs(steps / CONTROL_RATE - seconds) <= _ROUNDING:
+        return True
+    if steps < 1 or seconds <= 0.0:
+        return False
+    rate = steps / seconds
+    if abs(CONTROL_RATE / rate - round(CONTROL_RATE / rate)) <= _ROUNDING:
+        return False  # Such a policy has steps of 0.02 s.
+    for substeps in range(1, int(_MOST_PHYSICS / rate) + 1):
+        physics = round(rate * substeps)
+        if abs(steps * substeps - seconds * physics) <= _ROUNDING * physics:
+            return True
+    return False
+
+
 CONTROL_RATE = 50
-"""Control steps in a simulated second."""
+"""Control steps in a simulated second, where the policy's rate divides it."""
+_MOST_PHYSICS = 2000
+"""Physics steps in a simulated second at most."""
 
 _ROUNDING = 1e-6
 _SINGLE = 1e-3  # s by which single precision moves a time of hours.

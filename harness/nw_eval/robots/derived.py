@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, Literal
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 import mujoco as _mujoco
@@ -24,6 +24,7 @@ from nw_eval.robots.spec import (
     COLLISION_GROUP,
     VISUAL_GROUP,
     CameraMount,
+    Follow,
     RobotSpec,
     Shape,
 )
@@ -63,13 +64,14 @@ def spec_of(folder: RobotFolder) -> RobotSpec:
 
 @dataclass(frozen=True, kw_only=True)
 class _Motor:
-    """What a joint is driven by."""
+    """What a joint is driven by, as far as it is known."""
 
-    kp: float | None
-    kd: float
-    torque: float | None
-    armature: float
-    friction: float
+    follows: Literal["position", "velocity"] = "position"
+    kp: float | None = None
+    kd: float | None = None
+    torque: float | None = None
+    armature: float = 0.0
+    friction: float = 0.0
 
 
 class _Derivation:
@@ -230,6 +232,10 @@ class _Derivation:
         height, free = self.settings.spawn_height, published.free_joint
         cameras = self._cameras()
         visuals = self._visuals()
+        follows: tuple[Follow, ...] = tuple(motor.follows for motor in motors)
+        self._round_wheels(
+            [j for j, follow in zip(self.joints, follows, strict=True) if follow != "position"]
+        )
         as_written = self.settings.model.as_written
         mjcf = self._text_as_written(names) if as_written else self._mjcf(names)
         return RobotSpec(
@@ -238,10 +244,11 @@ class _Derivation:
             default_pose=tuple(pose),
             joint_ranges=tuple(ranges),
             kp=tuple(0.0 if motor.kp is None else motor.kp for motor in motors),
-            joint_damping=tuple(motor.kd for motor in motors),
+            joint_damping=tuple(0.0 if motor.kd is None else motor.kd for motor in motors),
             torque_limits=tuple(0.0 if m.torque is None else m.torque for m in motors),
             armature=tuple(motor.armature for motor in motors),
             friction_loss=tuple(motor.friction for motor in motors),
+            follows=follows if "velocity" in follows else (),
             root_joint=self.root_joint,
             touches=self.settings.touches,
             feet=feet,
@@ -267,7 +274,8 @@ class _Derivation:
         matched = [False] * len(self.settings.motors)
         for joint, name in zip(self.joints, names, strict=True):
             dof = int(self.model.jnt_dofadr[joint])
-            kp, torque = written.get(name, (None, None))
+            motor = written.get(name, _Motor())
+            follows, kp, gain, torque = motor.follows, motor.kp, motor.kd, motor.torque
             kd = float(np.ravel(self.model.dof_damping[dof])[0])
             armature = float(self.model.dof_armature[dof])
             friction = float(self.model.dof_frictionloss[dof])
@@ -278,11 +286,24 @@ class _Derivation:
                     continue
                 matched[number] = True
                 kp = kp if group.kp is None else group.kp
+                follows = follows if group.follows is None else group.follows
                 kd = kd if group.kd is None else group.kd
+                gain = gain if group.kd is None else group.kd
                 torque = torque if group.torque is None else group.torque
                 armature = armature if group.armature is None else group.armature
                 friction = friction if group.friction is None else group.friction
-            motors.append(_Motor(kp=kp, kd=kd, torque=torque, armature=armature, friction=friction))
+            if follows == "velocity":  # The joint's own damping is no gain of a servo.
+                kp, kd = 0.0, gain or None
+            motors.append(
+                _Motor(
+                    follows=follows,
+                    kp=kp,
+                    kd=kd,
+                    torque=torque,
+                    armature=armature,
+                    friction=friction,
+                )
+            )
         for number, was in enumerate(matched):
             if not was:
                 raise self._fault(
@@ -292,6 +313,7 @@ class _Derivation:
                 )
         for what, unit, values in (
             ("kp", "N m / rad", [motor.kp for motor in motors]),
+            ("kd", "N m s / rad", [motor.kd for motor in motors]),
             ("torque", "N m", [motor.torque for motor in motors]),
         ):
             lacking = [name for name, value in zip(names, values, strict=True) if value is None]
@@ -303,23 +325,31 @@ class _Derivation:
                 )
         return motors
 
-    def _written(self) -> dict[str, tuple[float | None, float | None]]:
-        """Return gain and largest torque by joint, as the actuators of the file have them."""
+    def _written(self) -> dict[str, _Motor]:
+        """Return gains and largest torque by joint, as the actuators of the file have them."""
         model = self.model
-        found: dict[str, tuple[float | None, float | None]] = {}
+        found: dict[str, _Motor] = {}
         for motor in range(model.nu):
             if model.actuator_trntype[motor] != mujoco.mjtTrn.mjTRN_JOINT:
                 continue
             gear = abs(float(model.actuator_gear[motor, 0])) or 1.0
-            gain, bias = model.actuator_gainprm[motor, 0], model.actuator_biasprm[motor, 1]
-            servo = bias < 0.0 and gain > 0.0
+            gain = float(model.actuator_gainprm[motor, 0])
+            _, stiffness, damping = model.actuator_biasprm[motor, :3].tolist()
+            servo = gain > 0.0 and stiffness < 0.0
+            # <velocity kv="...">; a damper or a motor with friction has another gain than kv.
+            wheel = gain > 0.0 and stiffness == 0.0 and damping == -gain
             torque = None
             if model.actuator_forcelimited[motor]:
                 torque = gear * float(np.abs(model.actuator_forcerange[motor]).max())
-            elif not servo and model.actuator_ctrllimited[motor]:
+            elif not servo and not wheel and model.actuator_ctrllimited[motor]:
                 torque = gear * float(gain * np.abs(model.actuator_ctrlrange[motor]).max())
             joint = str(model.joint(int(model.actuator_trnid[motor, 0])).name)
-            found[joint] = (float(gain * gear * gear) if servo else None, torque)
+            found[joint] = _Motor(
+                follows="velocity" if wheel else "position",
+                kp=gain * gear * gear if servo else None,
+                kd=gain * gear * gear if wheel else None,
+                torque=torque,
+            )
         return found
 
     def _range(self, joint: int) -> tuple[float, float]:
@@ -615,6 +645,37 @@ class _Derivation:
         fill_meshes(tree, self.folder)
         indent(tree)  # Comments of the file are gone, and left their lines empty.
         return tostring(tree, encoding="unicode")
+
+    def _round_wheels(self, joints: Sequence[int]) -> None:
+        """Let a cylinder roll in place of each mesh that collides and turns with a wheel.
+
+        A hull has facets, and on scanned ground the box round it would not roll.
+        """
+        for joint in joints:
+            number = int(self.model.jnt_bodyid[joint])
+            for geom in self.mjspec.body(self._body(number)).geoms:
+                own = int(self.model.geom(geom.name).id)
+                is_mesh = self.model.geom_type[own] == mujoco.mjtGeom.mjGEOM_MESH
+                if not (is_mesh and self._collides(own)):
+                    continue
+                mesh = int(self.model.geom_dataid[own])
+                first, count = (
+                    int(self.model.mesh_vertadr[mesh]),
+                    int(self.model.mesh_vertnum[mesh]),
+                )
+                R = np.empty(9)
+                mujoco.mju_quat2Mat(R, self.model.geom_quat[own])
+                points = self.model.mesh_vert[first : first + count] @ R.reshape(3, 3).T
+                points = points + self.model.geom_pos[own] - self.model.jnt_pos[joint]
+                axis = self.model.jnt_axis[joint]
+                along = points @ axis
+                radius = float(np.linalg.norm(points - np.outer(along, axis), axis=1).max())
+                quat = np.empty(4)
+                mujoco.mju_quatZ2Vec(quat, axis)
+                middle = (float(along.min()) + float(along.max())) / 2.0
+                geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_CYLINDER, ""
+                geom.size = [radius, float(np.ptp(along)) / 2.0, 0.0]
+                geom.pos, geom.quat = self.model.jnt_pos[joint] + middle * axis, quat
 
     def _geoms(self) -> list[Any]:
         return [geom for body in self.mjspec.bodies for geom in body.geoms]

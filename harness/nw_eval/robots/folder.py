@@ -88,10 +88,14 @@ class Motors(_Part):
 
     joints: Name | Names
     """Patterns of joint names, such as `*_hip_joint` or `*`."""
+    follows: Literal["position", "velocity"] | None = None
+    """What the motor is told. A wheel follows `velocity`: its torque is kd * (target - velocity),
+    within `torque`. None = as the model file says, else `position`."""
     kp: NotNegative | None = None
     """Gain, N m / rad."""
     kd: NotNegative | None = None
-    """Damping, N m s / rad; in place of the joint's own damping."""
+    """Damping, N m s / rad, in place of the joint's own; of motors that follow velocities their
+    gain."""
     torque: Positive | None = None
     """Largest torque, N m."""
     armature: NotNegative | None = None

@@ -16,6 +16,8 @@ import numpy.typing as npt
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
+Follow = Literal["position", "velocity", "torque"]
+"""What a motor is told: a joint position (rad), a joint velocity (rad / s), or a torque (N m)."""
 
 # Turns that lay what stands along z, such as a cylinder, along x and along y.
 Z_TO_X: Quaternion = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
@@ -83,6 +85,9 @@ class RobotSpec:
     torque_limits: tuple[float, ...]  # (J,) N m, symmetric
     armature: tuple[float, ...]  # (J,) kg m^2
     friction_loss: tuple[float, ...]  # (J,) N m
+    # (J,) what each motor follows; () = positions, all of them. A motor that follows velocities
+    # gives kd * (target - velocity), within its limit, and its joint has no other damping.
+    follows: tuple[Follow, ...] = ()
     root_joint: str  # the free joint of the root body
     touches: Literal["geom", "body"]  # what `feet` and the monitored parts are names of
     feet: tuple[str, ...]  # F names; their order is that of foot contacts
@@ -107,6 +112,15 @@ class RobotSpec:
     def root(self) -> str:
         """Name of the body that the free joint moves: the trunk."""
         return self.bodies[0]
+
+    @property
+    def standing_targets(self) -> tuple[float, ...]:
+        """(J,) what its own motors are told to stand: the default pose, rad; wheels 0 rad / s."""
+        follows = self.follows or ("position",) * len(self.joints)
+        return tuple(
+            angle if follow == "position" else 0.0
+            for angle, follow in zip(self.default_pose, follows, strict=True)
+        )
 
 
 def remounted(mount: CameraMount, *, pitch: float, height: float, factor: float) -> CameraMount:

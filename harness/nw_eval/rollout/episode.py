@@ -2,7 +2,8 @@
 
     reset -> [ observe -> policy -> delay queue -> physics -> task ] x 50 per second
 
-A policy that acts at less than 50 Hz is asked at every `hold`-th step.
+A policy whose rate divides 50 Hz is asked at every `hold`-th step; of any other, each control step
+is one action long.
 
 Here is also what an episode shows to those who look on: an `Observer` sees each `Decision` and
 `Step`.
@@ -54,7 +55,6 @@ Joints turn by less than 2 pi, and motors of such robots give some hundred N m. 
 raw actions at 100 (legged_gym's `clip_actions`), which is some 25 rad; MuJoCo itself gives up at
 1e10. A target this large is a network that ran away.
 """
-_STEPS_A_VIEW = CONTROL_RATE // VIEW_RATE
 _SENSOR = "sensor."
 
 
@@ -134,7 +134,7 @@ class Episode:
         self.state_digest = ChainDigest()
         self.action_digest = ChainDigest()
         self.coverage = _ImageCoverage()
-        self.captured = CapturedViews()
+        self.captured = CapturedViews(world.control_rate)
         self._hold = hold
         self._clock = clock
         self._pushes = pushes
@@ -449,20 +449,24 @@ class CapturedViews:
     An image is up to date from when it is taken until the next one of its camera: a slow camera's
     counts in each tenth that it lasts.
 
+    Args:
+        control_rate: control steps per second, Hz.
+
     Attributes:
         distance: m from the nearest capture camera, the largest of each tenth.
         angle: between the optical axes of both, rad, likewise.
         alpha: share of the image that the splat covers, 0 to 1, the smallest of each tenth.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, control_rate: float = CONTROL_RATE) -> None:
+        self._share = VIEW_RATE / control_rate
         self.distance: list[float] = []
         self.angle: list[float] = []
         self.alpha: list[float] = []
 
     def add(self, step: int, nearness: Nearness, alpha: float) -> None:
         """Add one camera's newest image at a control step; steps only go on."""
-        tenth = step // _STEPS_A_VIEW
+        tenth = int(step * self._share + 1e-6)
         while len(self.alpha) <= tenth:
             self.distance.append(0.0)
             self.angle.append(0.0)

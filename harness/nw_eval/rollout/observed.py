@@ -90,7 +90,7 @@ Bytes = NDArray[np.uint8]
 
 LOG_CAMERA = "ego"
 _LOG_SIZE = (160, 90)  # pixels
-_LOG_PERIOD = 5  # control steps between two frames: 10 Hz
+_LOG_RATE = 10  # frames a second
 LOG_TOPIC = f"/camera/{LOG_CAMERA}"
 
 
@@ -127,11 +127,12 @@ class Seen:
         self._names = topic_names(card)
         sizes = {name: prod(sensors[name].shape) for name in card.observations}
         self._images = [n for n in sizes if n in self._views or sizes[n] > MANY]
+        joints = card.control.joints or world.robot.joints
         rows = {
             name: SeenRow(
                 topic=f"/observation/{self._names[name]}",
                 shape=sensors[name].shape,
-                terms=term_sizes(name, spec, sizes[name], len(world.robot.joints)),
+                terms=term_sizes(name, spec, sizes[name], joints),
             )
             for name, spec in card.observations.items()
             if name not in self._images
@@ -435,7 +436,9 @@ def element_names(spec: object, joints: Sequence[str]) -> Names:
     return tuple(_aged(name, age) for group in groups for age in ages for name in group)
 
 
-def term_sizes(name: str, spec: object, size: int, joints: int) -> tuple[tuple[str, int], ...]:
+def term_sizes(
+    name: str, spec: object, size: int, joints: Sequence[str]
+) -> tuple[tuple[str, int], ...]:
     """Return name and size of the parts of a row: the card's terms, where they are all of it."""
     if isinstance(spec, ProprioObservation):
         found = tuple((term.term, term_size(term, joints)) for term in spec.frame_terms)
@@ -466,12 +469,9 @@ def _of_term(term: AnyTerm, joints: Names) -> list[str]:
 
 def _parts(term: AnyTerm, joints: Names) -> Sequence[str]:
     match term:
-        case (
-            terms.JointPosition()
-            | terms.JointVelocity()
-            | terms.AppliedAction()
-            | terms.LastOutput()
-        ):
+        case terms.JointPosition() | terms.JointVelocity():
+            return [joints[index] for index in terms.seen_joints(term, joints)]
+        case terms.AppliedAction() | terms.LastOutput():
             return joints
         case terms.FootContacts():
             return term.feet
@@ -480,7 +480,7 @@ def _parts(term: AnyTerm, joints: Names) -> Sequence[str]:
         case terms.Yaw():
             return ("",) if term.values == "angle" else ("sine", "cosine")
         case terms.Speed() | terms.DeltaYaw() | terms.Constant():
-            size = term_size(term, len(joints))
+            size = term_size(term, joints)
             return ("",) if size == 1 else [str(number) for number in range(size)]
         case _:
             return _PARTS[term.term]
@@ -532,7 +532,7 @@ class LogCamera:
 
     def record(self, step: int) -> None:
         """Write the frame of a control step, if it has one."""
-        if self.is_on and step % _LOG_PERIOD == 0:
+        if self.is_on and step % max(1, round(self._world.control_rate / _LOG_RATE)) == 0:
             T_world_camera = self._world.camera_pose(LOG_CAMERA)
             self._log.later_picture(
                 self._world.time, LOG_TOPIC, lambda: self._render(T_world_camera), mount=LOG_CAMERA

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards import Card, actuator_values
+from nw_eval.cards import Card, actuator_values, motors_follow
+from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.cards.observations import (
     AnyObservation,
     DepthObservation,
@@ -40,11 +41,11 @@ Cell = Mapping[str, float]
 _WHITE = 255.0
 _VIEWS = (SplatRgbObservation, DepthObservation, SemanticsObservation)
 EVERY = 150
-"""Control steps from one push to the next: 3 s."""
+"""From one push to the next: 3 s, in steps of 0.02 s."""
 _FIRST = 50
-"""Control steps before the first at least."""
+"""Before the first at least, in steps of 0.02 s."""
 _LONGEST = 600 * 50
-"""Control steps of the longest trial."""
+"""Of the longest trial, in steps of 0.02 s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +86,7 @@ class TrialSetup:
         values = actuator_values(card, robot)
         motors = Actuators.of(robot)
         if values is not None:
-            follow = "torque" if card.control.action == "joint_torque" else "position"
-            motors = replace(motors, follow=follow, **values)
+            motors = replace(motors, follow=motors_follow(card, robot), **values)
         return cls(trial=trial, robot=robot, card=card, motors=motors)
 
     def generator(self, stream: str) -> np.random.Generator:
@@ -197,7 +197,10 @@ def unfelt(card: Card, axes: Iterable[str]) -> list[str]:
 
 def pushes_of(setup: TrialSetup) -> Pushes | None:
     """Return the pushes of a trial; None where there are none."""
-    return Pushes(setup.push, setup.generator("pushes")) if setup.push else None
+    if not setup.push:
+        return None
+    rate = setup.card.control.step_rate
+    return Pushes(setup.push, setup.generator("pushes"), control_rate=rate)
 
 
 def standing_cones(setup: TrialSetup, trail: Array) -> Array | None:
@@ -214,14 +217,22 @@ class Pushes:
     Args:
         speed: that a push adds to the trunk's, m/s.
         generator: draws the first step, then a direction for each push.
+        control_rate: control steps per second, Hz.
     """
 
-    def __init__(self, speed: float, generator: np.random.Generator) -> None:
-        self._first = int(generator.integers(_FIRST, EVERY))
+    def __init__(
+        self, speed: float, generator: np.random.Generator, *, control_rate: float = CONTROL_RATE
+    ) -> None:
+        first = int(generator.integers(_FIRST, EVERY))
+        moments = range(first, _LONGEST + 1, EVERY)
+        self._numbers = {
+            round(moment * control_rate / CONTROL_RATE): number
+            for number, moment in enumerate(moments)
+        }
         angles = generator.uniform(-math.pi, math.pi, _LONGEST // EVERY + 1)
         self._velocities = speed * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
     def at(self, step: int) -> NDArray[np.float64] | None:
         """Return the velocity (2,) m/s, world frame, that is added before a step; mostly None."""
-        since = step - self._first
-        return self._velocities[since // EVERY] if since >= 0 and since % EVERY == 0 else None
+        number = self._numbers.get(step)
+        return None if number is None else self._velocities[number]

@@ -141,6 +141,7 @@ def verdict_metadata(result: TrialResult) -> dict[str, str]:
         "waypoints_reached": str(result.waypoints_reached),
         "waypoints_total": str(result.waypoints_total),
         "steps": str(result.steps),
+        **({"control_rate": repr(result.control_rate)} if result.control_rate != 50 else {}),
         **({"scores": json.dumps(dict(result.scores))} if result.scores else {}),
         "state_digest": result.state_digest,
         "action_digest": result.action_digest,

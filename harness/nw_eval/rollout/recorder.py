@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.rollout.episode import Observer
 from nw_eval.rollout.mcap.steps import Call, StepNote
 from nw_eval.rollout.mcap.topics import ELEMENTS
@@ -28,8 +29,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Control steps between two restartable states in the log: 5 Hz, or 2 Hz for states that hold stacks
-# of images, which would otherwise be most of the file. What lies between two is run again from one.
+# Steps of 0.02 s between two restartable states in the log: 5 Hz, or 2 Hz for states that hold
+# stacks of images, which would otherwise be most of the file. What lies between two is run again.
 STATE_PERIOD, LARGE_STATE_PERIOD = 10, 25
 LARGE_STATE = 32 * 1024  # bytes
 # The walked path has a point at 10 Hz, and is written at 2 Hz.
@@ -70,7 +71,9 @@ class Recorder(Observer):
         own = (LOG_CAMERA,) if self._camera.is_on else ()
         self._mounts = tuple(dict.fromkeys((*(view.mount for view in self._seen.views), *own)))
         self._state_due = True
-        self._state_period = STATE_PERIOD
+        self._share = trial.episode.world.control_rate / CONTROL_RATE
+        self._state_period = self._steps(STATE_PERIOD)
+        self._path_period = self._steps(PATH_PERIOD)
         self._policy_digest = b""  # of the policy, where this step has a state
 
     def start(self) -> None:
@@ -107,7 +110,7 @@ class Recorder(Observer):
             with self._clock("log"):
                 saved = episode.saved()
                 if saved.exceeds(LARGE_STATE):
-                    self._state_period = LARGE_STATE_PERIOD
+                    self._state_period = self._steps(LARGE_STATE_PERIOD)
                 self._log.state(episode.world.time, saved)
                 self._policy_digest = sha256(saved.policy).digest()
 
@@ -148,6 +151,10 @@ class Recorder(Observer):
         keep = self._trial.job.record == "all" or failed
         self._log.finish(keep_images=keep, verdict=verdict_metadata(result))
 
+    def _steps(self, count: int) -> int:
+        """Return how many control steps last as long as `count` of 0.02 s, or about so."""
+        return max(1, round(count * self._share))
+
     def _write(self, decision: Decision) -> None:
         step, moment = self._episode.step, decision.moment
         digest, rows = self._seen.rows.note(decision.observation)
@@ -157,7 +164,8 @@ class Recorder(Observer):
         error = None if moment is None else moment.delta_yaw
         call = Call(step, self._policy_digest, error, digest, self._seen.new)
         self._policy_digest = b""
-        path = "none" if step % PATH_PERIOD else "point" if step % PATH_SHOWN else "shown"
+        shown = self._path_period * (PATH_SHOWN // PATH_PERIOD)
+        path = "none" if step % self._path_period else "point" if step % shown else "shown"
         self._log.step(StepNote(world.time, data, call, path))
         if self._seen.shows_pictures:
             self._seen.record_images(decision.observation)

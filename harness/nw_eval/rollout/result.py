@@ -94,6 +94,7 @@ class TrialResult:
     waypoints_total: int = 0
     waypoint_times: tuple[float, ...] = ()  # s of simulated time, one for each reached waypoint
     steps: int = 0  # control steps
+    control_rate: float = 50  # control steps in a second, Hz
     sim_seconds: float = 0.0
     contact_s: float = 0.0  # s of simulated time during which head or trunk collided
     coverage_min: float | None = None  # share of a camera image that the splat covers, 0..1
@@ -120,6 +121,7 @@ class TrialResult:
             waypoints_total=episode.task.total,
             waypoint_times=episode.task.times,
             steps=episode.step,
+            control_rate=episode.world.control_rate,
             sim_seconds=episode.world.time,
             contact_s=episode.task.contact_seconds,
             coverage_min=episode.coverage.smallest,

@@ -6,6 +6,7 @@ latency: which sample of a measurement the policy sees at which control step.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -105,6 +106,7 @@ def build_sensors(
             name,
             pipeline.measurement,
             rate=observation.rate,
+            control_rate=world.control_rate,
             latency=observation.latency,
             chain=pipeline.chain,
             first_step=first_step,
@@ -197,13 +199,14 @@ class Maker:
 class Sampled:
     """A sensor: a measurement taken at a rate, wrapped, and delivered after a latency.
 
-    Samples are taken at steps 0, p, 2p, ... with p = 50 / rate. At a step the policy sees the
-    newest sample that is at least `latency` old; until there is one, the first sample.
+    Samples are taken at steps 0, p, 2p, ... with p = control_rate / rate. At a step the policy sees
+    the newest sample that is at least `latency` old; until there is one, the first sample.
 
     Args:
         name: the observation's, on the card.
         measurement: what is sampled.
         rate: Hz.
+        control_rate: control steps per second, Hz.
         latency: s.
         chain: what a measurement passes through; None = nothing.
         first_step: the control step from which on there is something to see. Whatever was read
@@ -215,7 +218,8 @@ class Sampled:
         name: str,
         measurement: Measurement,
         *,
-        rate: int = CONTROL_RATE,
+        rate: float = CONTROL_RATE,
+        control_rate: float = CONTROL_RATE,
         latency: float = 0.0,
         chain: Chain | None = None,
         first_step: int = 0,
@@ -231,8 +235,9 @@ class Sampled:
         self.is_image = measurement.is_image
         self.fresh = False
         self._measurement = measurement
-        self._period = CONTROL_RATE // rate
-        self._delay = round(latency * CONTROL_RATE)
+        self._period = round(control_rate / rate)
+        # A latency that an axis adds may lie between two control steps.
+        self._delay = math.ceil(latency * control_rate - 1e-3)
         self._first_step = first_step
         self._seed = 0
         # Samples with their steps: the one that is shown now, then those on their way.

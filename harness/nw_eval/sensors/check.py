@@ -28,7 +28,7 @@ class ObservationSpec:
     sensor: str
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    rate: int
+    rate: float
     """Hz."""
     reckoning: str
     """How the shape comes about: `48 = 3 + 3 + 3 + ...`."""

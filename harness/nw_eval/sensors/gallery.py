@@ -199,7 +199,7 @@ def _observe(
         yaw = float(np.arctan2(heading[1], heading[0])) - 0.15
         world.reset(position=(x, y, height), yaw=yaw)
         for _ in range(_SETTLING):
-            world.step(robot.default_pose)
+            world.step(robot.standing_targets)
         opened = None if renderer is None else lambda _scene: renderer
         sensors = build_sensors(card, world, renderer=opened, code_from=code_from)
         for sensor in sensors.values():

@@ -65,11 +65,10 @@ class Proprio(Measurement):
             PolicyError: a list of scales has another length than its term, or `select` or `zero`
                 name numbers that the frame does not have, or a term a foot that the robot has not.
         """
-        joints = len(control.order)
         terms = observation.frame_terms
         self._name = name
         self._observation = observation
-        self._sizes = [term_size(term, joints) for term in terms]
+        self._sizes = [term_size(term, control.names) for term in terms]
         bounds = np.cumsum([0, *self._sizes]).tolist()
         # Everything that never changes is written once.
         self._frame = np.zeros(bounds[-1])

@@ -106,7 +106,7 @@ class Sensor(Memory[bytes], Protocol):
     """Type of what `read` returns."""
     unit: str
     """What the numbers are, for logs: "m", "rgb", or "mixed"."""
-    rate: int
+    rate: float
     """Samples per second, Hz."""
     is_image: bool
     """Whether this is a rendered image, which costs far more than numbers do."""

@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from nw_eval.cards import terms
 from nw_eval.cards.command import Command, ConstantCommand
 from nw_eval.cards.joint_control import JointControl
-from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.cards.terms import GaitClock
 from nw_eval.sensors.sensor import Array, Moment
 
@@ -58,7 +57,6 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
     Raises:
         PolicyError: a term names a foot that the robot does not have.
     """
-    pose, order = control.default_pose, _index(control.order, len(control.order))
     match term:
         case terms.AngularVelocity():
             return _angular_velocity if term.frame == "trunk" else _angular_velocity_in_world
@@ -78,11 +76,8 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
             return lambda moment: moment.delta_yaw
         case terms.Command():
             return lambda moment: velocity_command(command, moment)
-        case terms.JointPosition():
-            zero = pose if term.relative else np.zeros_like(pose)
-            return lambda moment: moment.world.joint_positions[order] - zero
-        case terms.JointVelocity():
-            return lambda moment: moment.world.joint_velocities[order]
+        case terms.JointPosition() | terms.JointVelocity():
+            return _joints(term, control)
         case terms.AppliedAction():
             return _fed_back(lambda moment: moment.applied_action, term, control)
         case terms.LastOutput():
@@ -96,6 +91,27 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
             return lambda moment: values  # noqa: ARG005 - as every reader.
         case _:
             assert_never(term)
+
+
+def _joints(term: terms.JointPosition | terms.JointVelocity, control: JointControl) -> Reader:
+    pose, order = control.default_pose, _index(control.order, len(control.order))
+    if term.leave_out:
+        seen = terms.seen_joints(term, control.names)
+        pose, order = pose[seen], control.order[seen]
+    if isinstance(term, terms.JointVelocity):
+        return lambda moment: moment.world.joint_velocities[order]
+    zero = pose if term.relative else np.zeros_like(pose)
+    if not term.zero:
+        return lambda moment: moment.world.joint_positions[order] - zero
+    names = [control.names[index] for index in terms.seen_joints(term, control.names)]
+    still = list(terms.named_places(term.zero, names, "joint_pos: zero"))
+
+    def read(moment: Moment) -> Array:
+        values = moment.world.joint_positions[order] - zero
+        values[still] = 0.0
+        return values
+
+    return read
 
 
 def _angular_velocity(moment: Moment) -> Array:
@@ -214,7 +230,7 @@ def gait_clock(term: GaitClock, command: Command) -> Callable[[Moment], list[flo
                 return [0.0] * (len(functions) * len(term.offsets))
             phases = [standing.phase] * len(term.offsets)
         else:
-            cycles = term.frequency * moment.step / CONTROL_RATE
+            cycles = term.frequency * moment.step / moment.world.control_rate
             phases = [_warped((cycles + offset) % 1.0, term.stance) for offset in term.offsets]
         return [function(phase) for function in functions for phase in phases]
 

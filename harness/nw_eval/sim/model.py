@@ -8,7 +8,7 @@ primitives by `nw_eval.scenes.attach`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Self, assert_never
+from typing import TYPE_CHECKING, Self, assert_never
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from nw_eval.sim.binding import MjBody, MjModel, MjSpec, mujoco
 if TYPE_CHECKING:
     from nw_eval.protocol import EvaluationProtocol
     from nw_eval.robots import RobotSpec
+    from nw_eval.robots.spec import Follow
     from nw_eval.scenes.scene import Scene
 
 
@@ -34,12 +35,20 @@ class Actuators:
     """Motors, one row a joint in robot order. All arrays are (J,) float64."""
 
     kp: Array  # N m / rad
-    kd: Array  # N m s / rad; acts as joint damping, which MuJoCo integrates implicitly
+    # N m s / rad; acts as joint damping, which MuJoCo integrates implicitly. Of a motor that
+    # follows velocities it is the gain, and what it gives is limited.
+    kd: Array
     torque_limits: Array  # N m, symmetric
     armature: Array  # kg m^2
     friction_loss: Array  # N m
     strength: float = 1.0  # of gain and largest torque, the share that is left
-    follow: Literal["position", "torque"] = "position"  # what they are told; torques ignore kp
+    # What they are told, all of them or (J,) each; only positions have a kp.
+    follow: Follow | tuple[Follow, ...] = "position"
+
+    @property
+    def follows(self) -> tuple[Follow, ...]:
+        """(J,) what each is told."""
+        return (self.follow,) * len(self.kp) if isinstance(self.follow, str) else self.follow
 
     @classmethod
     def of(cls, robot: RobotSpec) -> Self:
@@ -50,6 +59,7 @@ class Actuators:
             torque_limits=np.array(robot.torque_limits, dtype=np.float64),
             armature=np.array(robot.armature, dtype=np.float64),
             friction_loss=np.array(robot.friction_loss, dtype=np.float64),
+            follow=robot.follows or "position",
         )
 
 
@@ -92,6 +102,10 @@ def compile_model(
         raise UsageError(f"payload is {payload:g} kg", fix="give 0 kg or more")
     spec = mujoco.MjSpec.from_string(robot.mjcf)
     _set_options(spec, timestep)
+    if "velocity" in actuators.follows:
+        # Their gain acts on the velocity and is limited, so it is no damping of a joint: with the
+        # Euler integrator a light wheel would swing up.
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     _set_joints(spec, robot, actuators, protocol)
     if payload > 0.0:
         _add_payload(spec, robot.root, payload)
@@ -120,14 +134,16 @@ def _set_joints(
 ) -> None:
     for index, name in enumerate(robot.joints):
         joint = spec.joint(name)
-        joint.damping[0] = actuators.kd[index]
+        follow = actuators.follows[index]
+        joint.damping[0] = 0.0 if follow == "velocity" else actuators.kd[index]
         joint.armature = actuators.armature[index]
         joint.frictionloss = actuators.friction_loss[index]
         servo = spec.actuator(name)
-        follows_position = actuators.follow == "position"
-        gain = actuators.strength * (actuators.kp[index] if follows_position else 1.0)
+        gains = {"position": actuators.kp[index], "velocity": actuators.kd[index], "torque": 1.0}
+        gain = actuators.strength * gains[follow]
         servo.gainprm[0] = gain
-        servo.biasprm[1] = -gain if follows_position else 0.0
+        servo.biasprm[1] = -gain if follow == "position" else 0.0
+        servo.biasprm[2] = -gain if follow == "velocity" else 0.0
         limit = actuators.strength * actuators.torque_limits[index]
         servo.forcerange = [-limit, limit]
     if protocol.joint_defaults_act_on_trunk:

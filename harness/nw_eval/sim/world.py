@@ -59,6 +59,7 @@ class World(Body):
         protocol: as given.
         monitored: names of the parts whose contact is a collision.
         control_period: seconds of one control step.
+        control_rate: control steps in a second, Hz.
         steps: control steps since the reset.
         start_yaw: heading that the reset gave, rad.
     """
@@ -90,12 +91,14 @@ class World(Body):
         self.scene = scene
         self.protocol = protocol
         self.control_period = timestep * substeps
+        rate = 1.0 / self.control_period
+        self.control_rate = round(rate) if abs(rate - round(rate)) < 1e-9 else rate
         self.steps = 0
         self.start_yaw = 0.0
         self.monitored = (
             robot.published_monitored if protocol.watches_published_geoms else robot.monitored
         )
-        self._holds_pose = motors.follow == "position"
+        self._holds_pose = np.array(motors.follows) == "position"
         self._substeps = substeps
         self._fingerprint = fingerprint(model)
         self._closed = False
@@ -145,7 +148,7 @@ class World(Body):
                 `scene.spawn.position` plus `robot.spawn_height` upwards.
             yaw: heading, rad; roll and pitch are 0.
             joint_positions: (J,) rad, the default pose if None. Servos hold it; motors that
-                follow torques are idle.
+                follow velocities stand still, and those that follow torques are idle.
         """
         self._require_open()
         pose = self.robot.default_pose if joint_positions is None else joint_positions
@@ -154,7 +157,7 @@ class World(Body):
         data.qpos[self._place] = position
         data.qpos[self._turn] = (np.cos(yaw / 2.0), 0.0, 0.0, np.sin(yaw / 2.0))
         data.qpos[self._joints] = pose
-        data.ctrl[:] = pose if self._holds_pose else 0.0
+        data.ctrl[:] = np.where(self._holds_pose, pose, 0.0)
         self.steps = 0
         self.start_yaw = yaw
         mujoco.mj_forward(self._model, data)
@@ -172,8 +175,8 @@ class World(Body):
         """Run one control step.
 
         Args:
-            targets: (J,) joint positions that the servos steer to, rad; or torques, N m, for
-                motors that follow them.
+            targets: (J,) joint positions that the servos steer to, rad; or velocities, rad/s, or
+                torques, N m, for motors that follow them.
 
         Raises:
             DivergedError: the physics diverged.

@@ -136,7 +136,7 @@ def stance_of(robot: RobotSpec) -> Stance:
     """Return how a robot stands when its servos hold the default pose and have given way."""
     with World(robot, _FLAT) as world:
         for _ in range(_SETTLING):
-            world.step(robot.default_pose)
+            world.step(robot.standing_targets)
         under = np.array([*world.trunk_position[:2], 0.0])
         places, widths = world.foot_places()
         feet = places - under

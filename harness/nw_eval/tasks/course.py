@@ -36,7 +36,8 @@ PUBLISHED_FIRST_SEED = 10_000
 """From where the published evaluation numbers its episodes."""
 
 REACH_RADIUS = 0.3  # m, in the ground plane; the waypoint's height does not matter
-REACH_STEPS = 6  # control steps within the radius
+REACH_STEPS = 6  # control steps within the radius, of `_STEP` each
+_STEP = 0.02  # s
 
 
 class _Reached(NamedTuple):
@@ -53,7 +54,8 @@ class TrailProgress:
     """Counts waypoints. Call `update` once after every control step.
 
     A waypoint is credited on the step after its sixth step within 0.3 m, so a robot that enters at
-    step n and stays has it at step n + 6. Waypoints count in order only. The six steps are
+    step n and stays has it at step n + 6; where control steps are not 0.02 s long, after as many of
+    them as 0.12 s have. Waypoints count in order only. The six steps are
     consecutive if the protocol's `reach_timer_forgets`: leaving starts the count again. Otherwise
     it never goes back.
 
@@ -77,6 +79,7 @@ class TrailProgress:
         if not len(self.waypoints):
             raise SceneError("a trail without waypoints", fix="give the scene at least one")
         self._forgets = protocol.reach_timer_forgets
+        self._reach_steps = max(1, round(REACH_STEPS * _STEP / control_period))
         self._control_period = control_period
         self._so_far = _Reached(updates=0, waypoint=0, reached=0, timer=0, times=())
 
@@ -88,8 +91,8 @@ class TrailProgress:
         """
         updates, index, reached, timer, times = self._so_far
         updates += 1
-        credited = timer >= REACH_STEPS and reached < self.total
-        if timer >= REACH_STEPS:
+        credited = timer >= self._reach_steps and reached < self.total
+        if timer >= self._reach_steps:
             index = min(index + 1, self.total - 1)
             timer = 0
         if credited:

@@ -30,7 +30,7 @@ from nw_eval.suite.written import write_ready_suite
 from nw_eval.twin.label.copying import write_place
 from nw_eval.view.drawing import aim_along, draw_mesh, draw_robot, draw_splat, draw_waypoints
 from nw_eval.view.live_stage import COLOUR, Stage, open_stage
-from nw_eval.view.served import STEP, ServedPage, enlarged, plain
+from nw_eval.view.served import ServedPage, enlarged, plain
 from nw_eval.viewing.browser import SplatPoints, splat_points
 
 if TYPE_CHECKING:
@@ -180,7 +180,8 @@ class LivePage(ServedPage):
             pass
         now = clock.monotonic()
         if self.runs and now >= self._due:
-            self._due = max(self._due + STEP, now - _LATE)
+            period = self._stage.trial.episode.world.control_period
+            self._due = max(self._due + period, now - _LATE)
             self._try(self._step)
 
     def _try(self, action: Callable[[], None]) -> None:
@@ -214,7 +215,8 @@ class LivePage(ServedPage):
             episode.task.standing,
         ]
         if self.runs and self._done and now > self._said_at:
-            parts.append(f"{self._done * STEP / (now - self._said_at):.2f} of real time")
+            done = self._done * episode.world.control_period
+            parts.append(f"{done / (now - self._said_at):.2f} of real time")
         parts += [f"{axis} {value:g}" for axis, value in self._stage.cell.items()]
         self._said_at, self._done = now, 0
         self.words = " · ".join([*parts, *filter(None, [more])])

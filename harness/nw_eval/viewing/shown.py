@@ -90,7 +90,8 @@ def shown_by_card(card: Card, robot: RobotSpec) -> Shown:
     for name, topic in topics.items():
         spec = card.observations[name]
         if elements := element_names(spec, names["/nw/policy.action"]):
-            seen = _lines(topic, term_sizes(name, spec, len(elements), len(robot.joints)), elements)
+            sizes = term_sizes(name, spec, len(elements), names["/nw/policy.action"])
+            seen = _lines(topic, sizes, elements)
             break
     return _shown(
         trunk=robot.bodies[0],

@@ -68,7 +68,7 @@ def draft(path: Path):
 
 def frame_size(card, name: str) -> int:
     observation = card.observations[name]
-    size = sum(term_size(term, 12) for term in observation.frame_terms)
+    size = sum(term_size(term, range(12)) for term in observation.frame_terms)
     return size * (observation.history.steps if observation.history else 1)
 
 

@@ -43,7 +43,7 @@ def written(path, layout=None):
 def test_each_layout_of_45_numbers_is_written_on_demand_and_said_in_full_elsewhere(name, onnx_file):
     path = onnx_file({"obs": [1, 45]})
     _, card, data = written(path, name)
-    assert sum(term_size(term, 12) for term in card.observations["obs"].frame_terms) == 45
+    assert sum(term_size(term, range(12)) for term in card.observations["obs"].frame_terms) == 45
     other = OF_45[OF_45.index(name) - 1]
     block = blocks(written(path, other)[0])[name]
     assert block["control"].items() <= data["control"].items()

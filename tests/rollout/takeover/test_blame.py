@@ -25,6 +25,7 @@ WAS = Ending(
     reason="contact face",
     waypoints="1 of 4",
     steps=246,
+    control_rate=50,
     position=None,
     digests=("a", "b"),
 )

@@ -176,12 +176,12 @@ def written(blames: Blames, suffix: str) -> str:
 
 def _verdict(trial: BlamedTrial) -> dict[str, object]:
     """Return what programs want to know without reckoning."""
-    from nw_eval.cards.model import CONTROL_RATE
-
     report = trial.report
-    committed = None if report is None else report.committed
+    moment = None if report is None or report.committed is None else report.committed.step
     return {
-        "committed_s": None if committed is None else committed.step / CONTROL_RATE,
+        "committed_s": None
+        if report is None or moment is None
+        else moment / report.was.control_rate,
         "is_monotone": None if report is None else report.is_monotone,
     }
 
@@ -194,9 +194,9 @@ def _cells(trial: BlamedTrial) -> tuple[str, ...]:
     return (
         clean(trial.trial),
         clean(f"{report.was.end} ({report.was.reason})", at_most=60),
-        f"{_seconds(report.was.steps)} s",
-        "never" if committed is None else f"{_seconds(committed.step)} s",
-        "" if committed is None else f"{_seconds(report.was.steps - committed.step)} s",
+        f"{_seconds(report.was.steps, report)} s",
+        "never" if committed is None else f"{_seconds(committed.step, report)} s",
+        "" if committed is None else f"{_seconds(report.was.steps - committed.step, report)} s",
         _standing(report),
     )
 
@@ -223,13 +223,14 @@ def _sentence(trial: BlamedTrial) -> str:
     if committed is None:
         return (
             f"not the candidate's fault alone: {report.baseline} fails this start as well "
-            f"({report.tries[0].end} at {_seconds(report.tries[0].steps)} s), and completes "
-            f"from none of {tried}"
+            f"({report.tries[0].end} at {_seconds(report.tries[0].steps, report)} s), and "
+            f"completes from none of {tried}"
         )
     if report.completes_throughout:
-        return f"{report.baseline} completes from all of {tried}, {_seconds(committed.step)} s too"
-    gap = _seconds(report.was.steps - committed.step)
-    words = f"committed at {_seconds(committed.step)} s, {gap} s before {_event(report)}"
+        last = _seconds(committed.step, report)
+        return f"{report.baseline} completes from all of {tried}, {last} s too"
+    gap = _seconds(report.was.steps - committed.step, report)
+    words = f"committed at {_seconds(committed.step, report)} s, {gap} s before {_event(report)}"
     if report.is_monotone:
         return words
     own = "" if report.tries[0].completes else f"; {report.baseline} fails this start as well"
@@ -245,7 +246,7 @@ def _spells(report: BlameReport) -> str:
         if before.completes != after.completes:
             again = " again" if after.completes and has_completed else ""
             verb = "completes" if after.completes else "fails"
-            words.append(f"{verb}{again} from {_seconds(after.step)} s")
+            words.append(f"{verb}{again} from {_seconds(after.step, report)} s")
         has_completed = has_completed or after.completes
     return ", ".join(words)
 
@@ -258,7 +259,5 @@ def _event(report: BlameReport) -> str:
     return _EVENTS.get(was.end, clean(was.end, at_most=60))
 
 
-def _seconds(steps: int) -> str:
-    from nw_eval.cards.model import CONTROL_RATE
-
-    return f"{steps / CONTROL_RATE:.2f}"
+def _seconds(steps: int, report: BlameReport) -> str:
+    return f"{steps / report.was.control_rate:.2f}"

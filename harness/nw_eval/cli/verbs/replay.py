@@ -185,7 +185,8 @@ def takeover_page(taken: TakeoverReport) -> str:
     """Return how a trial ended under its own policy, and how it does under the other one."""
     was, now = taken.was, taken.now
     head = (
-        f"{taken.trial}: {now.policy} takes over from {was.policy} at {_seconds(taken.step):.2f} s"
+        f"{taken.trial}: {now.policy} takes over from {was.policy} at "
+        f"{_seconds(taken.step, was.control_rate):.2f} s"
     )
     lines = [clean(head), f"  was  {_taken_end(was)}", f"  now  {_taken_end(now)}"]
     if taken.is_identical:
@@ -196,17 +197,16 @@ def takeover_page(taken: TakeoverReport) -> str:
 def _taken_end(ending: Ending) -> str:
     """Return how, when and where."""
     how = clean(f"{ending.end} ({ending.reason})" if ending.reason else ending.end, at_most=300)
-    when = f"at {_seconds(ending.steps):.2f} s, {clean(ending.waypoints)} waypoints"
+    seconds = _seconds(ending.steps, ending.control_rate)
+    when = f"at {seconds:.2f} s, {clean(ending.waypoints)} waypoints"
     if ending.position is None:
         return f"{how} {when}"
     x, y, z = ending.position
     return f"{how} {when}, at x {x:.2f}, y {y:.2f}, z {z:.2f} m"
 
 
-def _seconds(steps: int) -> float:
-    from nw_eval.cards.model import CONTROL_RATE
-
-    return steps * (1.0 / CONTROL_RATE)
+def _seconds(steps: int, control_rate: float) -> float:
+    return steps * (1.0 / control_rate)
 
 
 def layout_lines(log: Path, layout: Path) -> str:

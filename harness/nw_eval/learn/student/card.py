@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ruamel.yaml import YAML
 
+from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.errors import UsageError
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def check_teacher(card: Card) -> None:
     Raises:
         UsageError: it does not act in every control step.
     """
-    if card.control.hold != 1:
+    if card.control.hold != 1 or card.control.step_rate != CONTROL_RATE:
         raise UsageError(
             f"teacher {card.name!r} acts {card.control.rate} times a second, students 50 times",
             fix="name a teacher of 50 Hz",

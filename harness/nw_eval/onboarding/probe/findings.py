@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards import Card
+from nw_eval.cards import Card, motors_follow
 from nw_eval.cards.inputs import resolve_inputs
 from nw_eval.cards.joints import short_name
 from nw_eval.cards.networks import input_parts
@@ -183,9 +183,11 @@ def action_findings(
         findings += _by_joint(
             cut, order, f"the action is at its limits {low:g}..{high:g} (`control.clip`)"
         )
-    if card.control.action != "joint_torque":
+    if not card.control.has_torques:
         ranges = np.array(robot.joint_ranges)
+        turned = np.array(motors_follow(card, robot)) == "position"
         outside = (recording.targets < ranges[:, 0]) | (recording.targets > ranges[:, 1])
+        outside &= turned
         findings += _by_joint(
             outside.mean(axis=0), robot.joints, "the target is beyond the joint's range", note=True
         )

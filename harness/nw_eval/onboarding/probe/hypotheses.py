@@ -121,7 +121,7 @@ def hypotheses(card: Card, robot: RobotSpec) -> Iterator[Hypothesis]:
         *scaled_cards(card, robot),
         *turned_cards(card, robot),
         *absolute_terms(card),
-        *swapped_terms(card, len(robot.joints)),
+        *swapped_terms(card, card.control.joints or robot.joints),
         *moved_terms(card),
         *framed_terms(card),
         *other_velocities(card),
@@ -288,11 +288,9 @@ def other_controls(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
 
 
 def _meanings(card: Card) -> Iterator[tuple[str, Card]]:
-    other = {
-        "joint_position": "joint_position_offset",
-        "joint_position_offset": "joint_position",
-    }.get(card.control.action)
-    if other is not None:
+    own, others = card.control.action, ("joint_position", "joint_position_offset")
+    if isinstance(own, str) and own in others:
+        other = others[1 - others.index(own)]
         yield f"actions that are {other}", _with_control(card, action=other)
 
 
@@ -315,7 +313,7 @@ def _gains(card: Card, robot: RobotSpec) -> Iterator[tuple[str, Card]]:
     names, order = joint_names(card, robot), JointControl.from_card(card, robot).order
     motors = motor_values(card, robot)
     own = {"kp": np.array(robot.kp), "kd": np.array(robot.joint_damping)}
-    if card.control.action == "joint_torque":
+    if card.control.has_torques:
         return
     if any((motors[key] != value).any() for key, value in own.items()):
         gains = {key: per_joint(names, value[order].tolist()) for key, value in own.items()}
@@ -469,7 +467,7 @@ def moved_terms(card: Card) -> Iterator[tuple[str, Card]]:
                 yield words, _with_terms(card, {observation: terms})
 
 
-def swapped_terms(card: Card, joints: int) -> Iterator[tuple[str, Card]]:
+def swapped_terms(card: Card, joints: Sequence[str]) -> Iterator[tuple[str, Card]]:
     """Yield cards in which two terms of equal size are exchanged, neighbours first."""
     for observation, terms in _listed_terms(card):
         pairs = sorted(combinations(range(len(terms)), 2), key=lambda pair: pair[1] - pair[0])

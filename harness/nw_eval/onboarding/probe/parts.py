@@ -71,7 +71,7 @@ def _whole(spec: ObservationSpec, observation: AnyObservation) -> Part:
 def _terms(name: str, observation: ProprioObservation, card: Card, robot: RobotSpec) -> list[Part]:
     control = JointControl.from_card(card, robot)
     terms = observation.frame_terms
-    owner = np.repeat(np.arange(len(terms)), [term_size(t, len(robot.joints)) for t in terms])
+    owner = np.repeat(np.arange(len(terms)), [term_size(t, control.names) for t in terms])
     # The numbers of a frame take the way that every frame takes, each with a tag on it.
     tags = np.arange(1, len(owner) + 1, dtype=np.float32)
 

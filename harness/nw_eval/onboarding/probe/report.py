@@ -78,7 +78,7 @@ class ProbedOutput:
     network: str
     output: str
     numbers: int
-    rate: int
+    rate: float
     """Hz at which the network is asked."""
     low: float
     mean: float
@@ -239,7 +239,7 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
         terms=tuple(_term(value) for value in ranges),
         outputs=_networks(card, recording),
         joints=_joints(card, robot, recording),
-        drives_torque=card.control.action == "joint_torque",
+        drives_torque=card.control.has_torques,
         commands=tuple(_command(one) for one in followed),
         findings=tuple(findings),
     )

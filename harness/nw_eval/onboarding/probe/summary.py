@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from nw_eval.cards import Card, JointControl, load_card
+from nw_eval.cards import Card, JointControl, load_card, motors_follow
 from nw_eval.cards.joints import short_name
 from nw_eval.cards.networks import Inputs, input_parts, listed_inputs
 from nw_eval.errors import PolicyError
@@ -32,7 +32,7 @@ class CardTerm:
     """Of the observation."""
     form: str
     """Scale, offset and limits as the card has them; empty where nothing is changed."""
-    rate: int
+    rate: float
     """Hz."""
 
 
@@ -55,7 +55,7 @@ class CardFile:
     """Which network of the card it is; empty for the policy's own."""
     file: str
     adapter: str
-    rate: int
+    rate: float
     """Hz at which it is asked."""
     bytes: int = 0
     sha256: str = ""
@@ -227,7 +227,7 @@ def _made_of(prefix: str, inputs: Inputs) -> list[str]:
 
 def _action(card: Card) -> tuple[str, ...]:
     control = card.control
-    words: list[str] = [control.action]
+    words = [control.action if isinstance(control.action, str) else flow(control.action)]
     if control.clip is not None:
         words.append(f"limited to {control.clip[0]:g}..{control.clip[1]:g}")
     words.append(f"{control.rate} Hz")
@@ -242,13 +242,13 @@ def _action(card: Card) -> tuple[str, ...]:
 def _joints(card: Card, robot: RobotSpec) -> tuple[CardJoint, ...]:
     control = JointControl.from_card(card, robot)
     motors = motor_values(card, robot)
-    has_gains = card.control.action != "joint_torque"
+    has_gains = [follow == "position" for follow in motors_follow(card, robot)]
     return tuple(
         CardJoint(
             joint=short_name(robot.joints[index]),
             default=float(control.default_pose[place]),
             scale=float(control.scale[place]),
-            kp=float(motors["kp"][index]) if has_gains else None,
+            kp=float(motors["kp"][index]) if has_gains[index] else None,
             kd=float(motors["kd"][index]),
             torque_limit=float(motors["torque_limits"][index]),
             armature=float(motors["armature"][index]),

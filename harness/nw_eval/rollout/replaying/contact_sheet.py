@@ -97,7 +97,7 @@ def scene_views(scene: Scene, *, width: int) -> list[NDArray[np.uint8]]:
     spectator, robot = Spectator(scene, splat), get_robot(_ROBOT)
     with World(robot, scene) as world:
         for _ in range(_SETTLING):
-            world.step(robot.default_pose)
+            world.step(robot.standing_targets)
         return [
             spectator.beside(world, scene.trail, width=width, height=height),
             spectator.aboard(world, scene.trail, _EGO, width=width, height=height),

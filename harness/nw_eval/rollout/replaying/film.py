@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 from importlib import import_module
@@ -10,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError, PrerequisiteError, StoreError
 from nw_eval.rollout.episode import Observer
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 RATE = 25
 """Pictures a second."""
 
-_PERIOD = CONTROL_RATE // RATE  # control steps between two of them
 _NEWS = 1.0  # s for which it is said who has taken over
 _HOLD = 1.5  # s for which the last picture stands
 Bytes = NDArray[np.uint8]
@@ -49,7 +48,7 @@ _DRIVERS = ((74, 144, 226), (245, 140, 40))
 _LARGE, _SMALL, _LABEL = 18, 14, 12  # pixels, of letters
 _EGO = "ego"
 _BLIND = (320, 180)  # pixels of a picture that no policy sees
-_LOG_PERIOD = 5  # control steps between two of these: 10 Hz, as cameras of policies have
+_LOG_RATE = 10  # of these a second, as cameras of policies have
 # The first that FFmpeg has: H.264 plays everywhere, and some builds leave it out for its patents.
 _CODECS: tuple[tuple[str, dict[str, str]], ...] = (
     ("libx264", {"crf": "20", "preset": "veryfast"}),
@@ -128,10 +127,12 @@ class Film(Observer):
 
     def _see(self, decision: Decision) -> None:
         self._own.see(decision.observation)
-        if self._episode.step % _PERIOD == 0:
+        share = RATE / self._episode.world.control_rate
+        step = self._episode.step
+        if pictures := int(step * share + 1e-6) - math.floor((step - 1) * share + 1e-6):
             since = self._episode.world.time - self._taken_over_at
             news = f"{self._driver} takes over" if 0.0 <= since < _NEWS else ""
-            self._take(news, pictures=1)
+            self._take(news, pictures=pictures)
 
     def _last(self, result: TrialResult) -> None:
         how = result.outcome or result.error_type or ""
@@ -248,7 +249,8 @@ class _OwnView:
         views = [v for v in views_of(trial.bundle.card) if len(sensors[v.observation].shape) > 1]
         self._view = views[0] if views else None
         self._shown: Bytes = np.zeros((*_BLIND[::-1], 3), dtype=np.uint8)
-        self._drawn_at = -_LOG_PERIOD
+        self._period = max(1, round(self._episode.world.control_rate / _LOG_RATE))
+        self._drawn_at = -self._period
         self.name = (
             "the robot's camera; the policy has none"
             if self._view is None
@@ -266,7 +268,7 @@ class _OwnView:
     def picture(self) -> Bytes:
         """Return the newest picture, (H, W, 3) of any size."""
         episode = self._episode
-        if self._view is None and episode.step - self._drawn_at >= _LOG_PERIOD:
+        if self._view is None and episode.step - self._drawn_at >= self._period:
             width, height = _BLIND
             self._drawn_at = episode.step
             self._shown = self._spectator.aboard(

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from nw_eval.cards import JointControl
+from nw_eval.cards import JointControl, motors_follow
 from nw_eval.cards.load import CARD_FILE, parse_card
 from nw_eval.clean import clean
-from nw_eval.errors import PolicyError, StoreError, UsageError
+from nw_eval.errors import PolicyError, StoreError, TrialError, UsageError
 from nw_eval.policies import Bundle
 from nw_eval.policies.bundle import NOTHING
 from nw_eval.rollout.episode import Decision
@@ -62,7 +62,6 @@ _SUITE = "suite.yaml"
 _POLICY_TOPIC = "/nw/policy"
 _DIGEST = "state_digest"  # A part of every recorded state.
 Array = NDArray[np.float64]
-_TORQUE = "joint_torque"
 
 
 def lead(
@@ -84,6 +83,12 @@ def lead(
         TrialError: the policy that looks on fails, or a state does not fit.
     """
     card, robot = _first_card(logged), trial.robot
+    if trial.episode.world.control_rate != logged.control_rate:
+        raise TrialError(
+            f"the policy has {trial.episode.world.control_rate:g} control steps a second, the "
+            f"recorded trial {logged.control_rate:g}",
+            fix="let a policy of the same `control.rate` take over",
+        )
     in_its_words = translator(card, trial.bundle.card, robot)
     recorded = _recorded_digests(logged.log)
     follower = trial.episode
@@ -382,9 +387,10 @@ def translator(first: Card, second: Card, robot: RobotSpec) -> Callable[[Array],
         robot: that both drive.
 
     Returns:
-        None where there is no such action: one of them answers torques, the other one positions.
+        None where there is no such action: one of them answers torques, the other one positions
+        or velocities.
     """
-    if (first.control.action == _TORQUE) != (second.control.action == _TORQUE):
+    if motors_follow(first, robot) != motors_follow(second, robot):
         return None
     own, other = JointControl.from_card(first, robot), JointControl.from_card(second, robot)
     meanings = ((own.order, other.order), (own.base, other.base), (own.scale, other.scale))

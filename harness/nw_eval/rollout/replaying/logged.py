@@ -32,6 +32,11 @@ class LoggedTrial:
     versions: Mapping[str, str]
 
     @property
+    def control_rate(self) -> float:
+        """Control steps in a second, Hz."""
+        return recorded_rate(self.verdict)
+
+    @property
     def log(self) -> LogReader:
         """The log itself, for its states, pictures and poses."""
         return LogReader(self.path)
@@ -104,10 +109,18 @@ def _found(job: TrialJob) -> str:
     return job.policy if known else job.policy_name
 
 
-def step_at(time: float) -> int:
+def recorded_rate(verdict: Mapping[str, str]) -> float:
+    """Return the control steps in a second, Hz, of a trial that a verdict tells of."""
+    said = verdict.get("control_rate", "")  # a stranger's word
+    if not re.fullmatch(r"[0-9]{1,4}(\.[0-9]{1,17})?", said):
+        return CONTROL_RATE
+    return max(float(said), 1.0)
+
+
+def step_at(time: float, control_rate: float = CONTROL_RATE) -> int:
     """Return the control step that begins at a time (s), or the last one that began before it."""
     # The hair makes 0.58 s the 29th step of 50 in a second, which it is not in floating point.
-    return math.floor(time * CONTROL_RATE + 1e-6)
+    return math.floor(time * control_rate + 1e-6)
 
 
 def check_start(start: float, *, option: str = "--start") -> None:
@@ -128,7 +141,7 @@ def check_inside(start: float, logged: LoggedTrial, *, option: str = "--start") 
     """
     steps = logged.verdict.get("steps", "")  # a stranger's word
     if start > 0.0 and re.fullmatch(r"[0-9]{1,9}", steps):
-        length = int(steps) / CONTROL_RATE
+        length = int(steps) / logged.control_rate
         if start >= length:
             raise UsageError(
                 f"{option} {start:g}: {logged.path} ends at {length:g} s", fix="give less"

@@ -86,7 +86,7 @@ def replay(
     job = logged.job
     with open_trial(job, library, StageClock()) as trial:
         earlier = handover_of(logged)
-        if earlier is not None and step_at(start) < earlier.step:
+        if earlier is not None and step_at(start, logged.control_rate) < earlier.step:
             lead_to(earlier.step, trial, logged, library)
         elif start > 0.0:
             restore(trial, logged, start)
@@ -115,7 +115,8 @@ def restore(trial: OpenTrial, logged: LoggedTrial, time: float) -> None:
         StoreError: there is none.
         TrialError: the state does not fit the trial.
     """
-    states = [state for state in logged.log.states() if state.step <= step_at(time)]
+    last = step_at(time, logged.control_rate)
+    states = [state for state in logged.log.states() if state.step <= last]
     if not states:
         raise StoreError(f"{logged.path} has no state at or before {time:g} s", fix="run it all")
     trial.episode.restore(states[-1])

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from nw_eval.rollout.replaying.logged import recorded_rate
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -60,6 +62,8 @@ class Ending:
     """Reached of all, such as `2 of 4`."""
     steps: int
     """Control steps."""
+    control_rate: float
+    """Control steps in a second, Hz."""
     position: tuple[float, float, float] | None
     """Of the trunk, world, m; None where nobody says."""
     digests: tuple[str, str]
@@ -81,6 +85,7 @@ class Ending:
             reason=verdict.get("end_reason") or verdict.get("error_text") or "",
             waypoints=f"{verdict.get('waypoints_reached')} of {verdict.get('waypoints_total')}",
             steps=int(steps) if steps.isdecimal() and len(steps) < 10 else 0,
+            control_rate=recorded_rate(verdict),
             position=position,
             digests=(verdict.get("state_digest", ""), verdict.get("action_digest", "")),
         )

@@ -82,7 +82,7 @@ def take_over(
     library = library or Library()
     recorded = read_logged_trial(path)
     check_inside(start, recorded, option=OPTION)
-    step = step_at(start)
+    step = step_at(start, recorded.control_rate)
     handover = new_handover(recorded, step)
     job = second_job(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
