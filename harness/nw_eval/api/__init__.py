@@ -44,6 +44,14 @@ from nw_eval.api.replays import (
     take_over,
 )
 from nw_eval.api.reports import RunIndex, RunReport, index_runs, judge, report
+from nw_eval.api.robots import (
+    ListedRobot,
+    RobotDraft,
+    check_robot,
+    init_robot,
+    list_robots,
+    show_robot,
+)
 from nw_eval.api.runs import ActingPolicy, evaluate, run
 from nw_eval.api.saved_run import read_rows
 from nw_eval.api.scenes import (
@@ -91,6 +99,7 @@ __all__ = [
     "FoldedGraph",
     "FoundCause",
     "ListedBaseline",
+    "ListedRobot",
     "ListedScene",
     "ListedSensor",
     "ListedSuite",
@@ -98,6 +107,7 @@ __all__ = [
     "PushedScene",
     "Reporter",
     "Request",
+    "RobotDraft",
     "RunIndex",
     "RunReport",
     "SavedBaseline",
@@ -122,6 +132,7 @@ __all__ = [
     "check",
     "check_baseline",
     "check_policy",
+    "check_robot",
     "check_scenes",
     "check_surfaces",
     "compare",
@@ -135,9 +146,11 @@ __all__ = [
     "foxglove_layout",
     "index_runs",
     "init_policy",
+    "init_robot",
     "judge",
     "list_baselines",
     "list_policies",
+    "list_robots",
     "list_scenes",
     "list_sensors",
     "list_suites",
@@ -163,6 +176,7 @@ __all__ = [
     "serve_policy",
     "show_baseline",
     "show_policy",
+    "show_robot",
     "show_scene",
     "show_suite",
     "splat_convert",

@@ -20,6 +20,7 @@ __all__ = [
     "find_robot",
     "get_robot",
     "know_robot",
+    "robot_folder",
     "robot_names",
 ]
 
@@ -97,7 +98,7 @@ def find_robot(reference: str, base: Path | None = None) -> FoundRobot:
         UsageError: there is no such robot; the message holds the nearest name.
         RobotError: its folder or package cannot be used, or has another identity.
     """
-    if "/" in reference or reference in {".", ".."}:
+    if _is_path(reference):
         return _of_folder(Path(base or Path.cwd(), reference))
     name, _, identity = reference.partition("@")
     found = _named(name)
@@ -108,6 +109,40 @@ def find_robot(reference: str, base: Path | None = None) -> FoundRobot:
             fix="name the folder that is meant with --robot, or install that version",
         )
     return found
+
+
+def robot_folder(reference: str) -> Path | None:
+    """Return the folder that a reference means, of which nothing is read.
+
+    Args:
+        reference: as for `find_robot`.
+
+    Returns:
+        The folder; None = it is a built-in robot's or a package's.
+
+    Raises:
+        UsageError: there is no such robot.
+    """
+    if _is_path(reference):
+        return Path(reference).resolve()
+    name = reference.partition("@")[0]
+    if name in BUILT_IN:
+        return None
+    folder = _folders.get(name, Path.cwd() / _FOLDER / name)
+    if name in _folders or (folder / "robot.yaml").is_file():
+        return folder.resolve()
+    if name not in installed(ROBOTS):
+        raise _unknown(name)
+    return None
+
+
+def _is_path(reference: str) -> bool:
+    return "/" in reference or reference in {".", ".."}
+
+
+def _unknown(name: str) -> UsageError:
+    hint = f"a robot of yours is a path, such as ./{name}, or lies in {_FOLDER}/"
+    return UsageError(f"unknown robot {name!r}", fix=f"{nearest(name, robot_names())}; {hint}")
 
 
 def know_robot(reference: str, folder: Path | None) -> None:
@@ -125,13 +160,8 @@ def _named(name: str) -> FoundRobot:
     if name in BUILT_IN:
         warn_if_built_in(ROBOTS, name)
         return FoundRobot(spec=_built_in(name))
-    folder = _folders.get(name, Path.cwd() / _FOLDER / name)
-    if name in _folders or (folder / "robot.yaml").is_file():
-        return _of_folder(folder)
-    if name in installed(ROBOTS):
-        return _of_package(name)
-    hint = f"a robot of yours is a path, such as ./{name}, or lies in {_FOLDER}/"
-    raise UsageError(f"unknown robot {name!r}", fix=f"{nearest(name, robot_names())}; {hint}")
+    folder = robot_folder(name)
+    return _of_package(name) if folder is None else _of_folder(folder)
 
 
 @cache

@@ -7,9 +7,10 @@ are written anew, one for each joint that is driven, and what is seen is told fr
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any, Literal
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
@@ -19,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nw_eval.errors import RobotError, nearest
-from nw_eval.robots.folder import Camera, RobotFolder, fill_meshes
+from nw_eval.robots.folder import Camera, RobotFolder, element_lines, fill_meshes
 from nw_eval.robots.spec import (
     COLLISION_GROUP,
     VISUAL_GROUP,
@@ -28,6 +29,7 @@ from nw_eval.robots.spec import (
     RobotSpec,
     Shape,
 )
+from nw_eval.robots.standing import CLEARANCE, LevelGround, collides, lowest
 
 # Its classes live in compiled modules without type information.
 mujoco: Any = _mujoco
@@ -38,7 +40,6 @@ MOST_JOINTS, MOST_BODIES, MOST_GEOMS = 100, 300, 2_000
 """Of a robot."""
 
 _GRAVITY = 9.806
-_CLEARANCE = 0.01  # m between the lowest point and the ground at the start
 _FOOT_REACH = 0.02  # m above the lowest collision point, within which a body stands on the ground
 # contype of what is only seen, which nothing has in its conaffinity. It is not 0 because
 # `mj_multiRay` of MuJoCo 4.0 passes over a body when the ray misses the box around those of its
@@ -49,6 +50,7 @@ _AHEAD = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 _UNLIMITED = 1e6  # rad
 _TURN = 1e-6  # by which a rotation may miss
 _REWRITE = "leave as_written out, and the file is rewritten"
+_LIGHTEST, _HEAVIEST = 0.1, 2_000.0  # kg
 _GREY = (0.6, 0.62, 0.65, 1.0)
 
 
@@ -74,15 +76,53 @@ class _Motor:
     friction: float = 0.0
 
 
+@dataclass(frozen=True, kw_only=True)
+class ModelFacts:
+    """What a model file says of its motors, each in the order of `joints`."""
+
+    joints: tuple[str, ...]
+    """Those with motors, or all hinges where the file has no motors."""
+    has_motors: bool
+    kp: tuple[float | None, ...]
+    """Of servos, N m / rad."""
+    kd: tuple[float | None, ...]
+    """N m s / rad."""
+    torque: tuple[float | None, ...]
+    """N m."""
+    armature: tuple[float, ...]
+    friction: tuple[float, ...]
+    is_limited: tuple[bool, ...]
+    """Whether they have ranges."""
+    keyframes: dict[str, tuple[float, ...]]
+    """Angles by name, rad, of those that fit."""
+    bodies: int
+    mass: float
+    """kg."""
+    camera: str | None
+    """The one that is its eye."""
+
+
+def facts_of(folder: RobotFolder) -> ModelFacts:
+    """Return what a model file says of its motors; `motors` of robot.yaml must name no values.
+
+    Raises:
+        RobotError: as `spec_of`, but for gains that nothing says.
+    """
+    derivation = _Derivation(folder)
+    return derivation.facts()
+
+
 class _Derivation:
     def __init__(self, folder: RobotFolder) -> None:
         self.folder = folder
         self.settings = folder.settings
+        self._text = ""
         self.mjspec: Any = self._parsed()
         self._tidy()
         self.model: Any = self._compiled(self.mjspec)
         self.data: Any = mujoco.MjData(self.model)
         self.root = self._root()
+        self._weigh()
         self.bodies = [self._body(i) for i in range(1, self.model.nbody)]
         self.joints = self._joints()
 
@@ -94,9 +134,28 @@ class _Derivation:
             if model.tag == "robot":
                 model = self._converted(model)
             fill_meshes(model, self.folder)
-            return mujoco.MjSpec.from_string(tostring(model, encoding="unicode"))
+            self._text = tostring(model, encoding="unicode")
+            return mujoco.MjSpec.from_string(self._text)
         except ValueError as error:
-            raise self._fault(("model",), f"MuJoCo cannot read it: {_first(error)}") from None
+            raise self._refused("MuJoCo cannot read it", error) from None
+
+    def _refused(self, what: str, error: Exception) -> RobotError:
+        """Return an error of MuJoCo's, with the line of the file that it is about."""
+        message, *further = str(error).strip().splitlines()
+        about, line = " ".join(further), 1
+        named = re.search(r"name '([^']+)'", about)
+        placed = re.search(r"line (\d+)", about)
+        if named is not None:
+            message += f" ({named[1]})"
+            line = self.folder.line_of(named[1], "body", "joint", "geom", "mesh")
+        if line == 1 and placed is not None:
+            # MuJoCo counts the lines of the text that it was given.
+            read = element_lines(self._text.encode())
+            starts = [begin for event, _, begin in read if event == "start"]
+            elements = list(self.folder.model.iter())
+            if len(starts) == len(elements) and int(placed[1]) in starts:
+                line = self.folder.lines[elements[starts.index(int(placed[1]))]]
+        return self.folder.fault(f"{what}: {message}", line=line)
 
     def _converted(self, urdf: Element) -> Element:
         """Return a URDF as MJCF."""
@@ -117,7 +176,7 @@ class _Derivation:
         try:
             model = spec.compile()
         except ValueError as error:
-            raise self._fault(("model",), f"MuJoCo cannot compile it: {_first(error)}") from None
+            raise self._refused("MuJoCo cannot compile it", error) from None
         for what, count, most in (
             ("bodies", model.nbody, MOST_BODIES),
             ("joints", model.njnt, MOST_JOINTS),
@@ -182,6 +241,17 @@ class _Derivation:
             raise self._fault(("root",), f"root: the free joint is that of {root!r}")
         return root
 
+    def _weigh(self) -> None:
+        masses = self.model.body_mass
+        total, most = float(masses.sum()), self._body(int(masses.argmax()))
+        if not _LIGHTEST <= total <= _HEAVIEST:
+            raise self.folder.fault(
+                f"the robot weighs {total:.4g} kg, of which {most!r} has {masses.max():.4g} kg; "
+                f"{_LIGHTEST:g} to {_HEAVIEST:,.0f} kg are simulated",
+                'masses are in kg; a mesh in millimetres needs scale="0.001 0.001 0.001"',
+                self.folder.line_of(most, "body"),
+            )
+
     def _body(self, number: int) -> str:
         return str(self.model.body(number).name)
 
@@ -195,7 +265,11 @@ class _Derivation:
                 hinges.append(joint)
             elif kind != mujoco.mjtJoint.mjJNT_FREE:
                 name = model.joint(joint).name
-                raise self._fault(("model",), f"joint {name!r} is no hinge; only these are driven")
+                raise self.folder.fault(
+                    f"joint {name!r} is no hinge; only these are driven",
+                    "weld it: remove the joint",
+                    self.folder.line_of(name, "joint"),
+                )
         driven = [joint for joint in hinges if self._names([joint])[0] in self._written()]
         patterns = [p for group in self.settings.motors for p in _patterns(group.joints)]
         if not driven:  # The file has no motors; those of robot.yaml are all there are.
@@ -221,11 +295,11 @@ class _Derivation:
         """Return the specification."""
         names = self._names(self.joints)
         motors = self._motors(names)
+        self._require_gains(names, motors)
         ranges = [self._range(joint) for joint in self.joints]
         pose = self._pose(names, ranges)
         self._stand(pose)
         lows = self._lows()
-        feet = self._feet(lows)
         weight = float(self.model.body_mass.sum()) * _GRAVITY
         collided, published = self.settings.collided, self.settings.published
         watched = tuple(self._parts(("body",), self._watched()))
@@ -238,7 +312,7 @@ class _Derivation:
         )
         as_written = self.settings.model.as_written
         mjcf = self._text_as_written(names) if as_written else self._mjcf(names)
-        return RobotSpec(
+        spec = RobotSpec(
             name=self.settings.name,
             joints=tuple(names),
             default_pose=tuple(pose),
@@ -251,7 +325,7 @@ class _Derivation:
             follows=follows if "velocity" in follows else (),
             root_joint=self.root_joint,
             touches=self.settings.touches,
-            feet=feet,
+            feet=self._feet(lows),
             monitored=watched,
             published_monitored=watched
             if published.body is None
@@ -264,9 +338,38 @@ class _Derivation:
             root_defaults=(free.damping, free.armature, free.friction),
             bodies=(self.root, *(body for body in self.bodies if body != self.root)),
             visuals=visuals,
-            spawn_height=-min(lows.values()) + _CLEARANCE if height is None else height,
+            spawn_height=-min(lows.values()) + CLEARANCE if height is None else height,
             mjcf=mjcf,
         )
+        return spec if self.settings.feet else replace(spec, feet=self._standing(spec, lows))
+
+    def facts(self) -> ModelFacts:
+        """Return what the file says."""
+        names = self._names(self.joints)
+        motors = self._motors(names)
+        self._stand(self._pose(names, [self._range(joint) for joint in self.joints]))
+        eye = self._camera()
+        return ModelFacts(
+            joints=tuple(names),
+            has_motors=bool(self._written()),
+            kp=tuple(motor.kp for motor in motors),
+            kd=tuple(motor.kd for motor in motors),
+            torque=tuple(motor.torque for motor in motors),
+            armature=tuple(motor.armature for motor in motors),
+            friction=tuple(motor.friction for motor in motors),
+            is_limited=tuple(bool(self.model.jnt_limited[joint]) for joint in self.joints),
+            keyframes={name: tuple(pose) for name, pose in self._keyframes()},
+            bodies=len(self.bodies),
+            mass=float(self.model.body_mass.sum()),
+            camera=None if eye is None else eye[0],
+        )
+
+    def _keyframes(self) -> Iterator[tuple[str, list[float]]]:
+        for name in self.folder.poses:
+            try:
+                yield name, self._keyframe(name)
+            except RobotError:
+                continue  # Of other joints, as those of a scene are.
 
     def _motors(self, names: Sequence[str]) -> list[_Motor]:
         written = self._written()
@@ -275,8 +378,11 @@ class _Derivation:
         for joint, name in zip(self.joints, names, strict=True):
             dof = int(self.model.jnt_dofadr[joint])
             motor = written.get(name, _Motor())
-            follows, kp, gain, torque = motor.follows, motor.kp, motor.kd, motor.torque
+            follows, kp, torque = motor.follows, motor.kp, motor.torque
+            gain = motor.kd if follows == "velocity" else None
             kd = float(np.ravel(self.model.dof_damping[dof])[0])
+            if follows == "position":  # The damping of a servo comes on top of the joint's.
+                kd += motor.kd or 0.0
             armature = float(self.model.dof_armature[dof])
             friction = float(self.model.dof_frictionloss[dof])
             if self.model.jnt_actfrclimited[joint]:
@@ -311,6 +417,9 @@ class _Derivation:
                     f"motors: no joint is named {self.settings.motors[number].joints}",
                     f"its joints are {', '.join(names)[:300]}",
                 )
+        return motors
+
+    def _require_gains(self, names: Sequence[str], motors: Sequence[_Motor]) -> None:
         for what, unit, values in (
             ("kp", "N m / rad", [motor.kp for motor in motors]),
             ("kd", "N m s / rad", [motor.kd for motor in motors]),
@@ -323,7 +432,6 @@ class _Derivation:
                     f"motors: nothing says the {what} of {', '.join(lacking)[:300]}",
                     f'add `- {{joints: "*", {what}: ...}}` with its {unit}',
                 )
-        return motors
 
     def _written(self) -> dict[str, _Motor]:
         """Return gains and largest torque by joint, as the actuators of the file have them."""
@@ -344,10 +452,11 @@ class _Derivation:
             elif not servo and not wheel and model.actuator_ctrllimited[motor]:
                 torque = gear * float(gain * np.abs(model.actuator_ctrlrange[motor]).max())
             joint = str(model.joint(int(model.actuator_trnid[motor, 0])).name)
+            kd = gain if wheel else max(0.0, -damping) if servo else None
             found[joint] = _Motor(
                 follows="velocity" if wheel else "position",
                 kp=gain * gear * gear if servo else None,
-                kd=gain * gear * gear if wheel else None,
+                kd=None if kd is None else kd * gear * gear,
                 torque=torque,
             )
         return found
@@ -407,39 +516,16 @@ class _Derivation:
         self.data.qpos[self.model.jnt_qposadr[self.joints]] = pose
         mujoco.mj_forward(self.model, self.data)
 
-    def _collides(self, geom: int) -> bool:
-        return bool(self.model.geom_contype[geom] & 1 or self.model.geom_conaffinity[geom] & 1)
-
     def _lows(self) -> dict[str, float]:
         """Return how low each body that collides reaches, m, with the root's origin at 0."""
         lows: dict[str, float] = {}
         for geom in range(self.model.ngeom):
-            if self._collides(geom):
+            if collides(self.model, geom):
                 body = self._body(int(self.model.geom_bodyid[geom]))
-                lows[body] = min(lows.get(body, math.inf), self._low(geom))
+                lows[body] = min(lows.get(body, math.inf), lowest(self.model, self.data, geom))
         if not lows:
             raise self._fault(("model",), "nothing of it collides with the ground")
         return lows
-
-    def _low(self, geom: int) -> float:
-        model, kind = self.model, self.model.geom_type[geom]
-        down = self.data.geom_xmat[geom].reshape(3, 3)[2]
-        size = model.geom_size[geom]
-        centre = float(self.data.geom_xpos[geom, 2])
-        if kind == mujoco.mjtGeom.mjGEOM_MESH:
-            mesh = int(model.geom_dataid[geom])
-            first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-            return centre + float((model.mesh_vert[first : first + count] @ down).min())
-        if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-            return centre - float(size[0])
-        if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-            return centre - float(size[0] + abs(down[2]) * size[1])
-        if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-            flat = math.hypot(float(down[0]), float(down[1]))
-            return centre - float(flat * size[0] + abs(down[2]) * size[1])
-        if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-            return centre - float(np.linalg.norm(down * size))
-        return centre - float(np.abs(down) @ size)
 
     def _feet(self, lows: dict[str, float]) -> tuple[str, ...]:
         if self.settings.touches == "geom":
@@ -448,10 +534,7 @@ class _Derivation:
             return tuple(self._parts(("feet",), self.settings.feet))
         if self.settings.feet is None:
             lowest = min(lows.values())
-            near = [body for body, low in lows.items() if low < lowest + _FOOT_REACH]
-            # A shin whose foot stands there, too, is none.
-            above = {name for body in near for name in self._ancestors(body)}
-            return tuple(body for body in near if body not in above)
+            return self._ends([body for body, low in lows.items() if low < lowest + _FOOT_REACH])
         feet = self._known(("feet",), self.settings.feet)
         for index, foot in enumerate(feet):
             if foot not in lows:
@@ -459,6 +542,26 @@ class _Derivation:
                     ("feet", index), f"feet: nothing of {foot!r} collides", nearest(foot, lows)
                 )
         return tuple(feet)
+
+    def _ends(self, bodies: Sequence[str]) -> tuple[str, ...]:
+        """Return those that have no other of them below: a shin whose foot stands there is none."""
+        above = {name for body in bodies for name in self._ancestors(body)}
+        return tuple(body for body in self.bodies if body in bodies and body not in above)
+
+    def _standing(self, spec: RobotSpec, lows: dict[str, float]) -> tuple[str, ...]:
+        """Return its feet, and the ends of what else carries it after a drop from its pose.
+
+        A pose may have feet at several heights. One that falls has its feet as they are lowest.
+        """
+        dropped = LevelGround(spec).drop()
+        if not dropped.stands:
+            return spec.feet
+        feet = [*spec.feet]
+        for body in dropped.carriers:
+            below = [other for other in lows if body in self._ancestors(other)]
+            if not any(foot == body or foot in below for foot in feet):
+                feet.append(min(self._ends(below) or [body], key=lows.__getitem__))
+        return self._ends(feet)
 
     def _ancestors(self, body: str) -> Iterator[str]:
         number = int(self.model.body(body).id)
@@ -473,13 +576,15 @@ class _Derivation:
             return [self.root]
         number = int(self.model.body(self.root).id)
         own = np.flatnonzero(self.model.geom_bodyid == number).tolist()
-        return [str(self.model.geom(geom).name) for geom in own if self._collides(geom)]
+        return [str(self.model.geom(geom).name) for geom in own if collides(self.model, geom)]
 
     def _parts(self, key: tuple[str, ...], names: Sequence[str]) -> list[str]:
         """Return bodies, or geoms that collide, which the model has."""
         if self.settings.touches == "body":
             return self._known(key, names)
-        geoms = [self.model.geom(g).name for g in range(self.model.ngeom) if self._collides(g)]
+        geoms = [
+            self.model.geom(g).name for g in range(self.model.ngeom) if collides(self.model, g)
+        ]
         return self._known(key, names, "geom that collides", [str(name) for name in geoms])
 
     def _known(
@@ -511,8 +616,13 @@ class _Derivation:
     def _eye(self) -> CameraMount:
         eye = self.settings.eye
         if eye is None:
-            return self._camera() or CameraMount(
-                position=(self._front(), 0.0, 0.0), R_trunk_camera=_AHEAD, fovy=math.pi / 2
+            found = self._camera()
+            return (
+                CameraMount(
+                    position=(self._front(), 0.0, 0.0), R_trunk_camera=_AHEAD, fovy=math.pi / 2
+                )
+                if found is None
+                else found[1]
             )
         return self._mounted(Camera(**dict(eye)), ("eye",))
 
@@ -531,8 +641,8 @@ class _Derivation:
             axes, position = T[:3, :3] @ axes, T[:3, :3] @ position + T[:3, 3]
         return _mount(position, axes, math.radians(camera.fovy))
 
-    def _camera(self) -> CameraMount | None:
-        """Return the first camera of the model that nothing moves against the trunk."""
+    def _camera(self) -> tuple[str, CameraMount] | None:
+        """Return the first camera of the model that nothing moves against the trunk, by name."""
         for camera in range(self.model.ncam):
             body = self._body(int(self.model.cam_bodyid[camera]))
             fixed = self.model.cam_mode[camera] == mujoco.mjtCamLight.mjCAMLIGHT_FIXED
@@ -544,7 +654,8 @@ class _Derivation:
             axes = R.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])  # OpenCV's, of MuJoCo's
             position = T[:3, :3] @ self.model.cam_pos[camera] + T[:3, 3]
             fovy = math.radians(float(self.model.cam_fovy[camera]))
-            return _mount(position, T[:3, :3] @ axes, fovy)
+            name = str(self.model.camera(camera).name) or "camera without a name"
+            return name, _mount(position, T[:3, :3] @ axes, fovy)
         return None
 
     def _front(self) -> float:
@@ -575,7 +686,7 @@ class _Derivation:
         """Return primitives that are drawn in logs: of a mesh, the box round it."""
         model = self.model
         geoms = range(model.ngeom)
-        seen = [g for g in geoms if not self._collides(g)] or list(geoms)
+        seen = [g for g in geoms if not collides(self.model, g)] or list(geoms)
         shapes: list[Shape] = []
         for geom in seen[:_MOST_SHAPES]:
             body = self._body(int(model.geom_bodyid[geom]))
@@ -600,7 +711,7 @@ class _Derivation:
         for geom in self._geoms():
             number = int(self.model.geom(geom.name).id)
             geom.rgba, geom.material = self._rgba(number), ""
-            if self._collides(number):
+            if collides(self.model, number):
                 geom.group = COLLISION_GROUP
             else:
                 geom.group, geom.contype, geom.conaffinity = VISUAL_GROUP, _HIDDEN, 0
@@ -625,7 +736,8 @@ class _Derivation:
         }
         motors = [(each.tag, each.get("name"), each.get("joint")) for each in tree.iter("position")]
         kinds = [
-            COLLISION_GROUP if self._collides(geom) else VISUAL_GROUP for geom in range(model.ngeom)
+            COLLISION_GROUP if collides(self.model, geom) else VISUAL_GROUP
+            for geom in range(model.ngeom)
         ]
         for what, is_so in (
             ("the file is no MJCF", tree.tag == "mujoco"),
@@ -636,7 +748,7 @@ class _Derivation:
                 motors == [("position", name, name) for name in names] and model.nu == len(names),
             ),
             (
-                f"groups of geoms are not {COLLISION_GROUP}, and {VISUAL_GROUP} where none collides",
+                f"groups of geoms are not {COLLISION_GROUP}, and {VISUAL_GROUP} of what is seen",
                 model.geom_group.tolist() == kinds,
             ),
         ):
@@ -656,7 +768,7 @@ class _Derivation:
             for geom in self.mjspec.body(self._body(number)).geoms:
                 own = int(self.model.geom(geom.name).id)
                 is_mesh = self.model.geom_type[own] == mujoco.mjtGeom.mjGEOM_MESH
-                if not (is_mesh and self._collides(own)):
+                if not (is_mesh and collides(self.model, own)):
                     continue
                 mesh = int(self.model.geom_dataid[own])
                 first, count = (
@@ -690,10 +802,6 @@ class _Derivation:
     ) -> RobotError:
         words = f"{self.settings.model.file}: {message}" if place == ("model",) else message
         return RobotError([self.folder.file.problem(place, words, fix)])
-
-
-def _first(error: Exception) -> str:
-    return str(error).strip().splitlines()[0]
 
 
 def _free_name(name: str, taken: set[str]) -> str:

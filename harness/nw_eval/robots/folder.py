@@ -11,6 +11,8 @@ from __future__ import annotations
 import hashlib
 import io
 import math
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
@@ -22,7 +24,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from nw_eval.errors import Problem, RobotError
 from nw_eval.files.inside import OutsideError, bounded_bytes, inside
-from nw_eval.files.yaml_file import YamlFile, YamlProblems, read_yaml, validation_problems
+from nw_eval.files.yaml_file import (
+    YamlFile,
+    YamlProblems,
+    parse_yaml,
+    read_yaml,
+    validation_problems,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -69,6 +77,14 @@ Row = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 
+# No robot has more. What is beyond is a slip of units (N m for mN m, degrees, millimetres), or
+# larger than what physics in steps of 5 ms can follow.
+Gain = Annotated[float, Field(ge=0.0, le=1e5)]
+Torque = Annotated[float, Field(gt=0.0, le=1e5)]
+Inertia = Annotated[float, Field(ge=0.0, le=1e3)]
+Height = Annotated[float, Field(gt=0.0, le=10.0)]
+Place = Annotated[float, Field(ge=-10.0, le=10.0)]
+
 
 class ModelFile(_Part):
     """The file that describes the body."""
@@ -91,17 +107,17 @@ class Motors(_Part):
     follows: Literal["position", "velocity"] | None = None
     """What the motor is told. A wheel follows `velocity`: its torque is kd * (target - velocity),
     within `torque`. None = as the model file says, else `position`."""
-    kp: NotNegative | None = None
-    """Gain, N m / rad."""
-    kd: NotNegative | None = None
-    """Damping, N m s / rad, in place of the joint's own; of motors that follow velocities their
-    gain."""
-    torque: Positive | None = None
-    """Largest torque, N m."""
-    armature: NotNegative | None = None
-    """kg m^2."""
-    friction: NotNegative | None = None
-    """Friction loss, N m."""
+    kp: Gain | None = None
+    """Gain, N m / rad, at most 1e5."""
+    kd: Gain | None = None
+    """Damping, N m s / rad, at most 1e5, in place of the joint's own; of motors that follow
+    velocities their gain."""
+    torque: Torque | None = None
+    """Largest torque, N m, at most 1e5."""
+    armature: Inertia | None = None
+    """kg m^2, at most 1000."""
+    friction: Gain | None = None
+    """Friction loss, N m, at most 1e5."""
 
 
 class Fell(_Part):
@@ -109,14 +125,14 @@ class Fell(_Part):
 
     tilt: Annotated[float, Field(gt=0.0, le=math.pi)] = 1.2
     """Roll or pitch of the root, rad."""
-    height: Positive | None = None
+    height: Height | None = None
     """Height of the root above the ground under it, m, below which it fell; null = no limit."""
 
 
 class Collided(_Part):
     """When the robot has collided."""
 
-    force: Positive = 0.08
+    force: Annotated[float, Field(gt=0.0, le=1e3)] = 0.08
     """Force on one part of `body`, in times the robot's weight."""
     newtons: Positive | None = None
     """The same force in N, in place of `force`."""
@@ -127,8 +143,8 @@ class Eye(_Part):
 
     body: Name | None = None
     """The root, or a body that no joint moves against it."""
-    position: tuple[float, float, float]
-    """In the body, m."""
+    position: tuple[Place, Place, Place]
+    """In the body, m, at most 10."""
     pitch: Annotated[float, Field(ge=-math.pi, le=math.pi)] = 0.0
     """Angle by which it looks down, rad."""
     fovy: Annotated[float, Field(gt=1.0, lt=179.0)] = 90.0
@@ -194,8 +210,8 @@ class RobotFile(_Part):
         default_factory=dict[str, Camera]
     )
     """Cameras by the names that cards use; `ego` is that of `eye`, unless it is here."""
-    spawn_height: Positive | None = None
-    """Of the root's origin above the ground at the start, m; derived."""
+    spawn_height: Height | None = None
+    """Of the root's origin above the ground at the start, m, at most 10; derived."""
     published: Published = Published()
     """For robots of the published evaluation."""
 
@@ -212,6 +228,7 @@ class RobotFolder:
         file: robot.yaml with the places of its settings.
         settings: the same, valid in itself.
         model: the root of the model file, without what is left out.
+        lines: where each of its elements stands in the file, counted from 1.
         meshes: bytes of the meshes, by the names that stand in it now.
         names: of the meshes' files, by these names.
         poses: joint positions of its keyframes by name, as they are written.
@@ -223,27 +240,41 @@ class RobotFolder:
     file: YamlFile
     settings: RobotFile
     model: Element
+    lines: dict[Element, int]
     meshes: dict[str, bytes]
     names: dict[str, str]
     poses: dict[str, str]
     files: tuple[str, ...]
     digest: str
 
-    def fault(self, message: str, fix: str | None = None) -> RobotError:
+    def fault(self, message: str, fix: str | None = None, line: int = 1) -> RobotError:
         """Return an error about the model file."""
         where = str(self.path / self.settings.model.file)
-        return RobotError([Problem(file=where, line=1, column=1, message=message, fix=fix)])
+        return RobotError([Problem(file=where, line=line, column=1, message=message, fix=fix)])
+
+    def line_of(self, name: str, *tags: str) -> int:
+        """Return the line of the first element of a name, of one of some tags; 1 = there is none.
+
+        A link of a URDF is a body.
+        """
+        wanted = {*tags, "link"} if "body" in tags else set(tags)
+        found = (e for e in self.model.iter() if e.get("name") == name and e.tag in wanted)
+        return next((self.lines.get(element, 1) for element in found), 1)
 
 
-def read_folder(folder: Path) -> RobotFolder:
+def read_folder(folder: Path, text: str | None = None) -> RobotFolder:
     """Read a robot's folder.
+
+    Args:
+        folder: with the model file that `robot.yaml` names.
+        text: of a `robot.yaml` that is not written yet; None = the folder's own.
 
     Raises:
         RobotError: what is wrong with it, with file, line and column.
     """
     path = folder / ROBOT_FILE
     try:
-        file = read_yaml(path)
+        file = read_yaml(path) if text is None else parse_yaml(text, file=str(path))
     except YamlProblems as error:
         raise RobotError(error.problems) from None
     try:
@@ -251,7 +282,7 @@ def read_folder(folder: Path) -> RobotFolder:
     except ValidationError as error:
         raise RobotError(validation_problems(error, file, RobotFile)) from None
     reader = _Reader(folder, file)
-    reader.take(ROBOT_FILE, path.read_bytes())
+    reader.take(ROBOT_FILE, path.read_bytes() if text is None else text.encode())
     model = reader.xml(settings.model)
     keys = enumerate(model.iter("key"))
     poses = {key.get("name", f"key {number}"): key.get("qpos", "") for number, key in keys}
@@ -261,6 +292,7 @@ def read_folder(folder: Path) -> RobotFolder:
         file=file,
         settings=settings,
         model=model,
+        lines=reader.lines,
         meshes=reader.meshes,
         names=reader.names,
         poses=poses,
@@ -279,7 +311,10 @@ class _Reader:
     """SHA-256 by name."""
     meshes: dict[str, bytes] = field(default_factory=dict[str, bytes])
     names: dict[str, str] = field(default_factory=dict[str, str])
+    lines: dict[Element, int] = field(default_factory=dict[Element, int])
     where: str = ""
+    base: str = ""
+    """The folder of the model file, from which its paths start, within the robot's."""
 
     @property
     def digest(self) -> str:
@@ -305,6 +340,7 @@ class _Reader:
             raise
         except OutsideError as error:
             message = f"{name!r} leaves the folder: {error}"
+            raise OutsideError(message) from None
         except OSError as error:
             message = f"{name!r}: {error.strerror}"
         except ValueError as error:
@@ -313,7 +349,7 @@ class _Reader:
 
     def xml(self, model: ModelFile) -> Element:
         """Return the root of the model file."""
-        self.where = str(self.folder / model.file)
+        self.where, self.base = str(self.folder / model.file), str(Path(model.file).parent)
         try:
             content = self.read(model.file, XML_BYTES)
         except FileNotFoundError:
@@ -327,7 +363,6 @@ class _Reader:
             message = f"model.sha256: that of {model.file} is {found}"
             problem = self.file.problem(("model", "sha256"), message, "write it, if that is meant")
             raise RobotError([problem])
-        self._content = content
         return self._tree(content)
 
     def fault(self, message: str, fix: str | None = None, line: int = 1) -> RobotError:
@@ -337,17 +372,14 @@ class _Reader:
     def _tree(self, content: bytes) -> Element:
         if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
             raise self.fault("it declares a document type or entities", "remove them")
-        parser = XMLPullParser(("start", "end"))
-        count = depth = 0
+        depth = 0
         root: Element | None = None
         try:
-            parser.feed(content)
-            parser.close()
-            for event, element in cast("Any", parser.read_events()):
+            for event, element, line in element_lines(content):
                 depth += 1 if event == "start" else -1
-                count += event == "start"
+                self.lines.setdefault(element, line)
                 root = element if root is None else root
-                if count > ELEMENTS or depth > DEPTH:
+                if len(self.lines) > ELEMENTS or depth > DEPTH:
                     raise self.fault(f"it has over {ELEMENTS} elements, or {DEPTH} in each other")
         except ParseError as error:
             raise self.fault(f"it is not XML: {error}", line=error.position[0]) from None
@@ -380,12 +412,25 @@ class _Reader:
             elif child.tag in _KNOWN:
                 for key, value in child.attrib.items():
                     if key != "name" and _NOT_FINITE & set(value.lower().split()):
-                        raise self.fault(f"<{child.tag}> has {key}={value[:40]!r}", "write numbers")
+                        raise self.fault(
+                            f"<{child.tag}> has {key}={value[:40]!r}",
+                            "write numbers",
+                            self.lines[child],
+                        )
+                if parent.tag == "equality" and child.tag in {"connect", "weld"}:
+                    bodies = [child.get(key) or "the world" for key in ("body1", "body2")]
+                    raise self.fault(
+                        f"<{child.tag}> closes a loop of {' and '.join(bodies)}, and closed loops "
+                        "are not simulated",
+                        "remove it, and drive the joints of a chain that is open",
+                        self.lines[child],
+                    )
                 self._check(child)
             else:
                 raise self.fault(
                     f"<{child.tag}> is not among the elements that a robot may have",
                     "write what it stands for into the file, or remove it",
+                    self.lines[child],
                 )
 
     def _mjcf_meshes(self, root: Element, compiler: dict[str, str]) -> None:
@@ -400,34 +445,60 @@ class _Reader:
                 elif file:
                     if compiler.get("strippath") == "true":
                         file = Path(file).name
-                    mesh.set("file", self._mesh(Path(folder, file)))
+                    mesh.set("file", self._mesh(Path(self.base, folder, file), mesh))
 
     def _urdf_meshes(self, root: Element) -> None:
         for mesh in root.iter("mesh"):
             file = mesh.get("filename", "")
             # `package://name/meshes/hip.stl`: the folder stands for the package.
             _, scheme, rest = file.partition("package://")
-            mesh.set("filename", self._mesh(Path(rest.partition("/")[2] if scheme else file)))
+            path = Path(rest.partition("/")[2]) if scheme else Path(self.base, file)
+            mesh.set("filename", self._mesh(path, mesh))
 
-    def _mesh(self, path: Path) -> str:
+    def _mesh(self, path: Path, element: Element) -> str:
         """Read a mesh, and return the name that it has from now on."""
-        fix = "thin it out, or leave it out"
-        line = 1 + self._content.partition(path.name.encode())[0].count(b"\n")
-        if path.name.encode() not in self._content:
-            line = 1
+        # `../meshes/hip.stl` of a model in a folder below the robot's does not leave that.
+        file, line = os.path.normpath(path), self.lines[element]
         try:
-            content = self.read(str(path), MESH_BYTES)
+            content = self.read(file, MESH_BYTES)
         except FileNotFoundError:
-            fix = "put it there, or remove the mesh and its geoms from the file"
-            message = f"mesh {str(path)!r} is not in the folder"
-            raise self.fault(message, fix, line) from None
+            message = f"mesh {file!r} is not in the folder"
+            raise self.fault(message, _ABSENT, line) from None
         except ValueError as error:
+            fix = _THINNER if "MiB, over" in str(error) else _ABSENT
+            if isinstance(error, OutsideError):
+                fix = "copy it into the folder, and name it by a path from the model file"
             raise self.fault(f"mesh {error}", fix, line) from None
         name = f"{len(self.meshes)}{path.suffix.lower()}"
-        self.meshes[name], self.names[name] = content, str(path)
+        self.meshes[name], self.names[name] = content, file
         if len(self.meshes) > MESHES or sum(map(len, self.meshes.values())) > MESHES_BYTES:
-            raise self.fault(f"it has over {MESHES} meshes or {MESHES_BYTES // 2**20} MiB", fix)
+            bound = f"{MESHES} meshes or {MESHES_BYTES // 2**20} MiB"
+            raise self.fault(f"it has over {bound}", _THINNER, line)
         return name
+
+
+_TAG_LINES = 30  # that a tag may have, for its place to be told
+_THINNER = "thin it out, or leave it out"
+_ABSENT = "put it there, or remove the mesh and its geoms from the file"
+
+
+def element_lines(content: bytes) -> Iterator[tuple[str, Element, int]]:
+    """Yield starts and ends of the elements of an XML text, and on which line each begins.
+
+    Raises:
+        ParseError: it is no XML.
+        ValueError, LookupError: its encoding is not known.
+    """
+    parser = XMLPullParser(("start", "end"))
+    lines = content.splitlines(keepends=True)
+    for number, line in enumerate(lines, start=1):
+        parser.feed(line)
+        for event, element in cast("Any", parser.read_events()):
+            # A tag of several lines is told when its last one is read.
+            tag, nearby = f"<{element.tag}".encode(), range(number, max(0, number - _TAG_LINES), -1)
+            begin = next((n for n in nearby if tag in lines[n - 1]), number)
+            yield event, element, begin
+    parser.close()
 
 
 def fill_meshes(model: Element, folder: RobotFolder) -> None:
@@ -442,15 +513,16 @@ def fill_meshes(model: Element, folder: RobotFolder) -> None:
         if file is None:
             continue
         mesh.attrib.pop("content_type", None)
-        name, fix = folder.names[file], "thin it out, or leave it out"
+        name, line = folder.names[file], folder.line_of(mesh.get("name", ""), "mesh")
         try:
             vertices, faces = triangles(folder.meshes[file], Path(file).suffix)
         except ValueError as error:
-            raise folder.fault(f"mesh {name!r}: {error}", fix) from None
+            fix = "save it again as STL or OBJ, or leave it out"
+            raise folder.fault(f"mesh {name!r}: {error}", fix, line) from None
         count += len(faces)
         if len(faces) > FACES or count > ALL_FACES:
             bound = f"{FACES} faces, or all have over {ALL_FACES}"
-            raise folder.fault(f"mesh {name!r} has over {bound}", fix)
+            raise folder.fault(f"mesh {name!r} has over {bound}", _THINNER, line)
         mesh.set("vertex", " ".join(f"{value:.9g}" for value in vertices.ravel().tolist()))
         mesh.set("face", " ".join(map(str, faces.ravel().tolist())))
 

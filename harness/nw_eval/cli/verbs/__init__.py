@@ -36,6 +36,7 @@ _VERBS = MappingProxyType(
         "twin": "Twin",
         "policies": "Policies",
         "scenes": "Scenes",
+        "robots": "Robots",
         "sensors": "Sensors",
         "splat": "Splat",
         "schema": "Schema",

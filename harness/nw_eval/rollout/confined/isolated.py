@@ -20,6 +20,7 @@ from nw_eval.errors import (
     NwEvalError,
     PolicyError,
     PrerequisiteError,
+    RobotError,
     SceneError,
     StoreError,
     TrialError,
@@ -43,6 +44,7 @@ _KINDS: dict[str, type[NwEvalError]] = {
     for kind in (
         NwEvalError,
         UsageError,
+        RobotError,
         SceneError,
         PolicyError,
         PrerequisiteError,

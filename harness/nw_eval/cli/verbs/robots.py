@@ -1,0 +1,201 @@
+"""`nw-eval robots`: which there are, what one is, if it stands, a first robot.yaml."""
+
+from __future__ import annotations
+
+import json as jsons
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from nw_eval.clean import clean
+from nw_eval.cli.terminal.lines import aligned
+from nw_eval.plural import plural
+
+if TYPE_CHECKING:
+    from nw_eval.api import ListedRobot
+    from nw_eval.onboarding.robot_check import CheckedRobot, RobotEye, RobotJoint, RobotSummary
+
+FALLS = 1
+"""Exit code of a robot that does not stand."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class List:
+    """List the robots that can be asked for by name: built in, in ./robots, and of packages."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        print(robot_table(api.list_robots()))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Show:
+    """Say what a robot is: joints, motors, feet, camera, mass, and which line says each of them."""
+
+    robot: tyro.conf.Positional[str]
+    """A name, or the path of a folder with a robot.yaml."""
+    json: bool = False
+    """Print it as JSON."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        summary = api.show_robot(self.robot)
+        print(jsons.dumps(asdict(summary), indent=2) if self.json else robot_page(summary))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Init:
+    """Derive a first robot.yaml from a model file, drop the robot for 2 s, and write it.
+
+    It lies beside the model, or in the folder above that holds model and meshes. Each line says
+    where its value is from; `CHECK` marks a guess.
+    """
+
+    model: tyro.conf.Positional[Path]
+    """MJCF (.xml) or URDF (.urdf)."""
+    out: Path | None = None
+    """A new folder to copy model and meshes into."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        draft = api.init_robot(self.model, out=self.out)
+        ending = "it stands" if draft.stands else "it does not stand"
+        print(f"{draft.text}\n{draft.file}: {plural(draft.to_check, 'line')} to check; {ending}")
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """Stand a robot for 2 s in its pose, with its gains. Exit code 1 if it does not stand.
+
+    Says its feet, motors, contacts with itself and height, and draws it from outside and from its
+    eye. One with fewer than three feet, which only a policy balances, is held upright.
+    """
+
+    robot: tyro.conf.Positional[str]
+    """A name, or the path of a folder with a robot.yaml."""
+    out: Path = Path("robot.png")
+    """The PNG to write."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+
+        checked = api.check_robot(self.robot, out=self.out)
+        print(check_page(checked))
+        print(self.out)
+        return 0 if checked.stands else FALLS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robots:
+    """List the robots that suites can name, show or check one, draft one from a model file."""
+
+    action: (
+        Annotated[List, tyro.conf.subcommand("list")]
+        | Annotated[Show, tyro.conf.subcommand("show")]
+        | Annotated[Init, tyro.conf.subcommand("init")]
+        | Annotated[Check, tyro.conf.subcommand("check")]
+    )
+
+    def __call__(self) -> int:
+        return self.action()
+
+
+def robot_table(robots: Sequence[ListedRobot]) -> str:
+    """Return a line for each robot: name, joints, feet, mass, height, where it is from."""
+    rows = [("robot", "joints", "feet", "mass", "height", "from")]
+    for each in robots:
+        if each.problem is not None:
+            rows.append((clean(each.name), "?", "?", "?", "?", clean(each.problem)))
+            continue
+        numbers = f"{each.joints}", f"{each.feet}", f"{each.mass:.1f} kg", f"{each.height:.2f} m"
+        rows.append((clean(each.name), *numbers, clean(each.place)))
+    return "\n".join(aligned(rows, right=range(1, 5)))
+
+
+def robot_page(robot: RobotSummary) -> str:
+    """Return all that is known of a robot, and which line says what."""
+    low = "no limit" if robot.fell_height is None else f"lower than {robot.fell_height:.2f} m"
+    said = robot.sources
+    facts = [
+        ("name", robot.name, ""),
+        ("reference", robot.reference, ""),
+        ("from", robot.place, ""),
+        ("mass", f"{robot.mass:.2f} kg in {plural(robot.bodies, 'body', 'bodies')}", ""),
+        ("root", robot.root, said["root"]),
+        ("feet", ", ".join(robot.feet), said["feet"]),
+        ("pose", "below", said["pose"]),
+        ("spawn", f"root {robot.spawn_height:.3f} m above the ground", said["spawn_height"]),
+        ("body", ", ".join(robot.body) or "none", said["body"]),
+        ("collided", f"{robot.collided_force:.1f} N on one of them", said["collided"]),
+        ("fell", f"tilt over {robot.fell_tilt:.2f} rad; {low}", said["fell"]),
+        *(("eye", f"{eye.name}, {_eye(eye)}", said["eye"]) for eye in robot.eyes),
+    ]
+    joints = [
+        ("joint", "pose", "range, rad", "kp", "kd", "torque", "armature", "friction", "from"),
+        *map(_joint, robot.joints),
+    ]
+    rows = [(key, clean(value), clean(source)) for key, value, source in facts]
+    lines = [*aligned(rows), "", *aligned(joints, right={1, 3, 4, 5, 6, 7})]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _joint(joint: RobotJoint) -> tuple[str, ...]:
+    ends = ["none" if end is None else f"{end:z.3f}" for end in (joint.low, joint.high)]
+    motor = joint.kp, joint.kd, joint.torque, joint.armature, joint.friction
+    values = (f"{value:zg}" for value in motor)
+    return (
+        clean(joint.joint),
+        f"{joint.pose:z.3f}",
+        " to ".join(ends),
+        *values,
+        clean(joint.source),
+    )
+
+
+def _eye(eye: RobotEye) -> str:
+    from nw_eval.onboarding.robot_check import eye_words
+
+    return eye_words(eye)
+
+
+def check_page(robot: CheckedRobot) -> str:
+    """Return what became of a robot that was put down, and what is odd."""
+    weight = sum(part.force for part in (*robot.feet, *robot.others)) or 1.0
+    feet = [
+        ("foot", "force", "share"),
+        *((clean(p.foot), f"{p.force:.0f} N", f"{p.force / weight:.0%}") for p in robot.feet),
+        *(
+            (f"{clean(p.foot)} (no foot)", f"{p.force:.0f} N", f"{p.force / weight:.0%}")
+            for p in robot.others
+        ),
+    ]
+    shares = [
+        ("joint", "torque, of its largest"),
+        *((clean(name), f"{share:.0%}") for name, share in robot.torque_shares.items()),
+    ]
+    ending = "it stands" if robot.stands else "it does not stand"
+    held = ", held upright: it has fewer than three feet" if robot.held else ""
+    ending_tilt = f", tilted by {math.degrees(robot.tilt):.0f} degrees{held}"
+    lines = [
+        f"{robot.name}: {robot.mass:.2f} kg, of {clean(robot.place)}",
+        f"root put down at {robot.spawn_height:.3f} m; after 2 s at {robot.height:.3f} m{ending_tilt}",
+        f"eye {_eye(robot.eye)}",
+        "",
+        *aligned(feet, right={1, 2}),
+        "",
+        *aligned(shares, right={1}),
+        "",
+        *(f"note: {clean(note)}" for note in robot.notes),
+        f"{robot.name}: {ending}",
+    ]
+    return "\n".join(lines)
