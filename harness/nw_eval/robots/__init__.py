@@ -11,7 +11,7 @@ from nw_eval.errors import PluginError, RobotError, UsageError, nearest
 from nw_eval.plugins import ROBOTS, identity_of, imported, installed, subject, warn_if_built_in
 from nw_eval.robots.go1 import go1
 from nw_eval.robots.go2 import go2
-from nw_eval.robots.spec import CameraMount, RobotSpec, Shape
+from nw_eval.robots.spec import CameraMount, RobotSpec, Shape, Triangles
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,6 +22,7 @@ __all__ = [
     "FoundRobot",
     "RobotSpec",
     "Shape",
+    "Triangles",
     "find_robot",
     "get_robot",
     "know_robot",

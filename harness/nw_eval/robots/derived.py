@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, Literal
 from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
 
 import mujoco as _mujoco
@@ -20,12 +20,14 @@ import numpy.typing as npt
 
 from nw_eval.errors import RobotError, nearest
 from nw_eval.robots.folder import RobotFolder, fill_meshes
+from nw_eval.robots.looks import kept_thinned, shares
 from nw_eval.robots.spec import (
     COLLISION_GROUP,
     VISUAL_GROUP,
     CameraMount,
     RobotSpec,
     Shape,
+    Triangles,
 )
 
 # Its classes live in compiled modules without type information.
@@ -40,10 +42,10 @@ _GRAVITY = 9.806
 _CLEARANCE = 0.01  # m between the lowest point and the ground at the start
 _FOOT_REACH = 0.02  # m above the lowest collision point, within which a body stands on the ground
 _HIDDEN = 1 << 30  # contype of what is only seen: why it has one says `mjcf.write_mjcf`
-_MOST_SHAPES = 400  # drawn in logs
+_MOST_SHAPES = 400  # that are drawn
+_GRID = 2.0**14  # points of meshes stand on 1/16384 m: the zero bits compress, and nobody sees it
 _AHEAD = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 _UNLIMITED = 1e6  # rad
-_GREY = (0.6, 0.62, 0.65, 1.0)
 
 
 def spec_of(folder: RobotFolder) -> RobotSpec:
@@ -227,8 +229,8 @@ class _Derivation:
         )
         height = self.settings.spawn_height
         cameras = {"ego": self._eye()}
-        visuals = self._visuals()
-        mjcf = self._mjcf(names)
+        visuals, pictured = self._visuals()
+        mjcf = self._mjcf(names, is_seen_apart=pictured == "visuals")
         return RobotSpec(
             name=self.settings.name,
             joints=tuple(names),
@@ -251,6 +253,7 @@ class _Derivation:
             height_camera_offset=(0.0, 0.0, 25.0),
             bodies=(self.root, *(body for body in self.bodies if body != self.root)),
             visuals=visuals,
+            pictured=pictured,
             spawn_height=-min(lows.values()) + _CLEARANCE if height is None else height,
             mjcf=mjcf,
         )
@@ -491,21 +494,81 @@ class _Derivation:
         T[:3, 3] = R.T @ (own.xpos - root.xpos)
         return T
 
-    def _visuals(self) -> tuple[Shape, ...]:
-        """Return primitives that are drawn in logs: of a mesh, the box round it."""
-        model = self.model
-        geoms = range(model.ngeom)
-        seen = [g for g in geoms if not self._collides(g)] or list(geoms)
-        shapes: list[Shape] = []
-        for geom in seen[:_MOST_SHAPES]:
-            body = self._body(int(model.geom_bodyid[geom]))
-            if body not in self.bodies:
-                continue
-            shapes += _shapes(model, geom, body)
-        return tuple(shapes)
+    def _visuals(self) -> tuple[tuple[Shape, ...], Literal["geoms", "visuals"]]:
+        """Return what is drawn, and what of it pictures show.
 
-    def _mjcf(self, names: Sequence[str]) -> str:
-        """Write the model with one actuator a joint, and groups by what collides and is seen."""
+        Where all that is only seen are primitives, pictures show these geoms. Else no mesh is left
+        to physics, and a body without anything that is only seen shows what collides.
+        """
+        model = self.model
+        geoms = [g for g in range(model.ngeom) if self._look(g)[3] > 0.0]
+        only_seen = [g for g in geoms if not self._collides(g)]
+        has_meshes = any(model.geom_type[g] == _MESH for g in only_seen)
+        if only_seen and not has_meshes:
+            shapes = [shape for g in only_seen[:_MOST_SHAPES] for shape in self._shapes(g, None)]
+            return tuple(shapes), "geoms"
+        shown = {int(model.geom_bodyid[g]) for g in only_seen}
+        seen = [g for g in geoms if g in only_seen or int(model.geom_bodyid[g]) not in shown]
+        meshes = [g for g in seen[:_MOST_SHAPES] if model.geom_type[g] == _MESH]
+        faces = [int(model.mesh_facenum[model.geom_dataid[g]]) for g in meshes]
+        sizes = [float(np.linalg.norm(model.geom_aabb[g, 3:])) for g in meshes]
+        most = dict(zip(meshes, shares(faces, sizes), strict=True))
+        return tuple(
+            s for g in seen[:_MOST_SHAPES] for s in self._shapes(g, most.get(g))
+        ), "visuals"
+
+    def _look(self, geom: int) -> tuple[float, float, float, float]:
+        """Return the colour of a geom, 0 to 1: its own, else its material's, as MuJoCo draws it."""
+        material = int(self.model.geom_matid[geom])
+        own = self.model.geom_rgba[geom]
+        is_own = material < 0 or not np.array_equal(own, np.float32(_PLAIN))
+        red, green, blue, alpha = (own if is_own else self.model.mat_rgba[material]).tolist()
+        return red, green, blue, alpha
+
+    def _shapes(self, geom: int, most: int | None) -> list[Shape]:
+        """Return what a geom looks like, in the frame of its body.
+
+        Args:
+            geom: its number.
+            most: how many faces a mesh may have.
+        """
+        model = self.model
+        kind, size = int(model.geom_type[geom]), model.geom_size[geom].tolist()
+        position, turn = model.geom_pos[geom], tuple(model.geom_quat[geom].tolist())
+        at = tuple(position.tolist())
+        body = self._body(int(model.geom_bodyid[geom]))
+        look: dict[str, Any] = {"body": body, "rgba": self._look(geom)}
+        if kind in _KINDS:
+            name, count = _KINDS[kind]
+            return [Shape(kind=name, size=tuple(size[:count]), position=at, quat=turn, **look)]  # pyright: ignore[reportArgumentType]
+        turned = np.empty(9)
+        mujoco.mju_quat2Mat(turned, model.geom_quat[geom])
+        R = turned.reshape(3, 3)
+        if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            radius, half = size[:2]
+            ends = [tuple((position + R[:, 2] * end).tolist()) for end in (half, -half)]
+            tube = Shape(kind="cylinder", size=(radius, half), position=at, quat=turn, **look)
+            return [tube, *(Shape(kind="sphere", size=(radius,), position=e, **look) for e in ends)]
+        if kind != _MESH or not most:
+            return []
+        mesh = int(model.geom_dataid[geom])
+        start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        vertices = model.mesh_vert[start : start + count].astype(np.float64)
+        start, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+        faces = model.mesh_face[start : start + count].astype(np.int64)
+        fewer = kept_thinned(vertices, faces, most)
+        if not len(fewer.faces):
+            return []
+        points = np.rint((fewer.vertices @ R.T + position) * _GRID) / _GRID
+        return [Shape(kind="mesh", size=(), triangles=Triangles.of(points, fewer.faces), **look)]
+
+    def _mjcf(self, names: Sequence[str], *, is_seen_apart: bool) -> str:
+        """Write the model with one actuator a joint, and groups by what collides and is seen.
+
+        Args:
+            names: of the joints that have one.
+            is_seen_apart: what is only seen is left out.
+        """
         spec, model = self.mjspec, self.model
         # What was compiled is written out, body by body: classes of defaults may say less.
         for body in spec.bodies[1:]:
@@ -519,14 +582,20 @@ class _Derivation:
             part.classname = spec.default
         for geom in self._geoms():
             number = int(self.model.geom(geom.name).id)
-            geom.rgba, geom.material = self._rgba(number), ""
+            geom.rgba, geom.material = list(self._look(number)), ""
             if self._collides(number):
                 geom.group = COLLISION_GROUP
+            elif is_seen_apart:
+                spec.delete(geom)
             else:
                 geom.group, geom.contype, geom.conaffinity = VISUAL_GROUP, _HIDDEN, 0
         for what in ("actuators", "cameras", "materials"):
             for each in list(getattr(spec, what)):
                 spec.delete(each)
+        used = {geom.meshname for geom in self._geoms()}
+        for mesh in list(spec.meshes):
+            if mesh.name not in used:
+                spec.delete(mesh)
         for name in names:
             actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             actuator.set_to_position(kp=1.0)
@@ -538,11 +607,6 @@ class _Derivation:
 
     def _geoms(self) -> list[Any]:
         return [geom for body in self.mjspec.bodies for geom in body.geoms]
-
-    def _rgba(self, geom: int) -> list[float]:
-        material = int(self.model.geom_matid[geom])
-        rgba = self.model.geom_rgba[geom] if material < 0 else self.model.mat_rgba[material]
-        return [float(value) for value in rgba]
 
     def _fault(
         self, place: tuple[str | int, ...], message: str, fix: str | None = None
@@ -594,35 +658,12 @@ def _mount(position: Array, R: Array, fovy: float) -> CameraMount:
     return CameraMount(position=(x, y, z), R_trunk_camera=(rows[0], rows[1], rows[2]), fovy=fovy)
 
 
+_PLAIN = (0.5, 0.5, 0.5, 1.0)
+"""The colour of a geom that has none of its own."""
+_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 _KINDS = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): ("sphere", 1),
     int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
     int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", 3),
 }
-
-
-def _shapes(model: Any, geom: int, body: str) -> list[Shape]:
-    """Return what a geom looks like, in the frame of its body."""
-    kind, size = int(model.geom_type[geom]), model.geom_size[geom].tolist()
-    position, turn = model.geom_pos[geom], tuple(model.geom_quat[geom].tolist())
-    material = int(model.geom_matid[geom])
-    rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
-    look: dict[str, Any] = {"body": body, "quat": turn, "rgba": tuple(rgba.tolist())}
-    if kind in _KINDS:
-        name, count = _KINDS[kind]
-        at = tuple(position.tolist())
-        return [Shape(kind=name, size=tuple(size[:count]), position=at, **look)]  # pyright: ignore[reportArgumentType]
-    turned = np.empty(9)
-    mujoco.mju_quat2Mat(turned, model.geom_quat[geom])
-    R = turned.reshape(3, 3)
-    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        radius, half = size[:2]
-        ends = [tuple((position + R[:, 2] * end).tolist()) for end in (half, -half)]
-        tube = Shape(
-            kind="cylinder", size=(radius, half), position=tuple(position.tolist()), **look
-        )
-        return [tube, *(Shape(kind="sphere", size=(radius,), position=end, **look) for end in ends)]
-    middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-    at = tuple((position + R @ middle).tolist())
-    return [Shape(kind="box", size=tuple(half.tolist()), position=at, **look)]
