@@ -98,15 +98,28 @@ class _Derivation:
         for each in urdf.findall("mujoco"):
             urdf.remove(each)
         options = {"strippath": "true", "fusestatic": "false", "balanceinertia": "true"}
-        SubElement(SubElement(urdf, "mujoco"), "compiler", options)
-        text = tostring(urdf, encoding="unicode")
-        spec = mujoco.MjSpec.from_string(text, assets=self.folder.meshes)
-        spec.compile()
+        SubElement(SubElement(urdf, "mujoco"), "compiler", {**options, "discardvisual": "false"})
+        try:
+            spec = self._read_urdf(urdf)
+        except ValueError as error:
+            if next(urdf.iter("visual"), None) is None:
+                raise
+            for link in urdf.iter("link"):
+                for visual in link.findall("visual"):
+                    link.remove(visual)
+            spec = self._read_urdf(urdf)  # What is wrong without its looks, is.
+            self.folder.notes.append(f"its <visual> are not drawn: MuJoCo says {_first(error)}")
         model = fromstring(spec.to_xml())  # noqa: S314 - MuJoCo's own text.
         for each in model.findall("compiler"):
             for key in ("meshdir", "texturedir", "strippath"):
                 each.attrib.pop(key, None)
         return model
+
+    def _read_urdf(self, urdf: Element) -> Any:
+        text = tostring(urdf, encoding="unicode")
+        spec = mujoco.MjSpec.from_string(text, assets=self.folder.meshes)
+        spec.compile()
+        return spec
 
     def _compiled(self, spec: Any) -> Any:
         try:
@@ -580,6 +593,22 @@ class _Derivation:
         spec.compiler.settotalmass = -1.0
         for part in (*self._geoms(), *spec.joints, *spec.sites, *spec.meshes):
             part.classname = spec.default
+        self._group_geoms(is_seen_apart=is_seen_apart)
+        for what in ("actuators", "cameras", "materials"):
+            for each in list(getattr(spec, what)):
+                spec.delete(each)
+        for name in names:
+            actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            actuator.set_to_position(kp=1.0)
+            actuator.forcelimited, actuator.forcerange = True, [-1.0, 1.0]
+        for joint in spec.joints:  # The motors' limits are the actuators'.
+            joint.actfrclimited = False
+        self._compiled(spec)
+        return str(spec.to_xml())
+
+    def _group_geoms(self, *, is_seen_apart: bool) -> None:
+        """Tell what collides from what is only seen, or leave that out with its meshes."""
+        spec = self.mjspec
         for geom in self._geoms():
             number = int(self.model.geom(geom.name).id)
             geom.rgba, geom.material = list(self._look(number)), ""
@@ -589,21 +618,10 @@ class _Derivation:
                 spec.delete(geom)
             else:
                 geom.group, geom.contype, geom.conaffinity = VISUAL_GROUP, _HIDDEN, 0
-        for what in ("actuators", "cameras", "materials"):
-            for each in list(getattr(spec, what)):
-                spec.delete(each)
         used = {geom.meshname for geom in self._geoms()}
         for mesh in list(spec.meshes):
             if mesh.name not in used:
                 spec.delete(mesh)
-        for name in names:
-            actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            actuator.set_to_position(kp=1.0)
-            actuator.forcelimited, actuator.forcerange = True, [-1.0, 1.0]
-        for joint in spec.joints:  # The motors' limits are the actuators'.
-            joint.actfrclimited = False
-        self._compiled(spec)
-        return str(spec.to_xml())
 
     def _geoms(self) -> list[Any]:
         return [geom for body in self.mjspec.bodies for geom in body.geoms]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,17 +13,27 @@ from nw_eval.scenes.rays import RayScene
 from nw_eval.sim.body import RobotRays
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from nw_eval.robots import RobotSpec, Shape
     from nw_eval.sim.binding import MjData, MjModel
 
 Array = npt.NDArray[np.float64]
 
 
+class _Part(NamedTuple):
+    """What a body looks like, in its own frame."""
+
+    body: int
+    rays: RayScene
+    normals: Array  # (F, 3), or 0 of a face without an area
+    shapes: npt.NDArray[np.intp]  # (F,) which shape a face is of
+    middle: Array  # (3,) m
+    reach: float  # m from there to the farthest point
+
+
 class Looks:
     """Casts rays at a robot's `visuals`, where its bodies are now.
-
-    A ray caster is built for each pose that is asked about, some milliseconds for a mesh of 20,000
-    faces, and serves until the robot moves.
 
     Args:
         robot: pictured by its `visuals`.
@@ -34,27 +44,16 @@ class Looks:
     """
 
     def __init__(self, robot: RobotSpec, model: MjModel) -> None:
+        self._weld = model.body_weldid
         self._root = int(model.body(robot.root).id)
-        meshes = [mesh_of(shape) for shape in robot.visuals]
-        bodies = [int(model.body(shape.body).id) for shape in robot.visuals]
-        counts = [len(points) for points, _ in meshes]
-        firsts = np.cumsum([0, *counts])
-        self._points = np.concatenate([np.zeros((0, 3)), *(points for points, _ in meshes)])
-        self._faces = np.concatenate(
-            [
-                np.zeros((0, 3), np.int32),
-                *(faces + first for (_, faces), first in zip(meshes, firsts[:-1], strict=True)),
-            ]
-        ).astype(np.int32)
-        self._owner = np.repeat(np.array(bodies, np.intp), counts)
-        self._shape = np.repeat(np.arange(len(meshes)), [len(faces) for _, faces in meshes])
+        own: dict[str, list[int]] = {}
+        for number, shape in enumerate(robot.visuals):
+            own.setdefault(shape.body, []).append(number)
+        self._parts = [
+            _part(int(model.body(body).id), robot.visuals, numbers) for body, numbers in own.items()
+        ]
         colours = [shape.rgba or (0.5, 0.5, 0.5, 1.0) for shape in robot.visuals]
         self.rgba = np.array(colours, dtype=np.float32).reshape(-1, 4)
-        # What is fixed to the trunk moves with a camera that is.
-        rigid = model.body_weldid == model.body_weldid[self._root]
-        self._apart = ~rigid[self._owner[self._faces[:, 0]]]
-        self._pose: bytes = b""
-        self._casters: dict[bool, tuple[RayScene, Array, npt.NDArray[np.intp]]] = {}
 
     def cast(
         self, data: MjData, origins: Array, directions: Array, *, without_trunk: bool
@@ -68,43 +67,49 @@ class Looks:
             without_trunk: the trunk and what is fixed to it are transparent.
         """
         count = len(directions)
-        # About the trunk: rays are cast in single precision.
-        middle = data.xpos[self._root].copy()
-        rays, normals, shapes = self._caster(data, middle, without_trunk=without_trunk)
-        starts = np.broadcast_to(np.asarray(origins, np.float64) - middle, (count, 3))
-        distance, face = rays.cast(starts, directions)
-        met = np.flatnonzero(face >= 0)
+        distance = np.full(count, np.inf)
         geom, normal = np.full(count, -1, dtype=np.int32), np.zeros((count, 3))
-        geom[met] = shapes[face[met]]
-        own = normals[face[met]]
+        starts = np.asarray(origins, dtype=np.float64)
+        for part in self._parts:
+            if without_trunk and self._weld[part.body] == self._weld[self._root]:
+                continue
+            R, at = data.xmat[part.body].reshape(3, 3), data.xpos[part.body]
+            ahead = R @ part.middle + at - starts
+            is_fan = starts.ndim == 1
+            along = directions @ ahead if is_fan else (directions * ahead).sum(axis=1)
+            beside = (ahead**2).sum(axis=-1) - along**2
+            near = np.flatnonzero((beside < part.reach**2) & (along > -part.reach))
+            begin = np.broadcast_to((starts - at) @ R, (count, 3))[near]
+            far, face = part.rays.cast(begin, directions[near] @ R)
+            first = np.flatnonzero(far < distance[near])
+            met = near[first]
+            distance[met], geom[met] = far[first], part.shapes[face[first]]
+            normal[met] = part.normals[face[first]] @ R.T
         # Towards the eye: not every mesh's faces turn one way.
-        facing = np.where((own * directions[met]).sum(axis=1, keepdims=True) > 0.0, -1.0, 1.0)
-        normal[met] = own * facing
+        met = np.flatnonzero(geom >= 0)
+        away = (normal[met] * directions[met]).sum(axis=1) > 0.0
+        normal[met[away]] *= -1.0
         return RobotRays(distance, geom, normal)
 
-    def _caster(
-        self, data: MjData, middle: Array, *, without_trunk: bool
-    ) -> tuple[RayScene, Array, npt.NDArray[np.intp]]:
-        """Return a caster round `middle`, and of each of its faces normal and shape."""
-        pose = data.xpos.tobytes() + data.xmat.tobytes()
-        if pose != self._pose:
-            self._pose, self._casters = pose, {}
-        if without_trunk not in self._casters:
-            turns = data.xmat[self._owner].reshape(-1, 3, 3)
-            moved = np.einsum("nij,nj->ni", turns, self._points)
-            moved += data.xpos[self._owner] - middle
-            chosen = self._apart if without_trunk else np.ones(len(self._faces), np.bool_)
-            mesh = TriangleMesh(
-                vertices=moved,
-                faces=self._faces[chosen],
-                kinds=np.zeros(int(chosen.sum()), np.uint8),
-            )
-            self._casters[without_trunk] = (
-                RayScene(mesh),
-                unit_normals(mesh.triangles),
-                self._shape[chosen],
-            )
-        return self._casters[without_trunk]
+
+def _part(body: int, shapes: Sequence[Shape], numbers: Sequence[int]) -> _Part:
+    meshes = [mesh_of(shapes[number]) for number in numbers]
+    firsts = np.cumsum([0, *(len(points) for points, _ in meshes)])
+    points = np.concatenate([points for points, _ in meshes])
+    faces = [faces + first for (_, faces), first in zip(meshes, firsts[:-1], strict=True)]
+    counts = [len(each) for each in faces]
+    joined = np.concatenate(faces).astype(np.int32)
+    mesh = TriangleMesh(vertices=points, faces=joined, kinds=np.zeros(len(joined), np.uint8))
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return _Part(
+        body=body,
+        rays=RayScene(mesh),
+        normals=unit_normals(mesh.triangles),
+        shapes=np.repeat(np.array(numbers, np.intp), counts),
+        middle=middle,
+        # And a little: rays are cast in single precision.
+        reach=float(np.linalg.norm(points - middle, axis=1).max()) * 1.001 + 1e-6,
+    )
 
 
 def unit_normals(corners: Array) -> Array:

@@ -342,7 +342,7 @@ def _head(frame: str) -> bytes:
 
 
 def _corners(shape: Shape) -> Points:
-    """Return the eight corners of a shape's box in its body's frame, or points of a mesh, (N, 3) m."""
+    """Return the corners of a shape's box in its body's frame, or some points of a mesh, (N, 3)."""
     if shape.triangles is not None:
         vertices = shape.triangles.vertices
         chosen = np.linspace(0, len(vertices) - 1, min(len(vertices), _MESH_POINTS))
