@@ -133,11 +133,9 @@ def roll_out(
     from nw_eval.api.plans import rechecked
     from nw_eval.api.verifying import unforeseen_seed
     from nw_eval.engine import session
-    from nw_eval.engine.forecast import obstacles_of
     from nw_eval.engine.listener import Silence
     from nw_eval.gate.baseline.combine import unjudged
     from nw_eval.results.provenance import read_run_info
-    from nw_eval.rollout.perturbed import unfelt
 
     ears, command = listener or Silence(), tuple(sys.argv)
     # Scores are judged once, of all trials: only success alone may settle a run early.
@@ -147,14 +145,8 @@ def roll_out(
         whole = all_rounds or plan.shard is not None
         plan = rechecked(plan, unforeseen_seed(), all_rounds=whole)
     contest = None
-    if plan.shard is not None:
-        ears.message(_part(plan, plan.shard))
-    for axis in unfelt(plan.bundle.card, dict(plan.suite.perturb.cells[0])):
-        ears.message(f"perturb.{axis} changes nothing for {plan.bundle.card.name}: no sense for it")
-    for scene, finding in _trail_faults(plan):
-        ears.message(f"scene {scene}: {finding.message}; {finding.fix}")
-    for reason in obstacles_of(plan):
-        ears.message(f"this run cannot PASS: {reason}")
+    for words in _ahead(plan):
+        ears.message(words)
     if plan.against is not None:
         contest = Contest(
             plan,
@@ -189,6 +181,24 @@ def roll_out(
     if contest is not None:
         contest.end(read_run_info(folder.run_json))
     return folder
+
+
+def _ahead(plan: Plan) -> Iterator[str]:
+    """Yield what is said before a run begins."""
+    from nw_eval.engine.forecast import obstacles_of
+    from nw_eval.robots import find_robot
+    from nw_eval.rollout.perturbed import unfelt
+
+    if plan.shard is not None:
+        yield _part(plan, plan.shard)
+    for note in find_robot(plan.suite.robot).notes:
+        yield f"robot {plan.suite.robot.partition('@')[0]}: {note}"
+    for axis in unfelt(plan.bundle.card, dict(plan.suite.perturb.cells[0])):
+        yield f"perturb.{axis} changes nothing for {plan.bundle.card.name}: no sense for it"
+    for scene, finding in _trail_faults(plan):
+        yield f"scene {scene}: {finding.message}; {finding.fix}"
+    for reason in obstacles_of(plan):
+        yield f"this run cannot PASS: {reason}"
 
 
 def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:

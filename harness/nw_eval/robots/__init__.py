@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from nw_eval.errors import PluginError, RobotError, UsageError, nearest
 from nw_eval.plugins import ROBOTS, identity_of, imported, installed, subject, warn_if_built_in
-from nw_eval.robots.spec import CameraMount, RobotSpec, Shape
+from nw_eval.robots.spec import CameraMount, RobotSpec, Shape, Triangles
 
 __all__ = [
     "BUILT_IN",
@@ -17,6 +17,7 @@ __all__ = [
     "FoundRobot",
     "RobotSpec",
     "Shape",
+    "Triangles",
     "find_robot",
     "get_robot",
     "know_robot",
@@ -45,11 +46,13 @@ class FoundRobot:
         identity: empty for a built-in one; of a folder 32 hex digits of the SHA-256 of its files;
             of an installed package `package-version-` and 32 hex digits of its code's.
         folder: where it lies; None = nowhere that files could be sent from.
+        notes: sentences about what of it is not drawn.
     """
 
     spec: RobotSpec
     identity: str = ""
     folder: Path | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def reference(self) -> str:
@@ -193,7 +196,9 @@ def _of_folder(folder: Path, *, is_known: bool = True) -> FoundRobot:
             message = f"name: {read.settings.name!r} is built in"
             raise RobotError([read.file.problem(("name",), message, "give another name")])
         stamps = _stamps(folder, read.files)
-        found = FoundRobot(spec=spec_of(read), identity=read.digest[:_DIGITS], folder=folder)
+        spec, identity = spec_of(read), read.digest[:_DIGITS]
+        notes = tuple(read.notes)
+        found = FoundRobot(spec=spec, identity=identity, folder=folder, notes=notes)
         before = _read[folder] = _Read(found, read.files, stamps)
     if is_known:
         _folders[before.found.spec.name] = folder

@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from nw_eval.errors import RobotError, nearest
 from nw_eval.robots.folder import Camera, RobotFolder, element_lines, fill_meshes
+from nw_eval.robots.looks import kept_thinned, shares
 from nw_eval.robots.spec import (
     COLLISION_GROUP,
     VISUAL_GROUP,
@@ -28,6 +29,7 @@ from nw_eval.robots.spec import (
     Follow,
     RobotSpec,
     Shape,
+    Triangles,
 )
 from nw_eval.robots.standing import CLEARANCE, LevelGround, collides, lowest
 
@@ -45,13 +47,13 @@ _FOOT_REACH = 0.02  # m above the lowest collision point, within which a body st
 # `mj_multiRay` of MuJoCo 4.0 passes over a body when the ray misses the box around those of its
 # geoms that have any collision bit, and with it over visual geoms that stick out.
 _HIDDEN = 1 << 30
-_MOST_SHAPES = 400  # drawn in logs
+_MOST_SHAPES = 400  # that are drawn
+_GRID = 2.0**14  # points of meshes stand on 1/16384 m: the zero bits compress, and nobody sees it
 _AHEAD = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 _UNLIMITED = 1e6  # rad
 _TURN = 1e-6  # by which a rotation may miss
 _REWRITE = "leave as_written out, and the file is rewritten"
 _LIGHTEST, _HEAVIEST = 0.1, 2_000.0  # kg
-_GREY = (0.6, 0.62, 0.65, 1.0)
 
 
 def spec_of(folder: RobotFolder) -> RobotSpec:
@@ -162,15 +164,29 @@ class _Derivation:
         for each in urdf.findall("mujoco"):
             urdf.remove(each)
         options = {"strippath": "true", "fusestatic": "false", "balanceinertia": "true"}
-        SubElement(SubElement(urdf, "mujoco"), "compiler", options)
-        text = tostring(urdf, encoding="unicode")
-        spec = mujoco.MjSpec.from_string(text, assets=self.folder.meshes)
-        spec.compile()
+        SubElement(SubElement(urdf, "mujoco"), "compiler", {**options, "discardvisual": "false"})
+        try:
+            spec = self._read_urdf(urdf)
+        except ValueError as error:
+            if next(urdf.iter("visual"), None) is None:
+                raise
+            for link in urdf.iter("link"):
+                for visual in link.findall("visual"):
+                    link.remove(visual)
+            spec = self._read_urdf(urdf)  # What is wrong without its looks, is.
+            said = str(error).strip().splitlines()[0]
+            self.folder.notes.append(f"its <visual> are not drawn: MuJoCo says {said}")
         model = fromstring(spec.to_xml())  # noqa: S314 - MuJoCo's own text.
         for each in model.findall("compiler"):
             for key in ("meshdir", "texturedir", "strippath"):
                 each.attrib.pop(key, None)
         return model
+
+    def _read_urdf(self, urdf: Element) -> Any:
+        text = tostring(urdf, encoding="unicode")
+        spec = mujoco.MjSpec.from_string(text, assets=self.folder.meshes)
+        spec.compile()
+        return spec
 
     def _compiled(self, spec: Any) -> Any:
         try:
@@ -305,13 +321,17 @@ class _Derivation:
         watched = tuple(self._parts(("body",), self._watched()))
         height, free = self.settings.spawn_height, published.free_joint
         cameras = self._cameras()
-        visuals = self._visuals()
+        visuals, pictured = self._visuals()
         follows: tuple[Follow, ...] = tuple(motor.follows for motor in motors)
         self._round_wheels(
             [j for j, follow in zip(self.joints, follows, strict=True) if follow != "position"]
         )
         as_written = self.settings.model.as_written
-        mjcf = self._text_as_written(names) if as_written else self._mjcf(names)
+        mjcf = (
+            self._text_as_written(names)
+            if as_written
+            else self._mjcf(names, is_seen_apart=pictured == "visuals")
+        )
         spec = RobotSpec(
             name=self.settings.name,
             joints=tuple(names),
@@ -338,6 +358,7 @@ class _Derivation:
             root_defaults=(free.damping, free.armature, free.friction),
             bodies=(self.root, *(body for body in self.bodies if body != self.root)),
             visuals=visuals,
+            pictured=pictured,
             spawn_height=-min(lows.values()) + CLEARANCE if height is None else height,
             mjcf=mjcf,
         )
@@ -682,21 +703,81 @@ class _Derivation:
         T[:3, 3] = R.T @ (own.xpos - root.xpos)
         return T
 
-    def _visuals(self) -> tuple[Shape, ...]:
-        """Return primitives that are drawn in logs: of a mesh, the box round it."""
-        model = self.model
-        geoms = range(model.ngeom)
-        seen = [g for g in geoms if not collides(self.model, g)] or list(geoms)
-        shapes: list[Shape] = []
-        for geom in seen[:_MOST_SHAPES]:
-            body = self._body(int(model.geom_bodyid[geom]))
-            if body not in self.bodies:
-                continue
-            shapes += _shapes(model, geom, body)
-        return tuple(shapes)
+    def _visuals(self) -> tuple[tuple[Shape, ...], Literal["geoms", "visuals"]]:
+        """Return what is drawn, and what of it pictures show.
 
-    def _mjcf(self, names: Sequence[str]) -> str:
-        """Write the model with one actuator a joint, and groups by what collides and is seen."""
+        Where all that is only seen are primitives, pictures show these geoms. Else no mesh is left
+        to physics, and a body without anything that is only seen shows what collides.
+        """
+        model = self.model
+        geoms = [g for g in range(model.ngeom) if self._look(g)[3] > 0.0]
+        only_seen = [g for g in geoms if not collides(self.model, g)]
+        has_meshes = any(model.geom_type[g] == _MESH for g in only_seen)
+        if only_seen and not has_meshes:
+            shapes = [shape for g in only_seen[:_MOST_SHAPES] for shape in self._shapes(g, None)]
+            return tuple(shapes), "geoms"
+        shown = {int(model.geom_bodyid[g]) for g in only_seen}
+        seen = [g for g in geoms if g in only_seen or int(model.geom_bodyid[g]) not in shown]
+        meshes = [g for g in seen[:_MOST_SHAPES] if model.geom_type[g] == _MESH]
+        faces = [int(model.mesh_facenum[model.geom_dataid[g]]) for g in meshes]
+        sizes = [float(np.linalg.norm(model.geom_aabb[g, 3:])) for g in meshes]
+        most = dict(zip(meshes, shares(faces, sizes), strict=True))
+        return tuple(
+            s for g in seen[:_MOST_SHAPES] for s in self._shapes(g, most.get(g))
+        ), "visuals"
+
+    def _look(self, geom: int) -> tuple[float, float, float, float]:
+        """Return the colour of a geom, 0 to 1: its own, else its material's, as MuJoCo draws it."""
+        material = int(self.model.geom_matid[geom])
+        own = self.model.geom_rgba[geom]
+        is_own = material < 0 or not np.array_equal(own, np.array(_PLAIN, np.float32))
+        red, green, blue, alpha = _decimals(own if is_own else self.model.mat_rgba[material])
+        return red, green, blue, alpha
+
+    def _shapes(self, geom: int, most: int | None) -> list[Shape]:
+        """Return what a geom looks like, in the frame of its body.
+
+        Args:
+            geom: its number.
+            most: how many faces a mesh may have.
+        """
+        model = self.model
+        kind, size = int(model.geom_type[geom]), model.geom_size[geom].tolist()
+        position, turn = model.geom_pos[geom], tuple(model.geom_quat[geom].tolist())
+        at = tuple(position.tolist())
+        body = self._body(int(model.geom_bodyid[geom]))
+        look: dict[str, Any] = {"body": body, "rgba": self._look(geom)}
+        if kind in _KINDS:
+            name, count = _KINDS[kind]
+            return [Shape(kind=name, size=tuple(size[:count]), position=at, quat=turn, **look)]  # pyright: ignore[reportArgumentType]
+        turned = np.empty(9)
+        mujoco.mju_quat2Mat(turned, model.geom_quat[geom])
+        R = turned.reshape(3, 3)
+        if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            radius, half = size[:2]
+            ends = [tuple((position + R[:, 2] * end).tolist()) for end in (half, -half)]
+            tube = Shape(kind="cylinder", size=(radius, half), position=at, quat=turn, **look)
+            return [tube, *(Shape(kind="sphere", size=(radius,), position=e, **look) for e in ends)]
+        if kind != _MESH or not most:
+            return []
+        mesh = int(model.geom_dataid[geom])
+        start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        vertices = model.mesh_vert[start : start + count].astype(np.float64)
+        start, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+        faces = model.mesh_face[start : start + count].astype(np.int64)
+        fewer = kept_thinned(vertices, faces, most)
+        if not len(fewer.faces):
+            return []
+        points = np.rint((fewer.vertices @ R.T + position) * _GRID) / _GRID
+        return [Shape(kind="mesh", size=(), triangles=Triangles.of(points, fewer.faces), **look)]
+
+    def _mjcf(self, names: Sequence[str], *, is_seen_apart: bool) -> str:
+        """Write the model with one actuator a joint, and groups by what collides and is seen.
+
+        Args:
+            names: of the joints that have one.
+            is_seen_apart: what is only seen is left out.
+        """
         spec, model = self.mjspec, self.model
         # What was compiled is written out, body by body: classes of defaults may say less.
         for body in spec.bodies[1:]:
@@ -708,13 +789,7 @@ class _Derivation:
         spec.compiler.settotalmass = -1.0
         for part in (*self._geoms(), *spec.joints, *spec.sites, *spec.meshes):
             part.classname = spec.default
-        for geom in self._geoms():
-            number = int(self.model.geom(geom.name).id)
-            geom.rgba, geom.material = self._rgba(number), ""
-            if collides(self.model, number):
-                geom.group = COLLISION_GROUP
-            else:
-                geom.group, geom.contype, geom.conaffinity = VISUAL_GROUP, _HIDDEN, 0
+        self._group_geoms(is_seen_apart=is_seen_apart)
         for what in ("actuators", "cameras", "materials"):
             for each in list(getattr(spec, what)):
                 spec.delete(each)
@@ -789,13 +864,25 @@ class _Derivation:
                 geom.size = [radius, float(np.ptp(along)) / 2.0, 0.0]
                 geom.pos, geom.quat = self.model.jnt_pos[joint] + middle * axis, quat
 
+    def _group_geoms(self, *, is_seen_apart: bool) -> None:
+        """Tell what collides from what is only seen, or leave that out with its meshes."""
+        spec = self.mjspec
+        for geom in self._geoms():
+            number = int(self.model.geom(geom.name).id)
+            geom.rgba, geom.material = list(self._look(number)), ""
+            if collides(self.model, number):
+                geom.group = COLLISION_GROUP
+            elif is_seen_apart:
+                spec.delete(geom)
+            else:
+                geom.group, geom.contype, geom.conaffinity = VISUAL_GROUP, _HIDDEN, 0
+        used = {geom.meshname for geom in self._geoms()}
+        for mesh in list(spec.meshes):
+            if mesh.name not in used:
+                spec.delete(mesh)
+
     def _geoms(self) -> list[Any]:
         return [geom for body in self.mjspec.bodies for geom in body.geoms]
-
-    def _rgba(self, geom: int) -> list[float]:
-        material = int(self.model.geom_matid[geom])
-        rgba = self.model.geom_rgba[geom] if material < 0 else self.model.mat_rgba[material]
-        return [float(value) for value in rgba]
 
     def _fault(
         self, place: tuple[str | int, ...], message: str, fix: str | None = None
@@ -848,35 +935,12 @@ def _mount(position: Array, R: Array, fovy: float) -> CameraMount:
     return CameraMount(position=(x, y, z), R_trunk_camera=(rows[0], rows[1], rows[2]), fovy=fovy)
 
 
+_PLAIN = (0.5, 0.5, 0.5, 1.0)
+"""The colour of a geom that has none of its own."""
+_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 _KINDS = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): ("sphere", 1),
     int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
     int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", 3),
 }
-
-
-def _shapes(model: Any, geom: int, body: str) -> list[Shape]:
-    """Return what a geom looks like, in the frame of its body."""
-    kind, size = int(model.geom_type[geom]), model.geom_size[geom].tolist()
-    position, turn = model.geom_pos[geom], tuple(model.geom_quat[geom].tolist())
-    material = int(model.geom_matid[geom])
-    rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
-    look: dict[str, Any] = {"body": body, "quat": turn, "rgba": _decimals(rgba)}
-    if kind in _KINDS:
-        name, count = _KINDS[kind]
-        at = tuple(position.tolist())
-        return [Shape(kind=name, size=tuple(size[:count]), position=at, **look)]  # pyright: ignore[reportArgumentType]
-    turned = np.empty(9)
-    mujoco.mju_quat2Mat(turned, model.geom_quat[geom])
-    R = turned.reshape(3, 3)
-    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        radius, half = size[:2]
-        ends = [tuple((position + R[:, 2] * end).tolist()) for end in (half, -half)]
-        tube = Shape(
-            kind="cylinder", size=(radius, half), position=tuple(position.tolist()), **look
-        )
-        return [tube, *(Shape(kind="sphere", size=(radius,), position=end, **look) for end in ends)]
-    middle, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-    at = tuple((position + R @ middle).tolist())
-    return [Shape(kind="box", size=tuple(half.tolist()), position=at, **look)]

@@ -42,8 +42,8 @@ MESHES, MESH_BYTES, MESHES_BYTES = 500, 2**26, 2**28
 FACES, ALL_FACES = 200_000, 1_000_000
 """What a folder may hold: of the model file, of one mesh, of all of them."""
 
-# Elements that say nothing about the body, and those of URDF that MuJoCo does not read or that
-# show what is only seen.
+# Elements that say nothing about the body, and those of URDF that MuJoCo does not read. What is
+# called <visual> are settings of a window in an MJCF, and what is seen of a link in a URDF.
 _LEFT_OUT = frozenset(
     {
         *("option", "size", "visual", "statistic", "custom", "sensor", "texture", "light"),
@@ -54,8 +54,9 @@ _MJCF = """mujoco compiler default asset mesh material worldbody body frame iner
     geom site camera contact pair exclude equality connect weld tendon fixed spatial actuator
     general motor position velocity intvelocity damper"""
 _URDF = """robot link collision geometry box sphere cylinder origin mass inertia parent child axis
-    limit mimic color"""
+    limit mimic color visual"""
 _KNOWN = frozenset([*_MJCF.split(), *_URDF.split()])
+_READ = frozenset({".stl", ".obj"})
 _FARTHEST = 1e5  # of a mesh's numbers, before its scale
 _PATHS = frozenset(
     {
@@ -234,6 +235,7 @@ class RobotFolder:
         poses: joint positions of its keyframes by name, as they are written.
         files: names of all files that were read.
         digest: hex SHA-256 of their names and bytes.
+        notes: sentences about what is not drawn.
     """
 
     path: Path
@@ -246,6 +248,7 @@ class RobotFolder:
     poses: dict[str, str]
     files: tuple[str, ...]
     digest: str
+    notes: list[str]
 
     def fault(self, message: str, fix: str | None = None, line: int = 1) -> RobotError:
         """Return an error about the model file."""
@@ -298,6 +301,7 @@ def read_folder(folder: Path, text: str | None = None) -> RobotFolder:
         poses=poses,
         files=tuple(reader.seen),
         digest=reader.digest,
+        notes=reader.notes,
     )
 
 
@@ -312,6 +316,7 @@ class _Reader:
     meshes: dict[str, bytes] = field(default_factory=dict[str, bytes])
     names: dict[str, str] = field(default_factory=dict[str, str])
     lines: dict[Element, int] = field(default_factory=dict[Element, int])
+    notes: list[str] = field(default_factory=list[str])
     where: str = ""
     base: str = ""
     """The folder of the model file, from which its paths start, within the robot's."""
@@ -392,12 +397,13 @@ class _Reader:
 
     def tidy(self, root: Element) -> None:
         """Leave out what a body does not need, and read the meshes."""
-        self._check(root)
+        is_urdf = root.tag == "robot"
+        self._check(root, _LEFT_OUT - {"visual"} if is_urdf else _LEFT_OUT)
         compiler = {k: v for each in root.iter("compiler") for k, v in each.attrib.items()}
-        if root.tag == "mujoco":
-            self._mjcf_meshes(root, compiler)
-        else:
+        if is_urdf:
             self._urdf_meshes(root)
+        else:
+            self._mjcf_meshes(root, compiler)
         for element in root.iter():
             if element.tag != "mesh":
                 for key in _PATHS & set(element.attrib):
@@ -405,9 +411,9 @@ class _Reader:
             if element.tag == "material":
                 element.attrib.pop("texture", None)
 
-    def _check(self, parent: Element) -> None:
+    def _check(self, parent: Element, left_out: frozenset[str]) -> None:
         for child in list(parent):
-            if child.tag in _LEFT_OUT:
+            if child.tag in left_out:
                 parent.remove(child)
             elif child.tag in _KNOWN:
                 for key, value in child.attrib.items():
@@ -425,7 +431,7 @@ class _Reader:
                         "remove it, and drive the joints of a chain that is open",
                         self.lines[child],
                     )
-                self._check(child)
+                self._check(child, left_out)
             else:
                 raise self.fault(
                     f"<{child.tag}> is not among the elements that a robot may have",
@@ -448,12 +454,47 @@ class _Reader:
                     mesh.set("file", self._mesh(Path(self.base, folder, file), mesh))
 
     def _urdf_meshes(self, root: Element) -> None:
-        for mesh in root.iter("mesh"):
-            file = mesh.get("filename", "")
-            # `package://name/meshes/hip.stl`: the folder stands for the package.
-            _, scheme, rest = file.partition("package://")
-            path = Path(rest.partition("/")[2]) if scheme else Path(self.base, file)
-            mesh.set("filename", self._mesh(path, mesh))
+        for link in root.iter("link"):
+            for visual in link.findall("visual"):
+                if not self._is_drawn(visual):
+                    link.remove(visual)
+            for mesh in (mesh for each in link.findall("collision") for mesh in each.iter("mesh")):
+                mesh.set("filename", self._mesh(self._in_folder(mesh), mesh))
+
+    def _is_drawn(self, visual: Element) -> bool:
+        """Read the mesh of what is seen of a link; where it cannot be read, say so in a note."""
+        for mesh in visual.iter("mesh"):
+            path = self._in_folder(mesh)
+            try:
+                mesh.set("filename", self._named(path, self._seen(path)))
+            except FileNotFoundError:
+                return self._without(path, "it is not in the folder")
+            except ValueError as error:
+                return self._without(path, str(error))
+        return True
+
+    def _seen(self, path: Path) -> bytes:
+        """Return a mesh that can be drawn.
+
+        Raises:
+            FileNotFoundError: there is none.
+            ValueError: what is wrong with it.
+        """
+        suffix = path.suffix.lower()
+        message = "only STL and OBJ are read" if suffix not in _READ else ""
+        if not message:
+            content = self.read(str(path), MESH_BYTES)
+            faces = len(triangles(content, suffix)[1])
+            total = sum(map(len, self.meshes.values())) + len(content)
+            if faces <= FACES and total <= MESHES_BYTES and len(self.meshes) < MESHES:
+                return content
+            message = f"it has {faces} faces, or all meshes are too large or too many"
+        raise ValueError(message)
+
+    def _without(self, path: Path, why: str) -> bool:
+        rest = "its link is drawn as the rest of it, or as what collides"
+        self.notes.append(f"visual mesh {str(path)!r} is not drawn: {why}; {rest}")
+        return False
 
     def _mesh(self, path: Path, element: Element) -> str:
         """Read a mesh, and return the name that it has from now on."""
@@ -469,11 +510,23 @@ class _Reader:
             if isinstance(error, OutsideError):
                 fix = "copy it into the folder, and name it by a path from the model file"
             raise self.fault(f"mesh {error}", fix, line) from None
-        name = f"{len(self.meshes)}{path.suffix.lower()}"
-        self.meshes[name], self.names[name] = content, file
+        name = self._named(file, content)
         if len(self.meshes) > MESHES or sum(map(len, self.meshes.values())) > MESHES_BYTES:
             bound = f"{MESHES} meshes or {MESHES_BYTES // 2**20} MiB"
             raise self.fault(f"it has over {bound}", _THINNER, line)
+        return name
+
+    def _in_folder(self, mesh: Element) -> Path:
+        """Return the path of a URDF's mesh."""
+        file = mesh.get("filename", "")
+        # `package://name/meshes/hip.stl`: the folder stands for the package.
+        _, scheme, rest = file.partition("package://")
+        return Path(os.path.normpath(rest.partition("/")[2] if scheme else Path(self.base, file)))
+
+    def _named(self, path: str | Path, content: bytes) -> str:
+        """Keep a mesh, and return the name that it has from now on."""
+        name = f"{len(self.meshes)}{Path(path).suffix.lower()}"
+        self.meshes[name], self.names[name] = content, str(path)
         return name
 
 
@@ -533,14 +586,15 @@ def triangles(content: bytes, suffix: str) -> tuple[Array, npt.NDArray[np.int64]
     Raises:
         ValueError: it is neither, or damaged.
     """
-    if suffix not in {".stl", ".obj"}:
+    if suffix not in _READ:
         message = f"{suffix or 'a file without an ending'} cannot be read; give .stl or .obj"
         raise ValueError(message)
     import trimesh
 
     load: Any = trimesh.load_mesh  # pyright: ignore[reportUnknownMemberType]
     try:
-        mesh = load(io.BytesIO(content), file_type=suffix[1:], skip_materials=True)
+        with np.errstate(all="ignore"):
+            mesh = load(io.BytesIO(content), file_type=suffix[1:], skip_materials=True)
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         faces = np.asarray(mesh.faces, dtype=np.int64)
     except Exception as error:  # noqa: BLE001 - whatever a damaged file makes of a parser.

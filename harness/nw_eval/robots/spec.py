@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -29,21 +29,46 @@ VISUAL_GROUP = 2
 COLLISION_GROUP = 3
 
 
+@dataclass(frozen=True)
+class Triangles:
+    """A mesh, as bytes: robots are compared and hashed."""
+
+    points: bytes  # float32, three a vertex, m
+    corners: bytes  # int32, three a face: vertices, counter-clockwise from outside
+
+    @classmethod
+    def of(cls, vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> Triangles:
+        """Return those of vertices (V, 3) m and faces (F, 3)."""
+        return cls(vertices.astype("<f4").tobytes(), faces.astype("<i4").tobytes())
+
+    @property
+    def vertices(self) -> npt.NDArray[np.float32]:
+        """(V, 3) m."""
+        return np.frombuffer(self.points, "<f4").reshape(-1, 3)
+
+    @property
+    def faces(self) -> npt.NDArray[np.int32]:
+        """(F, 3)."""
+        return np.frombuffer(self.corners, "<i4").reshape(-1, 3)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """One primitive fixed to a body of the robot.
+    """One primitive or mesh fixed to a body of the robot.
 
     `size` is, by kind: box half sizes (3); cylinder radius and half length, axis z (2); ellipsoid
-    radii (3); sphere radius (1). All in metres.
+    radii (3); sphere radius (1). All in metres. A mesh has none, and its `triangles` stand in the
+    frame of the body.
     """
 
     body: str
-    kind: Literal["box", "cylinder", "ellipsoid", "sphere"]
+    kind: Literal["box", "cylinder", "ellipsoid", "sphere", "mesh"]
     size: tuple[float, ...]
     position: Vector3 = (0.0, 0.0, 0.0)
     quat: Quaternion = (1.0, 0.0, 0.0, 0.0)
     name: str = ""
     rgba: tuple[float, float, float, float] | None = None  # None: collision only, never seen
+    triangles: Triangles | None = None  # of a mesh
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +128,8 @@ class RobotSpec:
     root_defaults: Vector3 = (0.0, 0.0, 0.0)
     bodies: tuple[str, ...]  # every body, the root first, parents before children
     visuals: tuple[Shape, ...]  # what a viewer draws, in body frames
+    # What pictures draw: geoms of VISUAL_GROUP in `mjcf`, or `visuals`, which physics knows not of.
+    pictured: Literal["geoms", "visuals"] = "geoms"
     spawn_height: float  # m, trunk origin above the ground at the start
     # The model as MJCF text, without ground or options of the scene; one actuator a joint, of its
     # name and in the order of `joints`.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
@@ -18,6 +19,7 @@ from nw_eval.sim.forces import (
     PhysicsRate,
     specific_force,
 )
+from nw_eval.sim.looks import Looks
 from nw_eval.sim.model import Actuators, compile_model
 from nw_eval.sim.state import check, fingerprint, keep_warnings_out_of_files, pack, unpack
 
@@ -343,7 +345,7 @@ class World(Body):
         *,
         exclude: Literal["nothing", "trunk"] = "nothing",
     ) -> RobotRays:
-        """Cast rays at the robot's visual primitives.
+        """Cast rays at what the robot looks like.
 
         Args:
             origins: (3,) for a common origin, which is fast, or (N, 3); world frame.
@@ -351,10 +353,22 @@ class World(Body):
             exclude: `trunk` leaves out trunk and head, for cameras that sit inside them.
         """
         self._require_open()
+        if self.robot.pictured == "visuals":
+            without = exclude == "trunk"
+            return self._looks.cast(self._data, origins, directions, without_trunk=without)
         body = self._trunk if exclude == "trunk" else -1
         return cast_at_visuals(self._model, self._data, origins, directions, exclude_body=body)
 
+    @property
+    def geom_rgba(self) -> npt.NDArray[np.float32]:
+        """Colour of all that rays can meet of the robot, (G, 4), for `RobotRays.geom`."""
+        return self._looks.rgba if self.robot.pictured == "visuals" else super().geom_rgba
+
     # Inside.
+
+    @cached_property
+    def _looks(self) -> Looks:
+        return Looks(self.robot, self._model)
 
     def _derive(self) -> None:
         """Compute what follows from the state: forces too, unless those of before are read."""

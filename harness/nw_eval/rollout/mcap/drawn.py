@@ -59,6 +59,7 @@ _POINT = np.dtype([("xyz", "<f4", 3), ("rgba", "u1", 4)])
 _DATA = b"\x32"  # field 6 of a `PointCloud`, the last one
 
 _PLACE_POINTS = 3000
+_MESH_POINTS = 48
 _GRID = 128.0  # Points of place and rings stand on 1/128 m, whose zero bits compress.
 _PATH: Colour = (0.10, 0.45, 0.95, 1.0)
 _DOTS = 0.1  # m between two points of the trail
@@ -193,6 +194,14 @@ def _add_shape(entity: SceneEntity, shape: Shape) -> None:
         case "sphere":
             size = Vector3(x=full[0], y=full[0], z=full[0])
             entity.spheres.append(SpherePrimitive(pose=pose, size=size, color=colour))
+        case "mesh":
+            assert shape.triangles is not None, "a mesh has triangles"
+            triangles = TriangleListPrimitive(
+                pose=pose, color=colour, indices=shape.triangles.faces.ravel().tolist()
+            )
+            for x, y, z in shape.triangles.vertices.tolist():
+                triangles.points.add(x=x, y=y, z=z)
+            entity.triangles.append(triangles)
         case _:
             assert_never(shape.kind)
 
@@ -231,13 +240,16 @@ def place_cloud(mesh: TriangleMesh) -> bytes:
 
 @lru_cache(maxsize=4)
 def robot_clouds(bodies: tuple[str, ...], visuals: tuple[Shape, ...]) -> dict[str, bytes]:
-    """Return the corners of each body's boxes and the like, in the body's own frame."""
+    """Return points of each body's shapes in its own frame: corners, and some points of meshes."""
     found: dict[str, bytes] = {}
     for body in bodies:
         shapes = [shape for shape in visuals if shape.body == body]
         if shapes:
             points = [_corners(shape) for shape in shapes]
-            colours = [[shape.rgba or (0.5, 0.5, 0.5, 1.0)] * 8 for shape in shapes]
+            colours = [
+                [shape.rgba or (0.5, 0.5, 0.5, 1.0)] * len(own)
+                for shape, own in zip(shapes, points, strict=True)
+            ]
             found[body] = _cloud(0, body, _rows(np.concatenate(points), np.concatenate(colours)))
     return found
 
@@ -330,7 +342,11 @@ def _head(frame: str) -> bytes:
 
 
 def _corners(shape: Shape) -> Points:
-    """Return the eight corners of a shape's box in its body's frame, (8, 3) m."""
+    """Return the corners of a shape's box in its body's frame, or some points of a mesh, (N, 3)."""
+    if shape.triangles is not None:
+        vertices = shape.triangles.vertices
+        chosen = np.linspace(0, len(vertices) - 1, min(len(vertices), _MESH_POINTS))
+        return vertices[chosen.astype(np.intp)]
     half = {
         "cylinder": (shape.size[0], shape.size[0], shape.size[-1]),
         "sphere": (shape.size[0],) * 3,
