@@ -46,6 +46,7 @@ _HIDDEN = 1 << 30
 _MOST_SHAPES = 400  # drawn in logs
 _AHEAD = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 _UNLIMITED = 1e6  # rad
+_FLAT = 1e-9  # of variances across and along a mesh that lies in one plane
 _TURN = 1e-6  # by which a rotation may miss
 _REWRITE = "leave as_written out, and the file is rewritten"
 _GREY = (0.6, 0.62, 0.65, 1.0)
@@ -262,13 +263,13 @@ class _Derivation:
         )
 
     def _motors(self, names: Sequence[str]) -> list[_Motor]:
-        written = self._written()
+        written, damped = self._written(), self._servo_damping()
         motors: list[_Motor] = []
         matched = [False] * len(self.settings.motors)
         for joint, name in zip(self.joints, names, strict=True):
             dof = int(self.model.jnt_dofadr[joint])
             kp, torque = written.get(name, (None, None))
-            kd = float(np.ravel(self.model.dof_damping[dof])[0])
+            kd = float(np.ravel(self.model.dof_damping[dof])[0]) + damped.get(name, 0.0)
             armature = float(self.model.dof_armature[dof])
             friction = float(self.model.dof_frictionloss[dof])
             if self.model.jnt_actfrclimited[joint]:
@@ -322,6 +323,16 @@ class _Derivation:
             found[joint] = (float(gain * gear * gear) if servo else None, torque)
         return found
 
+    def _servo_damping(self) -> dict[str, float]:
+        """Return the damping of servos by joint, `kv` or `dampratio` in the file, N m s / rad."""
+        model, found = self.model, dict[str, float]()
+        for motor in range(model.nu):
+            if model.actuator_trntype[motor] == mujoco.mjtTrn.mjTRN_JOINT:
+                joint = str(model.joint(int(model.actuator_trnid[motor, 0])).name)
+                gear, kv = float(model.actuator_gear[motor, 0]), model.actuator_biasprm[motor, 2]
+                found[joint] = max(0.0, -float(kv) * gear * gear)
+        return found
+
     def _range(self, joint: int) -> tuple[float, float]:
         if not self.model.jnt_limited[joint]:
             return -_UNLIMITED, _UNLIMITED
@@ -347,8 +358,9 @@ class _Derivation:
 
     def _pose(self, names: Sequence[str], ranges: Sequence[tuple[float, float]]) -> list[float]:
         said = self.settings.pose
-        if said is None and "home" in self.folder.poses:
-            said = "home"
+        if said is None and self.folder.poses:
+            only = next(iter(self.folder.poses)) if len(self.folder.poses) == 1 else None
+            said = "home" if "home" in self.folder.poses else only
         pose = [min(max(0.0, low), high) for low, high in ranges]
         if isinstance(said, str):
             return self._keyframe(said)
@@ -563,6 +575,7 @@ class _Derivation:
             body.explicitinertial = True
             body.mass, body.inertia = model.body_mass[number], model.body_inertia[number]
             body.ipos, body.iquat = model.body_ipos[number], model.body_iquat[number]
+            body.fullinertia = [math.nan, *(0.0,) * 5]  # What is not a number is not set.
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
         spec.compiler.settotalmass = -1.0
         for part in (*self._geoms(), *spec.joints, *spec.sites, *spec.meshes):
@@ -573,7 +586,8 @@ class _Derivation:
             if self._collides(number):
                 geom.group = COLLISION_GROUP
             else:
-                geom.group, geom.contype, geom.conaffinity = VISUAL_GROUP, _HIDDEN, 0
+                geom.group, geom.conaffinity = VISUAL_GROUP, 0
+                geom.contype = 0 if self._is_flat(number) else _HIDDEN
         for what in ("actuators", "cameras", "materials"):
             for each in list(getattr(spec, what)):
                 spec.delete(each)
@@ -606,7 +620,7 @@ class _Derivation:
                 motors == [("position", name, name) for name in names] and model.nu == len(names),
             ),
             (
-                f"groups of geoms are not {COLLISION_GROUP}, and {VISUAL_GROUP} where none collides",
+                f"groups of geoms are not {COLLISION_GROUP}, or {VISUAL_GROUP} where none collides",
                 model.geom_group.tolist() == kinds,
             ),
         ):
@@ -615,6 +629,16 @@ class _Derivation:
         fill_meshes(tree, self.folder)
         indent(tree)  # Comments of the file are gone, and left their lines empty.
         return tostring(tree, encoding="unicode")
+
+    def _is_flat(self, geom: int) -> bool:
+        """Whether a geom is a mesh in one plane: it has no hull, and needs none with contype 0."""
+        model, mesh = self.model, int(self.model.geom_dataid[geom])
+        if mesh < 0 or model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_MESH:
+            return False
+        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        points = model.mesh_vert[first : first + count].astype(np.float64)
+        spread = np.linalg.eigvalsh(np.cov(points, rowvar=False))
+        return bool(spread[0] < _FLAT * spread[2])
 
     def _geoms(self) -> list[Any]:
         return [geom for body in self.mjspec.bodies for geom in body.geoms]
