@@ -70,6 +70,7 @@ _ROOMS = MappingProxyType(
             "draw_sensors",
             "evaluate",
             "fetch_policy",
+            "fetch_robot",
             "fetch_scene",
             "find_cause",
             "fold_policy",

@@ -227,6 +227,68 @@ def test_defaults_and_options_of_its_file_change_no_scene(hopper):
         assert model.geom("hull").condim == 1
 
 
+def test_a_model_may_include_files_of_its_folder_which_count_for_its_identity(tmp_path):
+    whole = find_robot(f"{written(tmp_path / 'whole')}/")
+    first, second = MJCF.index("<worldbody>"), MJCF.index("<actuator>")
+    parts = MJCF[:first] + '<include file="parts/body.xml"/>' + MJCF[second:]
+    folder = written(tmp_path / "split", parts)
+    (folder / "parts").mkdir()
+    inner = f"<mujocoinclude>{MJCF[first:second]}</mujocoinclude>"
+    (folder / "parts" / "body.xml").write_text(inner)
+    split = find_robot(f"{folder}/")
+    assert split.spec == whole.spec
+    (folder / "parts" / "body.xml").write_text(inner.replace('mass="5"', 'mass="6"'))
+    assert find_robot(f"{folder}/").identity != split.identity
+    many = "<site/>" * (limits.ELEMENTS // 2)
+    (folder / "parts" / "body.xml").write_text(inner.replace("<light", f"{many}<light"))
+    message = faults(
+        folder, parts.replace("<actuator>", f"<worldbody>{many}</worldbody><actuator>")
+    )
+    assert message == ("parts/body.xml:1:1: it has over 20000 elements, or 100 in each other")
+
+
+def test_damping_of_a_servo_is_its_kd_as_dampratio_says_it_too(tmp_path):
+    mjcf = MJCF.replace('kp="70"', 'kp="70" kv="1.1"')
+    yaml = YAML[: YAML.index("motors:")] + "motors: [{joints: '*', kp: 1, torque: 2}]\n"
+    kd = find_robot(f"{written(tmp_path / 'kv', mjcf, yaml)}/").spec.joint_damping
+    assert kd == pytest.approx((0.3 + 1.1, 0.0, 0.0, 0.0))
+    mjcf = MJCF.replace('kp="70"', 'kp="70" dampratio="1"')
+    kd = find_robot(f"{written(tmp_path / 'ratio', mjcf, yaml)}/").spec.joint_damping
+    theirs = mujoco.MjModel.from_xml_string(
+        mjcf.replace('file="../../looks.png"', 'builtin="flat" width="1" height="1"')
+        .replace('<mesh name="unused" file="nowhere.stl"/>', "")
+        .replace('site="imu"', 'site="s"')
+        .replace('<camera name="front"', '<site name="s"/><camera name="front"'),
+        {"shapes/shell.stl": (tmp_path / "kv" / "shapes" / "shell.stl").read_bytes()},
+    )
+    assert kd[0] == pytest.approx(0.3 - theirs.actuator_biasprm[0, 2])
+    assert kd[0] > 0.35
+
+
+def test_an_inertia_in_full_and_a_flat_mesh_that_is_only_seen_are_read(tmp_path):
+    full = '<inertial pos="0 0 0" mass="5" fullinertia="0.02 0.03 0.04 0.001 0 0"/>'
+    mjcf = MJCF.replace('<geom name="hull"', f'{full}<geom name="hull"')
+    flat = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n"
+    mjcf = mjcf.replace('file="shell.stl"', 'file="plate.obj" inertia="shell"')
+    folder = written(tmp_path, mjcf)
+    (folder / "shapes" / "plate.obj").write_text(flat)
+    spec = find_robot(f"{folder}/").spec
+    model = mujoco.MjModel.from_xml_string(spec.mjcf)
+    assert sorted(model.body("hull").inertia) == pytest.approx(
+        sorted(np.linalg.eigvalsh([[0.02, 0.001, 0], [0.001, 0.03, 0], [0, 0, 0.04]])), rel=1e-5
+    )
+    assert mujoco.mjtGeom.mjGEOM_MESH in model.geom_type
+
+
+def test_the_only_keyframe_is_the_pose_whatever_it_is_called(tmp_path):
+    other = MJCF.replace('name="home"', 'name="standing"')
+    spec = find_robot(f"{written(tmp_path / 'one', other)}/").spec
+    assert spec.default_pose == (0.4, -0.1, 0.4, -0.1)
+    two = other.replace("<keyframe>", '<keyframe><key name="lying"/>')
+    spec = find_robot(f"{written(tmp_path / 'two', two)}/").spec
+    assert spec.default_pose == (0.0,) * 4
+
+
 def test_it_stands_on_its_feet(hopper):
     with World(hopper, FLAT) as world:
         for _ in range(8):
@@ -302,7 +364,10 @@ def test_what_robot_yaml_says_wrongly_is_told_with_its_place(tmp_path, line, sai
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("<light", '<include file="/etc/passwd"/><light', "<include> is not among the elements"),
+        ("<light", '<include file="/etc/passwd"/><light', "<include>: '/etc/passwd' leaves the"),
+        ("<light", '<include file="../a.xml"/><light', "<include>: '../a.xml' leaves the folder"),
+        ("<light", '<include file="a.xml"/><light', "<include>: 'a.xml' is not in the folder"),
+        ("<light", '<include file="./hopper.xml"/><light', "'hopper.xml' is read already; inc"),
         ("<asset>", '<extension><plugin plugin="x"/></extension><asset>', "<extension> is not"),
         ("<asset>", '<asset><model name="m" file="m.xml"/>', "<model> is not among the elements"),
         ("<asset>", '<asset><hfield name="h" file="h.png"/>', "<hfield> is not among"),

@@ -21,7 +21,7 @@ from nw_eval.api.blaming import BlamedTrial, BlamePlan, Blames, blame
 from nw_eval.api.cache import CacheCleanup, CacheUse, cache_info, prune_cache, verify_cache
 from nw_eval.api.cause import FoundCause, find_cause
 from nw_eval.api.comparisons import agree, compare
-from nw_eval.api.hub import PushedScene, fetch_policy, fetch_scene, push_scene
+from nw_eval.api.hub import PushedScene, fetch_policy, fetch_robot, fetch_scene, push_scene
 from nw_eval.api.ledgers import read_ledger, record_verdict
 from nw_eval.api.merges import merge
 from nw_eval.api.plans import check, plan
@@ -140,6 +140,7 @@ __all__ = [
     "draw_sensors",
     "evaluate",
     "fetch_policy",
+    "fetch_robot",
     "fetch_scene",
     "find_cause",
     "fold_policy",

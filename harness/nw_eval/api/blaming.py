@@ -100,7 +100,7 @@ def blame(
     from nw_eval.errors import UsageError
     from nw_eval.reporting.tables.trials import worst_trials
     from nw_eval.results.evidence_check import present_logs
-    from nw_eval.robots import find_robot
+    from nw_eval.robots import find_robot, know_robot
     from nw_eval.rollout.confined.vetting import vet_bundle
     from nw_eval.rollout.replaying.apart import blame_apart
 
@@ -109,9 +109,12 @@ def blame(
     folder, info, rows = _read(run)
     bundle = baseline_bundle(baseline, info, policy=policy, checkpoint=checkpoint)
     robot = None if info.request is None else info.request.robot
+    named = str(info.suite.get("robot", ""))
+    for each in (robot or named, named):
+        know_robot(each, None)  # The run may be a stranger's, which fetches nothing.
     if robot is not None:
         find_robot(robot)  # A folder's name is known from then on.
-    vet_bundle(bundle, str(info.suite.get("robot", "")), allow_code=allow_code)
+    vet_bundle(bundle, named, allow_code=allow_code)
     failed = worst_trials(rows)
     logs = present_logs(folder, failed)
     chosen = [row for row in failed if row.trial_id in logs][:at_most]

@@ -1,4 +1,4 @@
-"""Scenes and policies of a hub: fetched ahead of a run, and pushed."""
+"""Scenes, policies and robots of a hub: fetched ahead of a run, and pushed."""
 
 from __future__ import annotations
 
@@ -68,6 +68,29 @@ def fetch_policy(reference: str, *, listener: FetchListener | None = None) -> Fe
     with _heard(listener):
         fetched = fetch(parse(reference, "policy"))
     card_of_fetched(fetched)
+    return fetched
+
+
+def fetch_robot(reference: str, *, listener: FetchListener | None = None) -> Fetched:
+    """Return a robot as its hub, or MuJoCo Menagerie, has it now, fetched as far as it is not here.
+
+    Args:
+        reference: `hub:org/name[@revision]`, or `menagerie:NAME`: the revision that the installed
+            package `mujoco-menagerie` has.
+        listener: hears how far it is.
+
+    Raises:
+        RobotError: there is no such robot, or it cannot be used; or not for this user.
+        FetchError, StoreError: as `fetch_scene`.
+        PrerequisiteError: the extra `hub`, or `robots`, is not installed.
+    """
+    from nw_eval.hub.fetch import fetch
+    from nw_eval.hub.reference import parse
+    from nw_eval.robots import find_robot
+
+    with _heard(listener):
+        fetched = fetch(parse(reference, "robot"))
+        find_robot(reference)
     return fetched
 
 

@@ -167,8 +167,8 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
         card: valid in itself.
         file: that it was read from.
     """
-    if "/" in card.robot:
-        message = f"robot: {card.robot!r} is a path, and a card names its robot by name"
+    if "/" in card.robot or ":" in card.robot:
+        message = f"robot: {card.robot!r} is no name, and a card names its robot by name"
         return [file.problem(("robot",), message, "write the `name` of its robot.yaml")]
     try:
         robot = get_robot(card.robot)

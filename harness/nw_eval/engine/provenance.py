@@ -77,6 +77,7 @@ def run_info(
         suite_digest=suite.digest,
         scores={**{x.name: x for x in declared_by(suite.task)}, **specs_of(suite.measured)},
         policy=policy_info(plan.bundle),
+        robot_fetched=None if plan.robot_folder is None else _fetched(plan.robot_folder),
         own_policy=plan.own_policy,
         scenes=_scene_infos(plan),
         left_out=plan.left_out,
@@ -189,7 +190,7 @@ def _rasterize_mode(scene: Scene) -> RasterizeMode | None:
 
 
 def _fetched(path: Path) -> FetchedInfo | None:
-    """Return what a policy or a scene was fetched as, if it was."""
+    """Return what a policy, a scene or a robot was fetched as, if it was."""
     from nw_eval.hub.fetched import origin_of
 
     origin = origin_of(path)

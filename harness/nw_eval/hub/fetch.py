@@ -13,15 +13,13 @@ import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import BinaryIO
 
 from nw_eval.amounts import in_words
 from nw_eval.clean import clean
 from nw_eval.errors import FetchError, StoreError
-from nw_eval.hub import limits, listener
+from nw_eval.hub import limits, listener, menagerie
 from nw_eval.hub.client import (
     Client,
     Deadline,
@@ -35,13 +33,12 @@ from nw_eval.hub.client import (
 from nw_eval.hub.contents import RemoteFile, commit_of, files_of, unpack
 from nw_eval.hub.fetched import (
     Fetched,
-    digest_of,
     forget_checks,
     kept,
     known_commit,
+    put_in_place,
     remember_commit,
     repository_folder,
-    write_list,
 )
 from nw_eval.hub.reference import Reference
 from nw_eval.plural import plural
@@ -54,7 +51,7 @@ def located(reference: Reference) -> Fetched:
     `fetch` looks again; what of it is damaged or gone is fetched anew at that commit.
 
     Raises:
-        SceneError, PolicyError, FetchError, PrerequisiteError, StoreError, UsageError: as `fetch`.
+        NwEvalError: as `fetch`.
     """
     commit = known_commit(reference)
     found = None if commit is None else kept(reference, commit)
@@ -68,21 +65,27 @@ def fetch(reference: Reference) -> Fetched:
     """Return what a reference names now, fetched as far as it is not kept.
 
     Raises:
-        SceneError, PolicyError: by the reference's kind: there is no such repository, revision or
-            file, not for this user, or it breaks a limit.
+        SceneError, PolicyError, RobotError: by the reference's kind: there is no such repository,
+            revision or file, not for this user, or it breaks a limit.
         FetchError: the hub cannot be reached or fails; what came is kept, and gone on from.
-        PrerequisiteError: the extra `hub` is not installed.
+        PrerequisiteError: the extra `hub`, or `robots` for MuJoCo Menagerie, is not installed.
         UsageError: HF_ENDPOINT is no address.
         StoreError: the cache cannot be written.
     """
     found = kept(reference, reference.revision) if reference.is_pinned else None
     if found is not None:
         return found
-    client = open_client(reference)
+    client = None if reference.is_of_menagerie else open_client(reference)
     try:
-        with worded(client, reference):
-            commit = commit_of(client, reference)
-        found = kept(reference, commit) or _bring(client, reference, commit)
+        if client is None:
+            with _alone_in(repository_folder(reference)):
+                forget_checks()
+                found = menagerie.bring(reference)
+            commit = found.revision
+        else:
+            with worded(client, reference):
+                commit = commit_of(client, reference)
+            found = kept(reference, commit) or _bring(client, reference, commit)
     except FetchError as error:
         raise _still_kept(reference, error) from None
     except OSError as error:
@@ -121,40 +124,18 @@ def _put_together(
     client: Client, reference: Reference, commit: str, parts: dict[RemoteFile, Path]
 ) -> Fetched:
     """Make the folder of files that are here, and its list, and put them into place."""
-    repository = repository_folder(reference)
-    work = Path(mkdtemp(prefix=".new-", dir=repository))
-    try:
-        folder = work / reference.label
-        folder.mkdir()
-        names = [file.path for file in parts]
+
+    def fill(folder: Path) -> list[str]:
         if reference.archive is not None:
             (archive,) = parts.values()
-            names = unpack(reference, archive, folder)
-        else:
-            for file, part in parts.items():
-                _link(part, folder / file.path)
-        place = repository / commit / reference.label
-        fetched = Fetched(
-            reference=reference.name,
-            kind=reference.kind,
-            repository=reference.repository,
-            revision=commit,
-            endpoint=client.endpoint,
-            fetched=datetime.now(tz=UTC).isoformat(timespec="seconds"),
-            folder=place,
-            files={name: digest_of(folder / name) for name in names},
-            bytes=sum((folder / name).stat().st_size for name in names),
-        )
-        write_list(fetched, work / "list")
-        place.parent.mkdir(exist_ok=True)
-        shutil.rmtree(place, ignore_errors=True)  # It was damaged.
-        folder.rename(place)
-        (work / "list").replace(place.with_name(f"{place.name}.json"))
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
+            return list(unpack(reference, archive, folder))
+        for file, part in parts.items():
+            _link(part, folder / file.path)
+        return [file.path for file in parts]
+
+    fetched = put_in_place(reference, commit, client.endpoint, fill)
     for part in parts.values():
         part.unlink(missing_ok=True)
-    forget_checks()
     return fetched
 
 

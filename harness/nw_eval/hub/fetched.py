@@ -4,18 +4,21 @@
                                             <label>.json      what they are: a `Fetched`
                                    <label>.revisions.json     which commit a branch or tag meant
 
-`kind` is scene or policy, and `label` the name of the folder that people see: the repository's, or
-of a published scene its own. A folder and its list appear together or not at all.
+`kind` is scene, policy or robot, and `label` the name of the folder that people see: the
+repository's, or of a published scene its own. A folder and its list appear together or not at all.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import shutil
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any, cast
 
 from nw_eval.errors import StoreError
@@ -29,7 +32,7 @@ _ROOM = "hub"
 
 @dataclass(frozen=True, kw_only=True)
 class Fetched:
-    """A place or a policy that was fetched."""
+    """A scene, a policy or a robot that was fetched."""
 
     reference: str
     """What names it, without a revision."""
@@ -94,6 +97,50 @@ def write_list(fetched: Fetched, path: Path) -> None:
     """
     values = {name: value for name, value in asdict(fetched).items() if name != "folder"}
     path.write_text(json.dumps(values, indent=2), encoding="utf-8")
+
+
+def put_in_place(
+    reference: Reference, commit: str, endpoint: str, fill: Callable[[Path], Sequence[str]]
+) -> Fetched:
+    """Keep a folder of files with its list, both or neither.
+
+    Args:
+        reference: what they are of.
+        commit: at which.
+        endpoint: where they came from.
+        fill: writes them into a new folder, and returns their names.
+
+    Raises:
+        OSError: they cannot be written.
+        Exception: what `fill` raises.
+    """
+    repository = repository_folder(reference)
+    work = Path(mkdtemp(prefix=".new-", dir=repository))
+    try:
+        folder = work / reference.label
+        folder.mkdir()
+        names = fill(folder)
+        place = repository / commit / reference.label
+        fetched = Fetched(
+            reference=reference.name,
+            kind=reference.kind,
+            repository=reference.repository,
+            revision=commit,
+            endpoint=endpoint,
+            fetched=datetime.now(tz=UTC).isoformat(timespec="seconds"),
+            folder=place,
+            files={name: digest_of(folder / name) for name in names},
+            bytes=sum((folder / name).stat().st_size for name in names),
+        )
+        write_list(fetched, work / "list")
+        place.parent.mkdir(exist_ok=True)
+        shutil.rmtree(place, ignore_errors=True)  # It was damaged.
+        folder.rename(place)
+        (work / "list").replace(place.with_name(f"{place.name}.json"))
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    forget_checks()
+    return fetched
 
 
 def origin_of(path: Path) -> Fetched | None:

@@ -1,4 +1,4 @@
-"""What people write of something that lies on a hub: `hub:org/name`, `hub:org/name@revision`."""
+"""What people write of something that is fetched: `hub:org/name[@revision]`, `menagerie:NAME`."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 from nw_eval.clean import clean
-from nw_eval.errors import NwEvalError, PolicyError, SceneError
+from nw_eval.errors import NwEvalError, PolicyError, RobotError, SceneError
 
 PREFIX = "hub:"
+MENAGERIE = "menagerie:"
 
-Kind = Literal["scene", "policy"]
+Kind = Literal["scene", "policy", "robot"]
 
 MAIN = "main"
 """The revision that is meant where none is named."""
@@ -19,9 +20,14 @@ MAIN = "main"
 # The hub's own rule for names, less those that begin with a dot or a dash.
 _NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,95}"
 _REFERENCE = re.compile(rf"hub:({_NAME}/{_NAME})(?:@([A-Za-z0-9_][A-Za-z0-9_./-]{{0,199}}))?")
+_MENAGERIE = re.compile(rf"{MENAGERIE}([a-z0-9_]{{1,64}})(?:@([0-9a-f]{{40}}))?")
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 
-_ERRORS: dict[Kind, type[NwEvalError]] = {"scene": SceneError, "policy": PolicyError}
+_ERRORS: dict[Kind, type[NwEvalError]] = {
+    "scene": SceneError,
+    "policy": PolicyError,
+    "robot": RobotError,
+}
 
 # `download.py` of ziyc/neverwhere, commit 5774a18: one zip for each scene, whose root is the
 # scene's folder.
@@ -36,7 +42,7 @@ class Reference:
     """What people wrote."""
     kind: Kind
     repository: str
-    """`org/name`. Scenes are repositories of data sets, policies are of models."""
+    """`org/name`. Scenes are repositories of data sets, policies and robots are of models."""
     revision: str = MAIN
     """A branch, a tag or a commit."""
     label: str
@@ -55,12 +61,17 @@ class Reference:
         return "dataset" if self.kind == "scene" else "model"
 
     @property
+    def is_of_menagerie(self) -> bool:
+        """Whether it is a robot of MuJoCo Menagerie, which no hub has."""
+        return self.text.startswith(MENAGERIE)
+
+    @property
     def is_pinned(self) -> bool:
         """Whether it names a commit, which never means anything else."""
         return is_commit(self.revision)
 
     def error(self, message: str, fix: str) -> NwEvalError:
-        """Return the error of its kind: a SceneError or a PolicyError."""
+        """Return the error of its kind: a SceneError, a PolicyError or a RobotError."""
         return _ERRORS[self.kind](f"{self.text}: {message}", fix=fix)
 
 
@@ -70,11 +81,13 @@ def is_commit(revision: str) -> bool:
 
 
 def parse(text: str, kind: Kind) -> Reference:
-    """Return what `hub:org/name[@revision]` names.
+    """Return what `hub:org/name[@revision]` names, or of robots `menagerie:NAME[@revision]`.
 
     Raises:
-        SceneError, PolicyError: by its kind: it is no such reference.
+        SceneError, PolicyError, RobotError: by its kind: it is no such reference.
     """
+    if kind == "robot" and text.startswith(MENAGERIE):
+        return _robot_of_menagerie(text)
     found = _REFERENCE.fullmatch(text)
     if found is None or ".." in text or "--" in found[1]:
         raise _ERRORS[kind](
@@ -88,6 +101,22 @@ def parse(text: str, kind: Kind) -> Reference:
         repository=repository,
         revision=revision,
         label=repository.partition("/")[2],
+    )
+
+
+def _robot_of_menagerie(text: str) -> Reference:
+    found = _MENAGERIE.fullmatch(text)
+    if found is None:
+        raise RobotError(
+            f"{clean(text, at_most=100)!r} names no robot of MuJoCo Menagerie",
+            fix="write menagerie:NAME, such as menagerie:unitree_go1",
+        )
+    return Reference(
+        text=text,
+        kind="robot",
+        repository=f"menagerie/{found[1]}",
+        revision=found[2] or MAIN,
+        label=found[1],
     )
 
 

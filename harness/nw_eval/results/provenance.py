@@ -55,7 +55,7 @@ class _Saved(BaseModel):
 class FetchedInfo(_Saved):
     """What of a run came from a hub, and which revision it is."""
 
-    reference: str  # What names it, without a revision: `hub:org/name`, `neverwhere:NAME`.
+    reference: str  # Without a revision: `hub:org/name`, `neverwhere:NAME`, `menagerie:NAME`.
     revision: str  # The commit.
     files: dict[str, str]  # Hex sha256 by name.
 
@@ -213,6 +213,7 @@ class RunInfo(_Saved):
     suite_digest: str
     scores: dict[str, ScoreSpec] = {}  # What its trials are measured by, as it was declared then.
     policy: PolicyInfo
+    robot_fetched: FetchedInfo | None = None  # None: it lay on the machine.
     own_policy: bool = True  # Of the suite: only then its own baseline counts.
     scenes: dict[str, SceneInfo]
     left_out: tuple[str, ...] = ()  # Scenes of the suite that the run was not to have, by name.

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from nw_eval.clean import clean
 from nw_eval.errors import PluginError, RobotError, UsageError, nearest
+from nw_eval.hub.reference import MENAGERIE, PREFIX, parse
 from nw_eval.plugins import ROBOTS, identity_of, imported, installed, subject, warn_if_built_in
 from nw_eval.robots.spec import CameraMount, RobotSpec, Shape, Triangles
 
@@ -90,8 +92,9 @@ def find_robot(reference: str, base: Path | None = None) -> FoundRobot:
     """Find a robot by name or by path.
 
     A name is one of a built-in robot, then of a folder that was found before in this process, of a
-    folder in `robots/` of the working directory, or of an installed package. What has a slash is
-    the path of a folder.
+    folder in `robots/` of the working directory, or of an installed package. `hub:org/name` and
+    `menagerie:NAME` are fetched if they are not on this machine. What has a slash otherwise is the
+    path of a folder.
 
     Args:
         reference: for example `go1`, `./my-robot`, or `name@identity` as `FoundRobot.reference`.
@@ -100,7 +103,10 @@ def find_robot(reference: str, base: Path | None = None) -> FoundRobot:
     Raises:
         UsageError: there is no such robot; the message holds the nearest name.
         RobotError: its folder or package cannot be used, or has another identity.
+        FetchError, PrerequisiteError, StoreError: it must be fetched, and cannot be.
     """
+    if reference.startswith((PREFIX, MENAGERIE)):
+        return _of_fetched(reference)
     if _is_path(reference):
         return _of_folder(Path(base or Path.cwd(), reference))
     name, _, identity = reference.partition("@")
@@ -126,6 +132,8 @@ def robot_folder(reference: str) -> Path | None:
     Raises:
         UsageError: there is no such robot.
     """
+    if reference.startswith((PREFIX, MENAGERIE)):
+        return _of_fetched(reference).folder
     if _is_path(reference):
         return Path(reference).resolve()
     name = reference.partition("@")[0]
@@ -154,7 +162,15 @@ def know_robot(reference: str, folder: Path | None) -> None:
     Args:
         reference: as `FoundRobot.reference`.
         folder: where it lies; None = it is found by its name anyway.
+
+    Raises:
+        RobotError: it would have to be fetched. Logs and runs of strangers fetch nothing.
     """
+    if reference.startswith((PREFIX, MENAGERIE)):
+        raise RobotError(
+            f"a trial of the robot {clean(reference, at_most=100)!r}, which is not its name",
+            fix="fetch it, and name its folder with --robot",
+        )
     if folder is not None:
         _folders[reference.partition("@")[0]] = folder
 
@@ -203,6 +219,28 @@ def _of_folder(folder: Path, *, is_known: bool = True) -> FoundRobot:
     if is_known:
         _folders[before.found.spec.name] = folder
     return before.found
+
+
+def _of_fetched(reference: str) -> FoundRobot:
+    """Return a robot of a hub or of MuJoCo Menagerie."""
+    from nw_eval.hub.fetch import located
+
+    fetched = located(parse(reference, "robot"))
+    if not (fetched.folder / "robot.yaml").is_file():
+        raise RobotError(
+            f"{reference}: its revision {fetched.revision[:12]} has no robot.yaml",
+            fix="name a repository that is a robot's folder",
+        )
+    try:
+        return _of_folder(fetched.folder)
+    except RobotError as error:
+        if not reference.startswith(MENAGERIE):
+            raise
+        own = f"{_FOLDER}/{fetched.folder.name}"
+        copied = f"copy {fetched.folder} to {own} and name that; in its robot.yaml, "
+        raise RobotError(
+            [replace(each, fix=copied + (each.fix or "mend it")) for each in error.problems]
+        ) from None
 
 
 class _Read(NamedTuple):

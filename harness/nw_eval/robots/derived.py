@@ -507,8 +507,9 @@ class _Derivation:
 
     def _pose(self, names: Sequence[str], ranges: Sequence[tuple[float, float]]) -> list[float]:
         said = self.settings.pose
-        if said is None and "home" in self.folder.poses:
-            said = "home"
+        if said is None and self.folder.poses:
+            only = next(iter(self.folder.poses)) if len(self.folder.poses) == 1 else None
+            said = "home" if "home" in self.folder.poses else only
         pose = [min(max(0.0, low), high) for low, high in ranges]
         if isinstance(said, str):
             return self._keyframe(said)
@@ -785,6 +786,7 @@ class _Derivation:
             body.explicitinertial = True
             body.mass, body.inertia = model.body_mass[number], model.body_inertia[number]
             body.ipos, body.iquat = model.body_ipos[number], model.body_iquat[number]
+            body.fullinertia = [math.nan, *(0.0,) * 5]  # What is not a number is not set.
         spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
         spec.compiler.settotalmass = -1.0
         for part in (*self._geoms(), *spec.joints, *spec.sites, *spec.meshes):

@@ -12,7 +12,7 @@ import hashlib
 import io
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
@@ -198,7 +198,7 @@ class RobotFile(_Part):
     """In the order that cards may use; derived: the bodies lowest in the pose."""
     pose: Name | dict[Name, float] | None = None
     """A keyframe of the model, or angles (rad) by patterns of joint names; what is not named is 0,
-    or the nearest in its range. None = the keyframe `home`, if there is one."""
+    or the nearest in its range. None = the keyframe `home`, or the only one."""
     motors: list[Motors] = Field(default_factory=list[Motors], max_length=200)
     """A later group wins."""
     body: Names | None = None
@@ -368,13 +368,41 @@ class _Reader:
             message = f"model.sha256: that of {model.file} is {found}"
             problem = self.file.problem(("model", "sha256"), message, "write it, if that is meant")
             raise RobotError([problem])
-        return self._tree(content)
+        root = self._tree(content, {"mujoco", "robot"})
+        if root.tag == "mujoco":
+            self._include(root)
+        return root
 
     def fault(self, message: str, fix: str | None = None, line: int = 1) -> RobotError:
         """Return an error about the model file."""
         return RobotError([Problem(file=self.where, line=line, column=1, message=message, fix=fix)])
 
-    def _tree(self, content: bytes) -> Element:
+    def _include(self, parent: Element) -> None:
+        """Put what each <include> names in its place."""
+        for index, child in reversed(list(enumerate(parent))):
+            if child.tag != "include":
+                self._include(child)
+                continue
+            name = Path(child.get("file", "")).as_posix()
+            if name in self.seen:  # MuJoCo refuses that, too.
+                raise self.fault(f"<include>: {name!r} is read already", "include each file once")
+            try:
+                content = self.read(name, XML_BYTES)
+            except FileNotFoundError:
+                raise self.fault(
+                    f"<include>: {name!r} is not in the folder", "put it there"
+                ) from None
+            except ValueError as error:
+                raise self.fault(f"<include>: {error}", "put it into the folder") from None
+            where, self.where = self.where, str(self.folder / name)
+            root = self._tree(content, {"mujoco", "mujocoinclude"})
+            self._include(root)
+            self.where = where
+            for element in root.iter():  # Places are told in the model file.
+                self.lines[element] = self.lines[child]
+            parent[index : index + 1] = list(root)
+
+    def _tree(self, content: bytes, tags: Collection[str]) -> Element:
         if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
             raise self.fault("it declares a document type or entities", "remove them")
         depth = 0
@@ -390,7 +418,7 @@ class _Reader:
             raise self.fault(f"it is not XML: {error}", line=error.position[0]) from None
         except (ValueError, LookupError) as error:  # An encoding that the parser does not know.
             raise self.fault(f"it cannot be read: {error}", "write it in UTF-8") from None
-        if root is None or root.tag not in {"mujoco", "robot"}:
+        if root is None or root.tag not in tags:
             tag = "nothing" if root is None else f"<{root.tag}>"
             raise self.fault(f"it begins with {tag}", "give an MJCF (<mujoco>) or a URDF (<robot>)")
         return root

@@ -148,8 +148,12 @@ def provenance_table(run: RunInfo) -> Table:
 
 
 def _fetched(run: RunInfo) -> list[str]:
-    """Return which revisions policy and scenes are that came from a hub."""
-    origins = [run.policy.fetched, *(scene.fetched for scene in run.scenes.values())]
+    """Return which revisions policy, robot and scenes are that came from elsewhere."""
+    origins = [
+        run.policy.fetched,
+        run.robot_fetched,
+        *(scene.fetched for scene in run.scenes.values()),
+    ]
     return [f"{each.reference} {each.revision[:12]}" for each in origins if each is not None]
 
 
