@@ -277,7 +277,7 @@ def test_an_inertia_in_full_and_a_flat_mesh_that_is_only_seen_are_read(tmp_path)
     assert sorted(model.body("hull").inertia) == pytest.approx(
         sorted(np.linalg.eigvalsh([[0.02, 0.001, 0], [0.001, 0.03, 0], [0, 0, 0.04]])), rel=1e-5
     )
-    assert mujoco.mjtGeom.mjGEOM_MESH in model.geom_type
+    assert [shape.kind for shape in spec.visuals if shape.body == "hull"][:1] == ["mesh"]
 
 
 def test_the_only_keyframe_is_the_pose_whatever_it_is_called(tmp_path):
