@@ -663,10 +663,6 @@ class _Derivation:
         return RobotError([self.folder.file.problem(place, words, fix)])
 
 
-def _first(error: Exception) -> str:
-    return str(error).strip().splitlines()[0]
-
-
 def _free_name(name: str, taken: set[str]) -> str:
     while name in taken:
         name += "_"
