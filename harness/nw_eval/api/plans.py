@@ -491,6 +491,7 @@ def open_policy(
         card: where the policy lies, if that is known.
         may_fail: as for `vet_bundle`.
     """
+    from nw_eval.cards.problems import UNKNOWN_ROBOT
     from nw_eval.errors import PolicyError
     from nw_eval.policies import find_card, load_bundle
 
@@ -509,7 +510,11 @@ def open_policy(
     try:
         bundle = load_bundle(path, checkpoint=request.checkpoint)
     except NwEvalError as error:
-        faults.add(error)
+        kept = [each for each in error.problems if not each.message.startswith(UNKNOWN_ROBOT)]
+        if robot is not None or len(kept) == len(error.problems):
+            faults.add(error)
+        elif kept:  # The card's robot is the one whose fault is told.
+            faults.add(PolicyError(kept))
         return None
     return _vet_policy(draft, faults, request, bundle, robot=robot, may_fail=may_fail)
 

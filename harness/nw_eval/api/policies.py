@@ -53,27 +53,61 @@ def list_policies() -> tuple[ListedPolicy, ...]:
 
 
 def show_policy(
-    policy: str, *, checkpoint: Path | None = None, allow_code: bool = False
+    policy: str,
+    *,
+    robot: str | None = None,
+    checkpoint: Path | None = None,
+    allow_code: bool = False,
 ) -> CardSummary:
     """Return what a card says: each term, each joint, whatever is not by default, its files.
 
     Args:
         policy: a bundle's name, folder or card.
+        robot: the folder of the robot that the card names; None = it is found by its name.
         checkpoint: weights to use with the card.
         allow_code: whether Python code that the card names may be imported.
 
     Raises:
+        RobotError: the folder cannot be used, or is of another robot.
         PolicyError: there is no such card, or it has problems; `checkpoint` cannot be used.
     """
     from nw_eval.onboarding.probe.summary import card_summary
     from nw_eval.policies import find_card
 
-    return card_summary(find_card(policy), checkpoint=checkpoint, allow_code=allow_code)
+    card = find_card(policy)
+    _know(robot, card)
+    return card_summary(card, checkpoint=checkpoint, allow_code=allow_code)
+
+
+def _know(robot: str | None, card: Path) -> None:
+    """Let the robot that a card names be the one of a folder.
+
+    Raises:
+        UsageError: there is no such robot.
+        RobotError: it cannot be used, or the card names another one.
+    """
+    if robot is None:
+        return
+    from nw_eval.errors import RobotError
+    from nw_eval.files.yaml_file import YamlProblems, read_yaml
+    from nw_eval.robots import find_robot
+
+    name = find_robot(robot).spec.name
+    try:
+        meant = read_yaml(card).data.get("robot")
+    except YamlProblems:
+        return  # Whoever loads the card says what is wrong with it.
+    if isinstance(meant, str) and name != meant:
+        raise RobotError(
+            f"--robot {robot} is the robot {name!r}, and {card} is a card of {meant!r}",
+            fix=f"write `robot: {name}` into the card, or name the folder of {meant!r}",
+        )
 
 
 def check_policy(
     policy: str,
     *,
+    robot: str | None = None,
     checkpoint: Path | None = None,
     scene: str | None = None,
     allow_code: bool = False,
@@ -84,18 +118,22 @@ def check_policy(
 
     Args:
         policy: a bundle's name, folder or card.
+        robot: the folder of the robot that the card names; None = it is found by its name.
         checkpoint: weights to use with the card.
         scene: where; a flat room if None, the only place where commands are tried too.
         allow_code: whether Python code that the card names may be imported.
 
     Raises:
         PolicyError: it cannot be run at all.
+        RobotError: the robot's folder cannot be used, or is of another robot.
         SceneError: there is no such scene.
     """
     from nw_eval.catalogue import brought, parse_reference
     from nw_eval.onboarding.probe.report import FLAT, probe_policy
-    from nw_eval.policies import load_bundle
+    from nw_eval.policies import find_card, load_bundle
 
+    if robot is not None:
+        _know(robot, find_card(policy))
     bundle = load_bundle(policy, checkpoint=checkpoint)
     place = scene or FLAT
     plain, _ = parse_reference(place)
@@ -111,14 +149,15 @@ def init_policy(
 
     Args:
         checkpoint: any format that an adapter reads; of a folder the newest step is taken.
-        robot: which robot the policy drives.
+        robot: which robot the policy drives: a name, or the path of a folder.
         out: the card to write; `policy.yaml` beside the checkpoint, or in the folder, if None.
         layout: name of the published layout that it is to have; the likeliest if None.
 
     Raises:
         PolicyError: the file cannot be read, could run code, holds an unknown network, does not fit
             `layout`, or drives another robot; the folder has no checkpoint.
-        UsageError: there is a card already.
+        RobotError: the robot's folder cannot be used.
+        UsageError: there is a card already, or no such robot.
         StoreError: the card cannot be written.
     """
     from nw_eval.cards.load import CARD_FILE
@@ -127,6 +166,7 @@ def init_policy(
     from nw_eval.onboarding.beside import files_beside_checkpoint, find_checkpoint
     from nw_eval.onboarding.draft import draft_of, files_beside
     from nw_eval.onboarding.notation import plain
+    from nw_eval.robots import find_robot
     from nw_eval.rollout.confined.access import inspecting_rules
     from nw_eval.rollout.confined.isolated import call_isolated
 
@@ -138,13 +178,15 @@ def init_policy(
     card = out or folder / CARD_FILE
     if what_is(followed(card)) == "file":
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
+    found = find_robot(robot)
     text = str(
         call_isolated(
             draft_of,
             subject=str(checkpoint),
-            rules=inspecting_rules(checkpoint),
+            rules=inspecting_rules(checkpoint, robot=found.folder),
             checkpoint=str(checkpoint),
-            robot=robot,
+            robot=found.reference,
+            robot_folder=None if found.folder is None else str(found.folder),
             folder=str(card.parent),
             layout=layout,
             beside=files_beside_checkpoint(checkpoint),

@@ -160,6 +160,10 @@ class _Checked:
         self.problems.append(self._file.problem(place, message, fix))
 
 
+UNKNOWN_ROBOT = "robot: unknown robot"
+"""Begins the message of a card whose robot is nowhere to be found."""
+
+
 def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
     """Return what is wrong with the robot, the joints and their values, in file order.
 

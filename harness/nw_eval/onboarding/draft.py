@@ -38,7 +38,7 @@ from nw_eval.onboarding.notation import (
 from nw_eval.onboarding.trained import KNOWN_ACTIVATIONS, network_lines, trained_network
 from nw_eval.onboarding.vectors import Likely, ObservationDraft, likely_layouts, sized_terms
 from nw_eval.policies.bundle import SIZE_LIMIT
-from nw_eval.robots import RobotSpec, get_robot
+from nw_eval.robots import BUILT_IN, RobotSpec, get_robot, know_robot
 
 _ACTION = re.compile(r"action|\bmu\b|mean|joint|target", re.IGNORECASE)
 _NAMELESS = re.compile(r"(policy|model)([._-].*)?", re.IGNORECASE)
@@ -124,15 +124,19 @@ def draft_of(
     checkpoint: str,
     robot: str,
     folder: str,
+    robot_folder: str | None = None,
     layout: str | None = None,
     beside: Mapping[str, str] | None = None,
 ) -> str:
     """Return the card of a checkpoint; as `write_card_draft`, from plain values.
 
+    The robot lies in `robot_folder`, or is found by its name.
+
     Raises:
         PolicyError: as `inspect_checkpoint` and `write_card_draft`.
         UsageError: there is no such robot.
     """
+    know_robot(robot, None if robot_folder is None else Path(robot_folder))
     facts = inspect_checkpoint(Path(checkpoint))
     return write_card_draft(
         facts, get_robot(robot), folder=Path(folder), layout=layout, beside=beside
@@ -409,13 +413,18 @@ def _motor_limits(known: ExporterMetadata, robot: RobotSpec) -> list[str]:
 
 def published(frame: Frame, robot: RobotSpec) -> dict[str, str]:
     """Return what a layout's training says of actions and motors, as a card writes it."""
-    joints = frame.joints or [short_name(joint) for joint in robot.joints]
-    values = {"scale": frame.scale, "joints": f"[{', '.join(joints)}]"}
+    own = [short_name(joint) for joint in robot.joints]
+    joints = frame.joints or own
+    is_of_them = sorted(joints) == sorted(own)
+    values = {"joints": f"[{', '.join(joints if is_of_them else own)}]"}
+    if is_of_them or "{" not in frame.scale:
+        values["scale"] = frame.scale
     if frame.clip is not None:
         values["clip"] = number(frame.clip)
-    if frame.pose is not None:
+    if frame.pose is not None and is_of_them:
         values["default_pose"] = frame.pose
-    if frame.gains is not None:
+    # Layouts are published with the gains of Go1 and Go2, which carry no other robot.
+    if frame.gains is not None and robot.name in BUILT_IN:
         values["kp"], values["kd"] = map(number, frame.gains)
     if frame.delay:
         values["delay_steps"] = str(frame.delay)
@@ -431,7 +440,7 @@ def _joints(known: ExporterMetadata, robot: RobotSpec, frame: Frame | None) -> l
             source = f"  {CHECK} the order of the checkpoint: {known.sources['joint_names']} "
             source += "names no order"
         return [f"  joints: [{', '.join(names)}]{source}"]
-    if frame is not None and frame.joints:
+    if frame is not None and sorted(frame.joints or ()) == sorted(own):
         return [f"  joints: {published(frame, robot)['joints']}  {CHECK} as {frame.name}"]
     return [f"  joints: [{', '.join(own)}]  {CHECK} the order of the checkpoint"]
 
@@ -465,7 +474,8 @@ def other_layouts(parts: Sequence[ObservationDraft], robot: RobotSpec) -> list[s
     others = {name: frame for name, frame in others.items() if name not in drafted}
     if not others:
         return []
-    command = f"nw-eval policies init CHECKPOINT --robot {robot.name} --layout NAME --out NAME.yaml"
+    whose = robot.name if robot.name in BUILT_IN else "FOLDER"
+    command = f"nw-eval policies init CHECKPOINT --robot {whose} --layout NAME --out NAME.yaml"
     lines = [
         "",
         f"# This card is of {' and '.join(sorted(drafted))}. Other published layouts of its sizes:",

@@ -44,6 +44,8 @@ class Show:
 
     policy: tyro.conf.Positional[str]
     """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
+    robot: str | None = None
+    """The folder of the robot that the card names; it is found by its name when absent."""
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     allow_code: bool = False
@@ -53,7 +55,10 @@ class Show:
         from nw_eval import api
 
         summary = api.show_policy(
-            self.policy, checkpoint=self.checkpoint, allow_code=self.allow_code
+            self.policy,
+            robot=self.robot,
+            checkpoint=self.checkpoint,
+            allow_code=self.allow_code,
         )
         print(card_page(summary))
         return 0
@@ -70,6 +75,8 @@ class Check:
 
     policy: tyro.conf.Positional[str]
     """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
+    robot: str | None = None
+    """The folder of the robot that the card names; it is found by its name when absent."""
     checkpoint: Path | None = None
     """Weights to use in place of those that the card names."""
     scene: str | None = None
@@ -83,6 +90,7 @@ class Check:
 
         report = api.check_policy(
             self.policy,
+            robot=self.robot,
             checkpoint=self.checkpoint,
             scene=self.scene,
             allow_code=self.allow_code,
@@ -105,7 +113,7 @@ class Init:
     rsl_rl, skrl, rl_games, CleanRL, Stable-Baselines3, brax or flax. Of a folder, such as a
     training's, the newest step is taken."""
     robot: str
-    """The robot that the policy drives: go1 or go2."""
+    """The robot that the policy drives: a name such as go1, or the path of a folder."""
     out: Path | None = None
     """The card to write; `policy.yaml` beside the checkpoint, or in the folder, when absent."""
     layout: str | None = None

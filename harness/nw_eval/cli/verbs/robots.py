@@ -185,11 +185,10 @@ def check_page(robot: CheckedRobot) -> str:
     ]
     ending = "it stands" if robot.stands else "it does not stand"
     held = ", held upright: it has fewer than three feet" if robot.held else ""
-    ending_tilt = f", tilted by {math.degrees(robot.tilt):.0f} degrees{held}"
+    tilted = f", tilted by {math.degrees(robot.tilt):.0f} degrees{held}"
     lines = [
         f"{robot.name}: {robot.mass:.2f} kg, of {clean(robot.place)}",
-        f"root put down at {robot.spawn_height:.3f} m; after 2 s at {robot.height:.3f} m"
-        f"{ending_tilt}",
+        f"root put down at {robot.spawn_height:.3f} m, after 2 s at {robot.height:.3f} m{tilted}",
         f"eye {_eye(robot.eye)}",
         "",
         *aligned(feet, right={1, 2}),
