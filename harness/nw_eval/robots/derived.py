@@ -534,7 +534,7 @@ class _Derivation:
         """Return the colour of a geom, 0 to 1: its own, else its material's, as MuJoCo draws it."""
         material = int(self.model.geom_matid[geom])
         own = self.model.geom_rgba[geom]
-        is_own = material < 0 or not np.array_equal(own, np.float32(_PLAIN))
+        is_own = material < 0 or not np.array_equal(own, np.array(_PLAIN, np.float32))
         red, green, blue, alpha = (own if is_own else self.model.mat_rgba[material]).tolist()
         return red, green, blue, alpha
 
