@@ -63,12 +63,13 @@ def kept_thinned(vertices: Array, faces: Faces, most: int) -> Triangles:
         path = cache_dir("robots") / f"{key[:32]}.npz"
     except StoreError:
         return thinned(vertices, faces, most)
-    try:
-        with np.load(io.BytesIO(read_sealed(path)), allow_pickle=False) as kept:
-            if bytes(kept["key"]).decode() == key:
-                return Triangles.of(kept["vertices"], kept["faces"])
-    except (StoreError, OSError, ValueError, KeyError, zipfile.BadZipFile):
-        pass  # It is not there, or damaged, and written anew.
+    # A file that is not there, or damaged, is written anew.
+    with (
+        suppress(StoreError, OSError, ValueError, KeyError, zipfile.BadZipFile),
+        np.load(io.BytesIO(read_sealed(path)), allow_pickle=False) as kept,
+    ):
+        if bytes(kept["key"]).decode() == key:
+            return Triangles.of(kept["vertices"], kept["faces"])
     fewer = thinned(vertices, faces, most)
     arrays: dict[str, Any] = {"vertices": fewer.vertices, "faces": fewer.faces}
     with suppress(StoreError), sealed_path(path) as temporary, temporary.open("wb") as file:

@@ -165,6 +165,7 @@ def draw_robot(
                 color=colour if tint is None else tint,
                 opacity=None if tint is None else _GHOST,
                 flat_shading=True,
+                side="double",  # Not every robot's faces turn outwards.
             )
     return handles
 

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
 Bytes = NDArray[np.uint8]
 
-# Where the spectator stands, in the robot's heading frame, and what is looked at; m.
+# Where the spectator stands, in the robot's heading frame, and what is looked at; m, for a trunk
+# that starts so high. Of a larger robot, the spectator stands as much farther away.
+_HEIGHT = 0.4
 _EYE = np.array([-1.35, -1.15, 0.75])
 _TARGET = np.array([0.35, 0.0, -0.05])
 _FOVY = np.deg2rad(55.0)
@@ -67,9 +69,9 @@ class Spectator:
         yaw = world.roll_pitch_yaw[2]
         cosine, sine = np.cos(yaw), np.sin(yaw)
         R = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        trunk = world.trunk_position
-        eye = self._in_front_of_walls(trunk, trunk + R @ _EYE)
-        T_world_camera = look_at(eye, trunk + R @ _TARGET)
+        trunk, times = world.trunk_position, max(1.0, world.robot.spawn_height / _HEIGHT)
+        eye = self._in_front_of_walls(trunk, trunk + R @ (times * _EYE))
+        T_world_camera = look_at(eye, trunk + R @ (times * _TARGET))
         return self.view(T_world_camera, _FOVY, world, trail, width=width, height=height)
 
     def aboard(
