@@ -57,8 +57,8 @@ class Request:
     """A suite file, or the name of a shipped suite (`nw-eval suites` lists them).
     Only --resume can do without."""
     robot: str | None = None
-    """go1, go2, the name of another robot or the path of its folder; the suite's own when
-    absent."""
+    """go1, go2, the name of another robot, the path of its folder, hub:org/name[@revision] or
+    menagerie:NAME; the suite's own when absent."""
     policy: str | None = None
     """A shipped bundle's name, a bundle's folder, a card, or hub:org/name[@revision]; the suite's
     own when absent."""

@@ -156,8 +156,8 @@ def init_policy(
     Raises:
         PolicyError: the file cannot be read, could run code, holds an unknown network, does not fit
             `layout`, or drives another robot; the folder has no checkpoint.
-        RobotError: the robot's folder cannot be used.
         UsageError: there is a card already, or no such robot.
+        RobotError, FetchError, PrerequisiteError: the robot cannot be used, or fetched.
         StoreError: the card cannot be written.
     """
     from nw_eval.cards.load import CARD_FILE

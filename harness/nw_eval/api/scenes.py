@@ -142,9 +142,9 @@ def check_scenes(
 def _write_suite(path: Path, references: Sequence[str], robot: str, policy: str | None) -> None:
     """Write a suite of scenes; paths in it start from its own folder."""
     from nw_eval.catalogue import from_folder
-    from nw_eval.suite.written import write_ready_suite
+    from nw_eval.suite.written import robot_from, write_ready_suite
 
-    here = policy
+    here, robot = policy, robot_from(path.parent, robot)
     if policy is not None and "/" in policy and Path(policy).exists():
         here = Path(os.path.relpath(policy, path.parent)).as_posix()  # Paths start at the suite.
     scenes = [from_folder(each, path.parent) for each in references]

@@ -338,8 +338,9 @@ class Suite(_Strict):
     version: Literal[1] = Field(alias="nw-eval", description="Version of this format.")
     name: Name = Field(description="The suite's name: letters, digits, '_', '-', '.'.")
     robot: Annotated[str, Field(min_length=1, max_length=1024)] = Field(
-        description="The robot: go1, go2, the name of one in robots/ or of a package, or the path "
-        "of a robot's folder. `name@identity` is that very one.",
+        description="The robot: go1, go2, the name of one in robots/ or of a package, the path "
+        "of a robot's folder, hub:org/name[@revision] or menagerie:NAME. `name@identity` is that "
+        "very one.",
         examples=["go1", "go2"],
     )
     policy: Annotated[str, Field(min_length=1)] = Field(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from io import StringIO
@@ -65,6 +66,19 @@ _LONGEST_NAME = 64
 _FEWEST = 10  # trials in each scene
 
 
+def robot_from(folder: Path, robot: str) -> str:
+    """Return what names a robot in a suite of a folder, where its paths start.
+
+    Args:
+        folder: of the suite.
+        robot: a name, or a path from the working directory.
+    """
+    if ":" in robot or "/" not in robot:
+        return robot
+    path = Path(os.path.relpath(robot, folder)).as_posix()
+    return path if path.startswith("../") else f"./{path}"
+
+
 def write_ready_suite(
     path: Path,
     name: str,
@@ -83,7 +97,7 @@ def write_ready_suite(
         path: of the file.
         name: of what it is about; what no suite's name may hold becomes a dash.
         scenes: as `scenes:` of a suite has them, one at least; paths start at the file.
-        robot: that runs in it.
+        robot: that runs in it; a path starts at the file (`robot_from`).
         policy: likewise, without `--policy`; one that nw-eval has a card of if None.
         perturb: values of axes of perturbation.
 

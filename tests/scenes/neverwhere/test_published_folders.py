@@ -72,6 +72,16 @@ def test_the_other_robots_xml_serves_where_there_is_only_one(writer):
     assert load_published(writer.write(), robot="go1").trail.shape == (2, 3)
 
 
+def test_a_folder_of_another_name_has_the_name_of_the_xml_of_any_robot(writer):
+    writer.robots = ("go1",)
+    folder = writer.write()
+    (xml,) = folder.glob("nw-*.xml")
+    xml.rename(folder / f"nw-a-long-name-{folder.name}.xml")
+    moved = folder.rename(folder.with_name("moved"))
+    scene = load_published(moved, robot="a-long-name")
+    assert scene.name == "neverwhere/hurdle_stata_v1"
+
+
 def test_an_offset_collision_body_moves_what_is_touched_and_not_what_is_seen(writer):
     """As in the three gaps scenes, whose collision body has a position of its own."""
     writer.offset, writer.turn = (-1.4, 0.0, -0.4), (0.1, -0.2, 0.4)

@@ -106,7 +106,7 @@ def find_places(reference: Path, robot: str = "go1") -> Places:
     for each in order:
         named = [xml for xml in found if xml.name.startswith(f"nw-{each}-")]
         if len(named) == 1:
-            return Places(xml=named[0], folder=reference, name=named[0].stem[len("nw-go1-") :])
+            return Places(xml=named[0], folder=reference, name=named[0].stem[len(f"nw-{each}-") :])
     named = [xml for xml in found if xml.stem == name]
     if named or len(found) == 1:
         return Places(xml=(named or found)[0], folder=reference, name=name)

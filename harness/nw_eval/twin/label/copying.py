@@ -15,7 +15,7 @@ from nw_eval.scenes.folder import SCENE_FILE, FileSplat, load_folder
 from nw_eval.scenes.limits import name_of
 from nw_eval.scenes.scene import Box, Scene
 from nw_eval.splat.files import read_splat, write_splat
-from nw_eval.suite.written import write_ready_suite
+from nw_eval.suite.written import robot_from, write_ready_suite
 from nw_eval.twin.moved import similarity_entry
 from nw_eval.twin.place import COLLISION, SPLAT, SUITE, rounded, write_collision, write_yaml
 
@@ -88,7 +88,8 @@ def copy_place(reference: str, out: Path, *, robot: str = "go1") -> None:
                 for name, path in files.files.items():
                     (staged / name).parent.mkdir(parents=True, exist_ok=True)
                     shutil.copyfile(path, staged / name)
-            write_ready_suite(staged / SUITE, load_folder(staged).name, ["."], robot=robot)
+            name, own = load_folder(staged).name, robot_from(out, robot)
+            write_ready_suite(staged / SUITE, name, ["."], robot=own)
             staged.rename(out)
     except OSError as error:
         raise StoreError(
