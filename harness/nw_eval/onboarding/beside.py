@@ -189,8 +189,10 @@ def _about(
         is_other = bool(said.model) and Path(said.model).stem != Path(checkpoint).stem
         return said.joint_count not in {0, joints}, is_other, bool(terms) and size not in {0, total}
 
-    best = min(unlikeness(said) for _, said in several)
-    return [(name, said) for name, said in several if unlikeness(said) == best]
+    # A policy of another size is another policy: its gains and pose say nothing of this one.
+    fits = [pair for pair in several if not (pair[1].input_size and size % pair[1].input_size)]
+    best = min((unlikeness(said) for _, said in fits), default=None)
+    return [(name, said) for name, said in fits if unlikeness(said) == best]
 
 
 def merged(one: ExporterMetadata, other: ExporterMetadata) -> ExporterMetadata:
@@ -241,7 +243,9 @@ def _kind(data: Data) -> tuple[str, _Reader | None]:
         return "legged_rl_deploy", _legged_rl_deploy
     if any({"observations", "rl_kp"} <= set(words) for words in (inner, data)):
         return "rl_sar", _rl_sar
-    if {"kps", "kds", "default_angles"} <= set(data) or {"ctrl_kp", "ctrl_kd"} <= set(data):
+    gains = ({"kps", "kds", "default_angles"}, {"ctrl_kp", "ctrl_kd", "action_scale"})
+    about = {"policy_path", "policy_name", "num_obs", "num_single_obs"}
+    if any(keys <= set(data) for keys in gains) and about & set(data):
         return "gym", _gym
     if any({"obs_names", "obs_cfg", "action_cfg"} <= set(words) for words in _ros_nodes(data)):
         return "legged_ros2", _legged_ros2
@@ -492,7 +496,7 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
 
     `joint_mapping` has the robot's joint of each joint of the policy; lists are in the policy's
     order. quadruped_ros2_control writes the same without the name above it. Its controller's own
-    file has the joints, in the policy's order, and the pose.
+    file has the joints, in the policy's order; its `stand_pos` is no pose of a training.
     """
     name, value = next(((key, v) for key, v in data.items() if "rl_kp" in _dict(v)), ("", data))
     config = _dict(value)
@@ -505,18 +509,17 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
         base = {
             "joint_names": base.get("joints"),
             "joint_mapping": list(range(len(_texts(base.get("joints"))))),
-            "default_dof_pos": base.get("stand_pos"),
             "dt": 1 / frequency if frequency else None,
         }
     joints = _texts(base.get("joint_names")) or motor_names(robot)
     mapping = [
-        int(number)
-        for number in _numbers(config.get("joint_mapping", base.get("joint_mapping")))
+        int(number) for number in _numbers(config.get("joint_mapping", base.get("joint_mapping")))
     ]
     names = tuple(joints[n] for n in mapping) if sorted(mapping) == list(range(len(joints))) else ()
     past = [int(number) for number in _numbers(config.get("observations_history"))]
     steps = len(past) or 1
-    newest = past[:1] == [0] and steps > 1
+    # The latest is 0 there; in the older form of the file it is the largest number.
+    newest = past[:1] == [0 if name else steps - 1] and steps > 1
     by = "term" if config.get("observations_history_priority") == "term" else "step"
     form = f"order: {'newest_first' if newest else 'oldest_first'}, by: {by}"
     period = [_number(base.get(key, config.get(key))) for key in ("dt", "decimation")]
@@ -605,7 +608,7 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         # Sine and cosine of a phase of 0.8 s, as its deploy scripts have it.
         terms.append(replace(term, name="phase", scale=(1.0,), width=2, keys="frequency: 1.25"))
     elif size is not None and size != 9 + 3 * joints:
-        terms = []
+        return ExporterMetadata()  # It is of another script, which may mean other things by it.
     step, every = (_number(data.get(key)) for key in ("simulation_dt", "control_decimation"))
     period = step * every if step and every else said("control_dt", "dt")
     names, is_guess = _gym_joints(data, robot, pose)
@@ -632,6 +635,7 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         observation_clip=_number(data.get("clip_observations")),
         model=str(said("policy_path", "policy_name") or ""),
         joint_count=joints,
+        input_size=int(size or 0),
         guessed_order=is_guess,
     )
 
@@ -649,8 +653,9 @@ def _gym_joints(
             return mapped, False
     if sorted(own) != sorted(LEG_BY_LEG):
         return (tuple(own) if len(own) == len(pose) else ()), False
-    # Isaac Gym sorts the legs by name, Genesis has them as the robot's file does.
-    return (RIGHT_FIRST if data.get("use_genesis") is True else LEG_BY_LEG), True
+    if "ctrl_kp" in data:
+        return motor_names(robot), False  # go2_deploy gives the motors what the policy gives.
+    return LEG_BY_LEG, True  # Isaac Gym sorts the legs by name.
 
 
 def _list_order(pose: Sequence[float], robot: RobotSpec) -> tuple[str, ...]:
@@ -658,9 +663,10 @@ def _list_order(pose: Sequence[float], robot: RobotSpec) -> tuple[str, ...]:
     if sorted(short_name(joint) for joint in robot.joints) != sorted(LEG_BY_LEG):
         return ()
     hips = pose[::3] if len(pose) == len(LEG_BY_LEG) else ()
-    signs = tuple(math.copysign(1.0, hip) for hip in hips if hip and abs(hip) < 0.5)
     # Legs of the robot's left stand out with a positive hip.
-    return {(1, -1, 1, -1): LEG_BY_LEG, (-1, 1, -1, 1): RIGHT_FIRST}.get(signs, ())
+    left = [hip > 0 for hip in hips if 0 < abs(hip) < 0.5]
+    orders = (([True, False] * 2, LEG_BY_LEG), ([False, True] * 2, RIGHT_FIRST))
+    return next((order for signs, order in orders if signs == left), ())
 
 
 def _ros_nodes(data: Data) -> list[Data]:

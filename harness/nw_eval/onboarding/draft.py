@@ -20,6 +20,7 @@ from nw_eval.onboarding.checkpoint import (
     EXPORT,
     ArrayFacts,
     CheckpointFacts,
+    ExportedTerm,
     ExporterMetadata,
     inspect_checkpoint,
 )
@@ -36,7 +37,13 @@ from nw_eval.onboarding.notation import (
     slug,
 )
 from nw_eval.onboarding.trained import KNOWN_ACTIVATIONS, network_lines, trained_network
-from nw_eval.onboarding.vectors import Likely, ObservationDraft, likely_layouts, sized_terms, terms_for
+from nw_eval.onboarding.vectors import (
+    Likely,
+    ObservationDraft,
+    likely_layouts,
+    sized_terms,
+    terms_for,
+)
 from nw_eval.policies.bundle import SIZE_LIMIT
 from nw_eval.robots import RobotSpec, get_robot
 
@@ -69,6 +76,7 @@ def write_card_draft(
             `layout`, or is of another robot.
     """
     widths = [array.shape[-1] or 0 for array in facts.inputs if array.shape]
+    widths = widths or [argument.size or 0 for argument in facts.script]
     size = widths[0] if len(widths) == 1 else 0
     known = read_beside(beside or {}, robot, facts.path.name, facts.exporter, size)
     refuse_another_robot(facts, known, robot)
