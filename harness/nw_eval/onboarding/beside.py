@@ -3,8 +3,9 @@
     params/deploy.yaml          unitree_rl_lab, unitree_rl_mjlab
     IO_descriptors.yaml         Isaac Lab
     params/env.yaml, agent.yaml Isaac Lab, mjlab, rsl_rl, skrl, rl_games
-    config.yaml, base.yaml      rl_sar; legged_rl_deploy
-    *.yaml                      unitree_rl_gym's deploy/configs
+    config.yaml, base.yaml      rl_sar and quadruped_ros2_control; legged_rl_deploy
+    *.yaml                      unitree_rl_gym's deploy configs, and those of its forks
+    *.yaml                      controllers of legged_ros2
 
 A file is known by its keys, not by its name. Nothing of a tag is executed: `!!python/tuple` is a
 list. Lists for each joint are in the order of `joint_names` here, whatever their order in the file.
@@ -24,8 +25,9 @@ from nw_eval.errors import PolicyError
 from nw_eval.files.inside import what_is
 from nw_eval.files.yaml_file import YamlProblems, parse_yaml
 from nw_eval.onboarding.checkpoint import CheckpointFacts, ExportedTerm, ExporterMetadata
-from nw_eval.onboarding.layouts import RIGHT_FIRST, TYPE_BY_TYPE
+from nw_eval.onboarding.layouts import LEG_BY_LEG, RIGHT_FIRST, TYPE_BY_TYPE
 from nw_eval.onboarding.notation import plain
+from nw_eval.onboarding.vectors import sized_terms
 from nw_eval.plural import plural
 from nw_eval.robots import RobotSpec
 
@@ -34,8 +36,9 @@ _LARGEST = 2**20
 _MOST = 24
 """Files that are looked at."""
 _FOLDERS = (".", "params", "io_descriptors", "config", "configs")
-_ABOVE = ("params", "io_descriptors")
-_ABOVE_FILES = ("base.yaml", "deploy.yaml", "IO_descriptors.yaml")
+_ABOVE = (".", "params", "io_descriptors", "configs")
+_OF_DEPLOY_TREE = ("deploy_mujoco/configs", "deploy_real/configs")
+"""In the folder `deploy` of unitree_rl_gym, whose checkpoints are `pre_train/ROBOT/motion.pt`."""
 _SUFFIXES = frozenset(
     {".onnx", ".pt", ".pt2", ".pth", ".jit", ".safetensors", ".zip", ".msgpack", ".cleanrl_model"}
 )
@@ -48,7 +51,8 @@ _PER_JOINT = (
     "armature",
 )
 _ORDER = (
-    "deploy", "io_descriptors", "legged_rl_deploy", "rl_sar", "gym", "checkpoint", "env", "agent",
+    "deploy", "io_descriptors", "legged_rl_deploy", "legged_ros2", "rl_sar", "gym", "checkpoint",
+    "env", "agent",
 )  # fmt: skip
 """Which kind of file is believed before others."""
 Data = Mapping[str, Any]
@@ -57,8 +61,9 @@ Data = Mapping[str, Any]
 def files_beside_checkpoint(checkpoint: Path) -> dict[str, str]:
     """Return the YAML files that may say something of a checkpoint: name and text.
 
-    They lie beside it, in `params` or `io_descriptors` there, or in those of the folder above, as
-    in Isaac Lab, where policies are exported to `exported/`.
+    They lie beside it, in `params` or `io_descriptors` there, in the folder above or in such
+    folders of that, as in Isaac Lab, where policies are exported to `exported/`. In unitree_rl_gym
+    they lie in the folders of its deploy scripts.
     """
     folder = checkpoint.parent
     found: list[tuple[str, Path]] = []
@@ -66,8 +71,12 @@ def files_beside_checkpoint(checkpoint: Path) -> dict[str, str]:
         found += _yaml_files(folder / name, "" if name == "." else f"{name}/")
     above = folder.absolute().parent
     for name in _ABOVE:
-        found += _yaml_files(above / name, f"../{name}/")
-    found += [(f"../{name}", above / name) for name in _ABOVE_FILES]
+        found += _yaml_files(above / name, "../" if name == "." else f"../{name}/")
+    if above.name == "pre_train":
+        own = folder.absolute().name
+        for name in _OF_DEPLOY_TREE:
+            files = _yaml_files(above.parent / name, f"../../{name}/")
+            found += [pair for pair in files if pair[1].stem.startswith(own)]
     texts: dict[str, str] = {}
     for name, path in found:
         try:
@@ -123,6 +132,7 @@ def read_beside(
     robot: RobotSpec,
     checkpoint: str = "",
     own: ExporterMetadata | None = None,
+    size: int = 0,
 ) -> ExporterMetadata | None:
     """Return what files say together; None where none is of a known kind.
 
@@ -131,6 +141,7 @@ def read_beside(
         robot: whose joints patterns and motors' numbers mean.
         checkpoint: the name of the file that they are about; files that name another are left out.
         own: what the checkpoint says itself.
+        size: numbers that it takes; 0 where it does not say.
     """
     read: list[tuple[float, ExporterMetadata]] = []
     if own is not None:
@@ -141,18 +152,20 @@ def read_beside(
             parsed[name] = parse_yaml(text, file=name, foreign=True).data
         except YamlProblems:
             continue
+    by_kind: dict[str, list[tuple[str, ExporterMetadata]]] = {}
     for name, data in parsed.items():
         kind, reader = _kind(data)
-        if reader is None:
-            continue
-        said = reader(data, robot, list(parsed.values()))
-        is_other = bool(said.model) and Path(said.model).stem != Path(checkpoint).stem
-        marked = {f.name: plain(name) for f in fields(said) if getattr(said, f.name)}
-        note = f"{plain(name)} is about {plain(Path(said.model).name)}: is that this file?"
-        notes = (*said.notes, note) if is_other else said.notes
-        # Files of one kind that name this checkpoint are believed before others.
-        rank = _ORDER.index(kind) + 0.5 * is_other
-        read.append((rank, replace(said, sources=marked, notes=notes)))
+        if reader is not None:
+            said = reader(data, robot, list(parsed.values()))
+            marked = {f.name: plain(name) for f in fields(said) if getattr(said, f.name)}
+            by_kind.setdefault(kind, []).append((name, replace(said, sources=marked)))
+    for kind, several in by_kind.items():
+        for name, said in _about(several, checkpoint, len(robot.joints), size):
+            if said.model and Path(said.model).stem != Path(checkpoint).stem:
+                about = plain(Path(said.model).name)
+                note = f"{plain(name)} is about {about}: is that this file?"
+                said = replace(said, notes=(*said.notes, note))  # noqa: PLW2901 - the same file.
+            read.append((_ORDER.index(kind), said))
     if not read:
         return None
     read.sort(key=lambda pair: pair[0])
@@ -160,6 +173,26 @@ def read_beside(
     for _, other in read[1:]:
         whole = merged(whole, other)
     return whole
+
+
+def _about(
+    several: Sequence[tuple[str, ExporterMetadata]], checkpoint: str, joints: int, size: int
+) -> list[tuple[str, ExporterMetadata]]:
+    """Return those files of one kind that are about a checkpoint; all of them where nothing tells.
+
+    A folder may hold a file for each of several policies.
+    """
+
+    def unlikeness(said: ExporterMetadata) -> tuple[bool, bool, bool]:
+        terms = sized_terms(said.observation_terms, joints)
+        total = sum((term.width or 0) * (term.history or 1) for term in terms)
+        is_other = bool(said.model) and Path(said.model).stem != Path(checkpoint).stem
+        return said.joint_count not in {0, joints}, is_other, bool(terms) and size not in {0, total}
+
+    # A policy of another size is another policy: its gains and pose say nothing of this one.
+    fits = [pair for pair in several if not (pair[1].input_size and size % pair[1].input_size)]
+    best = min((unlikeness(said) for _, said in fits), default=None)
+    return [(name, said) for name, said in fits if unlikeness(said) == best]
 
 
 def merged(one: ExporterMetadata, other: ExporterMetadata) -> ExporterMetadata:
@@ -208,12 +241,18 @@ def _kind(data: Data) -> tuple[str, _Reader | None]:
         return "io_descriptors", _descriptors
     if isinstance(policy.get("joint_ids_map"), list) and "policy_dt" in policy:
         return "legged_rl_deploy", _legged_rl_deploy
-    if {"observations", "rl_kp"} <= set(inner):
+    if any({"observations", "rl_kp"} <= set(words) for words in (inner, data)):
         return "rl_sar", _rl_sar
-    if {"kps", "kds", "default_angles"} <= set(data):
+    gains = ({"kps", "kds", "default_angles"}, {"ctrl_kp", "ctrl_kd", "action_scale"})
+    about = {"policy_path", "policy_name", "num_obs", "num_single_obs"}
+    if any(keys <= set(data) for keys in gains) and about & set(data):
         return "gym", _gym
+    if any({"obs_names", "obs_cfg", "action_cfg"} <= set(words) for words in _ros_nodes(data)):
+        return "legged_ros2", _legged_ros2
     if {"sim", "decimation", "observations", "actions"} <= set(data):
         return "env", _environment
+    if {"sim", "decimation", "robot", "observation_space"} <= set(data):
+        return "env", _direct_environment
     if _activation(data):
         return "agent", _agent
     return "", None
@@ -456,20 +495,31 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
     """Read what rl_sar runs a policy with: `config.yaml`, and the robot's `base.yaml`.
 
     `joint_mapping` has the robot's joint of each joint of the policy; lists are in the policy's
-    order.
+    order. quadruped_ros2_control writes the same without the name above it. Its controller's own
+    file has the joints, in the policy's order; its `stand_pos` is no pose of a training.
     """
-    name, value = next((key, v) for key, v in data.items() if "rl_kp" in _dict(v))
+    name, value = next(((key, v) for key, v in data.items() if "rl_kp" in _dict(v)), ("", data))
     config = _dict(value)
-    base = next(
-        (_dict(other.get(name.split("/")[0])) for other in others if name.split("/")[0] in other),
-        {},
-    )
+    if name:
+        named = name.split("/")[0]
+        base = next((_dict(other.get(named)) for other in others if named in other), {})
+    else:
+        base = next((node for node in _all_nodes(others) if "stand_pos" in node), {})
+        frequency = _number(base.get("update_rate"))
+        base = {
+            "joint_names": base.get("joints"),
+            "joint_mapping": list(range(len(_texts(base.get("joints"))))),
+            "dt": 1 / frequency if frequency else None,
+        }
     joints = _texts(base.get("joint_names")) or motor_names(robot)
-    mapping = [int(number) for number in _numbers(config.get("joint_mapping"))]
+    mapping = [
+        int(number) for number in _numbers(config.get("joint_mapping", base.get("joint_mapping")))
+    ]
     names = tuple(joints[n] for n in mapping) if sorted(mapping) == list(range(len(joints))) else ()
     past = [int(number) for number in _numbers(config.get("observations_history"))]
     steps = len(past) or 1
-    newest = past[:1] == [0] and steps > 1
+    # The latest is 0 there; in the older form of the file it is the largest number.
+    newest = past[:1] == [0 if name else steps - 1] and steps > 1
     by = "term" if config.get("observations_history_priority") == "term" else "step"
     form = f"order: {'newest_first' if newest else 'oldest_first'}, by: {by}"
     period = [_number(base.get(key, config.get(key))) for key in ("dt", "decimation")]
@@ -477,6 +527,7 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
         _numbers(config.get("clip_actions_lower")),
         _numbers(config.get("clip_actions_upper")),
     )
+    scale = _numbers(config.get("action_scale"))
     terms = [
         ExportedTerm(
             name=word,
@@ -489,13 +540,17 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
         for word in _texts(config.get("observations"))
     ]
     count = int(_number(config.get("num_of_dofs", base.get("num_of_dofs"))) or len(robot.joints))
+    hips = [int(place) for place in _numbers(config.get("hip_scale_reduction_indices"))]
+    less = _number(config.get("hip_scale_reduction"))
+    if less is not None and less != 1.0 and len(scale) == 1:
+        scale = tuple(scale[0] * (less if place in hips else 1.0) for place in range(count))
     return ExporterMetadata(
         joint_names=names,
         joint_stiffness=_numbers(config.get("rl_kp")),
         joint_damping=_numbers(config.get("rl_kd")),
         default_joint_pos=_numbers(config.get("default_dof_pos", base.get("default_dof_pos"))),
         action="joint_position_offset",
-        action_scale=_numbers(config.get("action_scale")),
+        action_scale=scale,
         action_clip=(max(low), min(high)) if low and high else None,
         torque_limits=_numbers(config.get("torque_limits", base.get("torque_limits"))),
         rate=round(1 / (period[0] * period[1]), 6) if all(period) else None,  # type: ignore[operator]
@@ -507,43 +562,147 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
     )
 
 
+_GYM_TERMS = ("ang_vel", "projected_gravity", "commands", "dof_pos", "dof_vel", "actions")
+_OTHER_GYM_TERMS = ("commands", "projected_gravity", "ang_vel", "dof_pos", "dof_vel", "actions")
+"""Of go2_deploy, which deploys what LeggedGym-Ex trains."""
+
+
 def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
-    """Read unitree_rl_gym's deploy/configs: the terms of its deploy scripts, in their order."""
-    joints = int(_number(data.get("num_actions")) or len(_numbers(data["default_angles"])))
+    """Read the deploy configs of unitree_rl_gym, its forks, and of go2_deploy.
+
+    The terms are those of their deploy scripts, in their order.
+    """
+
+    def said(*keys: str) -> Any:
+        return next((data[key] for key in keys if data.get(key) is not None), None)
+
+    is_other = "ctrl_kp" in data
+    pose = _numbers(said("default_angles", "stand_pos"))
+    joints = int(_number(data.get("num_actions")) or len(pose))
+    command = said("cmd_scale", "command_scale")
+    if command is None and "lin_vel_scale" in data:
+        command = [data["lin_vel_scale"], data["lin_vel_scale"], data.get("ang_vel_scale")]
+    scales = {
+        "ang_vel": said("ang_vel_scale", "obs_scales_ang_vel"),
+        "commands": command,
+        "dof_pos": said("dof_pos_scale", "obs_scales_dof_pos"),
+        "dof_vel": said("dof_vel_scale", "obs_scales_dof_vel"),
+    }
+    clip = _number(data.get("clip_actions"))
+    steps = int(_number(data.get("frame_stack")) or 1)
+    term = ExportedTerm(
+        name="", clip=(-math.inf, math.inf), history=steps, form="order: oldest_first, by: step"
+    )
     terms = [
-        ExportedTerm(name=name, scale=scale, clip=(-math.inf, math.inf), history=1, width=width)
-        for name, key, width in (
-            ("ang_vel", "ang_vel_scale", 3),
-            ("projected_gravity", "", 3),
-            ("commands", "cmd_scale", 3),
-            ("dof_pos", "dof_pos_scale", joints),
-            ("dof_vel", "dof_vel_scale", joints),
-            ("actions", "", joints),
+        replace(
+            term,
+            name=name,
+            scale=_numbers(scales.get(name, 1.0)) or None,
+            width=joints if name in {"dof_pos", "dof_vel", "actions"} else 3,
+            keys="clipped: true" if name == "actions" and clip else "",
         )
-        if (scale := _numbers(data.get(key, 1.0)))
+        for name in (_OTHER_GYM_TERMS if is_other else _GYM_TERMS)
     ]
-    if _number(data.get("num_obs")) == 11 + 3 * joints:
+    size = _number(said("num_single_obs", "num_obs"))
+    if size == 11 + 3 * joints:
         # Sine and cosine of a phase of 0.8 s, as its deploy scripts have it.
-        term = ExportedTerm(name="phase", scale=(1.0,), clip=(-math.inf, math.inf), history=1)
-        terms.append(replace(term, keys="frequency: 1.25"))
+        terms.append(replace(term, name="phase", scale=(1.0,), width=2, keys="frequency: 1.25"))
+    elif size is not None and size != 9 + 3 * joints:
+        return ExporterMetadata()  # It is of another script, which may mean other things by it.
     step, every = (_number(data.get(key)) for key in ("simulation_dt", "control_decimation"))
-    names = [short_name(joint) for joint in robot.joints]
-    order = _texts(data.get("joint_names")) or (names if len(names) == joints else [])
+    period = step * every if step and every else said("control_dt", "dt")
+    names, is_guess = _gym_joints(data, robot, pose)
+    # Where the script permutes, gains and pose are in the order of the motors.
+    pose = _reordered(pose, _list_order(pose, robot) or names, names) if pose else ()
+    scale = _numbers(data.get("action_scale"))
+    less = _number(data.get("hip_scale_reduction"))
+    if less is not None and less != 1.0 and len(scale) == 1:
+        scale = tuple(scale[0] * (less if "hip" in name else 1.0) for name in names)
     fastest = _numbers(data.get("max_cmd"))
     keys = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
     return ExporterMetadata(
-        joint_names=tuple(order),
-        joint_stiffness=_numbers(data["kps"]),
-        joint_damping=_numbers(data["kds"]),
-        default_joint_pos=_numbers(data["default_angles"]),
+        joint_names=names,
+        joint_stiffness=_numbers(said("kps", "ctrl_kp")),
+        joint_damping=_numbers(said("kds", "ctrl_kd")),
+        default_joint_pos=pose,
         action="joint_position_offset",
-        action_scale=_numbers(data.get("action_scale")),
-        rate=_per_second(step * every if step and every else data.get("control_dt")),
+        action_scale=scale,
+        action_clip=(-clip, clip) if clip else None,
+        rate=_per_second(period),
         physics_rate=_per_second(step),
         speeds={key: (-most, most) for key, most in zip(keys, fastest, strict=False)},
         observation_terms=tuple(terms),
-        model=str(data.get("policy_path") or ""),
+        observation_clip=_number(data.get("clip_observations")),
+        model=str(said("policy_path", "policy_name") or ""),
         joint_count=joints,
+        input_size=int(size or 0),
+        guessed_order=is_guess,
+    )
+
+
+def _gym_joints(
+    data: Data, robot: RobotSpec, pose: Sequence[float]
+) -> tuple[tuple[str, ...], bool]:
+    """Return the joints of a policy, and whether their order is a guess."""
+    own = [short_name(joint) for joint in robot.joints]
+    listed = _texts(data.get("model_joint_names")) or _texts(data.get("joint_names"))
+    if sorted(map(short_name, listed)) == sorted(own):
+        return tuple(map(short_name, listed)), False
+    for key in ("joint2motor_idx", "leg_joint2motor_idx"):
+        if mapped := _mapped(data.get(key), robot):
+            return mapped, False
+    if sorted(own) != sorted(LEG_BY_LEG):
+        return (tuple(own) if len(own) == len(pose) else ()), False
+    if "ctrl_kp" in data:
+        return motor_names(robot), False  # go2_deploy gives the motors what the policy gives.
+    return LEG_BY_LEG, True  # Isaac Gym sorts the legs by name.
+
+
+def _list_order(pose: Sequence[float], robot: RobotSpec) -> tuple[str, ...]:
+    """Return the order of a quadruped's joints that its pose shows by the signs of its hips."""
+    if sorted(short_name(joint) for joint in robot.joints) != sorted(LEG_BY_LEG):
+        return ()
+    hips = pose[::3] if len(pose) == len(LEG_BY_LEG) else ()
+    # Legs of the robot's left stand out with a positive hip.
+    left = [hip > 0 for hip in hips if 0 < abs(hip) < 0.5]
+    orders = (([True, False] * 2, LEG_BY_LEG), ([False, True] * 2, RIGHT_FIRST))
+    return next((order for signs, order in orders if signs == left), ())
+
+
+def _ros_nodes(data: Data) -> list[Data]:
+    """Return the parameters of each node of a file for ROS 2."""
+    return [_dict(_dict(node).get("ros__parameters")) for node in data.values()]
+
+
+def _all_nodes(files: Sequence[Data]) -> Iterable[Data]:
+    for data in files:
+        yield from _ros_nodes(data)
+
+
+def _legged_ros2(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
+    """Read the controller's file of legged_ros2, which Legged Lab exports with a policy."""
+    config = next(node for node in _ros_nodes(data) if "obs_cfg" in node and "action_cfg" in node)
+    names = tuple(map(short_name, _texts(config.get("joint_names"))))
+    actions = {short_name(key): _dict(v) for key, v in _dict(config["action_cfg"]).items()}
+
+    def per_joint(key: str) -> tuple[float, ...]:
+        values = [_number(actions.get(name, {}).get(key)) for name in names]
+        return () if None in values else tuple(cast("list[float]", values))
+
+    described = _dict(config["obs_cfg"])
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=per_joint("kp"),
+        joint_damping=per_joint("kd"),
+        default_joint_pos=per_joint("default_pos"),
+        action="joint_position_offset",
+        action_scale=per_joint("scale"),
+        rate=_number(config.get("update_rate")),
+        observation_terms=tuple(
+            _manager_term(name, _dict(described.get(name)))
+            for name in _texts(config.get("obs_names"))
+        ),
+        joint_count=len(names),
     )
 
 
@@ -588,6 +747,32 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
         speeds=_speeds(data.get("commands")),
         observation_terms=tuple(terms),
         guessed_order=is_guess and known,
+    )
+
+
+def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
+    """Read an environment of Isaac Lab that computes its observations in code of its own.
+
+    The file says everything but what the policy sees.
+    """
+    asset = _dict(data["robot"])
+    names, is_guess = _joint_order({"class_type": "isaaclab"}, robot)
+    patterns = _Patterns(names)
+    motors = [_dict(motor) for motor in _dict(asset.get("actuators")).values()]
+    step, every = _number(_dict(data["sim"]).get("dt")), _number(data.get("decimation"))
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=patterns.motors(motors, "stiffness"),
+        joint_damping=patterns.motors(motors, "damping"),
+        default_joint_pos=patterns.values(_dict(asset.get("init_state")).get("joint_pos")),
+        torque_limits=patterns.motors(motors, "effort_limit"),
+        armature=patterns.motors(motors, "armature"),
+        action="joint_position_offset",
+        action_scale=_numbers(data.get("action_scale")),
+        rate=_per_second(step * every if step and every else None),
+        physics_rate=_per_second(step),
+        guessed_order=is_guess,
+        notes=("the environment computes what the policy sees in its own code",),
     )
 
 

@@ -129,6 +129,8 @@ class ExporterMetadata:
     """Name of the checkpoint that the file is about."""
     joint_count: int = 0
     """Joints of the robot that it is about; 0 where nothing says it."""
+    input_size: int = 0
+    """Numbers of a frame that the policy takes; 0 where nothing says it."""
     guessed_order: bool = False
     """Whether `joint_names` are in an order that the file does not say."""
     notes: tuple[str, ...] = ()

@@ -20,6 +20,7 @@ from nw_eval.onboarding.checkpoint import (
     EXPORT,
     ArrayFacts,
     CheckpointFacts,
+    ExportedTerm,
     ExporterMetadata,
     inspect_checkpoint,
 )
@@ -36,7 +37,13 @@ from nw_eval.onboarding.notation import (
     slug,
 )
 from nw_eval.onboarding.trained import KNOWN_ACTIVATIONS, network_lines, trained_network
-from nw_eval.onboarding.vectors import Likely, ObservationDraft, likely_layouts, sized_terms
+from nw_eval.onboarding.vectors import (
+    Likely,
+    ObservationDraft,
+    likely_layouts,
+    sized_terms,
+    terms_for,
+)
 from nw_eval.policies.bundle import SIZE_LIMIT
 from nw_eval.robots import BUILT_IN, RobotSpec, get_robot, know_robot
 
@@ -68,7 +75,10 @@ def write_card_draft(
         PolicyError: the file holds weights of a network that is not known here, does not fit
             `layout`, or is of another robot.
     """
-    known = read_beside(beside or {}, robot, facts.path.name, facts.exporter)
+    widths = [array.shape[-1] or 0 for array in facts.inputs if array.shape]
+    widths = widths or [argument.size or 0 for argument in facts.script]
+    size = widths[0] if len(widths) == 1 else 0
+    known = read_beside(beside or {}, robot, facts.path.name, facts.exporter, size)
     refuse_another_robot(facts, known, robot)
     facts = replace(facts, exporter=known)
     network = trained_network(facts, len(robot.joints)) if facts.adapter is None else None
@@ -253,14 +263,19 @@ def _parts_of_layout(
     source, clip = known.sources.get("observation_terms", ""), known.observation_clip
     by_input: dict[str, list[ObservationDraft]] = {}
     names: set[str] = set()
-    for wanted in wanted_inputs(facts):
-        # The exporter's terms are those of the first input that is no image and no scan.
-        plain_row = not (wanted.seen or is_scan(wanted.array.name))
-        parts = parts_of(wanted, terms if plain_row else (), likely)
-        if terms and plain_row:
+    wanted_by_name = wanted_inputs(facts)
+    # The exporter's terms are those of the first input that is no image and no scan, and of others
+    # that hold more or fewer frames of them.
+    rows = [w for w in wanted_by_name if not (w.seen or is_scan(w.array.name))]
+    for wanted in wanted_by_name:
+        own: tuple[ExportedTerm, ...] = ()
+        if wanted in rows:
+            own = terms_for(terms, wanted.size, alone=len(rows) == 1, name=wanted.array.name)
+            own = own or (terms if wanted is rows[0] else ())
+        parts = parts_of(wanted.resized(own), own, likely)
+        if own:
             parts = tuple(_said(part, source, clip) for part in parts)
         by_input[wanted.array.name] = [_renamed(part, names) for part in parts]
-        terms = () if plain_row else terms
     return by_input
 
 

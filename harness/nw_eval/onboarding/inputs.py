@@ -34,6 +34,24 @@ class Wanted:
     """Whether the size is in the file."""
     images: tuple[int | None, ...] = ()
     """Channels of each image, where it is a list of them."""
+    is_guess: bool = False
+    """Whether the size is taken from the widths of layers, one of which may be the input's."""
+
+    @property
+    def size(self) -> int | None:
+        """Numbers of a row; None where the file does not say."""
+        shape = _without_batch(self.array.shape)
+        sure = self.known and not self.is_guess and len(shape) == 1
+        return shape[0] if sure else None
+
+    def resized(self, terms: Sequence[ExportedTerm]) -> Wanted:
+        """Return the input with the size of its terms, where its own is not known."""
+        total = sum((term.width or 0) * (term.history or 1) for term in terms)
+        if not total or (self.known and not self.is_guess) or not all(t.width for t in terms):
+            return self
+        array = replace(self.array, shape=(1, total))
+        known = self.is_guess and self.array.shape == array.shape
+        return replace(self, array=array, known=known, is_guess=False)
 
     @property
     def seen(self) -> bool:
@@ -74,7 +92,7 @@ def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
     array = ArrayFacts(
         name="obs", shape=(1, direct or (known or sizes or [48])[0]), dtype="float32"
     )
-    return (Wanted(array=array, reason=reason),)
+    return (Wanted(array=array, reason=reason, is_guess=direct is None),)
 
 
 def parts_of(

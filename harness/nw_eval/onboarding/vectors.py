@@ -25,6 +25,7 @@ from nw_eval.onboarding.layouts import (
 from nw_eval.onboarding.notation import CHECK, in_brackets, number
 from nw_eval.plural import plural
 
+_COMMAND = "velocity_commands"
 _WIDEST = 10_000
 """Numbers of one constant term."""
 
@@ -88,6 +89,8 @@ def named_parts(
 def term_of(term: ExportedTerm) -> tuple[str, int | None] | None:
     """Return our word for a term, and its size: by what computes it, else by its name."""
     known = TERM_OF.get(term.function) or TERM_OF.get(term.name)
+    if known is None and term.name.endswith(_COMMAND):
+        known = TERM_OF[_COMMAND]  # unitree_rl_lab has `keyboard_velocity_commands`.
     if known is not None and known[0] == "clock" and not term.keys:
         return None  # Nobody says how fast it runs.
     return known
@@ -109,6 +112,35 @@ def sized_terms(terms: Sequence[ExportedTerm], joints: int) -> tuple[ExportedTer
             term = replace(term, width=joints if known[1] is None else known[1], keys=keys)  # noqa: PLW2901 - the same term.
         sized.append(term)
     return tuple(sized)
+
+
+def terms_for(
+    terms: Sequence[ExportedTerm], size: int | None, *, alone: bool, name: str
+) -> tuple[ExportedTerm, ...]:
+    """Return the terms of one input, whose history may be longer than another's; empty if unknown.
+
+    DreamWaQ and teacher-student policies see the newest frame as one input and frames before it as
+    another.
+
+    Args:
+        terms: as a file names them, with their widths.
+        size: numbers of the input; None where it is not known.
+        alone: whether it is the only row of numbers.
+        name: of the input; one with `hist` in it holds the history.
+    """
+    frame = sum(term.width or 0 for term in terms)
+    if not frame or not all(term.width for term in terms) or any(map(_is_scan, terms)):
+        return ()
+    steps = {term.history or 1 for term in terms}
+    if size is None:
+        return tuple(
+            term if alone or "hist" in name else replace(term, history=1) for term in terms
+        )
+    if size == sum((term.width or 0) * (term.history or 1) for term in terms):
+        return tuple(terms)
+    if size % frame == 0 and len(steps) == 1 and (size == frame or max(steps) > 1):
+        return tuple(replace(term, history=size // frame) for term in terms)
+    return ()
 
 
 def _is_scan(term: ExportedTerm) -> bool:

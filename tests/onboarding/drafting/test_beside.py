@@ -49,11 +49,19 @@ observations:
 def card_of(onnx_file):
     """Write files beside a graph, and return the text of its card and the card."""
 
-    def draft(size: int, beside: dict[str, str], robot="go2", metadata=None) -> tuple[str, Card]:
-        path = onnx_file({"obs": [1, size]}, metadata, name="run/exported/policy.onnx")
-        for name, text in beside.items():
-            (path.parent / name).parent.mkdir(parents=True, exist_ok=True)
-            (path.parent / name).write_text(text)
+    def draft(
+        size: int | dict[str, int],
+        beside: dict[str, str],
+        robot="go2",
+        metadata=None,
+        name="run/exported/policy.onnx",
+    ) -> tuple[str, Card]:
+        inputs = size if isinstance(size, dict) else {"obs": size}
+        shapes = {given: [1, numbers] for given, numbers in inputs.items()}
+        path = onnx_file(shapes, metadata, name=name)
+        for file, text in beside.items():
+            (path.parent / file).parent.mkdir(parents=True, exist_ok=True)
+            (path.parent / file).write_text(text)
         text = init_policy(path, robot=robot).text
         return text, load_card(path.parent / "policy.yaml")
 
@@ -328,6 +336,212 @@ def test_the_configs_of_unitree_rl_gym_have_a_clock_where_numbers_are_left(card_
     ]  # fmt: skip
     assert card.observations["obs"].frame_terms[-1].frequency == 1.25
     assert (card.control.kp, card.control.rate) == ([100, 101, 102] * 4, 50)
+
+
+GYM = """
+policy_path: "{LEGGED_GYM_ROOT_DIR}/deploy/pre_train/go2/motion.onnx"
+control_dt: 0.02
+joint2motor_idx: [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]
+kps: [21, 21, 21, 21, 21, 21, 21, 21, 21, 21, 21, 21]
+kds: [0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5, 0.5]
+default_angles: [0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1.0, -1.5, -0.1, 1.0, -1.5]
+obs_scales_ang_vel: 0.25
+obs_scales_dof_pos: 1.0
+obs_scales_dof_vel: 0.05
+command_scale: [2.0, 2.0, 0.25]
+action_scale: 0.25
+num_actions: 12
+num_obs: 45
+"""
+DEPLOYED = "deploy/pre_train/go2/motion.onnx"
+
+
+def test_the_config_of_a_deploy_script_is_found_from_the_folder_of_its_checkpoints(card_of):
+    other = GYM.replace("go2", "g1").replace("[21,", "[99,")
+    text, card = card_of(
+        45,
+        {
+            "../../deploy_real/configs/go2.yaml": GYM,
+            "../../deploy_real/configs/g1.yaml": other,
+            "../../deploy_mujoco/configs/h1.yaml": other,
+        },
+        name=DEPLOYED,
+    )
+    assert (card.control.joints, card.control.kp) == (LEFT_FIRST, 21)
+    assert words(card) == ["ang_vel", "gravity", "command", "joint_pos", "joint_vel", "last_output"]
+    ang_vel, _, command, _, joint_vel, _ = card.observations["obs"].frame_terms
+    assert (ang_vel.scale, command.scale, joint_vel.scale) == (0.25, [2, 2, 0.25], 0.05)
+    assert "kp: 21  # ../../deploy_real/configs/go2.yaml" in text
+    assert "g1.yaml" not in text
+
+
+def test_a_pose_that_begins_with_a_right_leg_is_put_into_the_order_of_the_policy(card_of):
+    config = GYM.replace("joint2motor_idx", "unread").replace(
+        "[0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1.0, -1.5, -0.1, 1.0, -1.5]",
+        "[-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5]",
+    )
+    config += "hip_scale_reduction: 0.5\nclip_actions: 100.0\nclip_observations: 100\n"
+    text, card = card_of(45, {"configs/go2.yaml": config}, name="motion.onnx")
+    assert card.control.joints == LEFT_FIRST
+    assert card.control.default_pose == [
+        0.1,
+        0.8,
+        -1.5,
+        -0.1,
+        0.8,
+        -1.5,
+        0.1,
+        1,
+        -1.5,
+        -0.1,
+        1,
+        -1.5,
+    ]
+    assert card.control.scale == [0.125, 0.25, 0.25] * 4
+    assert (card.control.clip, card.observations["obs"].clip) == ((-100, 100), (-100, 100))
+    assert "CHECK: the order of the checkpoint: configs/go2.yaml names no order" in text
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        GYM.replace("num_obs: 45", "num_obs: 48").replace("[21,", "[99,"),
+        GYM.replace("num_obs: 45", "").replace("policy_path", "xml_path").replace("[21,", "[99,"),
+    ],
+    ids=["another size", "no policy"],
+)
+def test_a_config_that_is_not_of_this_policy_gives_no_gains(config, card_of):
+    text, card = card_of(48, {"configs/go2.yaml": config}, name="motion.onnx")
+    assert card.control.kp != 99
+    assert "configs/go2.yaml" not in text
+
+
+GO2_DEPLOY = """
+policy_name: "policy.onnx"
+dt: 0.02
+stand_kp: 60.0
+ctrl_kp: 20
+ctrl_kd: 0.5
+action_scale: 0.25
+lin_vel_scale: 1.0
+ang_vel_scale: 0.25
+dof_pos_scale: 1.0
+dof_vel_scale: 0.05
+frame_stack: 5
+num_single_obs: 45
+stand_pos: [0, 0.8, -1.5, 0, 0.8, -1.5, 0, 0.8, -1.5, 0, 0.8, -1.5]
+"""
+
+
+def test_a_frame_and_its_history_are_two_inputs_of_one_config(card_of):
+    _, card = card_of({"obs": 45, "history": 225}, {"../configs/ts.yaml": GO2_DEPLOY})
+    now, past = card.observations["obs"], card.observations["history"]
+    for seen in (now, past):
+        assert [term.term for term in seen.frame_terms] == [
+            "command", "gravity", "ang_vel", "joint_pos", "joint_vel", "last_output",
+        ]  # fmt: skip
+    assert now.frame_terms[0].scale == [1, 1, 0.25]
+    assert (now.history, past.history.steps, past.history.by) == (None, 5, "step")
+    assert card.control.joints[0] == "FR_hip", "motors are counted from the right leg in front"
+    assert (card.control.kp, card.control.kd) == (20, 0.5)
+
+
+def test_of_several_configs_that_which_names_the_checkpoint_is_read(card_of):
+    other = GO2_DEPLOY.replace("policy.onnx", "walk.pt").replace("ctrl_kp: 20", "ctrl_kp: 99")
+    beside = {"../params/a.yaml": other, "../params/b.yaml": GO2_DEPLOY}
+    text, card = card_of(225, beside)
+    assert card.control.kp == 20
+    assert "is about" not in text
+
+
+CONTROLLER = """
+rl_quadruped_controller:
+  ros__parameters:
+    update_rate: 200
+    joints: [%s]
+    stand_pos: [0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 0.8, -1.5]
+"""
+
+
+def test_a_config_of_quadruped_ros2_control_has_no_name_above_it(card_of):
+    flat = "\n".join(
+        line.strip()
+        for line in SAR.splitlines()
+        if line.startswith("  ") and "joint_mapping" not in line and "default_dof" not in line
+    )
+    legs = ", ".join(f"{joint}_joint" for joint in LEFT_FIRST)
+    beside = {"config.yaml": flat + "\ndecimation: 4\n", "../control.yaml": CONTROLLER % legs}
+    text, card = card_of(3 * 45, beside)
+    assert (card.control.joints, card.control.rate) == (LEFT_FIRST, 50)
+    assert card.control.kp == [40, 41, 42] * 4
+    assert words(card)[:2] == ["command", "ang_vel"]
+    assert card.observations["obs"].history.order == "oldest_first", "its newest is the largest"
+    assert card.control.default_pose is None, "a stance of the controller is no training's pose"
+    assert "CHECK: the go2's own is used" in text
+
+
+ROS2 = """
+rl_controller:
+  ros__parameters:
+    update_rate: 50
+    obs_names: [base_ang_vel, projected_gravity, velocity_commands, joint_pos, joint_vel, actions]
+    obs_cfg:
+      base_ang_vel: {clip: [0.0], scale: 0.2, history_length: 5}
+      projected_gravity: {clip: [0.0], scale: 1.0, history_length: 5}
+      velocity_commands: {clip: [0.0], scale: 1.0, history_length: 5}
+      joint_pos: {clip: [0.0], scale: 1.0, history_length: 5}
+      joint_vel: {clip: [0.0], scale: 0.05, history_length: 5}
+      actions: {clip: [0.0], scale: 1.0, history_length: 5}
+    joint_names: [%s]
+    action_cfg: {%s}
+"""
+
+
+def test_the_controllers_file_of_legged_ros2_is_read(card_of):
+    names = ", ".join(f"{joint}_joint" for joint in BY_TYPE)
+    pose = [0.1, -0.1, 0.11, -0.11, 0.8, 0.81, 1, 1.01, -1.5, -1.51, -1.52, -1.53]
+    actions = ", ".join(
+        f"{joint}_joint: {{scale: 0.25, kp: {25 + n}, kd: 0.5, default_pos: {pose[n]}}}"
+        for n, joint in enumerate(BY_TYPE)
+    )
+    text = ROS2 % (names, actions)
+    jump = text.replace("history_length: 5", "history_length: 1").replace("kp: ", "kp: 9")
+    _, card = card_of(225, {"../jump.yaml": jump, "../walk.yaml": text})
+    assert card.control.joints == BY_TYPE
+    assert card.control.kp == [25 + n for n in range(12)], "of the file whose terms fit"
+    assert card.control.default_pose == pose
+    seen = card.observations["obs"]
+    assert (seen.history.steps, seen.history.by) == (5, "term")
+    assert words(card)[2] == "command"
+
+
+def test_an_environment_that_makes_its_observations_in_code_gives_the_rest(card_of):
+    text, card = card_of(
+        260,
+        {
+            "../params/env.yaml": """
+decimation: 4
+sim: {dt: 0.005}
+observation_space: 260
+action_scale: 0.5
+robot:
+  init_state: {joint_pos: {.*_hip_joint: 0.0, .*_thigh_joint: 0.9, .*_calf_joint: -1.8}}
+  actuators:
+    legs: {joint_names_expr: [.*], effort_limit: 23.7, stiffness: 25.0, damping: 2.0}
+"""
+        },
+    )
+    assert (card.control.kp, card.control.kd, card.control.scale) == (25, 2, 0.5)
+    assert card.control.default_pose == [0] * 4 + [0.9] * 4 + [-1.8] * 4
+    assert "CHECK: the environment computes what the policy sees in its own code" in text
+    assert "THESE 260 ZEROS" in text
+
+
+def test_a_command_from_a_keyboard_is_a_command(card_of):
+    _, card = card_of(
+        3 * 35, {"params/deploy.yaml": DEPLOY.replace("velocity_c", "keyboard_velocity_c")}
+    )
+    assert words(card)[2] == "command"
 
 
 def test_what_exploy_writes_into_a_graph_is_read(card_of):
