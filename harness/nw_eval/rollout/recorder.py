@@ -155,7 +155,8 @@ class Recorder(Observer):
         outputs = world.torques, decision.action, decision.applied, decision.targets
         data = b"".join((*map(np.ndarray.tobytes, (*world.moving(), *outputs)), *rows))
         error = None if moment is None else moment.delta_yaw
-        call = Call(step, self._policy_digest, error, digest, self._seen.new)
+        asked = self._episode.task.command
+        call = Call(step, self._policy_digest, error, digest, self._seen.new, asked)
         self._policy_digest = b""
         path = "none" if step % PATH_PERIOD else "point" if step % PATH_SHOWN else "shown"
         self._log.step(StepNote(world.time, data, call, path))
