@@ -169,9 +169,10 @@ class Card(CardModel):
     def hears(self) -> frozenset[str]:
         """What tells the policy what to do: `command`, `speed`, or the `way` to a waypoint.
 
-        What a sensor of a package reads is its own affair: it may be any of them.
+        What a sensor of a package reads is its own affair: it may be any of them. A `zero` policy
+        answers the same whatever it is told, so all can be told to it.
         """
-        found: set[str] = set()
+        found: set[str] = {"command"} if self.adapter == "zero" else set()
         for seen in self.observations.values():
             if isinstance(seen, ProprioObservation):
                 found |= {_HEARD[term.term] for term in seen.frame_terms if term.term in _HEARD}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import (
@@ -42,6 +42,11 @@ from nw_eval.words import Outcome
 _FASTEST, _TURNING = 5.0, 10.0  # m/s and rad/s, of commands
 _LONGEST = 600.0  # s, as trials are at most
 _STILL: Velocity = (0.0, 0.0, 0.0)
+_PARTS = ("vx", "vy", "yaw")
+_OTHER_WAYS = {
+    "speed": ", its speed is the forward one",
+    "way": ", it turns towards waypoints",
+}
 _TINY = 1e-9  # s: times of control steps are sums
 
 Range = Annotated[tuple[float, float], Strict(False)]
@@ -104,7 +109,7 @@ class Draw(TaskPart):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        for name in ("vx", "vy", "yaw"):
+        for name in _PARTS:
             check_order(name, getattr(self, name))
         return self
 
@@ -175,13 +180,12 @@ class Command(TaskPart):
     @property
     def parts(self) -> frozenset[str]:
         """Which of `vx`, `vy` and `yaw` it may command to be other than zero."""
-        names = ("vx", "vy", "yaw")
         asked: list[Any] = [self.constant, *(self.steps or ()), self.sweep, self.draw]
         return frozenset(
             name
             for each in asked
             if each is not None
-            for name in names
+            for name in _PARTS
             if np.any(np.array(getattr(each, name)) != 0.0)
         )
 
@@ -218,9 +222,6 @@ class Commanded(Task):
         steps: of the whole trial.
     """
 
-    needs: ClassVar[Literal["command", "stop"]] = "stop"
-    """What a policy must understand at least: a velocity, or that it is to stand still."""
-
     def __init__(self, settings: CommandedSettings, rules: TaskRules | None = None) -> None:
         self._rules = TaskRules() if rules is None else rules
         self._area = math.inf if settings.area is None else settings.area
@@ -253,28 +254,21 @@ class Commanded(Task):
                     "lower it, or raise episode.duration",
                 )
         parts = asked.parts
-        unheard = parts if "command" not in hears else frozenset[str]()
-        if "speed" in hears and cls.needs != "command":
-            unheard -= {"vx"}
-        if cls.needs == "command" and "command" not in hears:
-            return TaskFault(
-                ("kind",),
-                f"the policy follows no velocity command: its card has no term `command`"
-                f"{', it finds its way to waypoints' if 'way' in hears else ''}",
-                f"give {cls.kind} a policy with that term, or use task: course",
-            )
-        if unheard:
+        unheard = parts - {"vx"} if "speed" in hears else parts
+        if unheard and "command" not in hears:
+            words = "".join(_OTHER_WAYS[way] for way in ("speed", "way") if way in hears)
             return TaskFault(
                 ("command",),
-                f"the policy cannot be told {', '.join(sorted(unheard))}: its card has no term "
-                "`command`",
-                "command zero, or give it a policy with that term",
+                f"the policy cannot be told {' and '.join(sorted(unheard, key=_PARTS.index))}: its "
+                f"card has no term `command`{words}",
+                f"give {cls.kind} a policy that follows velocity commands, or command only what "
+                "this one is told",
             )
-        if not parts and "way" in hears and not hears & {"command", "speed"}:
+        if not parts and hears == {"way"}:
             return TaskFault(
                 ("kind",),
                 "nothing tells the policy to stand still: its card has neither a term `command` "
-                "nor `speed`, it finds its way to waypoints",
+                "nor `speed`, and it walks towards waypoints",
                 f"give {cls.kind} a policy with one of them, or use task: course",
             )
         return None

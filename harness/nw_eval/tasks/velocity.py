@@ -47,7 +47,6 @@ class VelocityTask(Commanded):
 
     kind = "velocity"
     settings = VelocitySettings
-    needs = "command"
     declared = (
         ScoreSpec(
             name="tracked_time",
