@@ -121,6 +121,7 @@ GROUNDS: tuple[Entry, ...] = (
     Entry(
         name="open/field",
         title="a level lawn of 32 by 32 m with nothing in the way",
+        task="open",
         setting=Field(),
         course=Hurdles(heights=(), gaps=(), finish=4.0),
         light="afternoon",
@@ -128,7 +129,7 @@ GROUNDS: tuple[Entry, ...] = (
     Entry(
         name="open/bowl",
         title="grass slopes of 10 degrees on all sides of a level square of 4 by 4 m",
-        task="ramps",
+        task="open",
         setting=Field(),
         course=Bowl(degrees=10.0),
         light="noon",
@@ -136,6 +137,7 @@ GROUNDS: tuple[Entry, ...] = (
     Entry(
         name="open/rubble",
         title="560 flat stones, 2 to 6 cm, strewn over a lawn",
+        task="open",
         setting=Field(ground="grass/dry"),
         course=Rubble(count=560, heights=(0.02, 0.06)),
         light="overcast",

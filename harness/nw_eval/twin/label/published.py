@@ -27,7 +27,7 @@ from nw_eval.twin.label.state import mapped, shift, turn
 from nw_eval.twin.place import Route
 from nw_eval.words import ROBOTS
 
-_NAME_OF_TASK = {"hurdles": "hurdle", "gaps": "gaps", "ramps": "ramp", "stairs": "stairs"}
+_NAME_OF_TASK = {"hurdles": "hurdle", "gaps": "gaps", "ramps": "ramp", "stairs": "stairs", "open": "open"}
 
 # The robots' files, and the cones', are in the code repository, not in scene folders. Their angles
 # are radians too; saying so here keeps the file readable without them.
