@@ -189,7 +189,7 @@ def _square_round(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _waypoints(message: LoggedMessage) -> tuple[tuple[Point, ...], float | None]:
-    """Return the discs of the waypoints: where they lie, and their radius; no task need have any."""
+    """Return the discs of the waypoints: where they lie, and their radius; there may be none."""
     discs = [entity.cylinders[0] for entity in _scene_update(message).entities if entity.cylinders]
     if not discs:
         return (), None

@@ -120,8 +120,7 @@ def plan_of(
             bundle = open_policy(draft, faults, request, robot=robot, card=card, may_fail=may_fail)
         else:
             bundle = _vet_policy(draft, faults, request, bundle, robot=robot, may_fail=may_fail)
-    if suite is not None and bundle is not None:
-        _check_task(suite, bundle, faults)
+    _check_task(suite, bundle, faults)
     faults.raise_any()
     assert suite is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"
@@ -158,10 +157,12 @@ def plan_of(
     return resolved if against is None else _matched(resolved, against)
 
 
-def _check_task(suite: Suite, bundle: Bundle, faults: Faults) -> None:
-    """Tell where a suite's task does not fit its policy or its episode."""
+def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> None:
+    """Tell where a suite's task does not fit its policy or its episode, if both could be read."""
     from nw_eval.tasks import TaskRules, fault_of
 
+    if suite is None or bundle is None:
+        return
     rules = TaskRules(duration=suite.episode.duration)
     try:
         fault = fault_of(suite.task, hears=bundle.card.hears, rules=rules)

@@ -53,12 +53,20 @@ class Bowl:
         across = (-self.reach, self.reach)
         for side in (1.0, -1.0):
             along = (side * away - half, side * away + half)
-            for x, y, turns in (
-                (along, across, {"pitch": -side * angle}),
-                (across, along, {"roll": side * angle}),
+            for x, y, pitch, roll in (
+                (along, across, -side * angle, 0.0),
+                (across, along, 0.0, side * angle),
             ):
                 builder.box(
-                    x, y, level, self.material, kind="obstacle", faces=("+z",), fine=1.2, **turns
+                    x,
+                    y,
+                    level,
+                    self.material,
+                    pitch=pitch,
+                    roll=roll,
+                    kind="obstacle",
+                    faces=("+z",),
+                    fine=1.2,
                 )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -141,7 +142,7 @@ class Command(TaskPart):
             said = "it is empty" if not ways else f"{' and '.join(ways)} exclude each other"
             raise ValueError(f"{said}; give constant, steps, sweep or draw")
         times = [step.at for step in self.steps or ()]
-        if any(later <= before for before, later in zip(times, times[1:], strict=False)):
+        if any(later <= before for before, later in pairwise(times)):
             raise ValueError("steps are not in the order of their times; sort them by `at`")
         return self
 
@@ -264,7 +265,7 @@ class Commanded(Task):
                 f"give {cls.kind} a policy that follows velocity commands, or command only what "
                 "this one is told",
             )
-        if not parts and hears == {"way"}:
+        if not parts and "way" in hears and len(hears) == 1:
             return TaskFault(
                 ("kind",),
                 "nothing tells the policy to stand still: its card has neither a term `command` "

@@ -119,7 +119,7 @@ class PushSettings(CommandedSettings):
         """When the last push begins at the latest, s."""
         if self.draw is not None:
             return self.draw.at[1] + (self.draw.count - 1) * self.draw.every
-        return (self.impulses or ())[-1].at
+        return max(each.at for each in self.impulses or ())
 
 
 class _Push(NamedTuple):
@@ -218,7 +218,7 @@ class PushTask(Commanded):
 
     @property
     def recovery_times(self) -> tuple[float, ...]:
-        """s from the beginning of each push to recovery, of those that it recovered from."""
+        """Time from the beginning of each push to recovery, s, of those that it recovered from."""
         return self._times
 
     def _begin(self, heading: float) -> TaskEvent | None:
@@ -242,12 +242,12 @@ class PushTask(Commanded):
         limits, events = self._settings.recovered, list[TaskEvent]()
         is_steady = max(abs(roll), abs(pitch)) <= limits.tilt and math.hypot(x, y) <= limits.speed
         self._steady = self._steady + 1 if is_steady else 0
-        if len(self._times) < self._begun and self._steady == self._hold:
+        # Not where it has not recovered from the push before.
+        if len(self._times) == self._begun - 1 and self._steady == self._hold:
             begins = self._pushes[self._begun - 1].begins
             took = (self.step - self._hold - begins) * self._rules.control_period
-            if len(self._times) == self._begun - 1:  # None before it is still open.
-                self._times = (*self._times, took)
-                events.append(TaskEvent("task", f"recovered after {took:.2f} s"))
+            self._times = (*self._times, took)
+            events.append(TaskEvent("task", f"recovered after {took:.2f} s"))
         if (begun := self._begin(yaw)) is not None:
             events.append(begun)
         return tuple(events)

@@ -28,7 +28,8 @@ from nw_eval.tasks.stand import StandSettings, StandTask
 from nw_eval.tasks.task import Task, TaskFault, TaskRules, TaskSettings
 from nw_eval.tasks.velocity import VelocitySettings, VelocityTask
 
-BUILT_IN: dict[str, type[Task]] = {cls.kind: cls for cls in (Course, VelocityTask, PushTask, StandTask)}
+_CLASSES: tuple[type[Task], ...] = (Course, VelocityTask, PushTask, StandTask)
+BUILT_IN: dict[str, type[Task]] = {cls.kind: cls for cls in _CLASSES}
 """By name."""
 _PLUGIN = "plug-in"
 

@@ -29,7 +29,8 @@ _LEFT = "left capture"
 
 
 def _what_counts(rows: Sequence[Row]) -> str:
-    kinds = sorted({row.task_kind for row in rows if not row.waypoints_total and row.status == "ok"})
+    results = [row for row in rows if row.status == "ok" and not row.waypoints_total]
+    kinds = sorted({row.task_kind for row in results})
     if kinds:
         return f"Success is what the task {' and '.join(kinds)} counts: 1 of a completed trial."
     return (

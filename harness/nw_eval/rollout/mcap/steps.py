@@ -173,6 +173,10 @@ class Steps:
         )
         return records([channels("/nw/policy", PolicyStep)] * len(at), at, messages)
 
+    def _asked(self, call: Call) -> tuple[float, float, float, float]:
+        error = call.heading_error or 0.0
+        return (*(call.command or self._command(error)), error)
+
     def _observations(
         self,
         times: Integers,
@@ -186,8 +190,7 @@ class Steps:
             if call.heading_error is not None:
                 groups.setdefault(call.new, []).append(number)
         for new, which in groups.items():
-            asked = [(calls[number].command, calls[number].heading_error or 0.0) for number in which]
-            commands = np.array([(*(own or self._command(error)), error) for own, error in asked])
+            commands = np.array([self._asked(calls[number]) for number in which])
             forms, numbers = self._seen.numbers(new, [observed[number] for number in which])
             yield (
                 which,
