@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal, get_args
 
-Task = Literal["hurdles", "gaps", "ramps", "stairs"]
-"""What a scene asks for."""
+Task = Literal["hurdles", "gaps", "ramps", "stairs", "open"]
+"""What a scene asks for; `open` ground asks for nothing."""
 
 Tier = Literal["critical", "supporting", "informational"]
 """How much a scene counts for the verdict: alone, in the mean, or not at all."""

@@ -313,3 +313,37 @@ def test_a_closed_world_says_so(go1, flat):
     world.close()
     with pytest.raises(TrialError, match="this World was closed"):
         world.step(go1.default_pose)
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.8, 0.0)])
+def test_an_impulse_changes_the_velocity_of_the_robots_mass_by_their_quotient(
+    go1, flat, direction
+):
+    impulse, steps = 20.0, 5
+    with World(go1, flat) as world:
+
+        def velocity():
+            mujoco.mj_subtreeVel(world._model, world._data)
+            return world._data.subtree_linvel[world._trunk].copy()
+
+        world.reset(position=(0.0, 0.0, 5.0), yaw=0.4)  # In the air, where nothing else pushes.
+        before = velocity()
+        for _ in range(steps):
+            world.pull(impulse / (steps * world.control_period) * np.array(direction))
+            world.step(go1.default_pose)
+        changed = velocity() - before
+        expected = impulse / world.mass * np.array(direction)
+        expected[2] -= 9.806 * steps * world.control_period
+        np.testing.assert_allclose(changed, expected, atol=1e-3)
+        world.step(go1.default_pose)  # And no longer than that.
+        np.testing.assert_allclose(velocity() - before - changed, (0, 0, -9.806 * 0.02), atol=1e-3)
+
+
+def test_a_force_acts_in_the_next_step_only_and_is_no_part_of_what_is_saved(go1, flat):
+    with World(go1, flat) as world, World(go1, flat) as other:
+        world.pull((30.0, 0.0, 0.0))
+        world.step(go1.default_pose)
+        other.restore(world.state())
+        for each in (world, other):
+            each.step(go1.default_pose)
+        assert world.state() == other.state()

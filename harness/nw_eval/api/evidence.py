@@ -350,9 +350,11 @@ def composed(results: Sequence[Row], read: Mapping[str, ReadLog]) -> LogEvidence
 
 def _place(scene: str, logs: Sequence[ReadLog]) -> tuple[PlaceView, float]:
     """Return a place, and how far, in m, a trial's waypoint is from the one that is drawn."""
-    trails = [log.waypoints for log in logs if len(log.waypoints) == len(logs[0].waypoints)]
-    trail = np.mean(np.array(trails), axis=0)
-    spread = np.linalg.norm(np.array(trails) - trail, axis=-1).max()
+    count = len(logs[0].waypoints)
+    alike = [log.waypoints for log in logs if len(log.waypoints) == count]
+    trails = np.array(alike, dtype=np.float64).reshape(len(alike), count, 2)
+    trail = trails.mean(axis=0)
+    spread = np.linalg.norm(trails - trail, axis=-1).max(initial=0.0)
     place = next((log.place for log in logs if log.place is not None), None)
     picture = None
     if place is not None:
@@ -371,6 +373,9 @@ def _clip(row: Row, clip: ReadClip) -> Clip:
         if is_seen
         else "the robot's camera, for people: this policy sees no pictures"
     )
+    way = ""
+    if row.waypoints_total:
+        way = f"On its way to waypoint {row.waypoints_reached + 1} of {row.waypoints_total}, the"
     return Clip(
         trial_id=row.trial_id,
         mime="image/webp",
@@ -379,8 +384,7 @@ def _clip(row: Row, clip: ReadClip) -> Clip:
         width=clip.width,
         height=clip.height,
         seconds=clip.seconds,
-        caption=f"On its way to waypoint {row.waypoints_reached + 1} of {row.waypoints_total}, the "
-        f"last {clip.seconds:.1f} s: {eyes}.",
+        caption=f"{way or 'The'} last {clip.seconds:.1f} s: {eyes}.",
     )
 
 

@@ -71,7 +71,7 @@ class ReadLog(_Read):
     """All of it."""
 
     fault: str = Field(default="", max_length=_LONGEST)
-    """Why it cannot be read; empty if it can, and then there are a path and waypoints."""
+    """Why it cannot be read; empty if it can, and then there is a path."""
     walked: tuple[Point, ...] = Field(default=(), max_length=_MOST_POINTS)
     waypoints: tuple[Point, ...] = Field(default=(), max_length=1000)
     reach: float | None = None
@@ -83,7 +83,7 @@ class ReadLog(_Read):
 
     @model_validator(mode="after")
     def _shows_something(self) -> Self:
-        if not self.fault and not (self.walked and self.waypoints):
+        if not self.fault and not self.walked:
             raise ValueError("neither a fault nor a path")
         return self
 
@@ -99,6 +99,8 @@ _HIDDEN = frozenset({"place/overhead", "place/beside"})
 """Parts of a place that stand over the course or are left out of it."""
 _FAR = 100.0
 """Metres round the course in which a walk is drawn."""
+_LEAST_ROUND, _MOST_ROUND = 5.0, 20.0
+"""Metres to each side of the start that are drawn of a place where there are no waypoints."""
 
 
 def read_logs(wanted: Sequence[tuple[str, str]], clips: Sequence[str], room: dict[str, int]) -> str:
@@ -146,7 +148,8 @@ def _read(path: Path, *, place_bytes: int, clip_bytes: int) -> ReadLog:
         raise ValueError("it holds no walk, or no waypoints")
     points = _points(walked)
     waypoints, reach = _waypoints(first[_WAYPOINTS])
-    box = box_round(np.array([points[0], *waypoints]))
+    corners = np.array([points[0], *waypoints]) if waypoints else _square_round(points)
+    box = box_round(corners)
     place = _place(first[_SCENE], box, place_bytes) if place_bytes and _SCENE in first else None
     return ReadLog(
         walked=_as_far_as_near(points, box),
@@ -178,11 +181,18 @@ def _as_far_as_near(points: NDArray[np.float64], box: Box) -> tuple[Point, ...]:
     return tuple((round(x, 3), round(y, 3)) for x, y in kept.tolist())
 
 
+def _square_round(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return two corners round the start of a walk that has no way: other trials go elsewhere."""
+    away = np.abs(points - points[0]).max(axis=1)
+    reach = min(max(_LEAST_ROUND, float(away[away < _FAR].max())), _MOST_ROUND)
+    return np.array([points[0] - reach, points[0] + reach])
+
+
 def _waypoints(message: LoggedMessage) -> tuple[tuple[Point, ...], float | None]:
-    """Return the discs of the waypoints: where they lie, and their radius."""
+    """Return the discs of the waypoints: where they lie, and their radius; there may be none."""
     discs = [entity.cylinders[0] for entity in _scene_update(message).entities if entity.cylinders]
     if not discs:
-        raise ValueError("it has no waypoints")
+        return (), None
     places = tuple(
         (round(disc.pose.position.x, 3), round(disc.pose.position.y, 3)) for disc in discs
     )

@@ -120,6 +120,7 @@ def plan_of(
             bundle = open_policy(draft, faults, request, robot=robot, card=card, may_fail=may_fail)
         else:
             bundle = _vet_policy(draft, faults, request, bundle, robot=robot, may_fail=may_fail)
+    _check_task(suite, bundle, faults)
     faults.raise_any()
     assert suite is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"
@@ -154,6 +155,28 @@ def plan_of(
         robot_folder=folder,
     )
     return resolved if against is None else _matched(resolved, against)
+
+
+def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> None:
+    """Tell where a suite's task does not fit its policy or its episode, if both could be read."""
+    from nw_eval.tasks import TaskRules, fault_of
+
+    if suite is None or bundle is None:
+        return
+    rules = TaskRules(duration=suite.episode.duration)
+    try:
+        fault = fault_of(suite.task, hears=bundle.card.hears, rules=rules)
+    except NwEvalError:  # Its package is missing or broken, which is told already.
+        return
+    if fault is not None:
+        place = ".".join(map(str, ("task", *fault.location)))
+        faults.extend(
+            [
+                suite.source.problem(
+                    ("task", *fault.location), f"{place}: {fault.message}", fault.fix
+                )
+            ]
+        )
 
 
 def _try_axes(trials: Sequence[Trial], suite: Suite, bundle: Bundle) -> None:

@@ -19,12 +19,13 @@ import numpy as np
 
 from nw_eval.built_in.entry import Course, Entry
 from nw_eval.built_in.gaps import GAPS
+from nw_eval.built_in.grounds import GROUNDS
 from nw_eval.built_in.hurdles import HURDLES
 from nw_eval.built_in.ramps import RAMPS
 from nw_eval.built_in.splits import split_of
 from nw_eval.built_in.stairs import STAIRS
 
-ENTRIES: tuple[Entry, ...] = (*HURDLES, *GAPS, *RAMPS, *STAIRS)
+ENTRIES: tuple[Entry, ...] = (*HURDLES, *GAPS, *RAMPS, *STAIRS, *GROUNDS)
 
 MOST = 99
 """Largest number of a variant."""

@@ -16,11 +16,19 @@ from nw_eval.cards.command import Command, WaypointCommand
 from nw_eval.cards.control import CameraMounting, Control
 from nw_eval.cards.model import CONTROL_RATE, CardModel, Line, is_whole
 from nw_eval.cards.networks import Inputs, Network, OutputKey, input_parts
-from nw_eval.cards.observations import Observation, ProprioObservation
+from nw_eval.cards.observations import (
+    DirectionObservation,
+    Observation,
+    PluginObservation,
+    ProprioObservation,
+)
 from nw_eval.cards.terms import AppliedAction, LastOutput
 from nw_eval.cards.terms import Command as CommandTerm
 
 SceneWords = Annotated[str, Field(min_length=1, max_length=1024)]
+
+_HEARD = {"command": "command", "speed": "speed", "delta_yaw": "way"}
+"""Terms by which a policy is told what to do."""
 
 SpeedName = Literal["lin_vel_x", "lin_vel_y", "ang_vel_z"]
 
@@ -161,6 +169,23 @@ class Card(CardModel):
     def splat_images(self) -> list[str]:
         """Names of the observations that no scene without a splat can give."""
         return [name for name, seen in self.observations.items() if seen.needs_splat]
+
+    @property
+    def hears(self) -> frozenset[str]:
+        """What tells the policy what to do: `command`, `speed`, or the `way` to a waypoint.
+
+        What a sensor of a package reads is its own affair: it may be any of them. A `zero` policy
+        answers the same whatever it is told, so all can be told to it.
+        """
+        found: set[str] = {"command"} if self.adapter == "zero" else set()
+        for seen in self.observations.values():
+            if isinstance(seen, ProprioObservation):
+                found |= {_HEARD[term.term] for term in seen.frame_terms if term.term in _HEARD}
+            elif isinstance(seen, DirectionObservation):
+                found.add("way")
+            elif isinstance(seen, PluginObservation):
+                found |= {"command", "speed"}
+        return frozenset(found)
 
     def input_parts(self) -> tuple[tuple[str | None, tuple[str, ...]], ...]:
         """Return input names with the observations and networks they are made of.

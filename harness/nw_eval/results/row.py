@@ -46,7 +46,7 @@ class Row:
     suite: Annotated[str, Column("the suite's name", repeats=True)]
     scene: Annotated[str, Column("the scene's name", repeats=True)]
     task: Annotated[
-        str, Column("what the scene asks for: hurdles, gaps, ramps, stairs, flat", repeats=True)
+        str, Column("what the scene asks for: hurdles, gaps, ramps, stairs, open", repeats=True)
     ]
     seed_index: Annotated[int, Column("number of the start in its scene, from 0")]
     seed: Annotated[int, Column("the trial's seed; the same for every policy", bits=64)]

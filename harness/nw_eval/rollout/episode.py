@@ -235,6 +235,8 @@ class Episode:
                 push = None if self._pushes is None else self._pushes.at(self.step)
                 if push is not None:
                     self.world.push(push)
+                if (force := self.task.force) is not None:
+                    self.world.pull(force)
                 self.world.step(decision.targets)
             except DivergedError as error:
                 raise PolicyFailedError(str(error), kind="diverged") from error

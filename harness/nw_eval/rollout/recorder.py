@@ -162,7 +162,8 @@ class Recorder(Observer):
         outputs = world.torques, decision.action, decision.applied, decision.targets
         data = b"".join((*map(np.ndarray.tobytes, (*world.moving(), *outputs)), *rows))
         error = None if moment is None else moment.delta_yaw
-        call = Call(step, self._policy_digest, error, digest, self._seen.new)
+        asked = self._episode.task.command
+        call = Call(step, self._policy_digest, error, digest, self._seen.new, asked)
         self._policy_digest = b""
         shown = self._path_period * (PATH_SHOWN // PATH_PERIOD)
         path = "none" if step % self._path_period else "point" if step % shown else "shown"

@@ -19,11 +19,11 @@ from nw_eval.cards.observations import (
     ProprioObservation,
     selected_indices,
 )
-from nw_eval.cards.terms import AnyTerm, term_size
+from nw_eval.cards.terms import AnyTerm, Constant, term_size
 from nw_eval.errors import PolicyError
 from nw_eval.memory import Arrays
 from nw_eval.sensors.sensor import Measurement, Moment, Plain, Shot
-from nw_eval.sensors.terms import Reader, fixed_values, reader
+from nw_eval.sensors.terms import Reader, reader
 
 Frame = NDArray[np.float32]
 Indices = NDArray[np.intp]
@@ -74,11 +74,10 @@ class Proprio(Measurement):
         self._frame = np.zeros(bounds[-1])
         self._readers: list[tuple[slice, Reader]] = []
         for term, a, b in zip(terms, bounds[:-1], bounds[1:], strict=True):
-            fixed = fixed_values(term, command)
-            if fixed is None:
-                self._readers.append((slice(a, b), reader(term, command, control, feet)))
+            if isinstance(term, Constant):
+                self._frame[a:b] = term.values
             else:
-                self._frame[a:b] = fixed
+                self._readers.append((slice(a, b), reader(term, command, control, feet)))
         scale = np.concatenate(
             [_scales(name, t, n) for t, n in zip(terms, self._sizes, strict=True)]
         )

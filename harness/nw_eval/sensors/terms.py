@@ -33,7 +33,10 @@ _FUNCTIONS: dict[str, Callable[[float], float]] = {
 
 
 def fixed_values(term: terms.AnyTerm, command: Command) -> ArrayLike | None:
-    """Return the numbers of a term that never changes during a trial; None for all others."""
+    """Return the numbers of a term that never changes on the way to waypoints; None for all others.
+
+    A task that commands velocities changes `speed`.
+    """
     match term:
         case terms.Constant():
             return term.values
@@ -86,8 +89,10 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
             return _foot_contacts(term, feet)
         case terms.GaitClock():
             return gait_clock(term, command)
-        case terms.Constant() | terms.Speed():
-            values = np.array(fixed_values(term, command))
+        case terms.Speed():
+            return lambda moment: speed_command(command, moment)
+        case terms.Constant():
+            values = np.array(term.values)
             return lambda moment: values  # noqa: ARG005 - as every reader.
         case _:
             assert_never(term)
@@ -191,8 +196,15 @@ def _index(order: NDArray[np.intp], count: int) -> NDArray[np.intp] | slice:
 
 
 def velocity_command(command: Command, moment: Moment) -> tuple[float, float, float]:
-    """Return vx, vy (m/s, yaw frame) and yaw rate (rad/s)."""
-    return velocity_at(command, moment.delta_yaw)
+    """Return vx, vy (m/s, yaw frame) and yaw rate (rad/s): the task's, or else the card's."""
+    asked = moment.task.command
+    return velocity_at(command, moment.delta_yaw) if asked is None else asked
+
+
+def speed_command(command: Command, moment: Moment) -> float:
+    """Return the forward speed, m/s: the task's, or else the card's."""
+    asked = moment.task.command
+    return commanded_speed(command) if asked is None else asked[0]
 
 
 def velocity_at(command: Command, error: float) -> tuple[float, float, float]:

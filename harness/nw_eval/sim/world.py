@@ -173,6 +173,19 @@ class World(Body):
         self._data.qvel[self._linear][:2] += velocity
         mujoco.mj_step1(self._model, self._data)
 
+    def pull(self, force: Sequence[float] | Array) -> None:
+        """Let a force act in the next control step, and no longer.
+
+        It acts on the centre of mass of the robot's root body, the same in each physics step: over
+        a control step of T s the momentum of the robot changes by T times the force, beside what
+        gravity and contacts do.
+
+        Args:
+            force: (3,) N, world frame.
+        """
+        self._require_open()
+        self._data.xfrc_applied[self._trunk, :3] = force
+
     def step(self, targets: Sequence[float] | Array) -> None:
         """Run one control step.
 
@@ -202,6 +215,7 @@ class World(Body):
             for substep in range(1, self._substeps):
                 mujoco.mj_step(model, data)
                 physics.take(substep)
+        data.xfrc_applied[self._trunk] = 0.0
         # Taken before contacts move its rows; beyond the last, that memory is anything: it reads 0.
         reads_last = self.protocol.reads_forces_of_last_solve
         solved: Array | None = data.efc_force.copy() if reads_last else None

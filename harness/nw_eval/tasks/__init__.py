@@ -1,7 +1,7 @@
 """Tasks: what a robot is to do in a trial, one file a kind."""
 
 from nw_eval.tasks.course import COURSE, Course, CourseSettings, Limits
-from nw_eval.tasks.registry import AnyTask, open_task, task_kinds
+from nw_eval.tasks.registry import AnyTask, fault_of, open_task, task_kinds
 from nw_eval.tasks.task import (
     Goal,
     Place,
@@ -9,6 +9,7 @@ from nw_eval.tasks.task import (
     Streams,
     Task,
     TaskEvent,
+    TaskFault,
     TaskRules,
     TaskSettings,
 )
@@ -25,8 +26,10 @@ __all__ = [
     "Streams",
     "Task",
     "TaskEvent",
+    "TaskFault",
     "TaskRules",
     "TaskSettings",
+    "fault_of",
     "open_task",
     "task_kinds",
 ]

@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Literal, NamedTuple, Self
 
@@ -172,6 +173,18 @@ class Limits:
             tilt=robot.fell_tilt, height=robot.fell_height, monitored_force=robot.collided_force
         )
 
+    @cached_property
+    def _surely_upright(self) -> float:
+        return math.cos(self.tilt) + 1e-6
+
+    def have_fallen(self, world: Readings) -> bool:
+        """Return whether a robot is tilted too far, or lies too low."""
+        if world.uprightness < self._surely_upright:  # Neither angle is larger than that to z.
+            roll, pitch, _ = world.roll_pitch_yaw
+            if abs(roll) > self.tilt or abs(pitch) > self.tilt:
+                return True
+        return self.height is not None and world.height_over_ground() < self.height
+
 
 class _SoFar(NamedTuple):
     """All that changes in a trial."""
@@ -228,7 +241,6 @@ class Termination:
         self._control_period = control_period
         self._contact_termination = contact_termination
         self.limits = Limits() if limits is None else limits
-        self._surely_upright = math.cos(self.limits.tilt) + 1e-6
         to_first = float(np.linalg.norm(points[0] - corners[0]))
         whole = to_first + float(self._onward[0])
         self._so_far = _SoFar(best_remaining=whole, best_step=0, contact_steps=0)
@@ -252,7 +264,7 @@ class Termination:
             self._so_far = self._so_far._replace(contact_steps=self._so_far.contact_steps + 1)
         if progress.reached == progress.total:
             return "completed"
-        if self._has_fallen(world):
+        if limits.have_fallen(world):
             return "fell"
         if has_collided and self._contact_termination:
             return "collided"
@@ -271,14 +283,6 @@ class Termination:
     def restore(self, state: bytes) -> None:
         """Go back to a `state` of this trial."""
         self._so_far = _SoFar(*json.loads(state))
-
-    def _has_fallen(self, world: Readings) -> bool:
-        limits = self.limits
-        if world.uprightness < self._surely_upright:  # Neither angle is larger than that to z.
-            roll, pitch, _ = world.roll_pitch_yaw
-            if abs(roll) > limits.tilt or abs(pitch) > limits.tilt:
-                return True
-        return limits.height is not None and world.height_over_ground() < limits.height
 
     def _is_off_course(self, position: npt.NDArray[np.float64], ground: float) -> bool:
         if position[2] < ground - self.limits.below_ground:

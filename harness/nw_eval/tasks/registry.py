@@ -23,9 +23,13 @@ from nw_eval.errors import NwEvalError, PluginError, UsageError, nearest
 from nw_eval.plugins import TASKS, installed, is_elsewhere, load_class, subject
 from nw_eval.scores import ScoreSpec
 from nw_eval.tasks.course import Course, CourseSettings
-from nw_eval.tasks.task import Task, TaskRules, TaskSettings
+from nw_eval.tasks.push import PushSettings, PushTask
+from nw_eval.tasks.stand import StandSettings, StandTask
+from nw_eval.tasks.task import Task, TaskFault, TaskRules, TaskSettings
+from nw_eval.tasks.velocity import VelocitySettings, VelocityTask
 
-BUILT_IN: dict[str, type[Task]] = {cls.kind: cls for cls in (Course,)}
+_CLASSES: tuple[type[Task], ...] = (Course, VelocityTask, PushTask, StandTask)
+BUILT_IN: dict[str, type[Task]] = {cls.kind: cls for cls in _CLASSES}
 """By name."""
 _PLUGIN = "plug-in"
 
@@ -61,7 +65,11 @@ def _by_name(value: Any) -> Any:
 
 
 AnyTask = Annotated[
-    Annotated[CourseSettings, Tag("course")] | Annotated[PluginTask, Tag(_PLUGIN)],
+    Annotated[CourseSettings, Tag("course")]
+    | Annotated[VelocitySettings, Tag("velocity")]
+    | Annotated[PushSettings, Tag("push")]
+    | Annotated[StandSettings, Tag("stand")]
+    | Annotated[PluginTask, Tag(_PLUGIN)],
     Discriminator(_branch),
     BeforeValidator(_by_name, json_schema_input_type=Any),
 ]
@@ -76,6 +84,25 @@ def task_kinds() -> tuple[str, ...]:
 def declared_by(settings: TaskSettings) -> tuple[ScoreSpec, ...]:
     """Return the scores that a kind of task has of its own."""
     return (BUILT_IN.get(settings.kind) or _plugin(settings.kind)).declared
+
+
+def fault_of(
+    settings: TaskSettings, *, hears: frozenset[str], rules: TaskRules
+) -> TaskFault | None:
+    """Return why a suite cannot run its task with a policy; None where it can.
+
+    Args:
+        settings: of the suite.
+        hears: as `Task.fault` has it.
+        rules: of the suite's trials.
+
+    Raises:
+        PluginError: the package of its kind is broken.
+    """
+    if (built_in := BUILT_IN.get(settings.kind)) is not None:
+        return built_in.fault(settings, hears=hears, rules=rules)
+    cls = _plugin(settings.kind)
+    return cls.fault(cls.settings.model_validate(settings.model_dump()), hears=hears, rules=rules)
 
 
 def open_task(settings: TaskSettings, rules: TaskRules) -> Task:

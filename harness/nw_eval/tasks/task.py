@@ -261,6 +261,15 @@ class TaskEvent(NamedTuple):
     """Of the waypoint, from 0; -1 = none."""
 
 
+class TaskFault(NamedTuple):
+    """Why a suite's task cannot be run with its policy or its episode."""
+
+    location: tuple[str | int, ...]
+    """Keys below `task`."""
+    message: str
+    fix: str
+
+
 class Task(Protocol):
     """One trial's task; a `Memory` of what it has seen, by the names that its parts have in a log.
 
@@ -277,6 +286,21 @@ class Task(Protocol):
     settings: ClassVar[type[TaskSettings]]
     declared: ClassVar[tuple[ScoreSpec, ...]] = ()
     goal: Goal
+
+    @classmethod
+    def fault(
+        cls, settings: TaskSettings, *, hears: frozenset[str], rules: TaskRules
+    ) -> TaskFault | None:
+        """Return why a suite cannot run the task, before anything runs; None where it can.
+
+        Args:
+            settings: of the suite.
+            hears: what tells the policy what to do, by its card: `command`, a velocity; `speed`, a
+                forward speed; `way`, the direction to a waypoint.
+            rules: of the suite's trials.
+        """
+        del settings, hears, rules
+        return None
 
     def reset(self, streams: Streams, scene: Place, robot: TaskRobot) -> Goal:
         """Draw a trial, and return where it begins.
@@ -334,6 +358,14 @@ class Task(Protocol):
     @property
     def command(self) -> Velocity | None:
         """The velocity that the task asks for now; None leaves it to the policy's card."""
+        return None
+
+    @property
+    def force(self) -> Array | None:
+        """The force on the robot's root in the next control step, (3,) N, world; None = none.
+
+        It acts on the centre of mass of that body, throughout the step.
+        """
         return None
 
     @property

@@ -346,3 +346,40 @@ class Cloister:
         if self.lit:
             for at in (0.6, length * 0.6, length + 3.0):
                 outdoors.wall_lamp(builder, at, half, 1, height=2.2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Field:
+    """A wide level lawn within a hedge, with nothing on it.
+
+    Attributes:
+        ground: material of the lawn.
+        reach: metres from the spawn to the hedge, to each side.
+        indoor: never.
+    """
+
+    ground: str = "grass/green"
+    reach: float = 16.0
+    indoor: bool = False
+
+    def build(self, builder: PlaceBuilder, length: float) -> None:
+        """Build the field; how long the trail is changes nothing."""
+        del length
+        near, far = self.reach, self.reach + 1.0
+        builder.ground(self.ground, (-far - 6.0, far + 6.0), (-far - 6.0, far + 6.0))
+        for side in (1.0, -1.0):
+            low, high = sorted((side * near, side * far))
+            outdoors.hedge(builder, (low, high), (-far, far), 1.7)
+            outdoors.hedge(builder, (-near, near), (low, high), 1.7)
+        for index in range(12):
+            angle = 2.0 * math.pi * (index + 0.3) / 12
+            away = far + 3.0 + 1.1 * (index % 3)
+            outdoors.tree(
+                builder,
+                away * math.cos(angle),
+                away * math.sin(angle),
+                height=5.0 + 0.6 * (index % 4),
+                radius=1.7 + 0.2 * (index % 2),
+                turn=1.3 * index,
+                far=True,
+            )

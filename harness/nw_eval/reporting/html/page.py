@@ -77,6 +77,7 @@ def render_html(
         remarks=(*evidence.remarks, *clips_left_out, *pictures_left_out),
         spent=throughput(rows, run),
         trials=trial_lines(rows, run, folder),
+        reached="waypoints" if any(row.waypoints_total for row in rows) else "success",
         scenes=sorted({row.scene for row in rows}),
         view=f"nw-eval view {quote(str(folder))}",
     )

@@ -55,7 +55,7 @@ def all_tables(
     tables = (
         baseline_table(verdict.against, brief=brief),
         cause_table(cause),
-        scenes_table(verdict),
+        scenes_table(verdict, ordered),
         scores_table(verdict),
         *(() if brief else (perturbations_table(ordered, verdict),)),
         outcomes_table(ordered),
@@ -86,7 +86,7 @@ def named_tables(
         "cause": cause_table(cause),
         "tasks": tasks_table(rows, verdict),
         "against": baseline_table(verdict.against),
-        "scenes": scenes_table(verdict),
+        "scenes": scenes_table(verdict, rows),
         "scores": scores_table(verdict),
         "perturbations": perturbations_table(rows, verdict),
         "outcomes": outcomes_table(rows),

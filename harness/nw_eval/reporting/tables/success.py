@@ -28,8 +28,19 @@ _LEFT = "left capture"
 """Trials that left the captured volume, and are counted apart."""
 
 
-def scenes_table(verdict: Verdict) -> Table:
-    """Return success by scene, the lowest first."""
+def _what_counts(rows: Sequence[Row]) -> str:
+    results = [row for row in rows if row.status == "ok" and not row.waypoints_total]
+    kinds = sorted({row.task_kind for row in results})
+    if kinds:
+        return f"Success is what the task {' and '.join(kinds)} counts: 1 of a completed trial."
+    return (
+        "Success is the share of the trail's waypoints reached, completed the share of trials that "
+        "reached all."
+    )
+
+
+def scenes_table(verdict: Verdict, rows: Sequence[Row] = ()) -> Table:
+    """Return success by scene, the lowest first; `rows` tell whether trials have waypoints."""
     scores = sorted(verdict.per_scene, key=lambda item: (item.mean is not None, item.mean))
     splits = any(item.split for item in scores)
     tiers = any(item.tier != "supporting" for item in scores)
@@ -63,8 +74,7 @@ def scenes_table(verdict: Verdict) -> Table:
         ),
         numbers=frozenset({"trials", _LEFT, "success", alone}),
         foot=_of_splits(scores),
-        note="Success is the share of the trail's waypoints reached, completed the share of trials "
-        "that reached all."
+        note=_what_counts(rows)
         + (
             f" {uncorrected('scene', alone)} It is a Bayesian bootstrap of the scene's trials; the "
             "verdict uses bounds that hold for any distribution."

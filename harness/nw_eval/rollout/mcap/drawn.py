@@ -96,7 +96,10 @@ def place_update(mesh: TriangleMesh) -> bytes:
 
 
 def trail_update(start: Sequence[float], trail: np.ndarray) -> bytes:
-    """Return the way from the start through all waypoints (K, 3) m as a line, serialised."""
+    """Return the way from the start through all waypoints (K, 3) m as a line, serialised.
+
+    Where there are none, the line is the start alone.
+    """
     corners = np.concatenate([np.reshape(start, (1, 3)), trail])
     corners[:, 2] += _LINE
     line = LinePrimitive(
@@ -264,7 +267,7 @@ class TrailClouds:
 
     def __init__(self, start: ArrayLike, trail: Points) -> None:
         corners = np.concatenate([np.reshape(start, (1, 3)), trail])
-        dots: list[Points] = []
+        dots: list[Points] = [np.zeros((0, 3))]
         for near, far in pairwise(corners):
             count = max(1, round(float(np.linalg.norm(far - near)) / _DOTS))
             share = np.arange(1, count + 1)[:, np.newaxis] / count
@@ -274,7 +277,7 @@ class TrailClouds:
         rings = (np.reshape(trail, (-1, 1, 3)) + ring).reshape(-1, 3)
         self._dots = _rows(np.concatenate(dots), OPEN)
         self._rings = _rows(np.rint(rings * _GRID) / _GRID, OPEN)
-        self._ends = [0, *np.cumsum([len(leg) for leg in dots]).tolist()]  # of the legs
+        self._ends = np.cumsum([len(leg) for leg in dots]).tolist()  # of the legs
 
     def trail(self, time_ns: int, *, reached: int) -> bytes:
         """Return the dots, green as far as the last waypoint that is reached."""

@@ -82,6 +82,8 @@ class Call(NamedTuple):
     """Of what it was given: see `SeenRows.note`."""
     new: tuple[bool, ...]
     """Which rows of that are new."""
+    command: tuple[float, float, float] | None = None
+    """What the task asks for: vx, vy (m/s), yaw rate (rad/s); None leaves it to the card."""
 
 
 class Steps:
@@ -91,7 +93,8 @@ class Steps:
         body: the robot's own messages.
         joints: how many it has.
         seen: the observations that are rows of numbers.
-        command: from a heading error, rad, to what is asked for: vx, vy (m/s), yaw rate (rad/s).
+        command: from a heading error, rad, to what the card asks for where the task asks for
+            nothing: vx, vy (m/s), yaw rate (rad/s).
     """
 
     def __init__(
@@ -170,6 +173,10 @@ class Steps:
         )
         return records([channels("/nw/policy", PolicyStep)] * len(at), at, messages)
 
+    def _asked(self, call: Call) -> tuple[float, float, float, float]:
+        error = call.heading_error or 0.0
+        return (*(call.command or self._command(error)), error)
+
     def _observations(
         self,
         times: Integers,
@@ -183,8 +190,7 @@ class Steps:
             if call.heading_error is not None:
                 groups.setdefault(call.new, []).append(number)
         for new, which in groups.items():
-            errors = [calls[number].heading_error or 0.0 for number in which]
-            commands = np.array([(*self._command(error), error) for error in errors])
+            commands = np.array([self._asked(calls[number]) for number in which])
             forms, numbers = self._seen.numbers(new, [observed[number] for number in which])
             yield (
                 which,

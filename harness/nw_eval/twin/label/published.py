@@ -27,7 +27,7 @@ from nw_eval.twin.label.state import mapped, shift, turn
 from nw_eval.twin.place import Route
 from nw_eval.words import ROBOTS
 
-_NAME_OF_TASK = {"hurdles": "hurdle", "gaps": "gaps", "ramps": "ramp", "stairs": "stairs"}
+_NAME_OF_TASK = {"hurdles": "hurdle", "ramps": "ramp"}
 
 # The robots' files, and the cones', are in the code repository, not in scene folders. Their angles
 # are radians too; saying so here keeps the file readable without them.
@@ -175,7 +175,11 @@ def published_name(name: str, course: Route) -> str:
     """Return the name of the scene's folder, from which its task can be read."""
     scene = name.rsplit("/", 1)[-1]
     row, _ = row_of(scene)
-    return scene if row.task == course.task else f"{_NAME_OF_TASK[course.task]}_{scene}"
+    return (
+        scene
+        if row.task == course.task
+        else f"{_NAME_OF_TASK.get(course.task, course.task)}_{scene}"
+    )
 
 
 def euler_angles(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
