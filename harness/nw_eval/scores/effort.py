@@ -92,14 +92,13 @@ LEAST_WAY = 0.1
 """m; over less a cost of transport has no meaning."""
 
 
-def way_after(
-    distance: float, x: float, y: float, stretch: Stretch
-) -> tuple[float, float, float]:
+def way_after(distance: float, x: float, y: float, stretch: Stretch) -> tuple[float, float, float]:
     """Return the way in the ground plane and where it ends after a stretch, (3,) m.
 
     Args:
         distance: before it, m.
-        x, y: where that ended; NaN before the first stretch.
+        x: where that ended, m; NaN before the first stretch.
+        y: likewise.
         stretch: whose position each 0.2 s counts, and its last.
     """
     every = max(1, round(WAY_PERIOD / stretch.figures.control_period))

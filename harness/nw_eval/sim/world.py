@@ -260,8 +260,11 @@ class World(Body):
         return self._physics
 
     def trunk_readings(self) -> tuple[Array, Array, Array]:
-        """Return position (3,), rotation (9,), R_world_trunk row by row, and velocities of the
-        trunk, (6,), as `moving`, now: views of the simulation's memory.
+        """Return what scores read of the trunk, now: views of the simulation's memory.
+
+        Returns:
+            Position (3,), rotation (9,), R_world_trunk row by row, and the velocities of `moving`,
+            (6,).
         """
         data, trunk = self._data, self._trunk
         return data.xpos[trunk], data.xmat[trunk], data.qvel[self._rates]
