@@ -7,6 +7,7 @@ import math
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -213,7 +214,7 @@ def test_a_ros_2_bag_gives_the_scores_that_its_topics_allow(tmp_path):
     shares = np.abs(walk.torques) / np.array(GO1.torque_limits)
     power = np.maximum(walk.torques * walk.speeds, 0.0).sum(axis=1)
     places = [walk.places[0], *walk.places[9::10]]
-    way = sum(math.dist(a, b) for a, b in zip(places, places[1:], strict=False))
+    way = sum(math.dist(a, b) for a, b in pairwise(places))
     low, high = np.array(GO1.joint_ranges).T
     last = walk.angles[SUBSTEPS - 1 :: SUBSTEPS]
     ends = ((last < low + 0.01) | (last > high - 0.01)).any(axis=1)

@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 
 from nw_eval.gate.baseline.finding import Met, bank_of, numbers_of, scores_of
 from nw_eval.gate.baseline.judge import ComparisonSetup, setup_of
+from nw_eval.gate.baseline.match import renewing
 from nw_eval.gate.verdict import ScoreFinding, Verdict, Word, percent_sure
 from nw_eval.plural import plural
-from nw_eval.results.bank import Against, Start
+from nw_eval.results.bank import Against, SavedBank, Start
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.scores import ScoreSpec
@@ -163,6 +164,15 @@ def _finding(
     return replace(found, word=word, reasons=tuple(reasons))
 
 
+def lacks_score(bank: SavedBank, name: str) -> str:
+    """Return that a bank was saved before its suite measured a score."""
+    return f"the baseline {bank.manifest.name} has no {name}"
+
+
+def _saving(setup: ComparisonSetup) -> str:
+    return f"save it again with `{renewing(setup.run, setup.bank)}`"
+
+
 def _arrays(groups: Mapping[str, Sequence[float]]) -> list[NDArray[np.float64]]:
     return [np.array(each, dtype=np.float64) for each in groups.values()]
 
@@ -201,14 +211,10 @@ def _by_baseline(
     """Return what the trials say of a score's change against the baseline."""
     spec = found.spec
     name, unit = spec.name, f" {spec.unit}" if spec.unit else ""
+    if setup.basis != "control" and name not in setup.bank.manifest.scores:
+        return "INVALID", f"{lacks_score(setup.bank, name)}: {_saving(setup)}", found
     if setup.basis == "same":
         return "PASS", f"{name}: the same policy as the baseline, nothing to test", found
-    if setup.basis != "control" and name not in setup.bank.manifest.scores:
-        return (
-            "INVALID",
-            f"the baseline {setup.bank.manifest.name} has no {name}: save it again with this suite",
-            found,
-        )
     value = partial(counted, spec=spec)
     met, judged = replace(met, counted=value), setup.judged
     bank = bank_of(setup.panel, judged, setup.basis, setup.claim, value)
