@@ -104,6 +104,7 @@ def plan_of(
     suite = None if draft.suite is None else override(draft.suite, request)
     if suite is not None:
         faults.extend(plugin_faults(suite))
+        _vet_scores(suite, faults, allow_code=request.allow_code)
         if robot is not None:
             suite = with_robot(suite, robot.reference)
     if own_policy is None:
@@ -154,6 +155,23 @@ def plan_of(
         robot_folder=folder,
     )
     return resolved if against is None else _matched(resolved, against)
+
+
+def _vet_scores(suite: Suite, faults: Faults, *, allow_code: bool) -> None:
+    """Tell which functions of a suite cannot be read, or may not run."""
+    from nw_eval.errors import CodeError
+
+    try:
+        suite.measured_by()
+    except NwEvalError as error:
+        faults.add(error)
+    for own in () if allow_code else suite.own_scores:
+        faults.add(
+            CodeError(
+                f"score {own.spec.name!r} is Python code, {own.python}",
+                fix="add --allow-code if you trust it",
+            )
+        )
 
 
 def _try_axes(trials: Sequence[Trial], suite: Suite, bundle: Bundle) -> None:

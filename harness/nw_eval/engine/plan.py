@@ -155,7 +155,7 @@ def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
             robot_folder=plan.robot_folder,
             protocol=suite.protocol,
             task=suite.task,
-            scores=suite.measured,
+            scores=suite.measured_by(),
             duration=suite.episode.duration,
             contact_termination=suite.episode.contact_termination,
             scene=places[trial.scene].reference,

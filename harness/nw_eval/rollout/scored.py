@@ -29,12 +29,15 @@ class ScoreMeter:
         names: of the scores.
         world: already reset to the trial's start.
         task: already reset.
+        allow_code: whether Python functions of the suite may run.
 
     Raises:
         UsageError: there is no such score, or its class refuses.
     """
 
-    def __init__(self, names: Sequence[str], world: World, task: Task) -> None:
+    def __init__(
+        self, names: Sequence[str], world: World, task: Task, *, allow_code: bool = False
+    ) -> None:
         self._world, self._task = world, task
         self._physics = world.at_physics_rate()
         self._figures = figures = Figures(
@@ -48,10 +51,12 @@ class ScoreMeter:
         self._scores: dict[str, Score] = {}
         for name in names:
             try:
-                self._scores[name] = score_class(name)(figures)
+                cls = score_class(name, allow_code=allow_code)
+                self._scores[cls.spec.name] = cls(figures)
             except Exception as error:
+                own = name.partition("=")[0]
                 raise UsageError(
-                    f"score {name!r} cannot be opened: {clean(error, at_most=200)}",
+                    f"score {own!r} cannot be opened: {clean(error, at_most=300)}",
                     fix="install its package, or leave it out",
                 ) from error
         substeps, joints = self._physics.rates.shape

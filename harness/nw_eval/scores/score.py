@@ -176,6 +176,11 @@ class Stretch:
         return float(power.sum()) * self.figures.timestep
 
     @cached_property
+    def power(self) -> Array:
+        """Positive mechanical power of all motors in each physics step, (n, S, 1) W."""
+        return np.maximum(self.torques * self.joint_rates, 0.0).sum(axis=2, keepdims=True)
+
+    @cached_property
     def yaw(self) -> Array:
         """Of the trunk, (n,) rad."""
         return np.arctan2(self.rotation[:, 3], self.rotation[:, 0])
