@@ -73,6 +73,9 @@ def with_scores(
         if item.word is not None:
             word = _worse(word, item.word)
     judged = [item for item in found if item.word is not None]
+    if judged:  # That nothing was judged is true of success alone.
+        kept = tuple(each for each in verdict.reasons if "nothing was judged" not in each)
+        verdict = replace(verdict, reasons=kept)
     judged.sort(key=lambda item: _ORDER.index(item.word or "PASS"), reverse=True)
     told = [reason for item in judged for reason in item.reasons]
     told += [reason for item in found if item.word is None for reason in item.reasons]
@@ -119,7 +122,7 @@ def _finding(
     scenes: dict[str, list[float]] = {}
     worst: dict[str, list[float]] = {}
     best: dict[str, list[float]] = {}
-    undefined = 0
+    undefined = kept = 0
     for row in sorted(rows, key=lambda row: row.trial_id):
         value = counted(row, spec=spec)
         if value is None or gate.tier(row.scene) == "informational":
@@ -130,6 +133,7 @@ def _finding(
         if not left:
             scenes.setdefault(row.scene, []).append(value)
             undefined += spec.name not in dict(row.scores)
+            kept += value == 1.0
     low = lower_bound(_arrays(worst), gate.confidence)
     high = upper_bound(_arrays(best), 1.0 - (1.0 - gate.confidence) / gate.shared)
     mean = float(np.mean([np.mean(each) for each in scenes.values()])) if scenes else None
@@ -138,6 +142,7 @@ def _finding(
         spec=spec,
         trials=sum(map(len, scenes.values())),
         undefined=undefined,
+        kept=kept,
         mean=None if mean is None else spec.unscaled(mean),
         interval=Interval(*ends),
         per_scene={scene: spec.unscaled(float(np.mean(each))) for scene, each in scenes.items()},
