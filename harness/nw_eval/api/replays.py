@@ -113,6 +113,7 @@ def log_scores(
     scores: Sequence[str] = (),
     robot: str | None = None,
     topics: Sequence[str] = (),
+    allow_code: bool = False,
 ) -> LogScores:
     """Return the scores of a log, by the code that measures trials as they run.
 
@@ -125,8 +126,10 @@ def log_scores(
         robot: whose log it is; of a run's, the log says it.
         topics: of a robot's log: `joints=NAME`, `targets=NAME`, `pose=NAME`, `command=NAME`, in
             place of those that are found by what their messages are.
+        allow_code: whether Python functions of the run's suite, which its log holds, may run.
 
     Raises:
+        CodeError: such a function is asked for, and may not run.
         UsageError: there is no such file, score, robot or topic; several topics could be meant.
         StoreError: the log cannot be read.
         SceneError: the scene of the trial is missing.
@@ -140,7 +143,9 @@ def log_scores(
         if not (separator and name):
             raise UsageError(f"--topic {each}", fix="write it as joints=/joint_states")
         chosen[source] = name
-    return scores_of_log(_found(log), names=scores, robot=robot, topics=chosen)
+    return scores_of_log(
+        _found(log), names=scores, robot=robot, topics=chosen, allow_code=allow_code
+    )
 
 
 def foxglove_layout(log: Path, out: Path | None = None) -> dict[str, Any]:

@@ -119,6 +119,11 @@ class ScoreMeter:
             if value is not None and math.isfinite(value)
         )
 
+    def moments(self) -> dict[str, float]:
+        """Return when in the trial limits were first passed, s, by score; after `values`."""
+        found = {name: score.moment() for name, score in self._scores.items()}
+        return {name: moment for name, moment in found.items() if moment is not None}
+
     def state(self) -> bytes:
         """Return what is not shown yet, and what the scores remember."""
         waiting = {_ROWS: self._rows[: self._count].copy()}

@@ -196,17 +196,25 @@ class LimitTime(Score):
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)
-        self.steps, self.at_limit = 0, 0
+        self.steps, self.at_limit, self.first = 0, 0, -1
 
     def update(self, stretch: Stretch) -> None:
         """Count control steps."""
         joints, (low, high) = stretch.joint_positions, self.figures.inner_ranges
         ends = ((joints < low) | (joints > high)).any(axis=1)
         # |tau| / limit rounds to 1 only where |tau| is the limit or more.
-        self.at_limit += int(np.count_nonzero(ends | (stretch.peak_shares >= 1.0)))
+        at_limit = ends | (stretch.peak_shares >= 1.0)
+        if count := int(np.count_nonzero(at_limit)):
+            self.at_limit += count
+            if self.first < 0:
+                self.first = self.steps + int(at_limit.argmax()) + 1
         self.steps += len(joints)
 
     def value(self, end: TrialEnd) -> float | None:
         """Return the share."""
         del end
         return self.at_limit / self.steps if self.steps else None
+
+    def moment(self) -> float | None:
+        """Return the end of the first control step at a limit, s."""
+        return None if self.first < 0 else self.first * self.figures.control_period

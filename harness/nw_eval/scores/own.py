@@ -269,7 +269,8 @@ class _Keeps(Score):
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)
-        self.kept = 1.0
+        self.instants, self.broken = 0, -1  # so far, and after how many it was first broken
+        self.when = 0.0
         self.lasting = np.zeros(0)  # instants for which each has been beyond, without a break
 
     def update(self, stretch: Stretch) -> None:
@@ -278,6 +279,7 @@ class _Keeps(Score):
         values = _READINGS[self.expected.reading][1](stretch)
         substeps, channels = values.shape[1:]
         beyond = values.reshape(-1, channels) > (self.expected.at_most or 0.0)
+        before, self.instants = self.instants, self.instants + len(beyond)
         if not beyond.any():
             self.lasting = np.zeros(channels)
             return
@@ -285,15 +287,20 @@ class _Keeps(Score):
         # The hair takes 0.1 s for no more than 0.1 s, which 20 times 0.005 s are not.
         most = self.expected.longer_than / instant + 1e-6
         lasting = self.lasting if len(self.lasting) else np.zeros(channels)
-        for row in beyond:
+        for number, row in enumerate(beyond, before + 1):
             lasting = np.where(row, lasting + 1.0, 0.0)
-            if lasting.max() > most:
-                self.kept = 0.0
+            if self.broken < 0 and lasting.max() > most:
+                self.broken = number
+                self.when = number * instant
         self.lasting = lasting
 
     def value(self, end: TrialEnd) -> float | None:
         """Return 1 or 0."""
-        return self.kept if end.seconds else None
+        return float(self.broken < 0) if end.seconds else None
+
+    def moment(self) -> float | None:
+        """Return when it was first broken, s."""
+        return None if self.broken < 0 else self.when
 
 
 class _Reaches(Score):
@@ -317,6 +324,10 @@ class _Reaches(Score):
         if self.expected.at_most is not None:
             return float(value <= self.expected.at_most)
         return float(value >= (self.expected.at_least or 0.0))
+
+    def moment(self) -> float | None:
+        """Return that of its score."""
+        return self.score.moment()
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return what the score remembers."""

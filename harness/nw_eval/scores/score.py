@@ -256,6 +256,10 @@ class Score:
         """Return the score, in its unit, or None where it is undefined."""
         raise NotImplementedError
 
+    def moment(self) -> float | None:
+        """Return when in the trial a limit was first passed, s; None for never, or for no limit."""
+        return None
+
     def state(self) -> dict[str, NDArray[Any]]:
         """Return what it remembers."""
         return {name: np.asarray(value) for name, value in vars(self).items() if name != "figures"}

@@ -37,11 +37,19 @@ class Scores:
     that are found by what their messages are."""
     json: bool = False
     """Print JSON."""
+    allow_code: bool = False
+    """Let scores that are Python functions of the run's suite run; its log holds them."""
 
     def __call__(self) -> int:
         from nw_eval import api
 
-        found = api.log_scores(self.log, scores=self.score, robot=self.robot, topics=self.topic)
+        found = api.log_scores(
+            self.log,
+            scores=self.score,
+            robot=self.robot,
+            topics=self.topic,
+            allow_code=self.allow_code,
+        )
         print(scores_json(found) if self.json else scores_text(found))
         return 0
 
@@ -55,6 +63,7 @@ def scores_json(found: LogScores) -> str:
             name: {"value": value, "unit": found.specs[name].unit}
             for name, value in found.values.items()
         },
+        "limit_passed_at": dict(found.moments),
         "missing": dict(found.missing),
         "topics": dict(found.topics),
         "recorded": dict(found.recorded),
@@ -68,7 +77,10 @@ def scores_text(found: LogScores) -> str:
     for name, spec in found.specs.items():
         value = found.values.get(name)
         shown = "-" if value is None else f"{value:.6g}"
-        rows.append((name, shown, spec.unit, clean(found.missing.get(name, ""), at_most=200)))
+        said = clean(found.missing.get(name, ""), at_most=200)
+        if name in found.moments:
+            said = f"limit first passed at {found.moments[name]:.3f} s"
+        rows.append((name, shown, spec.unit, said))
     lines = aligned(rows, right=(1,))
     notes = [f"{found.seconds:.2f} s"]
     notes += [f"{source}: {clean(topic, at_most=100)}" for source, topic in found.topics.items()]

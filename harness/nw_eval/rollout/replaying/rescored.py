@@ -34,6 +34,7 @@ from nw_eval.scores import (
     score_names,
     specs_of,
 )
+from nw_eval.scores.own import is_code
 from nw_eval.tasks.registry import declared_by
 from nw_eval.words import Outcome
 
@@ -53,6 +54,8 @@ class LogScores:
     """Simulated, or measured on the robot's clock."""
     values: Mapping[str, float]
     """Of those that the log allows and that are defined, by name, each in its unit."""
+    moments: Mapping[str, float]
+    """When a limit was first passed, s: of `limit_time`, and of what the suite expects."""
     missing: Mapping[str, str]
     """Why the others are not there, by name."""
     specs: Mapping[str, ScoreSpec]
@@ -67,7 +70,12 @@ class LogScores:
 
 
 def scores_of_log(
-    path: Path, *, names: Sequence[str], robot: str | None, topics: Mapping[str, str]
+    path: Path,
+    *,
+    names: Sequence[str],
+    robot: str | None,
+    topics: Mapping[str, str],
+    allow_code: bool = False,
 ) -> LogScores:
     """Return the scores of a log; a run's is led in a process of its own.
 
@@ -76,8 +84,10 @@ def scores_of_log(
         names: of the scores; empty = all.
         robot: whose log it is; of a run's, the log says it.
         topics: of a robot's log, from which readings are taken: see `read_robot_log`.
+        allow_code: whether Python functions that the log of a run holds may run.
 
     Raises:
+        CodeError: such a function was asked for, and may not.
         StoreError: the log cannot be read.
         UsageError: there is no such score or robot, or a robot's log names none.
         SceneError: the scene of the trial is not here.
@@ -91,14 +101,30 @@ def scores_of_log(
             )
         logged = read_logged_trial(path)
         own = {each.name: each for each in declared_by(logged.job.task)}
-        measured = tuple(name for name in asked or score_names() if name not in own)
-        found = {**own, **specs_of(measured)}
-        return _of_run(logged, measured, {name: found[name] for name in asked or found})
+        texts = {
+            each.partition("=")[0]: each
+            for each in logged.job.scores
+            if "=" in each and (asked or allow_code or not is_code(each))
+        }
+        found = {
+            **own,
+            **{name: score_class(each, allow_code=allow_code).spec for name, each in texts.items()},
+            **specs_of(name for name in asked or score_names() if name not in {*own, *texts}),
+        }
+        found = {name: found[name] for name in asked} if asked else found
+        measured = tuple(texts.get(name, name) for name in found if name not in own)
+        return _of_run(logged, measured, found, allow_code=allow_code)
     names = asked or score_names()
     return _of_robot(path, names, specs_of(names), robot, topics)
 
 
-def _of_run(logged: LoggedTrial, names: Sequence[str], specs: Mapping[str, ScoreSpec]) -> LogScores:
+def _of_run(
+    logged: LoggedTrial,
+    names: Sequence[str],
+    specs: Mapping[str, ScoreSpec],
+    *,
+    allow_code: bool,
+) -> LogScores:
     if handover_of(logged) is not None:
         raise StoreError(
             f"{logged.path} is of a trial in which another policy took over",
@@ -118,6 +144,7 @@ def _of_run(logged: LoggedTrial, names: Sequence[str], specs: Mapping[str, Score
         time_limit=_TIME_LIMIT,
         log=str(logged.path.resolve()),
         names=list(names),
+        allow_code=allow_code,
     )
     try:
         found = TypeAdapter(_Led).validate_python(answer)
@@ -128,6 +155,7 @@ def _of_run(logged: LoggedTrial, names: Sequence[str], specs: Mapping[str, Score
         log=logged.path,
         seconds=found.seconds,
         values={name: found.values[name] for name in specs if name in found.values},
+        moments=found.moments,
         missing=missing,
         specs=specs,
         topics={},
@@ -146,14 +174,15 @@ def _recorded(logged: LoggedTrial) -> dict[str, float]:
 @dataclass(frozen=True, kw_only=True)
 class _Led:
     values: dict[str, float]
+    moments: dict[str, float]
     seconds: float
     restored: int
 
 
-def _lead(*, log: str, names: Sequence[str]) -> dict[str, Any]:
+def _lead(*, log: str, names: Sequence[str], allow_code: bool) -> dict[str, Any]:
     """Lead a trial along its log; return what was measured as plain values."""
     logged = read_logged_trial(Path(log))
-    logged = replace(logged, job=replace(logged.job, scores=tuple(names)))
+    logged = replace(logged, job=replace(logged.job, scores=tuple(names), allow_code=allow_code))
     states = {state.step: state for state in logged.log.states()}
     restored, outcome = 0, None
     with open_puppet(logged, Library()) as puppet:
@@ -174,8 +203,8 @@ def _lead(*, log: str, names: Sequence[str]) -> dict[str, Any]:
         if word in get_args(Outcome):
             outcome = cast("Outcome", word)
         values = dict(leader.scores(outcome))
-        seconds = leader.world.time
-    return asdict(_Led(values=values, seconds=seconds, restored=restored))
+        moments, seconds = leader.limits_passed(), leader.world.time
+    return asdict(_Led(values=values, moments=moments, seconds=seconds, restored=restored))
 
 
 def _of_robot(
@@ -193,6 +222,7 @@ def _of_robot(
     read = read_robot_log(path, robot=robot, topics=topics)
     values: dict[str, float] = {}
     missing: dict[str, str] = {}
+    moments: dict[str, float] = {}
     end = TrialEnd(outcome=None, seconds=read.seconds, success=float("nan"))
     for name in names:
         score = score_class(name)(read.figures)
@@ -210,10 +240,13 @@ def _of_robot(
             )
         else:
             values[name] = float(value)
+            if (moment := score.moment()) is not None:
+                moments[name] = moment
     return LogScores(
         log=path,
         seconds=read.seconds,
         values=values,
+        moments=moments,
         missing=missing,
         specs=specs,
         topics=read.topics,
