@@ -6,6 +6,7 @@ the cache of trials know it by a text, `NAME={...}`, which says all of it, the c
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import json
 import types
@@ -19,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from nw_eval.clean import clean
 from nw_eval.errors import CodeError, UsageError, nearest
+from nw_eval.files.inside import bounded_bytes
 from nw_eval.scores.score import READINGS, Array, Figures, Score, ScoreSpec, Stretch, TrialEnd
 
 EXPECT = "expect_"
@@ -195,20 +197,25 @@ def own_text(own: OwnScore, folder: Path) -> str:
     Raises:
         UsageError: the file cannot be read, or is too long.
     """
+    fields = {**own.model_dump(exclude_none=True), "source": _source(own, folder)}
+    return f"{own.spec.name}={json.dumps(fields, sort_keys=True)}"
+
+
+def source_digest(own: OwnScore, folder: Path) -> str:
+    """Return the hex SHA-256 of a function's file; raises as `own_text`."""
+    return hashlib.sha256(_source(own, folder).encode()).hexdigest()
+
+
+def _source(own: OwnScore, folder: Path) -> str:
     file = folder / own.python.rpartition(":")[0]
     try:
-        source = file.read_bytes()
-        if len(source) > _MOST_SOURCE:
-            raise UsageError(f"{file} has over {_MOST_SOURCE} bytes", fix="make it shorter")
-        text = source.decode("utf-8")
+        return bounded_bytes(file, _MOST_SOURCE).decode("utf-8")
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or "it is not UTF-8"
+        reason = getattr(error, "strerror", None) or clean(error, at_most=100)
         raise UsageError(
             f"cannot read {file} of score {own.spec.name!r}: {reason}",
-            fix="name a file beside the suite",
+            fix="name a file beside the suite, of UTF-8 text",
         ) from None
-    fields = {**own.model_dump(exclude_none=True), "source": text}
-    return f"{own.spec.name}={json.dumps(fields, sort_keys=True)}"
 
 
 def is_code(text: str) -> bool:

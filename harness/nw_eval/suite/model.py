@@ -48,6 +48,7 @@ from nw_eval.scores.own import (
     expectation_spec,
     expectation_text,
     own_text,
+    source_digest,
 )
 from nw_eval.scores.registry import BUILT_IN as SCORE_CLASSES
 from nw_eval.suite.axes import AXES
@@ -457,6 +458,18 @@ class Suite(_Strict):
         return tuple(each for each in self.scores if isinstance(each, OwnScore))
 
     @property
+    def own_code(self) -> dict[str, str]:
+        """Which code `own_scores` are, by `key_of` its name: file, function and SHA-256.
+
+        Raises:
+            UsageError: a file cannot be read.
+        """
+        return {
+            key_of(SCORES, each.spec.name): f"{each.python} {source_digest(each, self.base)}"
+            for each in self.own_scores
+        }
+
+    @property
     def measured(self) -> dict[str, ScoreSpec]:
         """Scores of its trials beside the task's own, with what each declares.
 
@@ -567,7 +580,7 @@ def _own_scores(settings: Mapping[str, Any]) -> dict[str, ScoreSpec]:
     """
     found: dict[str, ScoreSpec] = {}
     task = settings.get("task")
-    kind = task if isinstance(task, str) else _mapping(task).get("kind")
+    kind = task if isinstance(task, str) else _mapping(task).get("kind", COURSE.kind)
     if isinstance(kind, str):
         with suppress(NwEvalError):
             found |= {each.name: each for each in declared_by_kind(kind)}
