@@ -70,6 +70,7 @@ from nw_eval.api import (
     list_scenes,
     list_sensors,
     list_suites,
+    log_scores,
     merge,
     plan,
     plan_shards,
@@ -137,6 +138,7 @@ from nw_eval.results.bank import SavedBank
 from nw_eval.results.bank_changes import BankChange
 from nw_eval.results.row import Row
 from nw_eval.rollout.replaying.reports import BlameReport, ReplayReport, TakeoverReport
+from nw_eval.rollout.replaying.rescored import LogScores
 from nw_eval.scenes.overview import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
 from nw_eval.splat.files.format import SplatFormat
@@ -182,6 +184,7 @@ __all__ = [
     "ListedScene",
     "ListedSensor",
     "ListedSuite",
+    "LogScores",
     "NwEvalError",
     "Plan",
     "PluginError",
@@ -258,6 +261,7 @@ __all__ = [
     "list_scenes",
     "list_sensors",
     "list_suites",
+    "log_scores",
     "merge",
     "plan",
     "plan_shards",

@@ -133,6 +133,7 @@ READ = {
     "agree real": "agree {in} {run}",
     "agree runs": "agree {in} {in}",
     "replay log": "replay {in}.mcap",
+    "scores log": "scores {in}.mcap",
     "replay policy": "replay {log} --policy {in}.yaml",
     "replay checkpoint": "replay {log} --policy go1-parkour --checkpoint {in}",
     "view source": "view {in}",
@@ -194,6 +195,7 @@ WORDS = {
     "ledger head",
     *("scenes", "robot", "memory_limit", "shard", "address", "track", "json", "name", "note"),
     *("axis", "trial", "sample", "share", "root", "layout", "host", "to", "takeover", "suite"),
+    *("score", "topic"),
     *("licence", "held_out", "policies fetch policy", "scenes fetch scenes", "pattern"),
 }
 """Options, or verbs and options, that are words and no paths."""

@@ -38,6 +38,7 @@ from nw_eval.api.policies import (
 )
 from nw_eval.api.replays import (
     foxglove_layout,
+    log_scores,
     replay,
     rerun_layout,
     rerun_recording,
@@ -155,6 +156,7 @@ __all__ = [
     "list_scenes",
     "list_sensors",
     "list_suites",
+    "log_scores",
     "merge",
     "plan",
     "plan_shards",

@@ -7,6 +7,7 @@ come out.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -124,7 +125,13 @@ def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
     return entrant_of_bank(source, bank, panel)
 
 
-def agree(real: str | Path, runs: Sequence[str | Path], *, confidence: float = 0.95) -> Agreement:
+def agree(
+    real: str | Path,
+    runs: Sequence[str | Path],
+    *,
+    confidence: float = 0.95,
+    score: str | None = None,
+) -> Agreement:
     """Say how well the simulator ranks policies as the robot does.
 
     Args:
@@ -133,6 +140,9 @@ def agree(real: str | Path, runs: Sequence[str | Path], *, confidence: float = 0
         runs: folders of runs, and banks by path or, beside a run, by name; others than the CSV's
             policies may be among them.
         confidence: of each interval.
+        score: in place of success, one that all runs were measured by: the CSV has a column of its
+            name, in its unit. Figures are of values within its range, 1 the best; gaps are in its
+            unit.
 
     Raises:
         UsageError: the CSV is none, or names a policy or scene that no run has; there is no run;
@@ -140,11 +150,27 @@ def agree(real: str | Path, runs: Sequence[str | Path], *, confidence: float = 0
         IncomparableError: the runs differ in suite, scenes or simulator; each field is named.
         StoreError: rows are damaged.
     """
-    from nw_eval.gate.side_by_side import measured
+    from nw_eval.gate.side_by_side import measured, score_of
     from nw_eval.results.real import read_real_results
     from nw_eval.stats.agreement import agreement
+    from nw_eval.stats.interval import Interval
 
     check_share(confidence)
     if not runs:
         raise UsageError("no run to compare the robot with", fix="name the runs of its policies")
-    return agreement(measured(read_real_results(Path(real)), entrants(runs)), confidence)
+    policies = entrants(runs)
+    spec = None if score in {None, "success"} else score_of(str(score), policies)
+    results = read_real_results(Path(real), spec)
+    found = agreement(measured(results, policies, spec), confidence)
+    if spec is None:
+        return found
+    sign = spec.width if spec.better == "higher" else -spec.width
+    gaps = tuple(
+        replace(
+            gap,
+            value=sign * gap.value,
+            interval=Interval(*sorted((sign * gap.interval.low, sign * gap.interval.high))),
+        )
+        for gap in found.gaps
+    )
+    return replace(found, gaps=gaps, score=spec.name, unit=spec.unit)

@@ -104,6 +104,7 @@ def plan_of(
     suite = None if draft.suite is None else override(draft.suite, request)
     if suite is not None:
         faults.extend(plugin_faults(suite))
+        _vet_scores(suite, faults, allow_code=request.allow_code)
         if robot is not None:
             suite = with_robot(suite, robot.reference)
     if own_policy is None:
@@ -176,6 +177,23 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
                     ("task", *fault.location), f"{place}: {fault.message}", fault.fix
                 )
             ]
+        )
+
+
+def _vet_scores(suite: Suite, faults: Faults, *, allow_code: bool) -> None:
+    """Tell which functions of a suite cannot be read, or may not run."""
+    from nw_eval.errors import CodeError
+
+    try:
+        suite.measured_by()
+    except NwEvalError as error:
+        faults.add(error)
+    for own in () if allow_code else suite.own_scores:
+        faults.add(
+            CodeError(
+                f"score {own.spec.name!r} is Python code, {own.python}",
+                fix="add --allow-code if you trust it",
+            )
         )
 
 

@@ -6,7 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from nw_eval.rollout.replaying.reports import ReplayReport, TakeoverReport
+    from nw_eval.rollout.replaying.rescored import LogScores
     from nw_eval.viewing.recording.track import WrittenRecording
 
 
@@ -101,6 +104,47 @@ def take_over(
         allow_code=allow_code,
         out=out,
         video=video,
+    )
+
+
+def log_scores(
+    log: Path,
+    *,
+    scores: Sequence[str] = (),
+    robot: str | None = None,
+    topics: Sequence[str] = (),
+    allow_code: bool = False,
+) -> LogScores:
+    """Return the scores of a log, by the code that measures trials as they run.
+
+    The trial of a run is led along its log again, in a process of its own, and no policy is asked.
+    A robot's log, MCAP or the MCAP file of a ROS 2 bag, gives the scores that its topics allow.
+
+    Args:
+        log: the MCAP file.
+        scores: their names; empty = all, the task's own among them.
+        robot: whose log it is; of a run's, the log says it.
+        topics: of a robot's log: `joints=NAME`, `targets=NAME`, `pose=NAME`, `command=NAME`, in
+            place of those that are found by what their messages are.
+        allow_code: whether Python functions of the run's suite, which its log holds, may run.
+
+    Raises:
+        CodeError: such a function is asked for, and may not run.
+        UsageError: there is no such file, score, robot or topic; several topics could be meant.
+        StoreError: the log cannot be read.
+        SceneError: the scene of the trial is missing.
+    """
+    from nw_eval.errors import UsageError
+    from nw_eval.rollout.replaying.rescored import scores_of_log
+
+    chosen: dict[str, str] = {}
+    for each in topics:
+        source, separator, name = each.partition("=")
+        if not (separator and name):
+            raise UsageError(f"--topic {each}", fix="write it as joints=/joint_states")
+        chosen[source] = name
+    return scores_of_log(
+        _found(log), names=scores, robot=robot, topics=chosen, allow_code=allow_code
     )
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from nw_eval.api.evidence import KeptEvidence
-    from nw_eval.gate.verdict import Verdict
+    from nw_eval.gate.verdict import ScoreFinding, Verdict
     from nw_eval.reporting.html.evidence import LogEvidence
     from nw_eval.reporting.html.runs import ListedRun
     from nw_eval.results.bank import Against
@@ -58,6 +58,11 @@ class RunReport:
     """The bank that it was compared with."""
     training: TrainingStep | None = None
     """Of a watched training: trackers show its scores at this step of a curve."""
+
+    @property
+    def scores(self) -> dict[str, ScoreFinding]:
+        """What was measured beside success, by name: means, bounds, changes, words of the gate."""
+        return {item.spec.name: item for item in self.verdict.scores}
 
     @property
     def interrupted(self) -> bool:

@@ -103,7 +103,7 @@ def sweep(
         )
         run = judge(done.path, baseline="none")
         if run.rows:
-            curve = curve_of(name, labels[number - 1], run.rows, confidence)
+            curve = curve_of(name, labels[number - 1], run.rows, confidence, run.info.scores)
             found.setdefault(name, []).append(curve)
         interrupted = run.interrupted
         if interrupted:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.forecast import Forecast
     from nw_eval.engine.plan import Plan
     from nw_eval.gate.baseline.foresee import Outset
+    from nw_eval.gate.baseline.scores import ScoreForecast
     from nw_eval.request import Request
     from nw_eval.stats.bank.curve import CurvePoint, Progress
     from nw_eval.suite import Suite
@@ -38,6 +39,8 @@ class TrialPlan:
     resolved: Plan
     """What a run of the suite would be."""
     workers: int | None
+    scores: tuple[ScoreForecast, ...] = ()
+    """What it makes of each gated score."""
 
     def minutes(self, trials: float) -> float:
         """Return about how many minutes so many trials take at most."""
@@ -139,9 +142,20 @@ def plan_trials(
         resolved=resolved,
         workers=workers,
     )
+    if run is None and gate.scores:
+        planned = replace(planned, scores=_of_scores(resolved, baseline or gate.baseline))
     if png is not None:
         _draw(planned, png)
     return planned
+
+
+def _of_scores(resolved: Plan, reference: str | None) -> tuple[ScoreForecast, ...]:
+    """Return what the gate makes of each score that it compares with a bank."""
+    from nw_eval.gate.baseline.scores import forecast_scores
+    from nw_eval.results.bank_file import read_bank
+
+    bank = read_bank(_bank_file(resolved.suite, reference))
+    return forecast_scores(bank, resolved.suite.measured, resolved.suite.gate)
 
 
 def _of_bar(resolved: Plan, bar: float) -> BarPlan:
@@ -199,20 +213,24 @@ def _draw(planned: TrialPlan, png: Path) -> None:
 
 def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
     """Return what a bank is, in words, and what is known with it."""
-    from nw_eval.api.banks import NO_BASELINE
     from nw_eval.gate.baseline.foresee import outset_of_bank
-    from nw_eval.results.bank_file import find_bank, read_bank
+    from nw_eval.results.bank_file import read_bank
 
     suite = resolved.suite
-    if reference is None or reference == NO_BASELINE:
-        file = _only_bank(suite.name)
-    else:
-        file = find_bank(reference, suite=suite.name)
-    bank = read_bank(file)
+    bank = read_bank(_bank_file(suite, reference))
     manifest = bank.manifest
     source = f"baseline {manifest.name} of {manifest.policy.name}"
     _check(resolved, source, manifest.key.suite_digest, manifest.key.scenes)
     return source, outset_of_bank(bank.panels[0], suite.gate)
+
+
+def _bank_file(suite: Suite, reference: str | None) -> Path:
+    from nw_eval.api.banks import NO_BASELINE
+    from nw_eval.results.bank_file import find_bank
+
+    if reference is None or reference == NO_BASELINE:
+        return _only_bank(suite.name)
+    return find_bank(reference, suite=suite.name)
 
 
 def _only_bank(suite: str) -> Path:

@@ -65,6 +65,8 @@ class WatchedCheckpoint:
     drop_high: float | None = None
     problem: str = ""
     """Why it could not be used."""
+    scores: dict[str, float] = field(default_factory=dict[str, float])
+    """Means of what was measured beside success, by name, each in its unit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -441,6 +443,7 @@ class _Watch:
             drop=None if against is None else against.drop,
             drop_low=None if bounds is None else bounds.low,
             drop_high=None if bounds is None else bounds.high,
+            scores={item.spec.name: item.mean for item in verdict.scores if item.mean is not None},
         )
 
     def _publish(self, judged: RunReport, step: int) -> None:
@@ -517,10 +520,12 @@ def _write_table(path: Path, checkpoints: Sequence[WatchedCheckpoint]) -> None:
         "trials": count,
         "completed": count,
         **dict.fromkeys(("success", "low", "high", "drop", "drop_low", "drop_high"), number),
+        "scores": pa.map_(pa.string(), number),
     }
     schema = pa.schema(
         [(each.name, types.get(each.name, pa.string())) for each in fields(WatchedCheckpoint)]
     )
-    table = pa.Table.from_pylist([asdict(each) for each in checkpoints], schema=schema)
+    rows = [{**asdict(each), "scores": list(each.scores.items())} for each in checkpoints]
+    table = pa.Table.from_pylist(rows, schema=schema)
     with atomic_path(path) as temporary:
         pq.write_table(table, temporary)

@@ -123,6 +123,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
     suite, against = plan.suite, plan.against
     if suite.gate.success_rate is None and against is None:
         return ()  # Without a bar or a baseline the verdict is RAN.
+    unknown = () if against is None else _scores_it_lacks(plan, against)
     # Of the bank's own policy nothing runs: the scores of its starts are judged.
     known = None if against is None or not plan.is_baseline else against.bank.manifest.starts
     found = bar_obstacles(
@@ -135,7 +136,25 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
     )
     if against is not None and not found and known is None:
         found += _against_the_bank(plan, against)
-    return tuple(found)
+    return (*unknown, *found)
+
+
+def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
+    """Return which gated scores a bank was saved without, that holds on this class of machine.
+
+    On another one its policy runs beside the candidate, and is measured, too.
+    """
+    from nw_eval.gate.baseline.scores import lacks_score
+
+    bank = against.bank
+    if bank.panel_of(machine_in(engine_of(plan.render, plan.suite.plugins))) is None:
+        return ()
+    fix = "save it again with this suite: `nw-eval baseline save --renew`"
+    return tuple(
+        f"{lacks_score(bank, name)}: {fix}"
+        for name, asked in plan.suite.gate.scores.items()
+        if asked.max_drop is not None and name not in bank.manifest.scores
+    )
 
 
 def _warnings(plan: Plan) -> tuple[str, ...]:

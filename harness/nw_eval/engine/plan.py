@@ -93,7 +93,10 @@ class Plan:
 
     @property
     def plugins(self) -> dict[str, str]:
-        """What installed packages bring along to its trials: `KEY: package version sha256`."""
+        """What installed packages bring along to its trials: `KEY: package version sha256`.
+
+        Functions of the suite are among them: `scores.NAME: file.py:function sha256`.
+        """
         from nw_eval.scenes.folder import FileSplat
         from nw_eval.splat.files import package_format
 
@@ -109,7 +112,9 @@ class Plan:
             )
             if name is not None
         }
-        return dict(sorted({**self.bundle.plugins, **of_suite, **of_scenes}.items()))
+        return dict(
+            sorted({**self.bundle.plugins, **of_suite, **of_scenes, **self.suite.own_code}.items())
+        )
 
     @property
     def render(self) -> Backend:
@@ -155,7 +160,7 @@ def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
             robot_folder=plan.robot_folder,
             protocol=suite.protocol,
             task=suite.task,
-            scores=suite.measured,
+            scores=suite.measured_by(),
             duration=suite.episode.duration,
             contact_termination=suite.episode.contact_termination,
             scene=places[trial.scene].reference,

@@ -27,7 +27,6 @@ from nw_eval.results.provenance import FetchedInfo, PolicyInfo, RunInfo, SceneIn
 from nw_eval.rollout.confined.access import why_off
 from nw_eval.scenes.folder import FileSplat
 from nw_eval.scenes.neverwhere import reference_path
-from nw_eval.scores import specs_of
 from nw_eval.tasks.registry import declared_by
 from nw_eval.words import Backend, RasterizeMode
 
@@ -75,7 +74,7 @@ def run_info(
         suite_folder=str(suite.base.resolve()),
         suite=suite.model_dump(by_alias=True, mode="json"),
         suite_digest=suite.digest,
-        scores={**{x.name: x for x in declared_by(suite.task)}, **specs_of(suite.measured)},
+        scores={**{x.name: x for x in declared_by(suite.task)}, **suite.measured},
         policy=policy_info(plan.bundle),
         robot_fetched=None if plan.robot_folder is None else _fetched(plan.robot_folder),
         own_policy=plan.own_policy,

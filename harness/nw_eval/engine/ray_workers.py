@@ -107,7 +107,10 @@ class RayProcesses:
             "render": plan.render,
             "adapter": plan.bundle.card.adapter,
             "code": plan.request.allow_code and senses_by_code(plan.bundle.card),
-            "plugins": plan.plugins,
+            # Functions of the suite travel with the jobs: no node has a package of them.
+            "plugins": {
+                key: said for key, said in plan.plugins.items() if key not in plan.suite.own_code
+            },
         }
         self._nodes = Nodes(joined, self._orders, outgoing, question, listener)
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import groupby, islice
 from pathlib import Path
 
@@ -27,6 +27,8 @@ from nw_eval.results.column import Settings
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.real import RealResult
 from nw_eval.results.row import Row
+from nw_eval.scores import ScoreSpec
+from nw_eval.scores.registry import BUILT_IN
 from nw_eval.stats.agreement import Measured
 from nw_eval.stats.bootstrap import mean_of_scenes
 from nw_eval.stats.hazard import (
@@ -54,6 +56,8 @@ class Entrant:
     key: BankKey
     results: Mapping[StartName, Row | Start]
     """Of the trials that came to one."""
+    scores: Mapping[str, ScoreSpec] = field(default_factory=dict[str, ScoreSpec])
+    """What was measured beside success, by name."""
 
 
 def entrant_of_run(source: str, run: RunInfo, rows: Iterable[Row]) -> Entrant:
@@ -64,6 +68,7 @@ def entrant_of_run(source: str, run: RunInfo, rows: Iterable[Row]) -> Entrant:
         policy=run.policy.name,
         key=key_of(run),
         results=_named(row for row in rows if row.status == "ok"),
+        scores=run.scores,
     )
 
 
@@ -75,6 +80,7 @@ def entrant_of_bank(source: str, bank: SavedBank, panel: Panel) -> Entrant:
         policy=bank.manifest.policy.name,
         key=bank.manifest.key,
         results=_named(panel.starts),
+        scores={name: cls.spec for name, cls in BUILT_IN.items() if name in bank.manifest.scores},
     )
 
 
@@ -165,6 +171,15 @@ class ComparedTask:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ComparedScore:
+    """A score that all policies were measured by, over all scenes, these weighted equally."""
+
+    spec: ScoreSpec
+    estimates: tuple[Estimate, ...]
+    """Of each policy in the score's unit, as `ComparedPolicy.mean` and `interval`."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class SceneParting:
     """The first waypoint at which a policy parts from the first one."""
 
@@ -190,6 +205,8 @@ class PolicyComparison:
     """In alphabetical order."""
     tasks: tuple[ComparedTask, ...]
     """In alphabetical order."""
+    scores: tuple[ComparedScore, ...]
+    """In the order of the first policy's."""
     partings: tuple[SceneParting, ...]
     """By policy and scene, all scenes together before each; those shown first."""
     waypoints: int
@@ -259,6 +276,7 @@ def compared(entrants: Sequence[Entrant], confidence: float = 0.95) -> PolicyCom
             for index, (scene, names) in enumerate(met[0].items())
         ),
         tasks=_tasks(entrants[0], met[0], groups, confidence),
+        scores=_scores(entrants, met, confidence),
         shared=bool(shared),
         partings=partings,
         waypoints=waypoints,
@@ -352,6 +370,29 @@ def _tasks(
     )
 
 
+def _scores(
+    entrants: Sequence[Entrant], met: Sequence[_Starts], confidence: float
+) -> tuple[ComparedScore, ...]:
+    """Return the scores that all were measured by, and that all declare alike."""
+    found: list[ComparedScore] = []
+    for name, spec in entrants[0].scores.items():
+        if any(each.scores.get(name) != spec for each in entrants):
+            continue
+        estimates: list[Estimate] = []
+        for entrant, scenes in zip(entrants, met, strict=True):
+            groups = [
+                np.array([_counted(entrant.results[start], spec) for start in names])
+                for names in scenes.values()
+            ]
+            scaled = mean_of_scenes(groups, confidence)
+            ends = sorted(map(spec.unscaled, scaled.interval))
+            estimates.append(
+                replace(scaled, mean=spec.unscaled(scaled.mean), interval=Interval(*ends))
+            )
+        found.append(ComparedScore(spec=spec, estimates=tuple(estimates)))
+    return tuple(found)
+
+
 def _labels(entrants: Sequence[Entrant]) -> list[str]:
     """Return a name for each policy that no other one has."""
     policies = Counter(each.policy for each in entrants)
@@ -407,7 +448,29 @@ def _ends(entrant: Entrant, names: Sequence[StartName]) -> Ends:
     return [int(count) for count in np.bincount(reached, minlength=most + 1)]
 
 
-def measured(real: Sequence[RealResult], entrants: Sequence[Entrant]) -> list[Measured]:
+def score_of(name: str, entrants: Sequence[Entrant]) -> ScoreSpec:
+    """Return the declaration of a score that all policies were measured by.
+
+    Raises:
+        UsageError: one was not; or two declare it otherwise.
+    """
+    for each in entrants:
+        if name not in each.scores:
+            raise UsageError(
+                f"{each.source} has no score {name!r}",
+                fix=nearest(name, each.scores) if each.scores else "run it with `scores:`",
+            )
+        if each.scores[name] != entrants[0].scores[name]:
+            raise UsageError(
+                f"{each.source} declares {name} otherwise than {entrants[0].source}",
+                fix="run both with one version",
+            )
+    return entrants[0].scores[name]
+
+
+def measured(
+    real: Sequence[RealResult], entrants: Sequence[Entrant], spec: ScoreSpec | None = None
+) -> list[Measured]:
     """Return each policy's success in the two worlds, over the scenes that it met on the robot.
 
     Scenes weigh equally. As trials count as many as would leave a mean that uncertain in one scene:
@@ -416,6 +479,7 @@ def measured(real: Sequence[RealResult], entrants: Sequence[Entrant]) -> list[Me
     Args:
         real: of the robot.
         entrants: of the simulator, at least one.
+        spec: of a score in place of success, which then is 0 to 1 likewise, 1 the best.
 
     Raises:
         UsageError: a policy or scene of the robot's is none of the simulator's, or is two.
@@ -426,16 +490,18 @@ def measured(real: Sequence[RealResult], entrants: Sequence[Entrant]) -> list[Me
     for each in real:
         policies.setdefault(each.policy, []).append(each)
     return [
-        _measured(policy, results, _entrant(results[0], entrants))
+        _measured(policy, results, _entrant(results[0], entrants), spec)
         for policy, results in policies.items()
     ]
 
 
-def _measured(policy: str, results: Sequence[RealResult], entrant: Entrant) -> Measured:
+def _measured(
+    policy: str, results: Sequence[RealResult], entrant: Entrant, spec: ScoreSpec | None
+) -> Measured:
     simulated: list[list[float]] = []
     for each in results:
         scores = [
-            float(result.success or 0.0)
+            _counted(result, spec)
             for name, result in entrant.results.items()
             if name[0] == each.scene
         ]
@@ -452,6 +518,14 @@ def _measured(policy: str, results: Sequence[RealResult], entrant: Entrant) -> M
         simulated=float(np.mean([np.mean(scores) for scores in simulated])),
         simulated_trials=_effective([len(scores) for scores in simulated]),
     )
+
+
+def _counted(result: Row | Start, spec: ScoreSpec | None) -> float:
+    """Return what a trial counts, 0 to 1."""
+    if spec is None:
+        return float(result.success or 0.0)
+    failed = result.outcome == "policy_failed"
+    return spec.scaled(None if failed else dict(result.scores).get(spec.name))
 
 
 def _entrant(result: RealResult, entrants: Sequence[Entrant]) -> Entrant:

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from types import MappingProxyType
 
 import numpy as np
 
 from nw_eval.results.row import Row
+from nw_eval.scores import ScoreSpec
 from nw_eval.stats.bootstrap import mean_of_scenes
 from nw_eval.stats.interval import Interval, fisher
 from nw_eval.suite.axes import axis_named
@@ -32,6 +34,7 @@ class Point:
         interval: of the mean, alone.
         completed: trials that reached all waypoints, and all trials with a result, by scene.
         errors: trials without a result.
+        scores: means of what was measured beside success, by name, scenes weighted equally.
     """
 
     value: float
@@ -39,6 +42,7 @@ class Point:
     interval: Interval
     completed: dict[str, tuple[int, int]]
     errors: int
+    scores: Mapping[str, float] = field(default_factory=dict[str, float])
 
     @property
     def trials(self) -> int:
@@ -94,8 +98,21 @@ class AxisCurve:
         return _shows_none(self.reference, point, _most(self.confidence, len(self.points) - 1))
 
 
-def curve_of(axis: str, policy: str, rows: Sequence[Row], confidence: float = 0.95) -> AxisCurve:
+def curve_of(
+    axis: str,
+    policy: str,
+    rows: Sequence[Row],
+    confidence: float = 0.95,
+    specs: Mapping[str, ScoreSpec] = MappingProxyType({}),
+) -> AxisCurve:
     """Return the curve of a policy's trials, each of which lies in a cell of one axis.
+
+    Args:
+        axis: its name.
+        policy: what it is called.
+        rows: of its trials.
+        confidence: of each interval, and of all cliffs together.
+        specs: what was measured beside success, by name.
 
     Raises:
         ValueError: there are no rows.
@@ -103,7 +120,9 @@ def curve_of(axis: str, policy: str, rows: Sequence[Row], confidence: float = 0.
     """
     values = sorted({dict(row.perturbation)[axis] for row in rows})
     points = tuple(
-        _point(value, [row for row in rows if dict(row.perturbation)[axis] == value], confidence)
+        _point(
+            value, [row for row in rows if dict(row.perturbation)[axis] == value], confidence, specs
+        )
         for value in values
     )
     middle = axis_named(axis).reference
@@ -185,7 +204,9 @@ def _cliff(reference: Point, outwards: Sequence[Point], most: float) -> Cliff | 
     return None
 
 
-def _point(value: float, rows: Sequence[Row], confidence: float) -> Point:
+def _point(
+    value: float, rows: Sequence[Row], confidence: float, specs: Mapping[str, ScoreSpec]
+) -> Point:
     scenes: dict[str, list[Row]] = {}
     for row in rows:
         if row.success is not None:
@@ -205,4 +226,16 @@ def _point(value: float, rows: Sequence[Row], confidence: float) -> Point:
             for scene, group in sorted(scenes.items())
         },
         errors=sum(row.success is None for row in rows),
+        scores={
+            name: float(
+                np.mean(
+                    [
+                        np.mean([spec.counted(dict(row.scores).get(name)) for row in group])
+                        for group in scenes.values()
+                    ]
+                )
+            )
+            for name, spec in specs.items()
+            if scenes
+        },
     )

@@ -61,6 +61,8 @@ class ScoreFinding:
     """Those that count, each with a result."""
     undefined: int
     """Of these, such as have no value, and count as the declaration says."""
+    kept: int
+    """Of these, such as are at the best end of the range: trials that kept an expectation."""
     mean: float | None
     """Scenes weighted equally; None without trials."""
     interval: Interval

@@ -79,7 +79,7 @@ def _scores(verdict: Verdict) -> list[str]:
             continue
         asked = [f"bar {item.bar:g}"] if item.bar is not None else []
         if item.baseline is None:
-            parts.append(f"{item.spec.name} {item.mean:.4g}, {', '.join(asked)}")
+            parts.append(", ".join([f"{item.spec.name} {item.mean:.4g}", *asked]))
         else:
             asked.append(f"max_drop {item.max_drop:g}")
             change = f"{item.baseline:.4g} -> {item.mean:.4g}"

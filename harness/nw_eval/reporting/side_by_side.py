@@ -27,6 +27,8 @@ def comparison_tables(found: PolicyComparison) -> tuple[Table, ...]:
     if len(found.tasks) > 1:
         tables.append(_tasks(found))
     tables.append(_scenes(found))
+    if found.scores:
+        tables.append(_scores(found))
     return (*tables, _partings(found)) if found.partings else tuple(tables)
 
 
@@ -100,6 +102,30 @@ def _scenes(found: PolicyComparison) -> Table:
             for each in found.scenes
         ),
         numbers=frozenset({"starts", *labels}),
+    )
+
+
+def _scores(found: PolicyComparison) -> Table:
+    labels = tuple(each.label for each in found.policies)
+    percent = f"{100 * found.confidence:.4g} %"
+    return Table(
+        title="Scores",
+        columns=("score", "unit", "better", *labels),
+        rows=tuple(
+            (
+                each.spec.name,
+                each.spec.unit or "-",
+                each.spec.better,
+                *(
+                    f"{one.mean:.4g} ({one.interval.low:.4g} to {one.interval.high:.4g})"
+                    for one in each.estimates
+                ),
+            )
+            for each in found.scores
+        ),
+        note="Means over the same starts as success. In brackets what fresh starts in these scenes "
+        f"may give, {percent} each alone. A trial in which a score is undefined counts as its "
+        "declaration says.",
     )
 
 

@@ -109,6 +109,9 @@ def sweep_table(curves: Sequence[AxisCurve]) -> Table:
     """Return the table of one axis: a line for each value and policy."""
     first = curves[0]
     percent = f"{100 * first.confidence:.4g} % each alone"
+    scores = tuple(
+        dict.fromkeys(name for curve in curves for point in curve.points for name in point.scores)
+    )
     lines = [
         (
             f"{point.value:g}",
@@ -117,6 +120,7 @@ def sweep_table(curves: Sequence[AxisCurve]) -> Table:
             "none" if point.mean is None else f"{point.mean:.3f}",
             "" if point.mean is None else span(point.interval),
             _counts(point),
+            *(f"{point.scores[name]:.4g}" if name in point.scores else "" for name in scores),
         )
         for value in sorted({point.value for curve in curves for point in curve.points})
         for curve in curves
@@ -125,9 +129,12 @@ def sweep_table(curves: Sequence[AxisCurve]) -> Table:
     ]
     return Table(
         title=f"Success by {first.axis}",
-        columns=(axis_label(first.axis), "policy", "trials", "success", percent, "completed"),
+        columns=(
+            *(axis_label(first.axis), "policy", "trials", "success", percent, "completed"),
+            *scores,
+        ),
         rows=tuple(lines),
-        numbers=frozenset({axis_label(first.axis), "success"}),
+        numbers=frozenset({axis_label(first.axis), "success", *scores}),
         note="Success is the mean over scenes of the share of waypoints reached, its interval a "
         "Bayesian bootstrap. A cliff is the first value, outwards from the one nearest to neutral, "
         "at which fewer trials complete than there by Fisher's exact test with scenes as strata, "
@@ -154,6 +161,7 @@ def _write_rows(axes: Sequence[Sequence[AxisCurve]], path: Path) -> None:
             "high": pa.float64(),
             "falls": pa.bool_(),
             "trials_needed": pa.int64(),
+            "scores": pa.map_(pa.string(), pa.float64()),
         }
     )
     rows = [
@@ -169,6 +177,7 @@ def _write_rows(axes: Sequence[Sequence[AxisCurve]], path: Path) -> None:
             "high": point.interval.high,
             "falls": _falls(curve, point),
             "trials_needed": curve.needed,
+            "scores": list(point.scores.items()),
         }
         for curves in axes
         for curve in curves

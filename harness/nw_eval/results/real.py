@@ -1,15 +1,20 @@
-"""Results of policies on the robot, as a CSV that somebody kept: policy, scene, trials, success."""
+"""Results of policies on the robot, as a CSV that somebody kept: policy, scene, trials, success.
+
+In place of success it may have a score of docs/scores.md, in a column of its name.
+"""
 
 from __future__ import annotations
 
 import csv
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 from nw_eval.errors import Problem, UsageError
 from nw_eval.files.inside import bounded_bytes
+from nw_eval.scores import ScoreSpec
 
-COLUMNS = ("policy", "scene", "trials", "success")
+_NAMED = ("policy", "scene", "trials")
 _MOST = 2**20  # Bytes: some 10,000 lines.
 _MOST_TRIALS = 100_000
 
@@ -23,18 +28,25 @@ class RealResult:
     scene: str
     trials: int
     success: float
-    """Mean over the trials, 0 to 1: of shares of waypoints reached, or of trials that succeeded."""
+    """Mean over the trials, 0 to 1: of shares of waypoints reached, or of trials that succeeded; of
+    a score, its mean on that scale, 1 the best."""
     place: str
     """File and line."""
 
 
-def read_real_results(path: Path) -> tuple[RealResult, ...]:
+def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealResult, ...]:
     """Read a CSV with a heading that has the four columns, in any order; others are left out.
+
+    Args:
+        path: of the CSV.
+        spec: of the score whose column is read, in its unit; None = success.
 
     Raises:
         UsageError: it cannot be read, lacks a column, or holds nothing; or a line's trials or
-            success are no such number, or it is there twice: each fault with its line.
+            value are no such number, or it is there twice: each fault with its line.
     """
+    columns = (*_NAMED, "success" if spec is None else spec.name)
+    fix = f"write a heading `{','.join(columns)}` and a line for each policy and scene"
     try:
         text = bounded_bytes(path, _MOST).decode("utf-8-sig")
         lines = csv.DictReader(text.splitlines(), strict=True)
@@ -44,39 +56,43 @@ def read_real_results(path: Path) -> tuple[RealResult, ...]:
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}", fix="name a CSV") from None
     except (ValueError, csv.Error) as error:
-        raise UsageError(f"{path} is no CSV: {error}", fix=_fix()) from None
-    if missing := [name for name in COLUMNS if name not in heading]:
-        raise UsageError(f"{path} lacks the column {missing[0]}", fix=_fix())
+        raise UsageError(f"{path} is no CSV: {error}", fix=fix) from None
+    if missing := [name for name in columns if name not in heading]:
+        raise UsageError(f"{path} lacks the column {missing[0]}", fix=fix)
     found: list[RealResult] = []
     faults: list[Problem] = []
     for number, line in cells:
         try:
-            found.append(_result(line, f"{path}:{number}", found))
+            found.append(_result(line, f"{path}:{number}", found, spec))
         except ValueError as error:
             faults.append(Problem(file=str(path), line=number, column=1, message=str(error)))
     if faults:
-        raise UsageError(faults, fix=_fix())
+        raise UsageError(faults, fix=fix)
     if not found:
-        raise UsageError(f"{path} has no results", fix=_fix())
+        raise UsageError(f"{path} has no results", fix=fix)
     return tuple(found)
 
 
-def _result(line: dict[str, str | None], place: str, before: list[RealResult]) -> RealResult:
-    policy, scene, trials, success = ((line.get(name) or "").strip() for name in COLUMNS)
+def _result(
+    line: dict[str, str | None], place: str, before: list[RealResult], spec: ScoreSpec | None
+) -> RealResult:
+    policy, scene, trials = ((line.get(name) or "").strip() for name in _NAMED)
     if not (policy and scene):
         raise ValueError("it names no policy or no scene")
     if any((each.policy, each.scene) == (policy, scene) for each in before):
         raise ValueError(f"policy {policy!r} in scene {scene!r} is there twice")
     if not (trials.isascii() and trials.isdigit() and 1 <= int(trials) <= _MOST_TRIALS):
         raise ValueError(f"trials {trials!r} is no whole number from 1 to {_MOST_TRIALS}")
+    name = "success" if spec is None else spec.name
+    written = (line.get(name) or "").strip()
     try:
-        share = float(success)
+        value = float(written)
     except ValueError:
-        share = -1.0
-    if not 0.0 <= share <= 1.0:
-        raise ValueError(f"success {success!r} is not between 0 and 1")
-    return RealResult(policy=policy, scene=scene, trials=int(trials), success=share, place=place)
-
-
-def _fix() -> str:
-    return f"write a heading `{','.join(COLUMNS)}` and a line for each policy and scene"
+        value = math.nan
+    if spec is not None:
+        if not math.isfinite(value):
+            raise ValueError(f"{name} {written!r} is no number")
+        value = spec.scaled(value)
+    if not 0.0 <= value <= 1.0:
+        raise ValueError(f"success {written!r} is not between 0 and 1")
+    return RealResult(policy=policy, scene=scene, trials=int(trials), success=value, place=place)

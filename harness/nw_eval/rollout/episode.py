@@ -259,6 +259,10 @@ class Episode:
         own = tuple(self.task.scores().items())
         return own if self._scores is None else (*own, *self._scores.values(end))
 
+    def limits_passed(self) -> dict[str, float]:
+        """Return when limits were first passed, s, by score; after `scores`."""
+        return {} if self._scores is None else self._scores.moments()
+
     def state(self) -> Any:
         """Return everything that the rest of the trial depends on, as an `nw.SimState`.
 

@@ -116,7 +116,11 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             clock=clock,
             pushes=pushes_of(setup),
             cones=standing_cones(setup, start.waypoints),
-            scores=ScoreMeter(job.scores, world, task) if job.scores else None,
+            scores=(
+                ScoreMeter(job.scores, world, task, allow_code=job.allow_code)
+                if job.scores
+                else None
+            ),
         )
         return OpenTrial(
             job=job,

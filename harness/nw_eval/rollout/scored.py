@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,16 +29,18 @@ class ScoreMeter:
         names: of the scores.
         world: already reset to the trial's start.
         task: already reset.
+        allow_code: whether Python functions of the suite may run.
 
     Raises:
         UsageError: there is no such score, or its class refuses.
     """
 
-    def __init__(self, names: Sequence[str], world: World, task: Task) -> None:
+    def __init__(
+        self, names: Sequence[str], world: World, task: Task, *, allow_code: bool = False
+    ) -> None:
         self._world, self._task = world, task
         self._physics = world.at_physics_rate()
-        self._moving = world.moving()  # Views of the simulation's memory.
-        figures = Figures(
+        self._figures = figures = Figures(
             control_period=world.control_period,
             timestep=world.timestep,
             mass=world.mass,
@@ -49,26 +51,39 @@ class ScoreMeter:
         self._scores: dict[str, Score] = {}
         for name in names:
             try:
-                self._scores[name] = score_class(name)(figures)
+                cls = score_class(name, allow_code=allow_code)
+                self._scores[cls.spec.name] = cls(figures)
             except Exception as error:
+                own = name.partition("=")[0]
                 raise UsageError(
-                    f"score {name!r} cannot be opened: {clean(error, at_most=200)}",
+                    f"score {own!r} cannot be opened: {clean(error, at_most=300)}",
                     fix="install its package, or leave it out",
                 ) from error
         substeps, joints = self._physics.rates.shape
         feet = len(world.robot.feet)
-        self._kept: dict[str, Array] = {
-            "servo": np.zeros((STRETCH, substeps, joints)),
-            "joint_rates": np.zeros((STRETCH, substeps, joints)),
-            "joint_positions": np.zeros((STRETCH, joints)),
-            "targets": np.zeros((STRETCH, joints)),
-            "position": np.zeros((STRETCH, 3)),
-            "quat": np.zeros((STRETCH, 4)),
-            "velocity": np.zeros((STRETCH, 6)),
-            "foot_positions": np.zeros((STRETCH, feet, 3)),
-            "foot_forces": np.zeros((STRETCH, feet)),
-            "command": np.full((STRETCH, 3), np.nan),
+        shapes: dict[str, tuple[int, ...]] = {
+            "servo": (substeps, joints),
+            "joint_rates": (substeps, joints),
+            "position": (3,),
+            "rotation": (9,),
+            "world_velocity": (3,),
+            "rates": (3,),
+            "joint_positions": (joints,),
+            "targets": (joints,),
+            "foot_positions": (feet, 3),
+            "foot_forces": (feet,),
+            "command": (3,),
         }
+        # One row a control step, which one call fills.
+        self._rows = np.zeros((STRETCH, sum(map(math.prod, shapes.values()))))
+        self._forms: list[tuple[str, int, int, tuple[int, ...]]] = []
+        start = 0
+        for name, shape in shapes.items():
+            self._forms.append((name, start, start + math.prod(shape), shape))
+            start += math.prod(shape)
+        # Views, so that they are always of the newest control step.
+        rates = self._physics.servo.ravel(), self._physics.rates.ravel()
+        self._views = *rates, *world.trunk_readings()
         self._count = 0
 
     def take(self, targets: Array) -> None:
@@ -77,21 +92,19 @@ class ScoreMeter:
         Args:
             targets: what the motors were told, (J,).
         """
-        kept, now, world = self._kept, self._count, self._world
-        kept["servo"][now] = self._physics.servo
-        kept["joint_rates"][now] = self._physics.rates
-        positions, quats, joints, _, velocity = self._moving
-        trunk = world.bodies[0]
-        kept["joint_positions"][now] = joints
-        kept["targets"][now] = targets
-        kept["position"][now] = positions[trunk]
-        kept["quat"][now] = quats[trunk]
-        kept["velocity"][now] = velocity
-        kept["foot_positions"][now] = world.foot_positions
-        kept["foot_forces"][now] = world.foot_forces()
-        if (command := self._task.command) is not None:
-            kept["command"][now] = command
-        self._count = now + 1
+        world, command = self._world, self._task.command
+        np.concatenate(
+            (
+                *self._views,
+                world.joint_positions,
+                targets,
+                world.foot_positions.ravel(),
+                world.foot_forces(),
+                _UNASKED if command is None else command,
+            ),
+            out=self._rows[self._count],
+        )
+        self._count += 1
         if self._count == STRETCH:
             self._show()
 
@@ -106,9 +119,14 @@ class ScoreMeter:
             if value is not None and math.isfinite(value)
         )
 
+    def moments(self) -> dict[str, float]:
+        """Return when in the trial limits were first passed, s, by score; after `values`."""
+        found = {name: score.moment() for name, score in self._scores.items()}
+        return {name: moment for name, moment in found.items() if moment is not None}
+
     def state(self) -> bytes:
         """Return what is not shown yet, and what the scores remember."""
-        waiting = {name: array[: self._count].copy() for name, array in self._kept.items()}
+        waiting = {_ROWS: self._rows[: self._count].copy()}
         for name, score in self._scores.items():
             waiting |= {f"{name}/{key}": array for key, array in score.state().items()}
         return pack(waiting)
@@ -116,44 +134,30 @@ class ScoreMeter:
     def restore(self, state: bytes) -> None:
         """Go back, or on, to a `state` of a trial with the same scores."""
         arrays = unpack(state)
-        self._count = len(arrays["position"])
-        for name, array in self._kept.items():
-            array[: self._count] = arrays[name]
+        rows = arrays.pop(_ROWS)
+        self._count = len(rows)
+        self._rows[: self._count] = rows
+        own: dict[str, dict[str, NDArray[np.float64]]] = {name: {} for name in self._scores}
+        for key, array in arrays.items():
+            of, _, name = key.partition("/")
+            own[of][name] = array
         for name, score in self._scores.items():
-            own = {key.partition("/"): array for key, array in arrays.items()}
-            score.restore({key: array for (of, _, key), array in own.items() if of == name})
+            score.restore(own[name])
 
     def _show(self) -> None:
-        stretch = self._stretch({name: kept[: self._count] for name, kept in self._kept.items()})
+        count = self._count
+        readings = {
+            name: self._rows[:count, start:end].reshape(count, *shape)
+            for name, start, end, shape in self._forms
+        }
+        readings["torques"] = self._physics.motor_torques(
+            readings.pop("servo"), readings["joint_rates"]
+        )
+        stretch = Stretch(self._figures, **readings)
         for score in self._scores.values():
             score.update(stretch)
-        self._kept["command"][:] = np.nan
         self._count = 0
 
-    def _stretch(self, kept: Mapping[str, Array]) -> Stretch:
-        w, x, y, z = kept["quat"].T
-        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        angles = np.stack(
-            [
-                np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-                np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
-                yaw,
-            ],
-            axis=1,
-        )
-        vx, vy, vz = kept["velocity"][:, :3].T
-        cosine, sine = np.cos(yaw), np.sin(yaw)
-        velocity = np.stack([cosine * vx + sine * vy, cosine * vy - sine * vx, vz], axis=1)
-        return Stretch(
-            torques=self._physics.motor_torques(kept["servo"], kept["joint_rates"]),
-            joint_rates=kept["joint_rates"],
-            joint_positions=kept["joint_positions"],
-            targets=kept["targets"],
-            position=kept["position"],
-            roll_pitch_yaw=angles,
-            velocity=velocity,
-            rates=kept["velocity"][:, 3:],
-            foot_positions=kept["foot_positions"],
-            foot_forces=kept["foot_forces"],
-            command=kept["command"],
-        )
+
+_ROWS = "rows"
+_UNASKED = np.full(3, math.nan)

@@ -23,8 +23,8 @@ class _Energy(Score):
         self.energy = 0.0
 
     def update(self, stretch: Stretch) -> None:
-        work = np.maximum(stretch.torques * stretch.joint_rates, 0.0).sum()
-        self.energy += float(work) * self.figures.timestep
+        """Add work."""
+        self.energy += stretch.work
 
 
 class MeanPower(_Energy):
@@ -73,12 +73,12 @@ class CostOfTransport(_Energy):
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)
-        self.distance, self.last = 0.0, np.full(2, np.nan)
+        self.distance, self.x, self.y = 0.0, math.nan, math.nan
 
     def update(self, stretch: Stretch) -> None:
         """Add work and way."""
         super().update(stretch)
-        self.distance, self.last = way_after(self.distance, self.last, stretch)
+        self.distance, self.x, self.y = way_after(self.distance, self.x, self.y, stretch)
 
     def value(self, end: TrialEnd) -> float | None:
         """Return the ratio; None where the robot went nowhere."""
@@ -92,19 +92,30 @@ LEAST_WAY = 0.1
 """m; over less a cost of transport has no meaning."""
 
 
-def way_after(distance: float, last: np.ndarray, stretch: Stretch) -> tuple[float, np.ndarray]:
-    """Return the way in the ground plane, m, and where it ends, (2,), after a stretch.
+def way_after(distance: float, x: float, y: float, stretch: Stretch) -> tuple[float, float, float]:
+    """Return the way in the ground plane and where it ends after a stretch, (3,) m.
 
     Args:
         distance: before it, m.
-        last: where that ended, (2,); NaN before the first stretch.
-        stretch: of which the last position counts.
+        x: where that ended, m; NaN before the first stretch.
+        y: likewise.
+        stretch: whose position each 0.2 s counts, and its last.
     """
-    x, y = stretch.position[-1, :2].tolist()
-    px, py = last.tolist()
-    if math.isnan(px):
-        px, py = stretch.position[0, :2].tolist()
-    return distance + math.hypot(x - px, y - py), np.array([x, y])
+    every = max(1, round(WAY_PERIOD / stretch.figures.control_period))
+    places = stretch.position[:, :2]
+    if math.isnan(x):
+        x, y = places[0].tolist()
+    points = places[every - 1 :: every].tolist()
+    if len(places) % every:
+        points.append(places[-1].tolist())
+    for now_x, now_y in points:
+        distance += math.hypot(now_x - x, now_y - y)
+        x, y = now_x, now_y
+    return distance, x, y
+
+
+WAY_PERIOD = 0.2
+"""s between two samples of the trunk's way; stretches, but for the last, are multiples of it."""
 
 
 class PeakTorqueShare(Score):
@@ -125,15 +136,15 @@ class PeakTorqueShare(Score):
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)
-        self.peaks = np.zeros(len(figures.torque_limits))
+        self.peak = 0.0
 
     def update(self, stretch: Stretch) -> None:
         """Look for larger ones."""
-        np.maximum(self.peaks, np.abs(stretch.torques).max(axis=(0, 1)), out=self.peaks)
+        self.peak = max(self.peak, float(stretch.peak_shares.max()))
 
     def value(self, end: TrialEnd) -> float | None:
         """Return the share."""
-        return float((self.peaks / self.figures.torque_limits).max()) if end.seconds else None
+        return self.peak if end.seconds else None
 
 
 class TorqueRmsShare(Score):
@@ -155,17 +166,14 @@ class TorqueRmsShare(Score):
 
     def update(self, stretch: Stretch) -> None:
         """Add squares."""
-        shares = stretch.torques / self.figures.torque_limits
-        self.total += float((shares * shares).sum())
-        self.count += stretch.torques.size
+        shares = stretch.torque_shares.ravel()
+        self.total += float(shares.dot(shares))
+        self.count += shares.size
 
     def value(self, end: TrialEnd) -> float | None:
         """Return the share."""
         del end
         return math.sqrt(self.total / self.count) if self.count else None
-
-
-_NEAR = 0.01  # rad from the end of a joint's range
 
 
 class LimitTime(Score):
@@ -188,18 +196,25 @@ class LimitTime(Score):
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)
-        self.steps, self.at_limit = 0, 0
+        self.steps, self.at_limit, self.first = 0, 0, -1
 
     def update(self, stretch: Stretch) -> None:
         """Count control steps."""
-        low, high = self.figures.joint_ranges[:, 0], self.figures.joint_ranges[:, 1]
-        joints = stretch.joint_positions
-        ends = ((joints < low + _NEAR) | (joints > high - _NEAR)).any(axis=1)
-        full = (np.abs(stretch.torques) >= self.figures.torque_limits).any(axis=(1, 2))
-        self.at_limit += int((ends | full).sum())
+        joints, (low, high) = stretch.joint_positions, self.figures.inner_ranges
+        ends = ((joints < low) | (joints > high)).any(axis=1)
+        # |tau| / limit rounds to 1 only where |tau| is the limit or more.
+        at_limit = ends | (stretch.peak_shares >= 1.0)
+        if count := int(np.count_nonzero(at_limit)):
+            self.at_limit += count
+            if self.first < 0:
+                self.first = self.steps + int(at_limit.argmax()) + 1
         self.steps += len(joints)
 
     def value(self, end: TrialEnd) -> float | None:
         """Return the share."""
         del end
         return self.at_limit / self.steps if self.steps else None
+
+    def moment(self) -> float | None:
+        """Return the end of the first control step at a limit, s."""
+        return None if self.first < 0 else self.first * self.figures.control_period

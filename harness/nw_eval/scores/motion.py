@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nw_eval.scores.score import Figures, Score, ScoreSpec, Stretch, TrialEnd
+from nw_eval.scores.score import Array, Figures, Score, ScoreSpec, Stretch, TrialEnd
 
 
 class _Differences(Score):
@@ -17,18 +17,19 @@ class _Differences(Score):
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)
-        # NaN until as many have been seen.
-        self.before = np.full((self.order, len(figures.torque_limits)), np.nan)
+        # Fewer until as many have been seen.
+        self.before = np.zeros((0, len(figures.torque_limits)))
         self.total, self.count = 0.0, 0
 
     def update(self, stretch: Stretch) -> None:
         """Add squares."""
         targets = np.concatenate([self.before, stretch.targets])
-        self.before = targets[-self.order :].copy()
-        changes = np.diff(targets, n=self.order, axis=0)
-        known = changes[~np.isnan(changes[:, 0])]
-        self.total += float((known * known).sum())
-        self.count += known.size
+        self.before = targets[-self.order :]
+        for _ in range(self.order):
+            targets = targets[1:] - targets[:-1]
+        changes = targets.ravel()
+        self.total += float(changes.dot(changes))
+        self.count += changes.size
 
     def value(self, end: TrialEnd) -> float | None:
         """Return the root mean square; None of a trial with too few steps."""
@@ -84,7 +85,9 @@ class ActionAcceleration(_Differences):
 class _Angle(Score):
     """Root mean square of an Euler angle of the trunk."""
 
-    which: ClassVar[int]
+    def of(self, stretch: Stretch) -> Array:
+        """Return the angle, (n,) rad."""
+        raise NotImplementedError
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)
@@ -92,8 +95,8 @@ class _Angle(Score):
 
     def update(self, stretch: Stretch) -> None:
         """Add squares."""
-        angles = stretch.roll_pitch_yaw[:, self.which]
-        self.total += float((angles * angles).sum())
+        angles = self.of(stretch)
+        self.total += float(angles.dot(angles))
         self.count += len(angles)
 
     def value(self, end: TrialEnd) -> float | None:
@@ -105,7 +108,6 @@ class _Angle(Score):
 class BaseRollRms(_Angle):
     """sqrt(1/N sum_t roll_t^2), rad: how far the trunk leans to its sides."""
 
-    which = 0
     spec = ScoreSpec(
         name="base_roll_rms",
         unit="rad",
@@ -116,11 +118,14 @@ class BaseRollRms(_Angle):
         meaning="root mean square of the trunk's roll",
     )
 
+    def of(self, stretch: Stretch) -> Array:
+        """Return the roll."""
+        return stretch.roll
+
 
 class BasePitchRms(_Angle):
     """sqrt(1/N sum_t pitch_t^2), rad: how far the trunk leans forward or back; slopes count too."""
 
-    which = 1
     spec = ScoreSpec(
         name="base_pitch_rms",
         unit="rad",
@@ -130,6 +135,10 @@ class BasePitchRms(_Angle):
         undefined=1.0,
         meaning="root mean square of the trunk's pitch",
     )
+
+    def of(self, stretch: Stretch) -> Array:
+        """Return the pitch."""
+        return stretch.pitch
 
 
 TOUCHING = 2.0
@@ -168,11 +177,13 @@ class FootSlip(Score):
         if len(self.before):
             places = np.concatenate([self.before[np.newaxis], places])
             carries = np.concatenate([self.carried[np.newaxis], carries])
-        moved = np.diff(places[..., :2], axis=0)
-        held = carries[1:] & carries[:-1]
-        self.way += float(np.hypot(moved[..., 0], moved[..., 1])[held].sum())
-        self.count += int(held.sum())
         self.before, self.carried = places[-1].copy(), carries[-1].copy()
+        held = carries[1:] & carries[:-1]
+        if not (count := int(np.count_nonzero(held))):
+            return
+        moved = (places[1:, :, :2] - places[:-1, :, :2])[held]
+        self.way += float(np.hypot(moved[:, 0], moved[:, 1]).sum())
+        self.count += count
 
     def value(self, end: TrialEnd) -> float | None:
         """Return m/s; None where no foot stayed in contact."""

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from nw_eval.errors import UsageError, nearest
 from nw_eval.plugins import SCORES, installed, load_class
 from nw_eval.scores import effort, motion, travel
+from nw_eval.scores.own import class_of
 from nw_eval.scores.score import Score, ScoreSpec
 
 _CLASSES: tuple[type[Score], ...] = (
@@ -40,13 +41,20 @@ def score_names() -> tuple[str, ...]:
     return (*BUILT_IN, *sorted(installed(SCORES).keys() - BUILT_IN.keys()))
 
 
-def score_class(name: str) -> type[Score]:
+def score_class(name: str, *, allow_code: bool = False) -> type[Score]:
     """Return the class of a score; the package of one that is not built in is imported.
+
+    Args:
+        name: of the score, or the text of one that a suite makes up: see `scores.own`.
+        allow_code: whether the code of such a text may run.
 
     Raises:
         UsageError: there is none of that name.
+        CodeError: it is Python code of a suite, which may not run.
         PluginError: its package is broken.
     """
+    if "=" in name:
+        return class_of(name, score_class, allow_code=allow_code)
     if name in BUILT_IN:
         return BUILT_IN[name]
     if name not in installed(SCORES):

@@ -1,15 +1,15 @@
 """What a score is: a declared number of a trial, and the readings that it is computed from.
 
 A score is one class: it declares itself (`spec`), is shown the readings of a trial in stretches of
-some control steps, and says its value at the end. Arrays over time make that cheap: all scores that
-are built in take a few microseconds a control step together, and a suite that names none pays
-nothing.
+some control steps, and says its value at the end. Arrays over time make that cheap, and a suite
+that names none pays nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -19,8 +19,15 @@ from pydantic import BaseModel, ConfigDict, Field
 from nw_eval.words import Outcome
 
 Array = NDArray[np.float64]
-STRETCH = 10
-"""Control steps that a score is shown at once; fewer at the end of a trial."""
+STRETCH = 20
+"""Control steps that a score is shown at once; fewer at the end of a trial.
+
+Numpy costs some microseconds a call in the midst of a trial, however few the numbers are. More
+steps at once cost less, and make the states in a trial's log larger.
+"""
+
+NEAR = 0.01
+"""rad; within so much a joint is at the end of its range."""
 
 
 class ScoreSpec(BaseModel):
@@ -86,13 +93,33 @@ class Figures:
     torque_limits: Array
     joint_ranges: Array
 
+    @cached_property
+    def inner_ranges(self) -> tuple[Array, Array]:
+        """Where the ends of the joints' ranges begin, low and high, (J,) rad each."""
+        return self.joint_ranges[:, 0] + NEAR, self.joint_ranges[:, 1] - NEAR
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+
+class MissingReadingError(LookupError):
+    """A score asks for a reading that a log does not have.
+
+    Attributes:
+        reading: its name, an attribute of `Stretch`.
+    """
+
+    def __init__(self, reading: str) -> None:
+        super().__init__(reading)
+        self.reading = reading
+
+
 class Stretch:
     """The readings of n consecutive control steps, 1 to `STRETCH`, each after its step.
 
     Frames: world z up; the yaw frame is the world turned by the trunk's heading. J joints in the
     order of `robot.joints`, F feet in that of `robot.feet`, S physics steps in each control step.
+
+    Args:
+        figures: of robot and simulation.
+        **readings: arrays by name. A log may lack some: they raise `MissingReadingError`.
 
     Attributes:
         torques: of the motors in each physics step, damping of the servo included, (n, S, J) N m.
@@ -100,8 +127,8 @@ class Stretch:
         joint_positions: (n, J) rad.
         targets: what the motors were told, (n, J) rad, or N m.
         position: origin of the trunk, (n, 3) world, m.
-        roll_pitch_yaw: of the trunk, (n, 3) rad.
-        velocity: of the trunk's origin, (n, 3) yaw frame, m/s.
+        rotation: R_world_trunk, (n, 9) row by row.
+        world_velocity: of the trunk's origin, (n, 3) world, m/s.
         rates: angular velocity of the trunk, (n, 3) trunk frame, rad/s.
         foot_positions: centres of the feet, (n, F, 3) world, m.
         foot_forces: contact forces on the feet, (n, F) N.
@@ -114,12 +141,81 @@ class Stretch:
     joint_positions: Array
     targets: Array
     position: Array
-    roll_pitch_yaw: Array
-    velocity: Array
+    rotation: Array
+    world_velocity: Array
     rates: Array
     foot_positions: Array
     foot_forces: Array
     command: Array
+
+    def __init__(self, figures: Figures, **readings: Array) -> None:
+        self.figures = figures
+        self.__dict__.update(readings)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in READINGS:
+            raise MissingReadingError(name)
+        raise AttributeError(name)
+
+    # Several scores ask for these: they are computed once, and only where one does.
+
+    @cached_property
+    def torque_shares(self) -> Array:
+        """Size of each torque as a share of its motor's limit, (n, S, J)."""
+        return np.abs(self.torques) / self.figures.torque_limits
+
+    @cached_property
+    def peak_shares(self) -> Array:
+        """The largest of `torque_shares` in each control step, (n,)."""
+        return self.torque_shares.reshape(len(self.torques), -1).max(axis=1)
+
+    @cached_property
+    def work(self) -> float:
+        """Positive mechanical work of all motors in all of the stretch, J."""
+        power = np.maximum(self.torques * self.joint_rates, 0.0)
+        return float(power.sum()) * self.figures.timestep
+
+    @cached_property
+    def power(self) -> Array:
+        """Positive mechanical power of all motors in each physics step, (n, S, 1) W."""
+        return np.maximum(self.torques * self.joint_rates, 0.0).sum(axis=2, keepdims=True)
+
+    @cached_property
+    def yaw(self) -> Array:
+        """Of the trunk, (n,) rad."""
+        return np.arctan2(self.rotation[:, 3], self.rotation[:, 0])
+
+    @cached_property
+    def roll(self) -> Array:
+        """Of the trunk, (n,) rad."""
+        return np.arctan2(self.rotation[:, 7], self.rotation[:, 8])
+
+    @cached_property
+    def pitch(self) -> Array:
+        """Of the trunk, (n,) rad."""
+        return -np.arcsin(np.minimum(np.maximum(self.rotation[:, 6], -1.0), 1.0))
+
+    @cached_property
+    def roll_pitch_yaw(self) -> Array:
+        """Euler angles of the trunk, (n, 3) rad."""
+        return np.stack([self.roll, self.pitch, self.yaw], axis=1)
+
+    @cached_property
+    def velocity(self) -> Array:
+        """Velocity of the trunk's origin, (n, 3) yaw frame, m/s."""
+        vx, vy, vz = self.world_velocity.T
+        cosine, sine = np.cos(self.yaw), np.sin(self.yaw)
+        return np.stack([cosine * vx + sine * vy, cosine * vy - sine * vx, vz], axis=1)
+
+    @cached_property
+    def commanded(self) -> NDArray[np.bool_] | None:
+        """In which control steps the task asks for a velocity, (n,); None in none of them."""
+        known = self.command[:, 0] == self.command[:, 0]  # NaN is not itself.
+        return known if known.any() else None
+
+
+READINGS = frozenset(Stretch.__annotations__)
+"""Names of the readings that a `Stretch` is made of."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,6 +255,10 @@ class Score:
     def value(self, end: TrialEnd) -> float | None:
         """Return the score, in its unit, or None where it is undefined."""
         raise NotImplementedError
+
+    def moment(self) -> float | None:
+        """Return when in the trial a limit was first passed, s; None for never, or for no limit."""
+        return None
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return what it remembers."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import numpy as np
@@ -49,11 +50,11 @@ class DistanceBeforeFall(Score):
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)
-        self.distance, self.last = 0.0, np.full(2, np.nan)
+        self.distance, self.x, self.y = 0.0, math.nan, math.nan
 
     def update(self, stretch: Stretch) -> None:
         """Add way."""
-        self.distance, self.last = way_after(self.distance, self.last, stretch)
+        self.distance, self.x, self.y = way_after(self.distance, self.x, self.y, stretch)
 
     def value(self, end: TrialEnd) -> float | None:
         """Return m."""
@@ -72,14 +73,16 @@ class _Tracking(Score):
 
     def update(self, stretch: Stretch) -> None:
         """Add errors."""
-        known = ~np.isnan(stretch.command[:, 0])
+        known = stretch.commanded
+        if known is None:
+            return
         if self.angular:
             errors = np.abs(stretch.command[:, 2] - stretch.rates[:, 2])
         else:
             apart = stretch.command[:, :2] - stretch.velocity[:, :2]
             errors = np.hypot(apart[:, 0], apart[:, 1])
         self.total += float(errors[known].sum())
-        self.count += int(known.sum())
+        self.count += int(np.count_nonzero(known))
 
     def value(self, end: TrialEnd) -> float | None:
         """Return the mean error; undefined after a fall, and where nothing was commanded."""

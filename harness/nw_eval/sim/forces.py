@@ -101,14 +101,17 @@ class PhysicsRate:
     def __init__(self, model: MjModel, data: MjData, substeps: int, joints: Places) -> None:
         # Views of the simulation's memory, which stays where it is.
         self._force, self._velocity, self._joints = data.actuator_force, data.qvel, joints
+        self._own = data.qvel[joints] if isinstance(joints, slice) else None
         self.servo = np.zeros((substeps, len(self._force)))
         self.rates = np.zeros((substeps, len(self._force)))
+        self._rows = list(zip(self.servo, self.rates, strict=True))
         self._damping = model.dof_damping[joints].copy()
 
     def take(self, substep: int) -> None:
         """Keep the physics step that was just made."""
-        self.servo[substep] = self._force
-        self.rates[substep] = self._velocity[self._joints]
+        servo, rates = self._rows[substep]
+        servo[:] = self._force
+        rates[:] = self._velocity[self._joints] if self._own is None else self._own
 
     def motor_torques(self, servo: Array, rates: Array) -> Array:
         """Return the torques of the motors, (..., J) N m: the servos' and their damping.

@@ -107,7 +107,11 @@ class World(Body):
         self._physics: PhysicsRate | None = None
         feet = geoms_of(model, robot, robot.feet)
         # A foot that is made of several geoms has no centre of its own.
-        self._feet = [geoms[0] for geoms in feet] if all(len(g) == 1 for g in feet) else None
+        self._feet = (
+            np.array([geoms[0] for geoms in feet], dtype=np.intp)
+            if all(len(geoms) == 1 for geoms in feet)
+            else None
+        )
         self._contact_forces = ContactForces(
             model,
             robot,
@@ -274,6 +278,16 @@ class World(Body):
             self._physics = PhysicsRate(self._model, self._data, self._substeps, self._joint_rates)
         return self._physics
 
+    def trunk_readings(self) -> tuple[Array, Array, Array]:
+        """Return what scores read of the trunk, now: views of the simulation's memory.
+
+        Returns:
+            Position (3,), rotation (9,), R_world_trunk row by row, and the velocities of `moving`,
+            (6,).
+        """
+        data, trunk = self._data, self._trunk
+        return data.xpos[trunk], data.xmat[trunk], data.qvel[self._rates]
+
     @property
     def timestep(self) -> float:
         """Of the physics, s."""
@@ -299,7 +313,7 @@ class World(Body):
         """Centres of the feet in the world, (F, 3) m, in the order of `robot.feet`."""
         if self._feet is None:
             return self.foot_places()[0]
-        return self._data.geom_xpos[self._feet]
+        return self._data.geom_xpos.take(self._feet, axis=0)
 
     @property
     def time(self) -> float:

@@ -97,6 +97,10 @@ class Agreement:
     figures: tuple[AgreementFigure, ...]
     gaps: tuple[Gap, ...]
     remarks: tuple[str, ...]
+    score: str = "success"
+    """What was compared."""
+    unit: str = ""
+    """Of the gaps."""
 
 
 def agreement(measured: Sequence[Measured], confidence: float = 0.95) -> Agreement:

@@ -7,6 +7,7 @@ types.
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -40,12 +41,22 @@ from nw_eval.plugins import (
 )
 from nw_eval.request import Request
 from nw_eval.scores import ScoreSpec, specs_of
+from nw_eval.scores.own import (
+    EXPECT,
+    Expectation,
+    OwnScore,
+    expectation_spec,
+    expectation_text,
+    own_text,
+    source_digest,
+)
 from nw_eval.scores.registry import BUILT_IN as SCORE_CLASSES
 from nw_eval.suite.axes import AXES
 from nw_eval.suite.digest import digest_of
 from nw_eval.suite.perturb import Perturb, each_once
 from nw_eval.tasks import COURSE, AnyTask
 from nw_eval.tasks.registry import BUILT_IN as TASK_CLASSES
+from nw_eval.tasks.registry import declared_by, declared_by_kind
 from nw_eval.words import Protocol, Record, Tier
 
 MAX_CELLS = 10_000
@@ -363,10 +374,16 @@ class Suite(_Strict):
         "published one, hub:org/name[@revision] for one of a hub."
     )
     perturb: Perturb = Perturb()  # pyright: ignore[reportCallIssue]
-    scores: tuple[str, ...] = Field(
+    scores: tuple[str | OwnScore, ...] = Field(
         (),
-        description="What is measured of each trial beside success, by name (docs/scores.md). "
-        "Those that gate.scores names are measured, too.",
+        description="What is measured of each trial beside success, by name (docs/scores.md), or "
+        "as a mapping with `python`, a function of one's own. Those that gate.scores names are "
+        "measured, too.",
+    )
+    expect: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,56}$")], Expectation] = Field(
+        {},
+        description="What is expected of each trial, by a name. Each is a score, `expect_<name>`: "
+        "1 where a trial keeps it, 0 where not.",
     )
     record: Record = Field("failures", description="Trials whose images are kept in the logs.")
     gate: Gate = Gate()  # pyright: ignore[reportCallIssue]
@@ -387,15 +404,35 @@ class Suite(_Strict):
             fields.pop("task", None)
         if not self.scores:
             fields.pop("scores", None)
+        if not self.expect:
+            fields.pop("expect", None)
         if not self.plugins:
             fields.pop("plugins", None)
         return fields
 
     @field_validator("scores")
     @classmethod
-    def _known_scores(cls, names: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
-        _declared(names, info)
-        return each_once(names)
+    def _known_scores(
+        cls, scores: tuple[str | OwnScore, ...], info: ValidationInfo
+    ) -> tuple[str | OwnScore, ...]:
+        names = [each if isinstance(each, str) else each.spec.name for each in scores]
+        _declared([each for each in scores if isinstance(each, str)], info)
+        for each in scores:
+            if not isinstance(each, str) and each.spec.name in SCORE_CLASSES:
+                raise ValueError(f"{each.spec.name!r} is built in; set another `name`")
+        each_once(tuple(names))
+        return scores
+
+    @field_validator("expect")
+    @classmethod
+    def _known_expectations(
+        cls, expect: dict[str, Expectation], info: ValidationInfo
+    ) -> dict[str, Expectation]:
+        named = [each.score for each in expect.values() if each.score is not None]
+        _declared(named, info)
+        if of_task := [name for name in named if name in (info.context or {}).get("task", ())]:
+            raise ValueError(f"{of_task[0]!r} is a score of the task's own; name it in gate.scores")
+        return expect
 
     @model_validator(mode="after")
     def _bounded_grid(self) -> Self:
@@ -417,9 +454,49 @@ class Suite(_Strict):
         return self._source.base
 
     @property
-    def measured(self) -> tuple[str, ...]:
-        """Names of the scores of its trials: those it lists, and those that its gate judges."""
-        return tuple(dict.fromkeys((*self.scores, *self.gate.scores)))
+    def own_scores(self) -> tuple[OwnScore, ...]:
+        """Scores that are Python functions of the suite."""
+        return tuple(each for each in self.scores if isinstance(each, OwnScore))
+
+    @property
+    def own_code(self) -> dict[str, str]:
+        """Which code `own_scores` are, by `key_of` its name: file, function and SHA-256.
+
+        Raises:
+            UsageError: a file cannot be read.
+        """
+        return {
+            key_of(SCORES, each.spec.name): f"{each.python} {source_digest(each, self.base)}"
+            for each in self.own_scores
+        }
+
+    @property
+    def measured(self) -> dict[str, ScoreSpec]:
+        """Scores of its trials beside the task's own, with what each declares.
+
+        Those it lists, those that its gate judges, and what it expects.
+        """
+        own = _own_scores(self.model_dump(include={"scores", "expect"}))
+        theirs = {each.name for each in declared_by(self.task)}
+        names = [each if isinstance(each, str) else each.spec.name for each in self.scores]
+        names += [name for name in self.gate.scores if name not in theirs]
+        names += [EXPECT + name for name in self.expect]
+        return {
+            name: own[name] if name in own else specs_of([name])[name]
+            for name in dict.fromkeys(names)
+        }
+
+    def measured_by(self) -> tuple[str, ...]:
+        """Return how jobs name the scores of `measured`: built-in ones, packages' and its own.
+
+        Raises:
+            UsageError: the file of a function cannot be read.
+        """
+        own = {each.spec.name: each for each in self.own_scores}
+        texts = {name: own_text(each, self.base) for name, each in own.items()}
+        for name, each in self.expect.items():
+            texts[EXPECT + name] = expectation_text(name, each, texts.get(each.score or ""))
+        return tuple(texts.get(name, name) for name in self.measured)
 
     @property
     def digest(self) -> str:
@@ -463,7 +540,11 @@ def new_suite(settings: Mapping[str, Any], source: Source | None = None) -> Suit
         said = {**_installed_plugins(frozen), **cast("dict[str, Any]", said or {})}
     suite = Suite.model_validate(
         {**frozen, "plugins": said} if said else frozen,
-        context={"plugins": settings.get("plugins") or {}},
+        context={
+            "plugins": settings.get("plugins") or {},
+            "own": _own_scores(frozen),
+            "task": _own_scores({"task": frozen.get("task")}),
+        },
     )
     if source is not None:
         # Only its maker knows where it was written; it is no setting.
@@ -493,6 +574,34 @@ def _installed_plugins(settings: Mapping[str, Any]) -> dict[str, str]:
     return dict(sorted(found.items()))
 
 
+def _own_scores(settings: Mapping[str, Any]) -> dict[str, ScoreSpec]:
+    """Return the declarations of scores that settings make up, and of their task's own.
+
+    What is wrong with them is said where they are validated.
+    """
+    found: dict[str, ScoreSpec] = {}
+    task = settings.get("task")
+    kind = task if isinstance(task, str) else _mapping(task).get("kind", COURSE.kind)
+    if isinstance(kind, str):
+        with suppress(NwEvalError):
+            found |= {each.name: each for each in declared_by_kind(kind)}
+    listed = settings.get("scores")
+    for each in cast("tuple[Any, ...]", listed) if isinstance(listed, tuple | list) else ():
+        with suppress(ValidationError):
+            spec = OwnScore.model_validate(each).spec
+            found[spec.name] = spec
+    for name, each in _mapping(settings.get("expect")).items():
+        with suppress(ValidationError, NwEvalError):
+            expected = Expectation.model_validate(each)
+            known = found if expected.score in found else {}
+            unit = ""
+            if expected.score is not None:
+                unit = (known or specs_of([expected.score]))[expected.score].unit
+            spec = expectation_spec(str(name), expected, unit)
+            found[spec.name] = spec
+    return found
+
+
 def _mapping(value: Any) -> Mapping[Any, Any]:
     return cast("Mapping[Any, Any]", value) if isinstance(value, Mapping) else {}
 
@@ -504,8 +613,11 @@ def _declared(names: Iterable[str], info: ValidationInfo) -> dict[str, ScoreSpec
         ValueError: there is no such score, or its package is broken.
     """
     said = (info.context or {}).get("plugins", {})
+    own: Mapping[str, ScoreSpec] = (info.context or {}).get("own", {})
+    found = {name: own[name] for name in names if name in own}
+    others = [name for name in names if name not in own]
     try:
-        return specs_of(name for name in names if not is_elsewhere(SCORES, name, said))
+        return found | specs_of(name for name in others if not is_elsewhere(SCORES, name, said))
     except NwEvalError as error:
         raise ValueError(str(error)) from None
 

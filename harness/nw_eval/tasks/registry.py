@@ -82,8 +82,18 @@ def task_kinds() -> tuple[str, ...]:
 
 
 def declared_by(settings: TaskSettings) -> tuple[ScoreSpec, ...]:
-    """Return the scores that a kind of task has of its own."""
-    return (BUILT_IN.get(settings.kind) or _plugin(settings.kind)).declared
+    """Return the scores that the task of a suite has of its own."""
+    return declared_by_kind(settings.kind)
+
+
+def declared_by_kind(kind: str) -> tuple[ScoreSpec, ...]:
+    """Return the scores that a kind of task has of its own.
+
+    Raises:
+        UsageError: there is no such kind.
+        PluginError: its package is broken.
+    """
+    return (BUILT_IN.get(kind) or _plugin(kind)).declared
 
 
 def fault_of(

@@ -175,9 +175,10 @@ def test_a_score_that_no_trial_was_measured_by_is_invalid(judged: Make) -> None:
 def test_a_baseline_without_the_score_is_invalid(judged: Make) -> None:
     found = judged({"scores": COT}, {"cost_of_transport": 0.9}, {})
     assert found.verdict == "INVALID"
-    assert "the baseline shipped has no cost_of_transport: save it again with this suite" in (
-        found.reasons
-    )
+    (told,) = [reason for reason in found.reasons if "has no cost_of_transport" in reason]
+    assert told.startswith("the baseline shipped has no cost_of_transport: save it again with `")
+    assert "nw-eval baseline save" in told
+    assert "--renew" in told
 
 
 def test_a_baseline_at_the_end_of_the_range_is_invalid(judged: Make) -> None:

@@ -28,6 +28,7 @@ _VERBS = MappingProxyType(
         "sweep": "SweepAxes",
         "agree": "Agree",
         "replay": "Replay",
+        "scores": "Scores",
         "view": "ViewTrials",
         "verify": "Verify",
         "blame": "Blame",

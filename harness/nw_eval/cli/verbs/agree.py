@@ -27,11 +27,14 @@ class Agree:
     """Folders of runs, and baselines, of those policies."""
     confidence: float = 0.95
     """Of each interval."""
+    score: str | None = None
+    """A score of the runs in place of success; REAL has a column of its name, in its unit."""
 
     def __call__(self) -> int:
         from nw_eval import api
 
-        print(agreement_text(api.agree(self.real, self.runs, confidence=self.confidence)))
+        found = api.agree(self.real, self.runs, confidence=self.confidence, score=self.score)
+        print(agreement_text(found))
         return 0
 
 
@@ -49,12 +52,12 @@ def agreement_text(found: Agreement) -> str:
     """Return a line for each policy and figure, and what cannot be said."""
     percent = f"{100 * found.confidence:.4g} %"
     gaps = [
-        (clean(each.policy, at_most=80), f"{each.value:+.3f}", _span(each.interval, "+"))
+        (clean(each.policy, at_most=80), f"{each.value:+.4g}", _gap_span(each.interval))
+        if found.score != "success"
+        else (clean(each.policy, at_most=80), f"{each.value:+.3f}", _span(each.interval, "+"))
         for each in found.gaps
     ]
-    gap_lines = aligned(
-        [("policy", "simulator less robot", f"{percent} each alone"), *gaps], right=(1,)
-    )
+    gap_lines = aligned([("policy", _gap_title(found), f"{percent} each alone"), *gaps], right=(1,))
     if not found.figures:
         return "\n".join([*gap_lines, "", *found.remarks])
     figures = aligned(
@@ -75,6 +78,17 @@ def _line(each: AgreementFigure) -> tuple[str, ...]:
         f"{each.perfect.mean:.3f}",
         f"{each.perfect.worst:.3f}",
     )
+
+
+def _gap_title(found: Agreement) -> str:
+    if found.score == "success":
+        return "simulator less robot"
+    unit = f", {found.unit}" if found.unit else ""
+    return f"{found.score}{unit}: simulator less robot"
+
+
+def _gap_span(interval: Interval) -> str:
+    return f"{interval.low:+.4g} to {interval.high:+.4g}"
 
 
 def _span(interval: Interval, sign: str = "") -> str:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from nw_eval.api import BarPlan, ShardPlan, TrialPlan
     from nw_eval.gate.baseline.foresee import Outset
+    from nw_eval.gate.baseline.scores import ScoreForecast
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,8 +153,31 @@ def trial_plan_page(planned: TrialPlan) -> str:
         "",
         "Simulated, 1,000 gates at each drop: the standard error of a share is at most 1.6 %.",
         "Between tolerate and max_drop either verdict is legitimate.",
+        *(line for each in planned.scores for line in _score_lines(each)),
     ]
     return "\n".join(lines)
+
+
+def _score_lines(found: ScoreForecast) -> list[str]:
+    """Return what the gate makes of a score, a line for each change."""
+    spec = found.spec
+    unit = f" {spec.unit}" if spec.unit else ""
+    rows = [("worse by", "PASS", "REGRESSED", "undecided")]
+    rows += [
+        (
+            f"{change:.4g}{unit}",
+            *(f"{100 * share:.0f} %" for share in (passed, regressed, 1.0 - passed - regressed)),
+        )
+        for change, passed, regressed in found.points
+    ]
+    margins = f"max_drop {found.max_drop:g}, tolerate {found.tolerate:g}"
+    error = f"{100 * 0.5 / found.gates**0.5:.1f} %"
+    return [
+        "",
+        f"{spec.name}: {found.level:.4g}{unit}; {margins}; {plural(found.trials, 'trial')}",
+        *aligned(rows, right=range(len(rows[0]))),
+        f"Simulated, {found.gates} gates at each change: the standard error is at most {error}.",
+    ]
 
 
 def _bank(outset: Outset) -> str:

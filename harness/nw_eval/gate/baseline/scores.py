@@ -17,21 +17,30 @@ Bonferroni). All trials of the budget run, and the scores are looked at once, at
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.gate.baseline.finding import Met, bank_of, numbers_of, scores_of
+from nw_eval.gate.baseline.finding import (
+    Met,
+    bank_of,
+    numbers_of,
+    scores_of,
+    strata_that_count,
+)
 from nw_eval.gate.baseline.judge import ComparisonSetup, setup_of
+from nw_eval.gate.baseline.match import renewing
 from nw_eval.gate.verdict import ScoreFinding, Verdict, Word, percent_sure
 from nw_eval.plural import plural
-from nw_eval.results.bank import Against, Start
+from nw_eval.results.bank import Against, SavedBank, Start
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.scores import ScoreSpec
+from nw_eval.stats.bank.evidence import Bank
 from nw_eval.stats.bank.interval import drop_interval_after
+from nw_eval.stats.bank.trials import DrawnTrials
 from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.stats.interval import Interval
 from nw_eval.suite.model import Gate, ScoreGate
@@ -72,6 +81,9 @@ def with_scores(
         if item.word is not None:
             word = _worse(word, item.word)
     judged = [item for item in found if item.word is not None]
+    if judged:  # That nothing was judged is true of success alone.
+        kept = tuple(each for each in verdict.reasons if "nothing was judged" not in each)
+        verdict = replace(verdict, reasons=kept)
     judged.sort(key=lambda item: _ORDER.index(item.word or "PASS"), reverse=True)
     told = [reason for item in judged for reason in item.reasons]
     told += [reason for item in found if item.word is None for reason in item.reasons]
@@ -118,7 +130,7 @@ def _finding(
     scenes: dict[str, list[float]] = {}
     worst: dict[str, list[float]] = {}
     best: dict[str, list[float]] = {}
-    undefined = 0
+    undefined = kept = 0
     for row in sorted(rows, key=lambda row: row.trial_id):
         value = counted(row, spec=spec)
         if value is None or gate.tier(row.scene) == "informational":
@@ -129,6 +141,7 @@ def _finding(
         if not left:
             scenes.setdefault(row.scene, []).append(value)
             undefined += spec.name not in dict(row.scores)
+            kept += value == 1.0
     low = lower_bound(_arrays(worst), gate.confidence)
     high = upper_bound(_arrays(best), 1.0 - (1.0 - gate.confidence) / gate.shared)
     mean = float(np.mean([np.mean(each) for each in scenes.values()])) if scenes else None
@@ -137,6 +150,7 @@ def _finding(
         spec=spec,
         trials=sum(map(len, scenes.values())),
         undefined=undefined,
+        kept=kept,
         mean=None if mean is None else spec.unscaled(mean),
         interval=Interval(*ends),
         per_scene={scene: spec.unscaled(float(np.mean(each))) for scene, each in scenes.items()},
@@ -161,6 +175,15 @@ def _finding(
         )
     word = max(words, key=_ORDER.index) if words else None
     return replace(found, word=word, reasons=tuple(reasons))
+
+
+def lacks_score(bank: SavedBank, name: str) -> str:
+    """Return that a bank was saved before its suite measured a score."""
+    return f"the baseline {bank.manifest.name} has no {name}"
+
+
+def _saving(setup: ComparisonSetup) -> str:
+    return f"save it again with `{renewing(setup.run, setup.bank)}`"
 
 
 def _arrays(groups: Mapping[str, Sequence[float]]) -> list[NDArray[np.float64]]:
@@ -201,14 +224,10 @@ def _by_baseline(
     """Return what the trials say of a score's change against the baseline."""
     spec = found.spec
     name, unit = spec.name, f" {spec.unit}" if spec.unit else ""
+    if setup.basis != "control" and name not in setup.bank.manifest.scores:
+        return "INVALID", f"{lacks_score(setup.bank, name)}: {_saving(setup)}", found
     if setup.basis == "same":
         return "PASS", f"{name}: the same policy as the baseline, nothing to test", found
-    if setup.basis != "control" and name not in setup.bank.manifest.scores:
-        return (
-            "INVALID",
-            f"the baseline {setup.bank.manifest.name} has no {name}: save it again with this suite",
-            found,
-        )
     value = partial(counted, spec=spec)
     met, judged = replace(met, counted=value), setup.judged
     bank = bank_of(setup.panel, judged, setup.basis, setup.claim, value)
@@ -256,3 +275,101 @@ def _by_baseline(
         f"{change}: undecided, the data fit {low:.4g} to {high:.4g} worse",
         found,
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreForecast:
+    """What a gate makes of policies whose score is worse by some changes, by simulation."""
+
+    spec: ScoreSpec
+    """With the range that counts."""
+    level: float
+    """The baseline's mean, in the score's unit."""
+    max_drop: float
+    tolerate: float
+    trials: int
+    """Of each gate."""
+    gates: int
+    """That were simulated at each change."""
+    points: tuple[tuple[float, float, float], ...]
+    """Change for the worse, in the score's unit, and the shares that pass and are REGRESSED."""
+
+
+_GATES = 200
+_CHANGES = (0.0, 0.5, 1.0, 1.5, 2.0)
+"""Of max_drop, beside none and what is tolerated."""
+
+
+def forecast_scores(
+    bank: SavedBank, declared: Mapping[str, ScoreSpec], gate: Gate
+) -> tuple[ScoreForecast, ...]:
+    """Return what the gate makes of each score that it compares with a bank.
+
+    A candidate's trial has the value of a start of the bank, drawn at random in its scene, less the
+    change; values stay within the range, so that where many are at its end the true change is
+    less. As many trials as the budget has are drawn, all of them looked at once.
+
+    Args:
+        bank: of the baseline; scores that it lacks are left out.
+        declared: what the suite measures.
+        gate: of the suite.
+    """
+    panel = bank.panels[0]
+    judged = strata_that_count(tuple(panel.by_stratum), gate)
+    found: list[ScoreForecast] = []
+    for name, asked in gate.scores.items():
+        if asked.max_drop is None or name not in bank.manifest.scores or not judged:
+            continue
+        spec = asked.spec(declared[name])
+        values = np.array(
+            [scores_of(panel, stratum, partial(counted, spec=spec)) for stratum in judged]
+        )
+        known = Bank.of(values).fresh()
+        rng = np.random.Generator(np.random.PCG64(len(found)))
+        total = gate.rounds * len(judged)
+        points: list[tuple[float, float, float]] = []
+        changes = sorted({asked.tolerated, *(share * asked.max_drop for share in _CHANGES)})
+        for change in changes:
+            words = [
+                _simulated(known, values, change / spec.width, rng, total, asked, spec, gate)
+                for _ in range(_GATES)
+            ]
+            points.append((change, words.count("PASS") / _GATES, words.count("REGRESSED") / _GATES))
+        found.append(
+            ScoreForecast(
+                spec=spec,
+                level=spec.unscaled(float(known.means.mean())),
+                max_drop=asked.max_drop,
+                tolerate=asked.tolerated,
+                trials=total,
+                gates=_GATES,
+                points=tuple(points),
+            )
+        )
+    return tuple(found)
+
+
+def _simulated(
+    bank: Bank,
+    values: NDArray[np.float64],
+    drop: float,
+    rng: np.random.Generator,
+    total: int,
+    asked: ScoreGate,
+    spec: ScoreSpec,
+    gate: Gate,
+) -> Word:
+    scenes = rng.integers(len(values), size=total)
+    starts = rng.integers(values.shape[1], size=total)
+    drawn = DrawnTrials(
+        candidate=np.clip(values[scenes, starts] - drop, 0.0, 1.0),
+        baseline=bank.means[scenes],
+        scenes=scenes,
+    )
+    alpha_regr = gate.false_alarm / gate.shared
+    drops = drop_interval_after(
+        bank, drawn, alpha_pass=1.0 - gate.confidence, alpha_regr=alpha_regr
+    )
+    if drops.high * spec.width < (asked.max_drop or 0.0):
+        return "PASS"
+    return "REGRESSED" if drops.low * spec.width > asked.tolerated else "INCONCLUSIVE"

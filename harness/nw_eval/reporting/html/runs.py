@@ -359,6 +359,7 @@ def render_training(
         last=last,
         best=best,
         confidence=confidence,
+        scores=tuple(dict.fromkeys(name for each in checkpoints for name in each["scores"])),
     )
 
 

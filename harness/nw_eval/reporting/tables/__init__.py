@@ -11,9 +11,11 @@ from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.tables.against import baseline_table, cause_table
 from nw_eval.reporting.tables.run import provenance_table, throughput_table
 from nw_eval.reporting.tables.success import (
+    expectations_table,
     outcomes_table,
     perturbations_table,
     scenes_table,
+    scores_by_scene_table,
     scores_table,
     tasks_table,
 )
@@ -57,6 +59,8 @@ def all_tables(
         cause_table(cause),
         scenes_table(verdict, ordered),
         scores_table(verdict),
+        expectations_table(verdict),
+        *(() if brief else (scores_by_scene_table(verdict),)),
         *(() if brief else (perturbations_table(ordered, verdict),)),
         outcomes_table(ordered),
         contacts_table(ordered, run),
@@ -88,6 +92,8 @@ def named_tables(
         "against": baseline_table(verdict.against),
         "scenes": scenes_table(verdict, rows),
         "scores": scores_table(verdict),
+        "expectations": expectations_table(verdict),
+        "scores_by_scene": scores_by_scene_table(verdict),
         "perturbations": perturbations_table(rows, verdict),
         "outcomes": outcomes_table(rows),
         "contacts": contacts_table(rows, run),

@@ -20,6 +20,7 @@ from nw_eval.reporting.tables.table import (
     uncorrected,
 )
 from nw_eval.results.row import Row
+from nw_eval.scores.own import EXPECT
 from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.stats.interval import Interval
 from nw_eval.words import OUTCOMES
@@ -120,6 +121,50 @@ def _of_splits(scores: Sequence[SceneScore]) -> str:
             average = float(np.mean(known))
             parts.append(f"{average:.3f} in {plural(len(known), 'scene')} that {words} ({split})")
     return f"Mean success: {', '.join(parts)}." if parts else ""
+
+
+def expectations_table(verdict: Verdict) -> Table:
+    """Return what the suite expects of each trial, and how many kept it."""
+    found = [item for item in verdict.scores if item.spec.name.startswith(EXPECT)]
+    gated = any(item.word is not None for item in found)
+    return Table(
+        title="Expectations",
+        columns=("name", "share of trials in which", "kept", *(("verdict",) if gated else ())),
+        rows=tuple(
+            (
+                item.spec.name.removeprefix(EXPECT),
+                item.spec.meaning.removeprefix("share of trials in which "),
+                f"{item.kept} of {item.trials}",
+                *((item.word or "-",) if gated else ()),
+            )
+            for item in found
+        ),
+        note="Their means and bounds are in the table of scores; `gate.scores` judges them as "
+        f"`{EXPECT}NAME`.",
+    )
+
+
+_MOST_COLUMNS = 6
+
+
+def scores_by_scene_table(verdict: Verdict) -> Table:
+    """Return the mean of each score in each scene, the scores that are gated first."""
+    found = sorted(verdict.scores, key=lambda item: item.word is None)[:_MOST_COLUMNS]
+    scenes = sorted({scene for item in found for scene in item.per_scene})
+    names = tuple(item.spec.name for item in found)
+    left = len(verdict.scores) - len(found)
+    return Table(
+        title="Scores by scene",
+        columns=("scene", *names),
+        rows=tuple(
+            (scene, *(_number(item.per_scene.get(scene)) for item in found)) for scene in scenes
+        )
+        if len(scenes) > 1
+        else (),
+        numbers=frozenset(names),
+        note="Means of trials, in the score's unit."
+        + (f" Rows have {plural(left, 'score')} more." if left else ""),
+    )
 
 
 def scores_table(verdict: Verdict) -> Table:

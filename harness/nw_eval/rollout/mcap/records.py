@@ -18,7 +18,7 @@ from typing import IO
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Chunk, Metadata
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 
 MOST_MESSAGE = 16 * 2**20
 """Bytes of a message that is decoded; a policy's memory of pictures has some millions."""
@@ -31,6 +31,7 @@ _IN_CHUNKS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
 _MOST_NAME = 1000  # bytes
 _MOST_TEXTS = 4 * 2**20  # bytes of all records of texts; a trial has some thousand
 _MOST_RECORDS = 1_000_000  # Ten minutes at 50 Hz have a quarter of this.
+_MOST_FOREIGN = 20_000_000  # An hour of ten topics at 500 Hz.
 _MOST_RECORD = 64 * 2**20  # bytes, packed or unpacked; a chunk of ours has half a million
 _MOST_UNPACKED = 4 * 2**30  # bytes of all chunks
 _MOST_RATIO, _FREE = 200, 2**20  # unpacked to packed bytes of a chunk; smaller ones may exceed it
@@ -42,6 +43,17 @@ class LoggedMessage:
 
     topic: str
     kind: str  # the name of its schema
+    time_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignMessage:
+    """One message of a log of another program, as it lies in the file."""
+
+    topic: str
+    encoding: str  # of the message, such as `cdr`
+    schema: Schema | None
     time_ns: int
     data: bytes
 
@@ -109,6 +121,42 @@ def logged(stream: IO[bytes], topics: Collection[str] = ()) -> Iterator[LoggedMe
                     yield LoggedMessage(topic=topic, kind=kind, time_ns=time_ns, data=data)
             elif opcode in {Opcode.SCHEMA, Opcode.CHANNEL}:
                 _learn(opcode, part[start : start + length], kinds, channels)
+            start += length
+
+
+def foreign(stream: IO[bytes]) -> Iterator[ForeignMessage]:
+    """Yield the messages of any program's log, in the order of the file; raises as `texts`."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    count = 0
+    for part in _parts(stream):
+        start, end = 0, len(part)
+        while start < end:
+            opcode, length = _HEAD.unpack_from(part, start)
+            start += _HEAD.size
+            count += 1
+            if length > end - start or count > _MOST_FOREIGN:
+                raise ValueError("a chunk has more in it than it can have")
+            if opcode == Opcode.MESSAGE:
+                if length < _MESSAGE.size:
+                    raise ValueError("a message is cut off")
+                number, _, time_ns, _ = _MESSAGE.unpack_from(part, start)
+                if number not in channels:
+                    raise ValueError("a message has no channel")
+                channel = channels[number]
+                yield ForeignMessage(
+                    topic=channel.topic,
+                    encoding=channel.message_encoding,
+                    schema=schemas.get(channel.schema_id),
+                    time_ns=time_ns,
+                    data=part[start + _MESSAGE.size : start + length],
+                )
+            elif opcode == Opcode.SCHEMA:
+                schema = Schema.read(_Exact(BytesIO(part[start : start + length])))
+                schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(_Exact(BytesIO(part[start : start + length])))
+                channels[channel.id] = channel
             start += length
 
 

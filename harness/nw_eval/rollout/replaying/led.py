@@ -93,7 +93,7 @@ def lead(
     recorded = _recorded_digests(logged.log)
     follower = trial.episode
     onlooker = _Onlooker(follower.policy)
-    with _open_puppet(logged.job, card, library) as puppet:
+    with _open_puppet(logged.job, _puppet_of(card), library) as puppet:
         leader = puppet.episode
         state = _join(follower, leader)
         for decided in decisions(logged.log, joints=len(robot.joints)):
@@ -331,22 +331,40 @@ class _Onlooker:
         self._policy.close()
 
 
-def _open_puppet(job: TrialJob, card: Card, library: Library) -> OpenTrial:
-    """Return a trial at its start whose motors are those of a card, and which sees nothing.
+def puppet_bundle(logged: LoggedTrial) -> Bundle:
+    """Return a policy that says nothing, with the motors of the card that a trial began with.
+
+    Raises:
+        StoreError: the log holds no card that can be read.
+    """
+    return _puppet_of(_first_card(logged))
+
+
+def open_puppet(logged: LoggedTrial, library: Library) -> OpenTrial:
+    """Return a recorded trial at its start, to be moved by what its log says was decided.
+
+    Raises:
+        StoreError: as `puppet_bundle`.
+        SceneError, UsageError, PolicyError: as `open_trial`.
+    """
+    return _open_puppet(logged.job, puppet_bundle(logged), library)
+
+
+def _puppet_of(card: Card) -> Bundle:
+    """Return a policy with the motors of a card, which sees nothing."""
+    changed = {"adapter": "zero", "checkpoint": None, "observations": {}, "networks": {}}
+    moved = card.model_copy(update={**changed, "inputs": None, "options": {}})
+    return Bundle(card=moved, card_path=None, checkpoint=None, checkpoint_sha256=NOTHING)
+
+
+def _open_puppet(job: TrialJob, bundle: Bundle, library: Library) -> OpenTrial:
+    """Return a trial at its start whose policy is that of `_puppet_of`.
 
     Its checkpoint need not be there: `Episode.advance` takes what the log says was decided.
-
-    Args:
-        job: of the recorded trial; its policy does not matter.
-        card: of the policy that made it.
-        library: gives the scene.
 
     Raises:
         SceneError, UsageError, PolicyError: as `open_trial`.
     """
-    changed = {"adapter": "zero", "checkpoint": None, "observations": {}, "networks": {}}
-    moved = card.model_copy(update={**changed, "inputs": None, "options": {}})
-    bundle = Bundle(card=moved, card_path=None, checkpoint=None, checkpoint_sha256=NOTHING)
     job = replace(
         job,
         policy=bundle.reference,

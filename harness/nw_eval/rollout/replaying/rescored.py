@@ -1,0 +1,254 @@
+"""Scores of a log, by the code that measures trials as they run.
+
+The log of a run leads its trial once more: the robot is moved by what the log says was applied, no
+policy is asked, and the scores look on as they do in a run. So each score can be had that this
+nw-eval knows, whatever the run's suite declared, and those that it did declare come out the same.
+
+A robot's log (`robot_log`) has readings only, and gives the scores that those allow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast, get_args
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+from nw_eval.errors import StoreError, UsageError
+from nw_eval.rollout.confined.access import running_rules
+from nw_eval.rollout.confined.isolated import call_isolated
+from nw_eval.rollout.library import Library
+from nw_eval.rollout.mcap.reader import LogReader
+from nw_eval.rollout.record import TRIAL
+from nw_eval.rollout.replaying.led import decisions, handover_of, open_puppet, puppet_bundle
+from nw_eval.rollout.replaying.logged import read_logged_trial
+from nw_eval.rollout.replaying.robot_log import read_robot_log
+from nw_eval.scores import (
+    MissingReadingError,
+    ScoreSpec,
+    TrialEnd,
+    score_class,
+    score_names,
+    specs_of,
+)
+from nw_eval.scores.own import is_code
+from nw_eval.tasks.registry import declared_by
+from nw_eval.words import Outcome
+
+if TYPE_CHECKING:
+    from nw_eval.rollout.replaying.logged import LoggedTrial
+
+_TIME_LIMIT = 600.0
+"""Seconds; to lead a trial of a minute takes some ten."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogScores:
+    """The scores of one log."""
+
+    log: Path
+    seconds: float
+    """Simulated, or measured on the robot's clock."""
+    values: Mapping[str, float]
+    """Of those that the log allows and that are defined, by name, each in its unit."""
+    moments: Mapping[str, float]
+    """When a limit was first passed, s: of `limit_time`, and of what the suite expects."""
+    missing: Mapping[str, str]
+    """Why the others are not there, by name."""
+    specs: Mapping[str, ScoreSpec]
+    """Declarations of all that were asked for."""
+    topics: Mapping[str, str]
+    """Of a robot's log: which topic each reading was taken from."""
+    recorded: Mapping[str, float]
+    """Of a run's log: what the run itself measured."""
+    restored: int = 0
+    """Of a run's log: how often the trial went another way here than recorded, as on a CPU of
+    another kind, and went on from the next state of the log."""
+
+
+def scores_of_log(
+    path: Path,
+    *,
+    names: Sequence[str],
+    robot: str | None,
+    topics: Mapping[str, str],
+    allow_code: bool = False,
+) -> LogScores:
+    """Return the scores of a log; a run's is led in a process of its own.
+
+    Args:
+        path: an MCAP file.
+        names: of the scores; empty = all.
+        robot: whose log it is; of a run's, the log says it.
+        topics: of a robot's log, from which readings are taken: see `read_robot_log`.
+        allow_code: whether Python functions that the log of a run holds may run.
+
+    Raises:
+        CodeError: such a function was asked for, and may not.
+        StoreError: the log cannot be read.
+        UsageError: there is no such score or robot, or a robot's log names none.
+        SceneError: the scene of the trial is not here.
+    """
+    asked = tuple(dict.fromkeys(names))
+    if TRIAL in LogReader(path).metadata():
+        if topics or robot is not None:
+            raise UsageError(
+                f"{path} is the log of a run: it says itself which robot and topics it has",
+                fix="leave --robot and --topic out",
+            )
+        logged = read_logged_trial(path)
+        own = {each.name: each for each in declared_by(logged.job.task)}
+        texts = {
+            each.partition("=")[0]: each
+            for each in logged.job.scores
+            if "=" in each and (asked or allow_code or not is_code(each))
+        }
+        found = {
+            **own,
+            **{name: score_class(each, allow_code=allow_code).spec for name, each in texts.items()},
+            **specs_of(name for name in asked or score_names() if name not in {*own, *texts}),
+        }
+        found = {name: found[name] for name in asked} if asked else found
+        measured = tuple(texts.get(name, name) for name in found if name not in own)
+        return _of_run(logged, measured, found, allow_code=allow_code)
+    names = asked or score_names()
+    return _of_robot(path, names, specs_of(names), robot, topics)
+
+
+def _of_run(
+    logged: LoggedTrial,
+    names: Sequence[str],
+    specs: Mapping[str, ScoreSpec],
+    *,
+    allow_code: bool,
+) -> LogScores:
+    if handover_of(logged) is not None:
+        raise StoreError(
+            f"{logged.path} is of a trial in which another policy took over",
+            fix="name the log of a run",
+        )
+    Library().scene(logged.job.scene, logged.job.collision)  # Its cache is out of reach there.
+    folder = logged.job.robot_folder
+    rules = running_rules(
+        puppet_bundle(logged),
+        scenes=[logged.job.scene],
+        also=[logged.path, *([] if folder is None else [folder])],
+    )
+    answer = call_isolated(
+        _lead,
+        subject=str(logged.path),
+        rules=rules,
+        time_limit=_TIME_LIMIT,
+        log=str(logged.path.resolve()),
+        names=list(names),
+        allow_code=allow_code,
+    )
+    try:
+        found = TypeAdapter(_Led).validate_python(answer)
+    except ValidationError:
+        raise StoreError(f"{logged.path} gave no scores that can be read") from None
+    missing = {name: "undefined in this trial" for name in specs if name not in found.values}
+    return LogScores(
+        log=logged.path,
+        seconds=found.seconds,
+        values={name: found.values[name] for name in specs if name in found.values},
+        moments=found.moments,
+        missing=missing,
+        specs=specs,
+        topics={},
+        recorded={name: value for name, value in _recorded(logged).items() if name in specs},
+        restored=found.restored,
+    )
+
+
+def _recorded(logged: LoggedTrial) -> dict[str, float]:
+    try:
+        return TypeAdapter(dict[str, float]).validate_json(logged.verdict.get("scores", "{}"))
+    except ValidationError:
+        return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Led:
+    values: dict[str, float]
+    moments: dict[str, float]
+    seconds: float
+    restored: int
+
+
+def _lead(*, log: str, names: Sequence[str], allow_code: bool) -> dict[str, Any]:
+    """Lead a trial along its log; return what was measured as plain values."""
+    logged = read_logged_trial(Path(log))
+    logged = replace(logged, job=replace(logged.job, scores=tuple(names), allow_code=allow_code))
+    states = {state.step: state for state in logged.log.states()}
+    restored, outcome = 0, None
+    with open_puppet(logged, Library()) as puppet:
+        leader = puppet.episode
+        for decision in decisions(logged.log, joints=len(puppet.robot.joints)):
+            state = states.get(leader.step)
+            if state is not None:
+                parts = {part.name: part.data for part in state.parts}
+                if parts.get("state_digest") != leader.state_digest.state():
+                    restored += 1
+                    leader.world.restore(state.world)
+                    leader.task.restore(parts)
+                    leader.state_digest.restore(parts["state_digest"])
+            outcome = leader.advance(decision).outcome
+            if outcome is not None:
+                break
+        word = logged.verdict.get("outcome", "")
+        if word in get_args(Outcome):
+            outcome = cast("Outcome", word)
+        values = dict(leader.scores(outcome))
+        moments, seconds = leader.limits_passed(), leader.world.time
+    return asdict(_Led(values=values, moments=moments, seconds=seconds, restored=restored))
+
+
+def _of_robot(
+    path: Path,
+    names: Sequence[str],
+    specs: Mapping[str, ScoreSpec],
+    robot: str | None,
+    topics: Mapping[str, str],
+) -> LogScores:
+    if robot is None:
+        raise UsageError(
+            f"{path} is no log of a run, and does not say which robot it is of",
+            fix="name the robot with --robot",
+        )
+    read = read_robot_log(path, robot=robot, topics=topics)
+    values: dict[str, float] = {}
+    missing: dict[str, str] = {}
+    moments: dict[str, float] = {}
+    end = TrialEnd(outcome=None, seconds=read.seconds, success=float("nan"))
+    for name in names:
+        score = score_class(name)(read.figures)
+        try:
+            score.update(read.stretch)
+            value = score.value(end)
+        except MissingReadingError as error:
+            missing[name] = read.lacks(error.reading)
+            continue
+        if value is None or not np.isfinite(value):
+            missing[name] = (
+                "undefined: the log does not say how the task ended"
+                if (name == "time_to_finish")
+                else "undefined in this log"
+            )
+        else:
+            values[name] = float(value)
+            if (moment := score.moment()) is not None:
+                moments[name] = moment
+    return LogScores(
+        log=path,
+        seconds=read.seconds,
+        values=values,
+        moments=moments,
+        missing=missing,
+        specs=specs,
+        topics=read.topics,
+        recorded={},
+    )
