@@ -7,6 +7,7 @@ are written anew, one for each joint that is driven, and what is seen is told fr
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
@@ -19,14 +20,16 @@ import numpy as np
 import numpy.typing as npt
 
 from nw_eval.errors import RobotError, nearest
-from nw_eval.robots.folder import RobotFolder, fill_meshes
+from nw_eval.robots.folder import Eye, RobotFolder, fill_meshes
 from nw_eval.robots.spec import (
     COLLISION_GROUP,
     VISUAL_GROUP,
     CameraMount,
     Follow,
+    ImuMount,
     RobotSpec,
     Shape,
+    Vector3,
 )
 
 # Its classes live in compiled modules without type information.
@@ -44,6 +47,7 @@ _HIDDEN = 1 << 30  # contype of what is only seen: why it has one says `mjcf.wri
 _MOST_SHAPES = 400  # drawn in logs
 _AHEAD = ((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
 _UNLIMITED = 1e6  # rad
+_PLAIN = re.compile(r"[A-Za-z0-9][\w.-]{0,63}", re.ASCII)  # name of a camera
 _GREY = (0.6, 0.62, 0.65, 1.0)
 
 
@@ -228,7 +232,7 @@ class _Derivation:
             )
         )
         height = self.settings.spawn_height
-        cameras = {"ego": self._eye()}
+        cameras = self._cameras()
         visuals = self._visuals()
         follows: tuple[Follow, ...] = tuple(motor.follows for motor in motors)
         self._round_wheels(
@@ -255,6 +259,7 @@ class _Derivation:
             fell_height=self.settings.fell.height,
             collided_force=self.settings.collided.force * weight,
             cameras=cameras,
+            imu=self._imu(),
             height_camera_offset=(0.0, 0.0, 25.0),
             bodies=(self.root, *(body for body in self.bodies if body != self.root)),
             visuals=visuals,
@@ -467,35 +472,86 @@ class _Derivation:
 
     # What it sees, and how it looks.
 
-    def _eye(self) -> CameraMount:
-        eye = self.settings.eye
-        if eye is None:
-            return self._camera() or CameraMount(
+    def _cameras(self) -> dict[str, CameraMount]:
+        """Return `ego`, then the other cameras of robot.yaml and of the model, by name."""
+        settings = self.settings.cameras
+        said = {name: self._mounted(eye, ("cameras", name)) for name, eye in settings.items()}
+        if self.settings.eye is not None:
+            if "ego" in said:
+                raise self._fault(("cameras", "ego"), "cameras: `eye` is `ego`, too", "remove one")
+            said["ego"] = self._mounted(self.settings.eye, ("eye",))
+        own: dict[str, CameraMount] = {}
+        for camera in range(self.model.ncam):
+            name = str(self.model.camera(camera).name)
+            mount = self._camera(camera)
+            if mount is not None and _PLAIN.fullmatch(name):
+                own[name] = mount
+        ego = (
+            said.get("ego")
+            or self._first_camera()
+            or CameraMount(
                 position=(self._front(), 0.0, 0.0), R_trunk_camera=_AHEAD, fovy=math.pi / 2
             )
-        (body,) = self._known(("eye", "body"), [eye.body or self.root])
-        T = self._in_root(body, ("eye", "body"))
+        )
+        return {"ego": ego} | {k: v for k, v in (own | said).items() if k != "ego"}
+
+    def _mounted(self, eye: Eye, key: tuple[str, ...]) -> CameraMount:
+        (body,) = self._known((*key, "body"), [eye.body or self.root])
+        carrier, T = self._carried(body)
         cosine, sine = math.cos(eye.pitch), math.sin(eye.pitch)
         turn = np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
-        R = T[:3, :3] @ np.array(_AHEAD) @ turn
+        R = T[:3, :3] @ self._turn(eye.quaternion, key) @ np.array(_AHEAD) @ turn
         position = T[:3, :3] @ np.array(eye.position) + T[:3, 3]
-        return _mount(position, R, math.radians(eye.fovy))
+        return _mount(position, R, math.radians(eye.fovy), carrier)
 
-    def _camera(self) -> CameraMount | None:
+    def _imu(self) -> ImuMount | None:
+        imu = self.settings.imu
+        if imu is None:
+            return None
+        if imu.site is not None:
+            sites = [str(self.model.site(number).name) for number in range(self.model.nsite)]
+            if imu.site not in sites:
+                fix = (
+                    nearest(imu.site, sites) if sites else "name a body: {body: ..., position: ...}"
+                )
+                raise self._fault(("imu", "site"), f"imu: no site {imu.site!r}", fix)
+            number = sites.index(imu.site)
+            body = self._body(int(self.model.site_bodyid[number]))
+            position, quaternion = self.model.site_pos[number], self.model.site_quat[number]
+        else:
+            (body,) = self._known(("imu", "body"), [imu.body or self.root])
+            position, quaternion = np.array(imu.position), imu.quaternion
+        carrier, T = self._carried(body)
+        R = T[:3, :3] @ self._turn(quaternion, ("imu",))
+        x, y, z = (T[:3, :3] @ position + T[:3, 3]).tolist()
+        return ImuMount(body=carrier, position=(x, y, z), R_body_imu=_rows(R))
+
+    def _turn(self, quaternion: Sequence[float], key: tuple[str, ...]) -> Array:
+        """Return the rotation of a quaternion, (3, 3)."""
+        length = float(np.linalg.norm(quaternion))
+        if not 0.9 < length < 1.1:
+            message = f"{key[0]}: a quaternion of length {length:g}"
+            raise self._fault((*key, "quaternion"), message, "give w x y z of length 1")
+        R = np.empty(9)
+        mujoco.mju_quat2Mat(R, np.array(quaternion, dtype=np.float64) / length)
+        return R.reshape(3, 3)
+
+    def _first_camera(self) -> CameraMount | None:
         """Return the first camera of the model that nothing moves against the trunk."""
-        for camera in range(self.model.ncam):
-            body = self._body(int(self.model.cam_bodyid[camera]))
-            fixed = self.model.cam_mode[camera] == mujoco.mjtCamLight.mjCAMLIGHT_FIXED
-            if not fixed or not self._is_rigid(body):
-                continue
-            T = self._in_root(body, ())
-            R = np.empty(9)
-            mujoco.mju_quat2Mat(R, self.model.cam_quat[camera])
-            axes = R.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])  # OpenCV's, of MuJoCo's
-            position = T[:3, :3] @ self.model.cam_pos[camera] + T[:3, 3]
-            fovy = math.radians(float(self.model.cam_fovy[camera]))
-            return _mount(position, T[:3, :3] @ axes, fovy)
-        return None
+        mounts = map(self._camera, range(self.model.ncam))
+        return next((mount for mount in mounts if mount is not None and not mount.body), None)
+
+    def _camera(self, camera: int) -> CameraMount | None:
+        """Return a camera of the model; None if it is not fixed to its body."""
+        if self.model.cam_mode[camera] != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
+            return None
+        carrier, T = self._carried(self._body(int(self.model.cam_bodyid[camera])))
+        R = np.empty(9)
+        mujoco.mju_quat2Mat(R, self.model.cam_quat[camera])
+        axes = R.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])  # OpenCV's, of MuJoCo's
+        position = T[:3, :3] @ self.model.cam_pos[camera] + T[:3, 3]
+        fovy = math.radians(float(self.model.cam_fovy[camera]))
+        return _mount(position, T[:3, :3] @ axes, fovy, carrier)
 
     def _front(self) -> float:
         own = np.flatnonzero(self.model.geom_bodyid == self.model.body(self.root).id)
@@ -506,20 +562,19 @@ class _Derivation:
         number, root = int(self.model.body(body).id), int(self.model.body(self.root).id)
         return bool(self.model.body_weldid[number] == self.model.body_weldid[root])
 
-    def _in_root(self, body: str, key: tuple[str, ...]) -> Array:
-        """Return T_root_body, (4, 4)."""
+    def _carried(self, body: str) -> tuple[str, Array]:
+        """Return what carries things on a body, and T_carrier_body, (4, 4).
+
+        That is the root ("") where no joint moves the body against it, else the body itself.
+        """
+        T = np.eye(4)
         if not self._is_rigid(body):
-            raise self._fault(
-                key,
-                f"eye.body: joints move {body!r} against {self.root!r}",
-                f"name {self.root!r}, or a body that is fixed to it",
-            )
+            return body, T
         root, own = self.data.body(self.root), self.data.body(body)
         R = root.xmat.reshape(3, 3)
-        T = np.eye(4)
         T[:3, :3] = R.T @ own.xmat.reshape(3, 3)
         T[:3, 3] = R.T @ (own.xpos - root.xpos)
-        return T
+        return "", T
 
     def _visuals(self) -> tuple[Shape, ...]:
         """Return primitives that are drawn in logs: of a mesh, the box round it."""
@@ -649,10 +704,14 @@ def _numbers(text: str) -> list[float]:
         return []
 
 
-def _mount(position: Array, R: Array, fovy: float) -> CameraMount:
+def _mount(position: Array, R: Array, fovy: float, body: str) -> CameraMount:
     x, y, z = position.tolist()
-    rows = tuple((a, b, c) for a, b, c in R.tolist())
-    return CameraMount(position=(x, y, z), R_trunk_camera=(rows[0], rows[1], rows[2]), fovy=fovy)
+    return CameraMount(position=(x, y, z), R_trunk_camera=_rows(R), fovy=fovy, body=body)
+
+
+def _rows(R: Array) -> tuple[Vector3, Vector3, Vector3]:
+    one, two, three = ((a, b, c) for a, b, c in R.tolist())
+    return one, two, three
 
 
 _KINDS = {

@@ -18,7 +18,7 @@ from xml.etree.ElementTree import Element, ParseError, XMLPullParser
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from nw_eval.errors import Problem, RobotError
 from nw_eval.files.inside import OutsideError, bounded_bytes, inside
@@ -115,17 +115,44 @@ class Collided(_Part):
     """Force on one part of `body`, in times the robot's weight."""
 
 
+Quaternion = tuple[float, float, float, float]
+
+
 class Eye(_Part):
-    """The camera `ego`, which looks along x of its body."""
+    """A camera, which looks along x of its body unless it is turned."""
 
     body: Name | None = None
-    """The root, or a body that no joint moves against it."""
+    """None = the root. With a body that joints move, it moves, too."""
     position: tuple[float, float, float]
     """In the body, m."""
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """Turn of a frame whose x axis it looks along, y to the left, in the body: w x y z."""
     pitch: Annotated[float, Field(ge=-math.pi, le=math.pi)] = 0.0
-    """Angle by which it looks down, rad."""
+    """Angle by which it looks down from there, rad."""
     fovy: Annotated[float, Field(gt=1.0, lt=179.0)] = 90.0
     """Vertical field of view, degrees."""
+
+
+class Imu(_Part):
+    """Where angular velocity, gravity and acceleration are measured."""
+
+    site: Name | None = None
+    """A site of the model, with its place and its axes."""
+    body: Name | None = None
+    """Else a body; None = the root."""
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """In the body, m."""
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """Turn of its axes in the body, w x y z."""
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Imu:
+        if self.site is not None and self.model_fields_set - {"site"}:
+            raise ValueError("a site has its place and axes; remove `site`, or all else")
+        return self
+
+
+CameraName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 
 
 class RobotFile(_Part):
@@ -150,7 +177,11 @@ class RobotFile(_Part):
     fell: Fell = Fell()
     collided: Collided = Collided()
     eye: Eye | None = None
-    """None = the model's first camera on the trunk, or one at its front."""
+    """The camera `ego`. None = the model's first camera on the trunk, or one at its front."""
+    cameras: dict[CameraName, Eye] = Field(default_factory=dict[str, Eye], max_length=16)
+    """Cameras by the names that cards call them, beside those of the model that have a name."""
+    imu: Imu | None = None
+    """None = the root's own frame."""
     spawn_height: Positive | None = None
     """Of the root's origin above the ground at the start, m; derived."""
 

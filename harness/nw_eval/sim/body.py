@@ -17,7 +17,8 @@ from nw_eval.sim.binding import MjData, MjModel, mujoco
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nw_eval.robots import RobotSpec
+    from nw_eval.robots import CameraMount, RobotSpec
+    from nw_eval.robots.spec import ImuMount
 
 
 Array = npt.NDArray[np.float64]
@@ -133,10 +134,36 @@ class Body:
             raise UsageError(
                 f"{self.robot.name} has no camera {name!r}", fix=nearest(name, self.robot.cameras)
             )
-        T_world_trunk = np.eye(4)
-        T_world_trunk[:3, :3] = self.trunk_rotation
-        T_world_trunk[:3, 3] = self.trunk_position
-        return T_world_trunk @ mount.T_trunk_camera
+        body = self._carrier(mount)
+        T_world_body = np.eye(4)
+        T_world_body[:3, :3] = self._data.xmat[body].reshape(3, 3)
+        T_world_body[:3, 3] = self._data.xpos[body]
+        return T_world_body @ mount.T_trunk_camera
+
+    def _carrier(self, mount: CameraMount | ImuMount) -> int:
+        return int(self._model.body(mount.body).id) if mount.body else self._trunk
+
+    @property
+    def imu_rotation(self) -> Array:
+        """R_world_imu, (3, 3); of a robot without an IMU R_world_trunk."""
+        imu = self.robot.imu
+        if imu is None:
+            return self.trunk_rotation
+        return self._data.xmat[self._carrier(imu)].reshape(3, 3) @ np.array(imu.R_body_imu)
+
+    @property
+    def imu_angular_velocity(self) -> Array:
+        """Angular velocity along the axes of the IMU, or of the trunk without one, (3,) rad / s."""
+        imu = self.robot.imu
+        if imu is None:
+            return self.trunk_angular_velocity
+        rates = self.trunk_angular_velocity
+        if imu.body:
+            found = np.empty(6)
+            kind = mujoco.mjtObj.mjOBJ_XBODY
+            mujoco.mj_objectVelocity(self._model, self._data, kind, self._carrier(imu), found, 1)
+            rates = found[:3]
+        return np.array(imu.R_body_imu).T @ rates
 
     def moving(self) -> tuple[Array, Array, Array, Array, Array]:
         """Return what moves, now: views of the simulation's memory where that is possible.
@@ -197,7 +224,7 @@ class Body:
         return float(distance) if met[0] >= 0 else np.inf
 
     def mounted(self, camera: str) -> Array:
-        """Return where a camera of the robot is on the trunk, (7,): m, quaternion w x y z."""
+        """Return where a camera of the robot is on its body, (7,): m, quaternion w x y z."""
         mount = self.robot.cameras[camera]
         pose = np.empty(7)
         pose[:3] = mount.position
