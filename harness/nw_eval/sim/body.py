@@ -204,6 +204,41 @@ class Body:
             places[row], widths[row] = place, reach[1]
         return places, widths
 
+    def reaches(self) -> Array:
+        """Return how far from its hip each foot gets at most, to its sole, (F,) m.
+
+        The hip is the first joint of its leg; joints turn within their ranges. The state is lost.
+        """
+        model, data, found = self._model, self._data, np.zeros(len(self.robot.feet))
+        for row, geoms in enumerate(geoms_of(model, self.robot, self.robot.feet)):
+            number = int(model.geom_bodyid[geoms[0]])
+            chain: list[int] = []
+            while number != self._trunk:
+                first, count = int(model.body_jntadr[number]), int(model.body_jntnum[number])
+                chain = [*range(first, first + count), *chain]
+                number = int(model.body_parentid[number])
+            if not chain:
+                continue
+
+            def away(geoms: Sequence[int] = geoms, hip: int = chain[0]) -> float:
+                mujoco.mj_kinematics(model, data)
+                boxes = [_box_round(model, data, geom) for geom in geoms]
+                hub = data.xanchor[hip]
+                return max(float(np.linalg.norm(at - hub) + half.min()) for at, half in boxes)
+
+            best = away()
+            for joint in (*chain, *chain):  # Twice: one joint moves what another one can do.
+                place = int(model.jnt_qposadr[joint])
+                low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.pi, np.pi)
+                kept = float(data.qpos[place])
+                for angle in np.linspace(low, high, 25).tolist():
+                    data.qpos[place] = angle
+                    if (far := away()) > best + 1e-9:
+                        best, kept = far, angle
+                data.qpos[place] = kept
+            found[row] = best
+        return found
+
     def trunk_length(self) -> float:
         """Return how long the trunk's shapes are along the world's x, in m, legs left out."""
         own = np.flatnonzero(self._model.geom_bodyid == self._trunk)
