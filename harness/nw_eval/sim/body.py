@@ -222,9 +222,13 @@ class Body:
 
             def away(geoms: Sequence[int] = geoms, hip: int = chain[0]) -> float:
                 mujoco.mj_kinematics(model, data)
-                boxes = [_box_round(model, data, geom) for geom in geoms]
                 hub = data.xanchor[hip]
-                return max(float(np.linalg.norm(at - hub) + half.min()) for at, half in boxes)
+                places = [_box_round(model, data, geom)[0] for geom in geoms]
+                soles = model.geom_aabb[geoms, 3:].min(axis=1)
+                return max(
+                    float(np.linalg.norm(at - hub)) + float(sole)
+                    for at, sole in zip(places, soles, strict=True)
+                )
 
             best = away()
             for joint in (*chain, *chain):  # Twice: one joint moves what another one can do.
