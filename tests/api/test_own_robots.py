@@ -8,6 +8,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.engine import ray_parcels
+from nw_eval.engine.listener import Silence
 from nw_eval.engine.ray_parcels import Outgoing
 from nw_eval.errors import PolicyError, RobotError, SuiteError
 from nw_eval.results.row import rows_digest
@@ -146,3 +147,52 @@ def test_policies_of_others_walk_on_robots_of_others(tmp_path, name):
     )
     report = api.run(tmp_path / "walk.yaml", out=tmp_path / "run", workers=1, cache=False)
     assert [row.outcome for row in report.rows] == ["completed"] * walked
+
+
+@pytest.mark.parametrize(
+    ("control", "steps"),
+    [
+        ("rate: 100", 100),
+        ("rate: 62.5, physics_rate: 250", 62),
+        ("rate: 30, physics_rate: 300", 30),
+        ("rate: 25", 50),
+    ],
+)
+def test_a_policy_acts_at_its_own_rate_and_its_trial_is_replayed_to_the_bit(mine, control, steps):
+    card = CARD.replace("scale: 0.25}", f"scale: 0.25, {control}}}")
+    (mine / "holds" / "policy.yaml").write_text(card)
+    suite = SUITE.replace("record: none", "record: all") + "perturb: {push: [0.2]}\n"
+    (mine / "mine.yaml").write_text(suite)
+    result = api.run(suite=mine / "mine.yaml", out=mine / "out", workers=1, cache=False)
+    (row,) = result.rows
+    assert row.status == "ok"
+    assert abs(row.steps - steps) <= 1
+    assert row.sim_s == pytest.approx(1.0, abs=0.04)
+    (log,) = (mine / "out").rglob("*.mcap")
+    assert api.replay(log).is_identical
+    assert api.replay(log, start=0.5).is_identical
+
+
+def test_the_published_protocol_has_control_steps_of_its_own(mine):
+    card = CARD.replace("scale: 0.25}", "scale: 0.25, rate: 100}")
+    (mine / "holds" / "policy.yaml").write_text(card)
+    (mine / "mine.yaml").write_text(SUITE + "protocol: neverwhere-2026\n")
+    with pytest.raises(PolicyError, match=r"control.rate is 100, the protocol .* of 0.02 s"):
+        api.run(suite=mine / "mine.yaml", out=mine / "out", workers=1)
+
+
+def test_a_run_says_first_what_no_leg_of_its_robot_could_do(mine):
+    said: list[str] = []
+
+    class Ears(Silence):
+        def message(self, text: str) -> None:
+            said.append(text)
+
+    short = MJCF.replace("0 0 -0.3", "0 0 -0.12").replace('pos="0 0 0.4"', 'pos="0 0 0.2"')
+    (mine / "table" / "robot.xml").write_text(short)
+    scenes = "scenes: [flat/carpet_room, hurdles/one_high_stone_plaza]"
+    (mine / "mine.yaml").write_text(SUITE.replace("scenes: [flat/carpet_room]", scenes))
+    api.run(suite=mine / "mine.yaml", out=mine / "out", workers=1, cache=False, listener=Ears())
+    (line,) = [text for text in said if "legs of table" in text]
+    assert "hurdles/one_high_stone_plaza (a step of 0.30 m up, a step of 0.30 m down)" in line
+    assert "flat/carpet_room" not in line

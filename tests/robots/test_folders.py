@@ -339,8 +339,8 @@ def test_a_urdf_gets_a_free_joint(tmp_path):
         ("pose: {'knee_*': 2.0}", "robot.yaml:4:1: pose: 2 is beyond the range of knee_l; give"),
         ("pose: {'kne_l': 0.1}", "robot.yaml:4:8: pose: no joint is named 'kne_l'; did you mean"),
         (
-            "eye: {body: toe_l, position: [0, 0, 0]}",
-            "robot.yaml:4:7: eye.body: joints move 'toe_l'",
+            "eye: {body: toe, position: [0, 0, 0]}",
+            "robot.yaml:4:7: eye: no body 'toe'; did you mean",
         ),
         ("touches: geom", "robot.yaml:4:1: touches: geom; name the geoms of `feet`"),
         (

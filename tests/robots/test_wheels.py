@@ -213,9 +213,7 @@ def test_positions_of_wheels_are_left_out_or_zero(tmp_path, cart):
         ("joint_velocity}", "joint_speed}", "'joint_speed' is not one of them"),
     ],
 )
-def test_a_group_that_means_nothing_is_refused_with_its_place(
-    tmp_path, old, new, said
-):
+def test_a_group_that_means_nothing_is_refused_with_its_place(tmp_path, old, new, said):
     with pytest.raises(PolicyError) as caught:
         card_of(tmp_path, CARD.replace(old, new))
     assert said in str(caught.value)

@@ -197,6 +197,7 @@ def _ahead(plan: Plan) -> Iterator[str]:
         yield f"perturb.{axis} changes nothing for {plan.bundle.card.name}: no sense for it"
     for scene, finding in _trail_faults(plan):
         yield f"scene {scene}: {finding.message}; {finding.fix}"
+    yield from _beyond_legs(plan)
     for reason in obstacles_of(plan):
         yield f"this run cannot PASS: {reason}"
 
@@ -213,6 +214,30 @@ def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
         if not is_built_in(place.reference):
             for finding in trail_findings(place.scene, plan.suite.robot):
                 yield place.scene.name, finding
+
+
+def _beyond_legs(plan: Plan) -> Iterator[str]:
+    """Yield a line on what scenes of a plan ask that its robot's legs could never do, if anything.
+
+    Built-in scenes are made for the built-in robots.
+    """
+    from nw_eval.catalogue import is_built_in
+    from nw_eval.robots import BUILT_IN, get_robot
+    from nw_eval.survey.legs import fit_of, legs_of
+
+    is_ours = plan.suite.robot in BUILT_IN
+    places = [each for each in plan.found if not (is_ours and is_built_in(each.reference))]
+    if not places:
+        return
+    legs = legs_of(get_robot(plan.suite.robot))
+    fits = {place.scene.name: fit_of(place.scene, legs) for place in places}
+    asked = [f"{name} ({', '.join(fit.beyond)})" for name, fit in fits.items() if fit.beyond]
+    if asked:
+        some = ", ".join(asked[:3]) + (f" and {len(asked) - 3} more" if len(asked) > 3 else "")
+        yield (
+            f"more than the legs of {legs.robot} could do, {legs.length:.2f} m long: {some}; "
+            "`nw-eval scenes list --robot` says which scenes suit"
+        )
 
 
 def _part(plan: Plan, shard: ShardInfo) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from nw_eval.scenes.finding import SceneFinding
     from nw_eval.scenes.overview import SceneFigures
     from nw_eval.survey import Survey
+    from nw_eval.survey.legs import Fit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +27,8 @@ class ListedScene:
     waypoints: int
     split: Split | None
     """Which half of the built-in scenes it is of; None for any other scene."""
+    fit: Fit | None = None
+    """What it asks of a robot's legs; None where no robot was asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,14 +60,28 @@ class WarmUp:
     """Whose splats are built now."""
 
 
-def list_scenes(patterns: Sequence[str] = ()) -> tuple[ListedScene, ...]:
+def list_scenes(
+    patterns: Sequence[str] = (), *, robot: str | None = None
+) -> tuple[ListedScene, ...]:
     """Return the scenes that match one of some globs; all built-in ones without any.
+
+    Args:
+        patterns: names or globs.
+        robot: whose legs the steps and gaps of each scene are compared with; None = none.
 
     Raises:
         SceneError: a pattern matches nothing.
+        UsageError: there is no such robot.
     """
     from nw_eval.built_in.splits import split_of
     from nw_eval.catalogue import match_scenes
+    from nw_eval.robots import get_robot
+
+    fit = None
+    if robot is not None:
+        from nw_eval.survey.legs import fit_of, legs_of
+
+        fit = partial(fit_of, legs=legs_of(get_robot(robot)))
 
     return tuple(
         ListedScene(
@@ -71,6 +89,7 @@ def list_scenes(patterns: Sequence[str] = ()) -> tuple[ListedScene, ...]:
             title=scene.title,
             waypoints=len(scene.trail),
             split=split_of(scene.name),
+            fit=None if fit is None else fit(scene),
         )
         for scene in match_scenes(tuple(patterns) or ("*",))
     )

@@ -39,7 +39,7 @@ class _Term(CardModel):
 
 
 class AngularVelocity(_Term):
-    """Trunk angular velocity, rad/s (3)."""
+    """Angular velocity, rad/s (3), of the robot's IMU if it has one, else of the trunk."""
 
     term: Literal["ang_vel"]
     frame: Literal["trunk", "world"] = "trunk"
@@ -57,7 +57,10 @@ class LinearVelocity(_Term):
 
 
 class Gravity(_Term):
-    """Direction of gravity in the trunk frame, a unit vector (3): (0, 0, -1) when level."""
+    """Direction of gravity, a unit vector (3), in the frame of the IMU, or else of the trunk.
+
+    It is (0, 0, -1) when level.
+    """
 
     term: Literal["gravity"]
 
@@ -85,14 +88,14 @@ class Yaw(_Term):
 
 
 class Acceleration(_Term):
-    """What an accelerometer on the trunk reads, m/s^2 along the trunk's axes (3).
+    """What an accelerometer reads, m/s^2 (3) along the axes of the IMU, or else the trunk.
 
     That is the point's acceleration minus gravity: (0, 0, 9.806) at rest, zeros in free fall.
     """
 
     term: Literal["acceleration"]
     at: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where it sits, in the trunk frame, m."""
+    """Where it sits, from the IMU, or else the trunk's origin, along these axes, m."""
 
 
 class DeltaYaw(_Term):

@@ -27,9 +27,11 @@ from nw_eval.robots.spec import (
     VISUAL_GROUP,
     CameraMount,
     Follow,
+    ImuMount,
     RobotSpec,
     Shape,
     Triangles,
+    Vector3,
 )
 from nw_eval.robots.standing import CLEARANCE, LevelGround, collides, lowest
 
@@ -54,6 +56,7 @@ _UNLIMITED = 1e6  # rad
 _TURN = 1e-6  # by which a rotation may miss
 _REWRITE = "leave as_written out, and the file is rewritten"
 _LIGHTEST, _HEAVIEST = 0.1, 2_000.0  # kg
+_CAMERA = re.compile(r"[A-Za-z0-9][\w.-]{0,63}", re.ASCII)  # name of a camera
 
 
 def spec_of(folder: RobotFolder) -> RobotSpec:
@@ -354,6 +357,7 @@ class _Derivation:
             fell_height=self.settings.fell.height,
             collided_force=collided.newtons or collided.force * weight,
             cameras=cameras,
+            imu=self._imu(),
             height_camera_offset=published.height_camera,
             root_defaults=(free.damping, free.armature, free.friction),
             bodies=(self.root, *(body for body in self.bodies if body != self.root)),
@@ -369,7 +373,7 @@ class _Derivation:
         names = self._names(self.joints)
         motors = self._motors(names)
         self._stand(self._pose(names, [self._range(joint) for joint in self.joints]))
-        eye = self._camera()
+        eye = self._first_camera()
         return ModelFacts(
             joints=tuple(names),
             has_motors=bool(self._written()),
@@ -629,56 +633,97 @@ class _Derivation:
     # What it sees, and how it looks.
 
     def _cameras(self) -> dict[str, CameraMount]:
-        found = {
-            name: self._mounted(camera, ("cameras", name))
-            for name, camera in self.settings.cameras.items()
-        }
-        return found if "ego" in found else {"ego": self._eye()} | found
-
-    def _eye(self) -> CameraMount:
-        eye = self.settings.eye
-        if eye is None:
-            found = self._camera()
-            return (
-                CameraMount(
-                    position=(self._front(), 0.0, 0.0), R_trunk_camera=_AHEAD, fovy=math.pi / 2
-                )
-                if found is None
-                else found[1]
+        """Return `ego`, then the other cameras of robot.yaml and of the model, by name."""
+        settings = self.settings.cameras
+        said = {name: self._mounted(eye, ("cameras", name)) for name, eye in settings.items()}
+        if self.settings.eye is not None:
+            if "ego" in said:
+                raise self._fault(("cameras", "ego"), "cameras: `eye` is `ego`, too", "remove one")
+            said["ego"] = self._mounted(Camera(**dict(self.settings.eye)), ("eye",))
+        own: dict[str, CameraMount] = {}
+        for camera in range(self.model.ncam):
+            name = str(self.model.camera(camera).name)
+            mount = self._camera(camera)
+            if mount is not None and _CAMERA.fullmatch(name):
+                own[name] = mount
+        first = self._first_camera()
+        ego = (
+            said.get("ego")
+            or (None if first is None else first[1])
+            or CameraMount(
+                position=(self._front(), 0.0, 0.0), R_trunk_camera=_AHEAD, fovy=math.pi / 2
             )
-        return self._mounted(Camera(**dict(eye)), ("eye",))
+        )
+        return {"ego": ego} | {k: v for k, v in (own | said).items() if k != "ego"}
 
     def _mounted(self, camera: Camera, key: tuple[str, ...]) -> CameraMount:
         (body,) = self._known((*key, "body"), [camera.body or self.root])
-        axes = np.array(_AHEAD if camera.rotation is None else camera.rotation)
-        if np.abs(axes.T @ axes - np.eye(3)).max() > _TURN or np.linalg.det(axes) < 0.0:
-            name = ".".join(key)
-            raise self._fault((*key, "rotation"), f"{name}.rotation: it is no rotation")
-        position = np.array(camera.position)
-        if camera.pitch != 0.0:
+        if camera.rotation is None:
             cosine, sine = math.cos(camera.pitch), math.sin(camera.pitch)
-            axes = axes @ np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
-        if body != self.root:
-            T = self._in_root(body, (*key, "body"))
-            axes, position = T[:3, :3] @ axes, T[:3, :3] @ position + T[:3, 3]
-        return _mount(position, axes, math.radians(camera.fovy))
+            turn = np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
+            axes = self._turn(camera.quaternion, key) @ np.array(_AHEAD) @ turn
+        else:
+            axes = np.array(camera.rotation)
+            if np.abs(axes.T @ axes - np.eye(3)).max() > _TURN or np.linalg.det(axes) < 0.0:
+                message = f"{'.'.join(key)}.rotation: it is no rotation"
+                raise self._fault((*key, "rotation"), message)
+        position, fovy = np.array(camera.position), math.radians(camera.fovy)
+        if body == self.root:  # Its numbers are taken as they are written, to the last bit.
+            return _mount(position, axes, fovy, "")
+        carrier, T = self._carried(body)
+        return _mount(T[:3, :3] @ position + T[:3, 3], T[:3, :3] @ axes, fovy, carrier)
 
-    def _camera(self) -> tuple[str, CameraMount] | None:
+    def _imu(self) -> ImuMount | None:
+        imu = self.settings.imu
+        if imu is None:
+            return None
+        if imu.site is not None:
+            sites = [str(self.model.site(number).name) for number in range(self.model.nsite)]
+            if imu.site not in sites:
+                fix = (
+                    nearest(imu.site, sites) if sites else "name a body: {body: ..., position: ...}"
+                )
+                raise self._fault(("imu", "site"), f"imu: no site {imu.site!r}", fix)
+            number = sites.index(imu.site)
+            body = self._body(int(self.model.site_bodyid[number]))
+            position, quaternion = self.model.site_pos[number], self.model.site_quat[number]
+        else:
+            (body,) = self._known(("imu", "body"), [imu.body or self.root])
+            position, quaternion = np.array(imu.position), imu.quaternion
+        carrier, T = self._carried(body)
+        R = T[:3, :3] @ self._turn(quaternion, ("imu",))
+        x, y, z = (T[:3, :3] @ position + T[:3, 3]).tolist()
+        return ImuMount(body=carrier, position=(x, y, z), R_body_imu=_rows(R))
+
+    def _turn(self, quaternion: Sequence[float], key: tuple[str, ...]) -> Array:
+        """Return the rotation of a quaternion, (3, 3)."""
+        length = float(np.linalg.norm(quaternion))
+        if not 0.9 < length < 1.1:
+            message = f"{key[0]}: a quaternion of length {length:g}"
+            raise self._fault((*key, "quaternion"), message, "give w x y z of length 1")
+        R = np.empty(9)
+        mujoco.mju_quat2Mat(R, np.array(quaternion, dtype=np.float64) / length)
+        return R.reshape(3, 3)
+
+    def _first_camera(self) -> tuple[str, CameraMount] | None:
         """Return the first camera of the model that nothing moves against the trunk, by name."""
         for camera in range(self.model.ncam):
-            body = self._body(int(self.model.cam_bodyid[camera]))
-            fixed = self.model.cam_mode[camera] == mujoco.mjtCamLight.mjCAMLIGHT_FIXED
-            if not fixed or not self._is_rigid(body):
-                continue
-            T = self._in_root(body, ())
-            R = np.empty(9)
-            mujoco.mju_quat2Mat(R, self.model.cam_quat[camera])
-            axes = R.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])  # OpenCV's, of MuJoCo's
-            position = T[:3, :3] @ self.model.cam_pos[camera] + T[:3, 3]
-            fovy = math.radians(float(self.model.cam_fovy[camera]))
-            name = str(self.model.camera(camera).name) or "camera without a name"
-            return name, _mount(position, T[:3, :3] @ axes, fovy)
+            mount = self._camera(camera)
+            if mount is not None and not mount.body:
+                return str(self.model.camera(camera).name) or "camera without a name", mount
         return None
+
+    def _camera(self, camera: int) -> CameraMount | None:
+        """Return a camera of the model; None if it is not fixed to its body."""
+        if self.model.cam_mode[camera] != mujoco.mjtCamLight.mjCAMLIGHT_FIXED:
+            return None
+        carrier, T = self._carried(self._body(int(self.model.cam_bodyid[camera])))
+        R = np.empty(9)
+        mujoco.mju_quat2Mat(R, self.model.cam_quat[camera])
+        axes = R.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])  # OpenCV's, of MuJoCo's
+        position = T[:3, :3] @ self.model.cam_pos[camera] + T[:3, 3]
+        fovy = math.radians(float(self.model.cam_fovy[camera]))
+        return _mount(position, T[:3, :3] @ axes, fovy, carrier)
 
     def _front(self) -> float:
         own = np.flatnonzero(self.model.geom_bodyid == self.model.body(self.root).id)
@@ -689,20 +734,19 @@ class _Derivation:
         number, root = int(self.model.body(body).id), int(self.model.body(self.root).id)
         return bool(self.model.body_weldid[number] == self.model.body_weldid[root])
 
-    def _in_root(self, body: str, key: tuple[str, ...]) -> Array:
-        """Return T_root_body, (4, 4)."""
+    def _carried(self, body: str) -> tuple[str, Array]:
+        """Return what carries things on a body, and T_carrier_body, (4, 4).
+
+        That is the root ("") where no joint moves the body against it, else the body itself.
+        """
+        T = np.eye(4)
         if not self._is_rigid(body):
-            raise self._fault(
-                key,
-                f"{'.'.join(key)}: joints move {body!r} against {self.root!r}",
-                f"name {self.root!r}, or a body that is fixed to it",
-            )
+            return body, T
         root, own = self.data.body(self.root), self.data.body(body)
         R = root.xmat.reshape(3, 3)
-        T = np.eye(4)
         T[:3, :3] = R.T @ own.xmat.reshape(3, 3)
         T[:3, 3] = R.T @ (own.xpos - root.xpos)
-        return T
+        return "", T
 
     def _visuals(self) -> tuple[tuple[Shape, ...], Literal["geoms", "visuals"]]:
         """Return what is drawn, and what of it pictures show.
@@ -931,10 +975,14 @@ def _decimals(values: npt.NDArray[np.float32]) -> tuple[float, ...]:
     return tuple(float(str(value)) for value in values)
 
 
-def _mount(position: Array, R: Array, fovy: float) -> CameraMount:
+def _mount(position: Array, R: Array, fovy: float, body: str) -> CameraMount:
     x, y, z = position.tolist()
-    rows = tuple((a, b, c) for a, b, c in R.tolist())
-    return CameraMount(position=(x, y, z), R_trunk_camera=(rows[0], rows[1], rows[2]), fovy=fovy)
+    return CameraMount(position=(x, y, z), R_trunk_camera=_rows(R), fovy=fovy, body=body)
+
+
+def _rows(R: Array) -> tuple[Vector3, Vector3, Vector3]:
+    one, two, three = ((a, b, c) for a, b, c in R.tolist())
+    return one, two, three
 
 
 _PLAIN = (0.5, 0.5, 0.5, 1.0)

@@ -20,7 +20,7 @@ from xml.etree.ElementTree import Element, ParseError, XMLPullParser
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from nw_eval.errors import Problem, RobotError
 from nw_eval.files.inside import OutsideError, bounded_bytes, inside
@@ -139,15 +139,20 @@ class Collided(_Part):
     """The same force in N, in place of `force`."""
 
 
+Quaternion = tuple[float, float, float, float]
+
+
 class Eye(_Part):
-    """The camera `ego`, which looks along x of its body."""
+    """A camera, which looks along x of its body unless it is turned."""
 
     body: Name | None = None
-    """The root, or a body that no joint moves against it."""
+    """None = the root. With a body that joints move, it moves, too."""
     position: tuple[Place, Place, Place]
     """In the body, m, at most 10."""
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """Turn of a frame whose x axis it looks along, y to the left, in the body: w x y z."""
     pitch: Annotated[float, Field(ge=-math.pi, le=math.pi)] = 0.0
-    """Angle by which it looks down, rad."""
+    """Angle by which it looks down from there, rad."""
     fovy: Annotated[float, Field(gt=1.0, lt=179.0)] = 90.0
     """Vertical field of view, degrees."""
 
@@ -156,7 +161,8 @@ class Camera(Eye):
     """A camera of a body."""
 
     rotation: tuple[Row, Row, Row] | None = None
-    """R_body_camera, row by row, in place of `pitch`: OpenCV's x right, y down, z forward."""
+    """R_body_camera, row by row, in place of `quaternion` and `pitch`: OpenCV's x right, y down, z
+    forward."""
 
 
 class FreeJoint(_Part):
@@ -179,6 +185,28 @@ class Published(_Part):
     """What joint defaults of the published file put on the free joint."""
     height_camera: Row = (0.0, 0.0, 25.0)
     """From the centre of mass to the camera of the published height map, m."""
+
+
+class Imu(_Part):
+    """Where angular velocity, gravity and acceleration are measured."""
+
+    site: Name | None = None
+    """A site of the model, with its place and its axes."""
+    body: Name | None = None
+    """Else a body; None = the root."""
+    position: tuple[Place, Place, Place] = (0.0, 0.0, 0.0)
+    """In the body, m, at most 10."""
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
+    """Turn of its axes in the body, w x y z."""
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Imu:
+        if self.site is not None and self.model_fields_set - {"site"}:
+            raise ValueError("a site has its place and axes; remove `site`, or all else")
+        return self
+
+
+CameraName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 
 
 class RobotFile(_Part):
@@ -206,11 +234,13 @@ class RobotFile(_Part):
     fell: Fell = Fell()
     collided: Collided = Collided()
     eye: Eye | None = None
-    """None = the model's first camera on the trunk, or one at its front."""
-    cameras: Annotated[dict[Name, Camera], Field(max_length=50)] = Field(
+    """The camera `ego`. None = the model's first camera on the trunk, or one at its front."""
+    cameras: Annotated[dict[CameraName, Camera], Field(max_length=16)] = Field(
         default_factory=dict[str, Camera]
     )
-    """Cameras by the names that cards use; `ego` is that of `eye`, unless it is here."""
+    """Cameras by the names that cards call them, beside those of the model that have a name."""
+    imu: Imu | None = None
+    """None = the root's own frame."""
     spawn_height: Height | None = None
     """Of the root's origin above the ground at the start, m, at most 10; derived."""
     published: Published = Published()

@@ -73,23 +73,40 @@ class Shape:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraMount:
-    """Where a camera sits on the trunk.
+    """Where a camera sits on the trunk, or on another `body` that joints move against it.
 
-    `R_trunk_camera` (3 x 3, row by row) maps OpenCV camera axes to the trunk's. `fovy` is the
+    `R_trunk_camera` (3 x 3, row by row) maps OpenCV camera axes to those of its body. `fovy` is the
     vertical field of view in radians.
     """
 
     position: Vector3
     R_trunk_camera: tuple[Vector3, Vector3, Vector3]
     fovy: float
+    body: str = ""  # that carries it; "" = the trunk
 
     @property
     def T_trunk_camera(self) -> npt.NDArray[np.float64]:  # noqa: N802  # The field's name.
-        """The (4, 4) transform that maps camera points to the trunk frame."""
+        """The (4, 4) transform that maps camera points to the frame of its body."""
         transform = np.eye(4)
         transform[:3, :3] = self.R_trunk_camera
         transform[:3, 3] = self.position
         return transform
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuMount:
+    """Where angular velocity, gravity and acceleration are measured.
+
+    `R_body_imu` (3 x 3, row by row) maps its axes to those of its body.
+    """
+
+    body: str = ""  # that carries it; "" = the trunk
+    position: Vector3 = (0.0, 0.0, 0.0)  # in its body, m
+    R_body_imu: tuple[Vector3, Vector3, Vector3] = (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,6 +139,7 @@ class RobotSpec:
     fell_height: float | None = None  # m of the trunk above the ground; below it the robot fell
     collided_force: float  # N on a monitored part; beyond it the robot collided
     cameras: dict[str, CameraMount]
+    imu: ImuMount | None = None  # None = the trunk's own frame
     height_camera_offset: Vector3  # published scandots camera minus the centre of mass, m
     # What the joint defaults of the published file put on the free joint, under a protocol that
     # keeps it: damping (N s / m, N m s / rad), armature (kg, kg m^2), friction loss (N, N m).

@@ -10,6 +10,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 
 Code = Literal[
+    "beyond_legs",
     "far_from_captures",
     "feet_sink",
     "floor_offset",

@@ -66,7 +66,7 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
         case terms.LinearVelocity():
             return _linear_velocity(term)
         case terms.Gravity():
-            return lambda moment: -moment.rotation[2]
+            return lambda moment: -moment.world.imu_rotation[2]
         case terms.RollPitch():
             return lambda moment: moment.roll_pitch_yaw[:2]
         case terms.Imu():
@@ -120,11 +120,11 @@ def _joints(term: terms.JointPosition | terms.JointVelocity, control: JointContr
 
 
 def _angular_velocity(moment: Moment) -> Array:
-    return moment.world.trunk_angular_velocity
+    return moment.world.imu_angular_velocity
 
 
 def _angular_velocity_in_world(moment: Moment) -> Array:
-    return moment.rotation @ moment.world.trunk_angular_velocity
+    return moment.world.imu_rotation @ moment.world.imu_angular_velocity
 
 
 def _linear_velocity(term: terms.LinearVelocity) -> Reader:

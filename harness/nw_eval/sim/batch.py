@@ -164,15 +164,28 @@ def solid_heights(scene: Scene, xy: Array, z_from: Array) -> Array:
         xy: (N, 2) world, m.
         z_from: (N,) heights where the rays begin, m.
     """
+    down = np.tile([0.0, 0.0, -1.0], (len(xy), 1))
+    distance = solid_distances(scene, np.column_stack([xy, z_from]), down)
+    return np.where(np.isfinite(distance), z_from - distance, np.nan)
+
+
+def solid_distances(scene: Scene, origins: Array, directions: Array) -> Array:
+    """Return how far rays go until they meet what collides in a scene, (N,) m; inf = nothing.
+
+    Args:
+        scene: its ground and solids collide.
+        origins: (N, 3) where the rays begin, world, m.
+        directions: (N, 3) unit vectors, world.
+    """
     spec = mujoco.MjSpec()
     add_geometry(spec, scene, friction=None)
     model = spec.compile()
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    down, met = np.array([0.0, 0.0, -1.0]), np.zeros(1, dtype=np.int32)
-    depths = [
-        mujoco.mj_ray(model, data, np.array([x, y, z]), down, None, 1, -1, met, None)
-        for (x, y), z in zip(xy.tolist(), z_from.tolist(), strict=True)
+    met = np.zeros(1, dtype=np.int32)
+    found = [
+        mujoco.mj_ray(model, data, origin, direction, None, 1, -1, met, None)
+        for origin, direction in zip(origins, directions, strict=True)
     ]
-    distance = np.array(depths)
-    return np.where(distance >= 0, z_from - distance, np.nan)
+    distance = np.array(found)
+    return np.where(distance >= 0, distance, np.inf)

@@ -17,7 +17,8 @@ from nw_eval.sim.binding import MjData, MjModel, mujoco
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nw_eval.robots import RobotSpec
+    from nw_eval.robots import CameraMount, RobotSpec
+    from nw_eval.robots.spec import ImuMount
 
 
 Array = npt.NDArray[np.float64]
@@ -133,10 +134,36 @@ class Body:
             raise UsageError(
                 f"{self.robot.name} has no camera {name!r}", fix=nearest(name, self.robot.cameras)
             )
-        T_world_trunk = np.eye(4)
-        T_world_trunk[:3, :3] = self.trunk_rotation
-        T_world_trunk[:3, 3] = self.trunk_position
-        return T_world_trunk @ mount.T_trunk_camera
+        body = self._carrier(mount)
+        T_world_body = np.eye(4)
+        T_world_body[:3, :3] = self._data.xmat[body].reshape(3, 3)
+        T_world_body[:3, 3] = self._data.xpos[body]
+        return T_world_body @ mount.T_trunk_camera
+
+    def _carrier(self, mount: CameraMount | ImuMount) -> int:
+        return int(self._model.body(mount.body).id) if mount.body else self._trunk
+
+    @property
+    def imu_rotation(self) -> Array:
+        """R_world_imu, (3, 3); of a robot without an IMU R_world_trunk."""
+        imu = self.robot.imu
+        if imu is None:
+            return self.trunk_rotation
+        return self._data.xmat[self._carrier(imu)].reshape(3, 3) @ np.array(imu.R_body_imu)
+
+    @property
+    def imu_angular_velocity(self) -> Array:
+        """Angular velocity along the axes of the IMU, or of the trunk without one, (3,) rad / s."""
+        imu = self.robot.imu
+        if imu is None:
+            return self.trunk_angular_velocity
+        rates = self.trunk_angular_velocity
+        if imu.body:
+            found = np.empty(6)
+            kind = mujoco.mjtObj.mjOBJ_XBODY
+            mujoco.mj_objectVelocity(self._model, self._data, kind, self._carrier(imu), found, 1)
+            rates = found[:3]
+        return np.array(imu.R_body_imu).T @ rates
 
     def moving(self) -> tuple[Array, Array, Array, Array, Array]:
         """Return what moves, now: views of the simulation's memory where that is possible.
@@ -177,6 +204,45 @@ class Body:
             places[row], widths[row] = place, reach[1]
         return places, widths
 
+    def reaches(self) -> Array:
+        """Return how far from its hip each foot gets at most, to its sole, (F,) m.
+
+        The hip is the first joint of its leg; joints turn within their ranges. The state is lost.
+        """
+        model, data, found = self._model, self._data, np.zeros(len(self.robot.feet))
+        for row, geoms in enumerate(geoms_of(model, self.robot, self.robot.feet)):
+            number = int(model.geom_bodyid[geoms[0]])
+            chain: list[int] = []
+            while number != self._trunk:
+                first, count = int(model.body_jntadr[number]), int(model.body_jntnum[number])
+                chain = [*range(first, first + count), *chain]
+                number = int(model.body_parentid[number])
+            if not chain:
+                continue
+
+            def away(geoms: Sequence[int] = geoms, hip: int = chain[0]) -> float:
+                mujoco.mj_kinematics(model, data)
+                hub = data.xanchor[hip]
+                places = [_box_round(model, data, geom)[0] for geom in geoms]
+                soles = model.geom_aabb[geoms, 3:].min(axis=1)
+                return max(
+                    float(np.linalg.norm(at - hub)) + float(sole)
+                    for at, sole in zip(places, soles, strict=True)
+                )
+
+            best = away()
+            for joint in (*chain, *chain):  # Twice: one joint moves what another one can do.
+                place = int(model.jnt_qposadr[joint])
+                low, high = model.jnt_range[joint] if model.jnt_limited[joint] else (-np.pi, np.pi)
+                kept = float(data.qpos[place])
+                for angle in np.linspace(low, high, 25).tolist():
+                    data.qpos[place] = angle
+                    if (far := away()) > best + 1e-9:
+                        best, kept = far, angle
+                data.qpos[place] = kept
+            found[row] = best
+        return found
+
     def trunk_length(self) -> float:
         """Return how long the trunk's shapes are along the world's x, in m, legs left out."""
         own = np.flatnonzero(self._model.geom_bodyid == self._trunk)
@@ -197,7 +263,7 @@ class Body:
         return float(distance) if met[0] >= 0 else np.inf
 
     def mounted(self, camera: str) -> Array:
-        """Return where a camera of the robot is on the trunk, (7,): m, quaternion w x y z."""
+        """Return where a camera of the robot is on its body, (7,): m, quaternion w x y z."""
         mount = self.robot.cameras[camera]
         pose = np.empty(7)
         pose[:3] = mount.position

@@ -39,7 +39,9 @@ class Forces:
     torques: Array
     """(J,) N m, of the servos after clipping, without joint damping."""
     acceleration: Array
-    """(6,) of the trunk: linear in the world's axes, m / s^2, angular in its own, rad / s^2."""
+    """(6,) of the trunk: linear in the world's axes, m / s^2, angular in its own, rad / s^2. Of a
+    robot whose IMU sits on another body, of that body: angular, then linear without gravity, both
+    in its axes."""
     contacts: npt.NDArray[np.bool_]
     """(F,) whether each foot is in contact."""
     previous_contacts: npt.NDArray[np.bool_]

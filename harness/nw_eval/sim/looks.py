@@ -45,7 +45,6 @@ class Looks:
 
     def __init__(self, robot: RobotSpec, model: MjModel) -> None:
         self._weld = model.body_weldid
-        self._root = int(model.body(robot.root).id)
         own: dict[str, list[int]] = {}
         for number, shape in enumerate(robot.visuals):
             own.setdefault(shape.body, []).append(number)
@@ -56,7 +55,7 @@ class Looks:
         self.rgba = np.array(colours, dtype=np.float32).reshape(-1, 4)
 
     def cast(
-        self, data: MjData, origins: Array, directions: Array, *, without_trunk: bool
+        self, data: MjData, origins: Array, directions: Array, *, exclude_body: int
     ) -> RobotRays:
         """Cast rays.
 
@@ -64,14 +63,14 @@ class Looks:
             data: the state, with current poses of bodies.
             origins: (3,) for a common origin, or (N, 3); world frame.
             directions: (N, 3) unit vectors, world frame.
-            without_trunk: the trunk and what is fixed to it are transparent.
+            exclude_body: this body and what is fixed to it are transparent; -1 = none.
         """
         count = len(directions)
         distance = np.full(count, np.inf)
         geom, normal = np.full(count, -1, dtype=np.int32), np.zeros((count, 3))
         starts = np.asarray(origins, dtype=np.float64)
         for part in self._parts:
-            if without_trunk and self._weld[part.body] == self._weld[self._root]:
+            if exclude_body >= 0 and self._weld[part.body] == self._weld[exclude_body]:
                 continue
             R, at = data.xmat[part.body].reshape(3, 3), data.xpos[part.body]
             ahead = R @ part.middle + at - starts

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from nw_eval.robots import RobotSpec
+    from nw_eval.robots.spec import ImuMount
     from nw_eval.scenes.scene import Scene
 
 Array = npt.NDArray[np.float64]
@@ -321,16 +322,22 @@ class World(Body):
         return self.steps * self.control_period
 
     def specific_force(self, at: Sequence[float]) -> Array:
-        """Return what an accelerometer on the trunk reads: acceleration minus gravity.
+        """Return what an accelerometer reads: acceleration minus gravity.
 
         It belongs to the instant that contact forces do.
 
         Args:
-            at: (3,) where it sits, trunk frame, m.
+            at: (3,) where it sits, from the IMU and along its axes, m; of a robot without one, from
+                the trunk's origin along the trunk's axes.
 
         Returns:
-            (3,) m / s^2, trunk frame.
+            (3,) m / s^2 along these axes.
         """
+        imu = self.robot.imu
+        if imu is not None:
+            R = np.array(imu.R_body_imu)
+            place = np.array(imu.position) + R @ np.array(at)
+            return R.T @ self._specific_force(place, imu)
         return specific_force(
             at,
             acceleration=self._forces.acceleration,
@@ -338,6 +345,34 @@ class World(Body):
             R_world_trunk=self.trunk_rotation,
             gravity=self._model.opt.gravity,
         )
+
+    def _specific_force(self, at: Array, imu: ImuMount) -> Array:
+        """Return the same along the axes of the IMU's body, at a place (3,) in it, m."""
+        if not imu.body:
+            return specific_force(
+                at.tolist(),
+                acceleration=self._forces.acceleration,
+                rates=self.trunk_angular_velocity,
+                R_world_trunk=self.trunk_rotation,
+                gravity=self._model.opt.gravity,
+            )
+        found, kind = np.empty(6), mujoco.mjtObj.mjOBJ_XBODY
+        body = self._carrier(imu)
+        mujoco.mj_objectVelocity(self._model, self._data, kind, body, found, 1)
+        rates, change = found[:3], self._forces.acceleration[:3]
+        # The acceleration of the body's origin is given without gravity, as a sensor has it.
+        own = self._forces.acceleration[3:]
+        return own + np.cross(rates, np.cross(rates, at)) + np.cross(change, at)
+
+    def _acceleration(self) -> Array:
+        """Return what `Forces.acceleration` holds, (6,)."""
+        imu = self.robot.imu
+        if imu is None or not imu.body:
+            return self._data.qacc[self._rates].copy()
+        found, kind = np.empty(6), mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_rnePostConstraint(self._model, self._data)
+        mujoco.mj_objectAcceleration(self._model, self._data, kind, self._carrier(imu), found, 1)
+        return found
 
     @property
     def torques(self) -> Array:
@@ -378,13 +413,13 @@ class World(Body):
         Args:
             origins: (3,) for a common origin, which is fast, or (N, 3); world frame.
             directions: (N, 3) unit vectors, world frame.
-            exclude: `trunk` leaves out trunk and head, for cameras that sit inside them.
+            exclude: `trunk` leaves out trunk and head, for cameras that sit inside them; or the
+                body that carries the camera at `origins`, where it is another.
         """
         self._require_open()
+        body = self._sees_from(origins) if exclude == "trunk" else -1
         if self.robot.pictured == "visuals":
-            without = exclude == "trunk"
-            return self._looks.cast(self._data, origins, directions, without_trunk=without)
-        body = self._trunk if exclude == "trunk" else -1
+            return self._looks.cast(self._data, origins, directions, exclude_body=body)
         return cast_at_visuals(self._model, self._data, origins, directions, exclude_body=body)
 
     @property
@@ -397,6 +432,15 @@ class World(Body):
     @cached_property
     def _looks(self) -> Looks:
         return Looks(self.robot, self._model)
+
+    def _sees_from(self, origin: Array) -> int:
+        """Return the number of the body whose camera is at a place (3,), else of the trunk."""
+        for name, mount in self.robot.cameras.items():
+            if mount.body and origin.ndim == 1:
+                away = self.camera_pose(name)[:3, 3] - origin
+                if np.abs(away).max() < 1e-9:
+                    return self._carrier(mount)
+        return self._trunk
 
     def _derive(self) -> None:
         """Compute what follows from the state: forces too, unless those of before are read."""
@@ -415,7 +459,7 @@ class World(Body):
             feet=feet,
             monitored=contact[count:],
             torques=self._data.actuator_force.copy(),
-            acceleration=self._data.qacc[self._rates].copy(),
+            acceleration=self._acceleration(),
             contacts=feet > CONTACT_THRESHOLD,
             previous_contacts=previous_contacts,
         )

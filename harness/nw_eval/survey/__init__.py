@@ -17,6 +17,7 @@ from nw_eval.survey.ground import (
     ground_findings,
     survey_ground,
 )
+from nw_eval.survey.legs import Fit, beyond_finding, fit_of, legs_of
 from nw_eval.survey.trail import stance_of, trail_samples
 from nw_eval.survey.views import (
     FARTHEST,
@@ -39,6 +40,7 @@ class Survey:
     Attributes:
         robot: by whose stance and camera.
         length: of the trail from the start, m.
+        legs: what its steps and gaps ask of the robot's legs.
         ground: under its feet.
         feet: that were dropped there.
         views: of its camera; None where the scene has no splat, or it was not looked at.
@@ -47,6 +49,7 @@ class Survey:
 
     robot: str
     length: float
+    legs: Fit
     ground: SurveyedGround
     feet: DroppedFeet
     views: SurveyedViews | None
@@ -66,6 +69,8 @@ def survey_scene(scene: Scene, *, robot: str = "go1", read_splat: bool = True) -
     """
     spec = get_robot(robot)
     stance = stance_of(spec)
+    legs = fit_of(scene, legs_of(spec))
+    beyond = beyond_finding(legs)
     rays = RayScene(scene.mesh())
     ground = survey_ground(scene, rays, stance.half_width)
     feet = drop_feet(scene, rays, stance.half_width)
@@ -75,10 +80,12 @@ def survey_scene(scene: Scene, *, robot: str = "go1", read_splat: bool = True) -
     return Survey(
         robot=robot,
         length=float(trail_samples(scene, 1.0).along[-1]),
+        legs=legs,
         ground=ground,
         feet=feet,
         views=views,
         findings=(
+            *(() if beyond is None else (beyond,)),
             *ground_findings(ground, scene.task),
             *feet_findings(feet),
             *(() if views is None else view_findings(views)),
@@ -94,7 +101,7 @@ def survey_lines(survey: Survey) -> tuple[str, ...]:
         f"{survey.robot} go, {100 * ground.sound:.1f} % is seen as it is touched; "
         f"{feet.sunk} of {feet.count} dropped feet sank in"
     )
-    lines = [line]
+    lines = [line, str(survey.legs)]
     if survey.views is not None:
         lines += _view_lines(survey.views)
     return tuple(lines)

@@ -41,6 +41,7 @@ _FLAT = Scene(
 # Where a foot may be put down around its place, m: over a gap a robot stands on its rim.
 _FOOTHOLD = np.array([-0.1, -0.05, 0.0, 0.05, 0.1])
 _SETTLING = 50  # control steps until a robot that was put down stands
+_TIPS = 0.1  # rad; who leans more does not stand any more
 _SIDE_BY_SIDE = 0.05  # m along x between feet, up to which none is in front of another
 _STEEPEST = 0.52  # rad; the steepest ramps are of 30 degrees
 _FARTHEST = 0.6  # m that ground may lie off the trail and still carry the robot
@@ -122,6 +123,7 @@ class Stance:
             ahead and z up.
         fore, hind: of the feet along x, from that point.
         half_width: of the feet along y, their own radius included.
+        height: of the trunk's origin over the ground.
         length: of trunk and head along x, legs left out.
     """
 
@@ -129,19 +131,35 @@ class Stance:
     fore: float
     hind: float
     half_width: float
+    height: float
     length: float
 
 
+def flat_world(robot: RobotSpec) -> World:
+    """Return a robot on level ground."""
+    return World(robot, _FLAT)
+
+
 def stance_of(robot: RobotSpec) -> Stance:
-    """Return how a robot stands when its servos hold the default pose and have given way."""
-    with World(robot, _FLAT) as world:
+    """Return how a robot stands when its servos hold the default pose and have given way.
+
+    One that tips over meanwhile, as bipeds do that nobody balances, stands as it was put down.
+    """
+    with flat_world(robot) as world:
         for _ in range(_SETTLING):
             world.step(robot.standing_targets)
+        if world.uprightness < np.cos(_TIPS):
+            world.reset(position=(0.0, 0.0, robot.spawn_height), yaw=0.0)
+            for _ in range(_SETTLING):
+                world.step(robot.standing_targets)
+                if world.foot_contacts.any():
+                    break
         under = np.array([*world.trunk_position[:2], 0.0])
         places, widths = world.foot_places()
         feet = places - under
         camera = world.camera_pose(CAMERA).copy()
         length = world.trunk_length()
+        height = float(world.trunk_position[2])
     camera[:3, 3] -= under
     fore, hind = _fore_and_hind(feet[:, 0], widths)
     return Stance(
@@ -149,6 +167,7 @@ def stance_of(robot: RobotSpec) -> Stance:
         fore=fore,
         hind=hind,
         half_width=float(np.abs(feet[:, 1]).max()) + float(widths[0]),
+        height=height,
         length=length,
     )
 

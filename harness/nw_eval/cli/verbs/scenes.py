@@ -25,11 +25,13 @@ class List:
 
     patterns: tyro.conf.Positional[tuple[str, ...]] = ()
     """Names or globs; every built-in scene when absent."""
+    robot: str | None = None
+    """Say what the steps and gaps of each scene ask of this robot's legs."""
 
     def __call__(self) -> int:
         from nw_eval import api
 
-        print(scene_table(api.list_scenes(self.patterns)))
+        print(scene_table(api.list_scenes(self.patterns, robot=self.robot)))
         return 0
 
 
@@ -55,8 +57,8 @@ class Show:
 class Check:
     """Find what is wrong with scenes: files, start, trail, splat. Exit code 2 if any is.
 
-    Along the trail: ground that does not carry the robot's feet, and a splat that does not show its
-    camera what the mesh has there.
+    Along the trail: ground that does not carry the robot's feet, steps and gaps that its legs are
+    too short for, and a splat that does not show its camera what the mesh has there.
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
@@ -173,9 +175,18 @@ def scene_table(scenes: Sequence[ListedScene]) -> str:
     width = max(len(scene.name) for scene in scenes)
     return "\n".join(
         f"{scene.name:{width}}  {plural(scene.waypoints, 'waypoint'):11}  {scene.split or '-':5}  "
-        f"{scene.title}"
+        f"{_asked(scene)}{scene.title}"
         for scene in scenes
     )
+
+
+def _asked(scene: ListedScene) -> str:
+    """Return what a scene asks of legs, in columns; empty where no robot was asked for."""
+    if scene.fit is None:
+        return ""
+    asked = scene.fit.demands
+    gap = f"gap {asked.gap:.2f} m" if asked.gap else ""
+    return f"step {max(asked.up, asked.down):.2f} m  {gap:10}  {scene.fit.asks_for:21}  "
 
 
 def scene_page(scene: SceneFigures) -> str:

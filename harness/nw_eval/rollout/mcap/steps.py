@@ -277,7 +277,8 @@ class BodyForms:
         bodies: their numbers among the model's.
         in_model: how many bodies the model has.
         joints: names.
-        cameras: poses in the trunk, (7,), by the name of the frame.
+        cameras: poses in the body that carries them, (7,), by the name of the frame.
+        carriers: places of these bodies in `names`, the trunk's for all if empty.
 
     Attributes:
         forms: by topic, in the order of `numbers`.
@@ -292,6 +293,7 @@ class BodyForms:
         in_model: int,
         joints: tuple[str, ...],
         cameras: Mapping[str, Array],
+        carriers: Sequence[int] = (),
     ) -> None:
         self.forms: dict[str, Form] = {
             "/tf": transforms_form((*names, *cameras)),
@@ -303,6 +305,7 @@ class BodyForms:
         self._bodies = list(bodies)
         self._joints = len(joints)
         self._mounts = tuple(cameras.values())
+        self._carriers = tuple(carriers) or (0,) * len(self._mounts)
 
     def trunk(self, rows: Array) -> Array:
         """Return where the trunk is in the world, (N, 3) m, from rows as for `numbers`."""
@@ -324,11 +327,18 @@ class BodyForms:
         poses = _poses(places)[:, self._bodies]
         trunk = poses[:, 0]
         return (
-            rounded(np.concatenate((poses, mounted_poses(trunk, self._mounts)), axis=1)),
+            rounded(np.concatenate((poses, self._on_bodies(poses)), axis=1)),
             rounded(np.stack((angles, speeds, torques), axis=2)).reshape(count, -1),
             rounded(trunk),
             rounded(trunk_rates(trunk, rates)),
         )
+
+    def _on_bodies(self, poses: Array) -> Array:
+        """Return poses (N, M, 7) of the cameras, of those of the bodies, (N, B, 7)."""
+        found = np.empty((len(poses), len(self._mounts), 7))
+        for number, (mount, carrier) in enumerate(zip(self._mounts, self._carriers, strict=True)):
+            found[:, number] = mounted_poses(poses[:, carrier], (mount,))[:, 0]
+        return found
 
 
 def rounded(numbers: NDArray[Any]) -> Array:
@@ -341,11 +351,11 @@ def rounded(numbers: NDArray[Any]) -> Array:
 
 
 def mounted_poses(trunk: Array, mounts: Sequence[Array]) -> Array:
-    """Return poses (N, M, 7) of what is mounted on the trunk.
+    """Return poses (N, M, 7) of what is mounted on the trunk, or on another body.
 
     Args:
         trunk: its poses, (N, 7): position, quaternion wxyz.
-        mounts: poses in the trunk, (7,) each.
+        mounts: poses in it, (7,) each.
     """
     found = np.empty((len(trunk), len(mounts), 7))
     for number, mount in enumerate(mounts):

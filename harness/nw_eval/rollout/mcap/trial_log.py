@@ -157,6 +157,9 @@ class TrialLog:
             in_model=in_model,
             joints=robot.joints,
             cameras=frames,
+            carriers=[
+                robot.bodies.index(robot.cameras[name].body or robot.root) for name in cameras
+            ],
         )
         self._steps = Steps(body, joints=len(robot.joints), seen=seen, command=command)
 
