@@ -158,7 +158,7 @@ def test_cameras_have_names_and_look_where_a_rotation_or_a_pitch_says(tmp_path):
         "  down: {position: [0.1, 0, 0], pitch: 1.5707963267948966}\n"
     )
     cameras = find_robot(f"{written(tmp_path, MJCF, yaml)}/").spec.cameras
-    assert list(cameras) == ["ego", "back", "down"]
+    assert list(cameras) == ["ego", "front", "back", "down"]
     assert cameras["back"].fovy == pytest.approx(np.pi / 3)
     ahead = {name: np.array(mount.R_trunk_camera)[:, 2] for name, mount in cameras.items()}
     np.testing.assert_allclose(ahead["ego"], (1, 0, 0), atol=1e-12)
@@ -340,7 +340,7 @@ def test_a_urdf_gets_a_free_joint(tmp_path):
         ("pose: {'kne_l': 0.1}", "robot.yaml:4:8: pose: no joint is named 'kne_l'; did you mean"),
         (
             "eye: {body: toe, position: [0, 0, 0]}",
-            "robot.yaml:4:7: eye: no body 'toe'; did you mean",
+            "robot.yaml:4:7: eye.body: no body 'toe'; did you mean",
         ),
         ("touches: geom", "robot.yaml:4:1: touches: geom; name the geoms of `feet`"),
         (

@@ -219,10 +219,10 @@ def test_a_state_holds_what_an_imu_on_a_head_reads(tmp_path):
     [
         ("imu: {site: imu_in_hed}", ":8:7: imu: no site 'imu_in_hed'; did you mean 'imu_in_head'"),
         ("imu: {site: imu_in_head, body: head}", "a site has its place and axes"),
-        ("imu: {body: hed}", "imu: no body 'hed'; did you mean 'head'?"),
+        ("imu: {body: hed}", "imu.body: no body 'hed'; did you mean 'head'?"),
         ("imu: {quaternion: [0, 0, 0, 0]}", "imu: a quaternion of length 0"),
         ("  ego: {position: [0, 0, 0]}", "cameras: `eye` is `ego`, too; remove one"),
-        ("  up: {body: had, position: [0, 0, 0]}", "cameras: no body 'had'; did you mean 'head'?"),
+        ("  up: {body: had, position: [0, 0, 0]}", "cameras.up.body: no body 'had'; did you mean 'head'?"),
         ("  a/b: {position: [0, 0, 0]}", "a/b"),
     ],
 )

@@ -278,7 +278,7 @@ def cli_exit(arguments, code=0):
     ("more", "message"),
     [
         ({}, "does not say which robot it is of"),
-        ({"robot": "g1"}, "unknown robot"),
+        ({"robot": "nobodys"}, "unknown robot"),
         ({"robot": "go1", "topics": ["joints=/nothing"]}, "has no topic '/nothing'"),
         ({"robot": "go1", "topics": ["joints=/odom"]}, "not joints"),
         ({"robot": "go1", "topics": ["feet=/odom"]}, "--topic feet="),
