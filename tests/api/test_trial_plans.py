@@ -174,6 +174,30 @@ def test_a_bank_says_how_many_trials_convict_a_drop(suite: Path, bank: Path) -> 
     assert planned.minutes(60) == pytest.approx((4 + 60 * 0.06 * 6 / 2) / 60)
 
 
+def test_each_gated_score_is_forecast(suite: Path, bank: Path, tmp_path: Path) -> None:
+    gated = tmp_path / "gated.yaml"
+    asked = "scores: {mean_power: {max_drop: 60, tolerate: 10, range: [0, 300]}}"
+    gated.write_text(suite.read_text().replace("rounds: 20", f"rounds: 20, {asked}"))
+    plain = read_bank(bank)
+    (panel,) = plain.panels
+    starts = tuple(
+        replace(start, scores=(("mean_power", 100.0 + start.seed_index),)) for start in panel.starts
+    )
+    manifest = plain.manifest.model_copy(update={"scores": ("mean_power",)})
+    scored = tmp_path / "scored.parquet"
+    write_bank(scored, SavedBank(manifest=manifest, panels=(replace(panel, starts=starts),)))
+    planned = api.plan_trials(gated, baseline=str(scored), detect=0.4, workers=2)
+    assert isinstance(planned, api.TrialPlan)
+    (found,) = planned.scores
+    assert found.spec.name == "mean_power"
+    assert found.level == pytest.approx(114.5)
+    by_change = {change: (passed, regressed) for change, passed, regressed in found.points}
+    assert by_change[0.0] == (1.0, 0.0)
+    assert by_change[60.0][0] <= 0.05 + 0.05
+    assert by_change[120.0] == (0.0, 1.0)
+    assert api.plan_trials(gated, baseline=str(bank), detect=0.4, workers=2).scores == ()
+
+
 def test_a_run_is_taken_for_the_baseline_of_a_bank_that_is_not_there_yet(
     suite: Path, run: Path
 ) -> None:

@@ -28,6 +28,7 @@ trials: 3
 seed: 7
 episode: {duration: 8.0}
 scenes: [hurdles/one_low_carpet]
+scores: [mean_power]
 gate: {max_drop: 0.5}
 """
 
@@ -78,10 +79,14 @@ def test_the_latest_comes_first_and_each_is_gated_against_the_best_before_it(tra
     assert found.best == two
     # That of the newest: nothing was there yet that it could have been worse than.
     assert found.exit_code == 0
-    rows = [asdict(each) for each in (two, seven, ten)]
+    rows = [{**asdict(each), "scores": list(each.scores.items())} for each in (two, seven, ten)]
+    assert two.scores["mean_power"] > 50.0
+    assert ten.scores.keys() == {"mean_power"}
+    assert seven.scores == {}
     assert pq.read_table(found.table).to_pylist() == rows
     page = found.page.read_text(encoding="utf-8")
     assert f'href="{two.run}/report.html"' in page
+    assert f'data-of="mean_power">{two.scores["mean_power"]:.4g}<' in page
     assert (found.folder / two.run / "report.html").is_file()
     # What is there is not run again, and what comes is judged against the best.
     bad(training / "model_20.onnx")

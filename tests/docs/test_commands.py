@@ -76,6 +76,7 @@ NOT_RUN = MappingProxyType(
             "minutes; the page runs a smaller one"
         ),
         "nw-eval report --site site runs/*": "in a workflow; the page does it with two runs",
+        "nw-eval scores walk.mcap --robot go1": "a robot's log; tests/scores/test_logs.py has one",
         "make run": "minutes; CI does it on a fresh machine",
         "make test": "this is part of it",
         "nw-eval policies check ./my-policy": "test_readme.py does, with the card of the README",

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from nw_eval.gate.sweep import curve_of
 from nw_eval.reporting.sweep import cliff_words, parting_words, sweep_table, write_sweep
+from nw_eval.scores import specs_of
 
 
 class Row:
@@ -173,3 +174,22 @@ def _cliffs(rows, monkey=pytest.MonkeyPatch):
     with monkey.context() as patch:
         patch.setattr(sweep, "mean_of_scenes", lambda *_: quick)
         return curve_of("friction", "p", rows).cliffs
+
+
+def test_scores_are_shown_by_value_beside_success(tmp_path):
+    rows = rows_of({0.5: 1.0, 1.0: 1.0}, n=4)
+    for row in rows:
+        row.outcome = "completed"
+        by_scene = {"a": 100.0, "b": 200.0}[row.scene]
+        value = dict(row.perturbation)["friction"]
+        row.scores = (("mean_power", by_scene / value),)
+    rows[0].outcome = "policy_failed"
+    curve = curve_of("friction", "p", rows, specs=specs_of(["mean_power"]))
+    low, high = (point.scores["mean_power"] for point in curve.points)
+    assert high == pytest.approx(150.0)
+    assert low == pytest.approx(((3 * 200.0 + 1000.0) / 4 + 400.0) / 2)
+    table = sweep_table([curve])
+    assert table.columns[-1] == "mean_power"
+    assert table.rows[1][-1] == "150"
+    write_sweep([[curve]], "s", tmp_path)
+    assert pq.read_table(tmp_path / "sweep.parquet")["scores"][1].as_py() == [("mean_power", 150.0)]

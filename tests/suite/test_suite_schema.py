@@ -25,6 +25,7 @@ def test_the_schema_names_every_setting_of_the_format() -> None:
         "scenes",
         "perturb",
         "scores",
+        "expect",
         "record",
         "gate",
         "plugins",

@@ -205,8 +205,6 @@ class PolicyComparison:
     """In alphabetical order."""
     tasks: tuple[ComparedTask, ...]
     """In alphabetical order."""
-    scores: tuple[ComparedScore, ...]
-    """In the order of the first policy's."""
     partings: tuple[SceneParting, ...]
     """By policy and scene, all scenes together before each; those shown first."""
     waypoints: int
@@ -215,6 +213,8 @@ class PolicyComparison:
     """Whether all have a result from the same starts; else each has as many starts of its own."""
     left_out: int
     """Starts that some policies have a result from, and that are not looked at."""
+    scores: tuple[ComparedScore, ...] = ()
+    """In the order of the first policy's."""
 
     @property
     def starts(self) -> int:

@@ -204,6 +204,11 @@ def _cliff(reference: Point, outwards: Sequence[Point], most: float) -> Cliff | 
     return None
 
 
+def _counted(row: Row, spec: ScoreSpec) -> float:
+    failed = row.outcome == "policy_failed"
+    return spec.counted(None if failed else dict(row.scores).get(spec.name))
+
+
 def _point(
     value: float, rows: Sequence[Row], confidence: float, specs: Mapping[str, ScoreSpec]
 ) -> Point:
@@ -229,10 +234,7 @@ def _point(
         scores={
             name: float(
                 np.mean(
-                    [
-                        np.mean([spec.counted(dict(row.scores).get(name)) for row in group])
-                        for group in scenes.values()
-                    ]
+                    [np.mean([_counted(row, spec) for row in group]) for group in scenes.values()]
                 )
             )
             for name, spec in specs.items()

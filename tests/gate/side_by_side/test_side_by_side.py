@@ -7,8 +7,11 @@ from dataclasses import replace
 import pytest
 
 from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.gate.side_by_side import Entrant, side_by_side
+from nw_eval.gate.side_by_side import Entrant, measured, score_of, side_by_side
+from nw_eval.reporting.side_by_side import comparison_page
 from nw_eval.results.bank import BankKey, Start
+from nw_eval.results.real import read_real_results
+from nw_eval.scores import specs_of
 
 SCENES = {"hurdles/low": "11" * 32, "hurdles/high": "22" * 32}
 KEY = BankKey(
@@ -186,3 +189,59 @@ def test_a_policy_without_any_result_from_a_scene_is_not_compared():
 def test_one_policy_is_not_compared():
     with pytest.raises(UsageError, match="nothing to compare with; name two runs or more"):
         side_by_side([GOOD])
+
+
+def with_power(one, low, high, names=("mean_power",)):
+    """Give the trials of a policy a mean power in each of the two scenes; None has none."""
+    power = {"hurdles/low": low, "hurdles/high": high}
+    results = {
+        name: replace(
+            start,
+            scores=() if power[name[0]] is None else (("mean_power", power[name[0]]),),
+        )
+        for name, start in one.results.items()
+    }
+    return replace(one, results=results, scores=specs_of(names))
+
+
+def test_scores_that_all_were_measured_by_are_compared_in_their_unit():
+    first = with_power(GOOD, 100.0, 140.0, names=("mean_power", "foot_slip"))
+    second = with_power(LAME, 80.0, None)
+    (found,) = side_by_side([first, second]).scores
+    assert found.spec.name == "mean_power"
+    one, other = found.estimates
+    assert one.mean == pytest.approx(120.0)
+    assert other.mean == pytest.approx((80.0 + 1000.0) / 2), "undefined counts as declared"
+    assert one.interval.low <= 120.0 <= one.interval.high
+    page = comparison_page(side_by_side([first, second]))
+    assert "## Scores" in page
+    assert "120" in page.partition("## Scores")[2]
+    assert "## Scores" not in comparison_page(side_by_side([GOOD, LAME]))
+
+
+def test_a_robots_table_may_have_a_score_in_its_unit(tmp_path):
+    entrants = [with_power(GOOD, 100.0, 140.0), with_power(LAME, 80.0, 90.0)]
+    real = tmp_path / "real.csv"
+    real.write_text(
+        "policy,scene,trials,mean_power\n"
+        "good,hurdles/low,10,110\ngood,hurdles/high,10,150\nlame,hurdles/low,10,60\n"
+    )
+    spec = score_of("mean_power", entrants)
+    good, lame = measured(read_real_results(real, spec), entrants, spec)
+    assert spec.unscaled(good.real) == pytest.approx(130.0)
+    assert spec.unscaled(good.simulated) == pytest.approx(120.0)
+    assert spec.unscaled(lame.real) == pytest.approx(60.0)
+    assert spec.unscaled(lame.simulated) == pytest.approx(80.0)
+
+
+def test_a_score_that_a_run_lacks_and_a_number_that_is_none_are_named(tmp_path):
+    entrants = [with_power(GOOD, 100.0, 140.0), LAME]
+    with pytest.raises(UsageError, match="lame has no score 'mean_power'"):
+        score_of("mean_power", entrants)
+    real = tmp_path / "real.csv"
+    real.write_text("policy,scene,trials,mean_power\ngood,hurdles/low,10,much\n")
+    spec = specs_of(["mean_power"])["mean_power"]
+    with pytest.raises(UsageError, match="mean_power 'much' is no number"):
+        read_real_results(real, spec)
+    with pytest.raises(UsageError, match="lacks the column foot_slip"):
+        read_real_results(real, specs_of(["foot_slip"])["foot_slip"])
