@@ -42,6 +42,7 @@ FILES = {
     "blame out": "blame {run} --baseline stand --at-most 1 --workers 1 --out {out}.md",
     "policies init out": "policies init {onnx} --robot go1 --out {out}",
     "policies fold out": "policies fold {onnx} --out {out}",
+    "robots check out": "robots check go1 --out {out}",
     "scenes show out": "scenes show flat/carpet_room --out {out}",
     "scenes check suite": "scenes check flat/carpet_room --suite {out}",
     "scenes render out": "scenes render flat/carpet_room --width 64 --out {out}",
@@ -62,6 +63,7 @@ APPENDED = {
 FOLDERS = {
     "run out": "run {suite} --out {out}",
     "merge out": "merge {part} --out {out}",
+    "robots init out": "robots init {model} --out {out}",
     "report site": "report {run} --site {out}",
     "sweep out": "sweep {suite} --axis friction=0.5,1 --out {out}",
     "bisect out": "bisect {suite} {onnx} --good {onnx} --bad {onnx} -p go1-parkour --out {out}",
@@ -176,6 +178,9 @@ READ = {
     "policies fold checkpoint": "policies fold {in}.onnx --out {new}",
     "policies serve policy": "policies serve {in}.yaml",
     "policies serve checkpoint": "policies serve go1-parkour --checkpoint {in}",
+    "robots show robot": "robots show {robot}",
+    "robots check robot": "robots check {robot} --out {new}",
+    "robots init model": "robots init {in}.xml",
     "scenes list patterns": "scenes list {place}",
     "scenes show scene": "scenes show {place}",
     "scenes check scenes": "scenes check {place}",
@@ -244,7 +249,14 @@ ONCE = {"policies init out", "policies fold out", "scenes check suite"}
 SLOW = {
     *("plan png", "replay picture", "replay video", "replay out", "blame out", "run comment"),
     *("scenes render out", "sensors out", "scenes check suite", "merge comment", "compare picture"),
-    *("train teacher out", "train student out", "bisect out", "twin label out", "blame out"),
+    *(
+        "robots check out",
+        "train teacher out",
+        "train student out",
+        "bisect out",
+        "twin label out",
+        "blame out",
+    ),
 }
 """Verbs of some seconds, which are tried at night."""
 OFTEN = {
@@ -292,6 +304,9 @@ def things(regressed_run, tmp_path_factory):
     (folder / "place").mkdir()
     os.mkfifo(folder / "place" / "scene.yaml")
     (folder / "folder").mkdir()
+    (folder / "robot").mkdir()
+    os.mkfifo(folder / "robot" / "robot.yaml")
+    (folder / "table.xml").write_text("<mujoco><worldbody/></mujoco>")
     [log, *_] = sorted((regressed_run / "mcap").rglob("*.mcap"))
     return {
         "suite": suite,
@@ -302,6 +317,8 @@ def things(regressed_run, tmp_path_factory):
         "onnx": onnx,
         "splat": folder / "some.ply",
         "place": folder / "place",
+        "robot": f"{folder / 'robot'}/",
+        "model": folder / "table.xml",
         "folder": folder / "folder",
         "bank": "hurdles/go1-act-rgb",
         "missing": "missing.yaml",
@@ -418,7 +435,7 @@ def test_nothing_waits_for_a_pipe_that_is_named_as_a_file(
     option, things, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    for suffix in ("", ".yaml", ".parquet", ".mcap", ".onnx", ".ply", ".mp4"):
+    for suffix in ("", ".yaml", ".parquet", ".mcap", ".onnx", ".ply", ".mp4", ".xml"):
         os.mkfifo(tmp_path / f"in{suffix}")
     code = end_of(typed(READ[option], things, tmp_path, **{"in": tmp_path / "in"}))
     assert code in {2, 4}

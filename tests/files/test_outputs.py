@@ -45,6 +45,7 @@ ELSEWHERE = {
     "results/tables.py": "closes a pipe",
     "rollout/mcap/file.py": "writes a partial log as a trial goes on, and renames it",
     "rollout/replaying/film.py": "runs confined, in a scratch folder",
+    "api/robots.py": "fills a temporary folder that appears by one rename",
     "api/cause.py": "writes into a temporary folder",
     "api/surfaces.py": "is given the temporary path by `_writer`",
     "api/evidence.py": "marks a file of the cache as used",

@@ -10,7 +10,7 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from nw_eval.cards.card import Card
-from nw_eval.cards.problems import input_problems, joint_problems
+from nw_eval.cards.problems import UNKNOWN_ROBOT, input_problems, joint_problems
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.files.shipped import available, shipped
@@ -140,10 +140,15 @@ def list_cards(search: Path | None = None) -> tuple[ListedPolicy, ...]:
 
 
 def _listed(name: str, path: Path) -> ListedPolicy:
+    elsewhere = ""
     try:
         card = load_card(path)
     except PolicyError as error:
-        return ListedPolicy(name=name, card=path, problem=str(error).splitlines()[0])
+        faults = [each.message for each in error.problems]
+        if not faults or not all(each.startswith(UNKNOWN_ROBOT) for each in faults):
+            return ListedPolicy(name=name, card=path, problem=str(error).splitlines()[0])
+        # A card of a robot that lies elsewhere says all the rest.
+        card, elsewhere = Card.model_validate(read_yaml(path).data), " (robot: not here)"
     named = [network.checkpoint for network in card.networks.values()]
     weights = named if card.checkpoint is None else [card.checkpoint, *named]
     absent = [file for file in weights if not (path.parent / file.file).is_file()]
@@ -152,7 +157,7 @@ def _listed(name: str, path: Path) -> ListedPolicy:
         card=path,
         robot=card.robot,
         adapter=card.adapter,
-        title=card.title,
+        title=f"{card.title}{elsewhere}",
         networks=tuple(card.networks),
         missing=(absent[0].source or "") if absent else None,
     )

@@ -233,7 +233,10 @@ def standing_pose(robot: RobotSpec) -> dict[str, float] | None:
     data.qpos[3:7] = (1.0, 0.0, 0.0, 0.0)
     share = _STRAIGHT if len(robot.feet) < 3 else _BENT
     pose: dict[str, float] = {}
-    for foot in robot.feet:
+    feet = robot.feet
+    if robot.touches == "geom":
+        feet = [str(model.body(int(model.geom(foot).bodyid[0])).name) for foot in feet]
+    for foot in feet:
         mujoco.mj_forward(model, data)
         pitch = _pitch_joints(model, data, foot, ranges)
         if len(pitch) > 1:
