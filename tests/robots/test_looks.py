@@ -17,10 +17,13 @@ from nw_eval.robots import Triangles, find_robot, get_robot
 from nw_eval.robots.looks import MOST_FACES, kept_thinned, shares, thinned
 from nw_eval.rollout.mcap.drawn import robot_clouds, robot_update
 from nw_eval.rollout.mcap.reader import LogReader
+from nw_eval.rollout.replaying.third_person import Spectator
 from nw_eval.scenes.mesh import TriangleMesh, merge
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Scene
 from nw_eval.sim import World
+from nw_eval.view.drawing import triangles_of
+from nw_eval.viewing.recording.content import archetypes
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[3] / "shared" / "assets"))
 FLAT = Scene(
@@ -32,6 +35,7 @@ FLAT = Scene(
     static_mesh=merge([]),
     splat=None,
 )
+NOWHERE = np.zeros((0, 3))
 MJCF = """
 <mujoco>
   <default>
@@ -186,6 +190,28 @@ def test_rays_without_the_trunk_pass_through_all_that_is_fixed_to_it(tmp_path):
         apart = world.ray_robot(np.tile(leg, (3, 1)), np.repeat(down, 3, axis=0))
         assert apart.distance.shape == (3,)
         assert world.geom_rgba[apart.geom[0]].shape == (4,)
+
+
+def test_a_trunk_is_as_long_as_it_looks(tmp_path):
+    start = TABLE.index('<geom type="box"')
+    bare = TABLE[:start] + '<inertial pos="0 0 0" mass="6" diaginertia="0.1 0.1 0.1"/>'
+    bare += TABLE[TABLE.index('<geom type="mesh"') :]
+    spec = find_robot(f"{written(tmp_path, bare)}/").spec
+    ends = [shape.triangles.vertices[:, 0] for shape in spec.visuals if shape.triangles is not None]
+    long = max(x.max() for x in ends) - min(x.min() for x in ends)
+    with World(spec, FLAT) as world:
+        assert world.trunk_length() == pytest.approx(long, abs=1e-6)
+
+
+def test_a_spectator_sees_all_of_a_tall_robot(tmp_path):
+    legs = LEGS.replace("0 0 -0.3", "0 0 -1.3").replace("0 1 1 1", "1 0 1 1")
+    spec = find_robot(f"{written(tmp_path, MJCF.replace('LEGS', legs))}/").spec
+    with World(spec, FLAT) as world:
+        image = Spectator(FLAT, None).beside(world, NOWHERE, width=160, height=90).astype(int)
+    legs_at = (image[..., 0] > image[..., 1] + 60) & (image[..., 2] > image[..., 1] + 60)
+    rows = np.flatnonzero(legs_at.any(axis=1))
+    assert len(rows) > 10
+    assert 5 < rows[0] < rows[-1] < 85
 
 
 def test_a_robot_of_primitives_alone_is_drawn_by_its_geoms_as_go1_and_go2_are(tmp_path):
@@ -416,6 +442,15 @@ def test_logs_hold_the_triangles_in_the_frames_of_bodies(table):
     assert len(top.triangles) == 2
     assert not top.cubes
     assert set(robot_clouds(table.bodies, table.visuals)) == set(table.bodies)
+    # And so do the browser's page and Rerun.
+    drawn = triangles_of(top)
+    np.testing.assert_array_equal(drawn[0][0], shape.triangles.vertices)
+    np.testing.assert_array_equal(drawn[0][1], shape.triangles.faces)
+    assert drawn[0][2] == pytest.approx((230, 26, 51), abs=1)
+    pytest.importorskip("rerun")
+    mesh = archetypes(top)["mesh"]
+    corners = np.array(mesh.vertex_positions.as_arrow_array().to_pylist())
+    np.testing.assert_array_equal(corners, points[shape.triangles.faces].reshape(-1, 3))
 
 
 SUITE = """\

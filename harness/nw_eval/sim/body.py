@@ -250,7 +250,16 @@ class Body:
         centre, half = self._model.geom_aabb[own, :3], self._model.geom_aabb[own, 3:]
         middle = self._data.geom_xpos[own, 0] + (R[:, 0] * centre).sum(axis=1)
         reach = (np.abs(R[:, 0]) * half).sum(axis=1)
-        return float((middle + reach).max() - (middle - reach).min())
+        ends = [*(middle + reach).tolist(), *(middle - reach).tolist()]
+        if self.robot.pictured == "visuals":  # Physics has no geom of what is only seen.
+            from nw_eval.sim.looks import mesh_of
+
+            ahead, x = self.trunk_rotation[0], float(self._data.xpos[self._trunk, 0])
+            for shape in self.robot.visuals:
+                if shape.body == self.robot.root:
+                    along = mesh_of(shape)[0] @ ahead + x
+                    ends += [float(along.min()), float(along.max())]
+        return max(ends) - min(ends)
 
     def height_over_ground(self) -> float:
         """Return how far the trunk's origin is above what collides under it, m; inf = nothing."""

@@ -158,6 +158,8 @@ def draw_robot(
         if body not in handles:
             handles[body] = scene.add_frame(f"{root}/{body}", show_axes=False)
         for part, (vertices, faces, colour) in enumerate(triangles_of(entity)):
+            # Not every mesh's faces turn outwards, and those that do not would shade each other.
+            is_mesh = part < len(entity.triangles)
             scene.add_mesh_simple(
                 f"{root}/{body}/{entity.id.replace('/', '_')}_{part}",
                 vertices,
@@ -165,7 +167,8 @@ def draw_robot(
                 color=colour if tint is None else tint,
                 opacity=None if tint is None else _GHOST,
                 flat_shading=True,
-                side="double",  # Not every robot's faces turn outwards.
+                side="double" if is_mesh else "front",
+                receive_shadow=not is_mesh,
             )
     return handles
 
