@@ -121,7 +121,8 @@ def menagerie(tmp_path, monkeypatch):
     monkeypatch.setenv("MENAGERIE_CACHE_DIR", str(tmp_path / "packages"))
     monkeypatch.delenv("MENAGERIE_ROOT", raising=False)
 
-    def stocked(files=FILES, oid="ab" * 20):
+    def stocked(files=FILES, oid="ab" * 20, scene=None):
+        files = files if scene is None else files | {"scene.xml": scene}
         source = tmp_path / f"source-{oid}"
         for name, text in files.items():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
@@ -137,9 +138,12 @@ def menagerie(tmp_path, monkeypatch):
             "sha256": sha256_file(archive),
             "download_size": archive.stat().st_size,
             "installed_size": 1,
-            "entry_points": {"table": {"kind": "robot", "file": "table.xml"}},
+            "entry_points": {
+                "table": {"kind": "robot", "file": "table.xml"},
+                "scene": {"kind": "scene", "file": "scene.xml"},
+            },
             "default_model": "table",
-            "default_scene": None,
+            "default_scene": None if scene is None else "scene",
         }
         registry = package.Registry.from_dict(
             {"schema": 1, "menagerie_commit": "0" * 40, "robots": {"table": listed}}
@@ -176,6 +180,25 @@ def test_a_robot_of_menagerie_stays_what_it_was_until_it_is_fetched_again(menage
     api.fetch_robot("menagerie:table")
     assert find_robot("menagerie:table").spec.kp == (70.0, 70.0)
     assert find_robot(f"menagerie:table@{'ab' * 20}").spec.kp == (60.0, 60.0)
+
+
+SCENE = """\
+<mujoco>
+  <include file="table.xml"/>
+  <worldbody><light pos="0 0 2"/><geom name="floor" type="plane" size="1 1 1"/></worldbody>
+  <keyframe><key name="up" qpos="0 0 0.4 1 0 0 0 0.3 -0.2"/></keyframe>
+</mujoco>
+"""
+
+
+def test_a_pose_that_stands_beside_the_floor_is_the_robots(menagerie):
+    menagerie(scene=SCENE)
+    spec = find_robot("menagerie:table").spec
+    assert spec.default_pose == (0.3, -0.2)
+    assert "floor" not in spec.mjcf
+    menagerie(oid="cd" * 20, scene=SCENE.replace("key name", "kez name"))
+    assert api.fetch_robot("menagerie:table").files.keys() == {*FILES, "robot.yaml"}
+    assert find_robot("menagerie:table").spec.default_pose == (0.0, 0.0)
 
 
 def test_what_menagerie_does_not_say_is_written_in_a_copy(menagerie):

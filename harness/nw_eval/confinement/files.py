@@ -134,8 +134,8 @@ FILES: tuple[StrangersFile, ...] = (
         "not those of the run's end",
     ),
     StrangersFile(
-        kind="repository of a hub, zip of a published scene",
-        read_by="readers of our own, zipfile",
+        kind="repository of a hub, zip of a published scene, archive of MuJoCo Menagerie",
+        read_by="readers of our own, zipfile; the package `mujoco-menagerie` with tarfile",
         where="the main process",
         may="be files in a folder of the cache",
         refused="names that leave it, links, counts and sizes over the limits, bytes of another "

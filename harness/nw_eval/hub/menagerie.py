@@ -2,7 +2,7 @@
 
 The package, an extra, holds a list of robots with their licences and the digest of each archive,
 fetches an archive and compares it. What a robot's default model needs of it is kept as a robot's
-folder like what comes from a hub; its robot.yaml says nothing but the name, and all is derived.
+folder like what comes from a hub, with a robot.yaml that has the name; the rest is derived.
 """
 
 from __future__ import annotations
@@ -62,7 +62,12 @@ def bring(reference: Reference) -> Fetched:
     listener().message(f"fetching {reference.name}, revision {robot.oid[:12]}: {installed}")
     try:
         root = robot.path(progress=listener().fetching).resolve()
-        files = [path.resolve() for path in robot.files(robot.default_model)]
+        entry = robot.default_model
+        if robot.default_scene is not None and not _has_pose(robot.files(entry)):
+            # Its keyframes stand in the file with the floor, which is left out of a robot.
+            scene = robot.default_scene
+            entry = scene if _has_pose(robot.files(scene)) else entry
+        files = [path.resolve() for path in robot.files(entry)]
     except module.MenagerieError as error:
         raise FetchError(
             f"{reference.text}: {clean(error, at_most=300)}",
@@ -75,7 +80,7 @@ def bring(reference: Reference) -> Fetched:
         for name in names:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(root / name, folder / name)
-        model = robot.entry(robot.default_model).file
+        model = robot.entry(entry).file
         text = _YAML.format(
             title=robot.display_name,
             licence=robot.license,
@@ -88,3 +93,8 @@ def bring(reference: Reference) -> Fetched:
         return [*names, "robot.yaml"]
 
     return put_in_place(reference, robot.oid, "mujoco-menagerie", fill)
+
+
+def _has_pose(files: list[Path]) -> bool:
+    """Whether a model has a keyframe, in any of its files."""
+    return any(path.suffix == ".xml" and b"<key " in path.read_bytes() for path in files)
