@@ -305,9 +305,7 @@ def test_a_closed_world_says_so(go1, flat):
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.6, 0.8, 0.0)])
-def test_an_impulse_changes_the_velocity_of_the_robots_mass_by_their_quotient(
-    go1, flat, direction
-):
+def test_an_impulse_changes_the_velocity_of_the_robots_mass_by_their_quotient(go1, flat, direction):
     impulse, steps = 20.0, 5
     with World(go1, flat) as world:
 

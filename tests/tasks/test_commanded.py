@@ -81,9 +81,7 @@ def run(task, read):
 VELOCITY = {"kind": "velocity", "command": {"constant": {"vx": 0.5}}}
 DRAWN = {
     "kind": "velocity",
-    "command": {
-        "draw": {"vx": [0.2, 1.0], "vy": [-0.3, 0.3], "yaw": [-1.0, 1.0], "every": 2.5}
-    },
+    "command": {"draw": {"vx": [0.2, 1.0], "vy": [-0.3, 0.3], "yaw": [-1.0, 1.0], "every": 2.5}},
 }
 
 
@@ -163,7 +161,9 @@ def test_a_trunk_that_sways_within_its_stride_follows():
     assert task.tracked == 1.0
 
 
-@pytest.mark.parametrize(("v", "rate"), [((0.29, 0.0), 0.0), ((0.5, 0.21), 0.0), ((0.5, 0.0), 0.31)])
+@pytest.mark.parametrize(
+    ("v", "rate"), [((0.29, 0.0), 0.0), ((0.5, 0.21), 0.0), ((0.5, 0.0), 0.31)]
+)
 def test_each_part_of_the_velocity_may_be_off_by_its_tolerance(v, rate):
     assert run(begun(VELOCITY), lambda _: robot(v=v, rate=rate))[0] == "timeout"
     wide = {**VELOCITY, "within": {"linear": 0.22, "angular": 0.32}}
