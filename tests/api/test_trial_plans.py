@@ -184,7 +184,7 @@ def test_each_gated_score_is_forecast(suite: Path, bank: Path, tmp_path: Path) -
         replace(start, scores=(("mean_power", 100.0 + start.seed_index),)) for start in panel.starts
     )
     manifest = plain.manifest.model_copy(update={"scores": ("mean_power",)})
-    scored = tmp_path / "scored.parquet"
+    scored = tmp_path / "shipped.parquet"
     write_bank(scored, SavedBank(manifest=manifest, panels=(replace(panel, starts=starts),)))
     planned = api.plan_trials(gated, baseline=str(scored), detect=0.4, workers=2)
     assert isinstance(planned, api.TrialPlan)

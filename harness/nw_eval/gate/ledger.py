@@ -119,6 +119,10 @@ class LedgerEntry(_Line):
     trajectories: dict[str, str] = Field(default_factory=dict[str, str], max_length=10_000)
     """Some of the trials: `results.bank.trajectory` by a digest of the start."""
     baseline: BaselineEntry | None = None
+    scores: dict[str, tuple[float | None, float | None, float, float]] = Field(
+        default_factory=dict[str, tuple[float | None, float | None, float, float]]
+    )
+    """Bar, max_drop and range of each score that was judged beside success."""
 
     @property
     def is_test(self) -> bool:
@@ -149,7 +153,8 @@ class LedgerEntry(_Line):
         drawn_by = (self.computes or self.candidate_digest) if is_drawn else ""
         scenes = tuple(sorted(self.tiers.items()))
         panel = (drawn_by, self.suite_digest, self.panel, scenes)
-        return (*panel, self.bar, self.confidence, *(rules.values() if rules else ()))
+        scores = tuple(sorted(self.scores.items()))
+        return (*panel, self.bar, self.confidence, *(rules.values() if rules else ()), *scores)
 
 
 def _entry_of(
@@ -191,6 +196,11 @@ def _entry_of(
         tiers={item.scene: item.tier for item in verdict.per_scene},
         trajectories=_trajectories(rows, run.suite_digest),
         baseline=_baseline(verdict, bank or run.baseline),
+        scores={
+            item.spec.name: (item.bar, item.max_drop, item.spec.low, item.spec.high)
+            for item in verdict.scores
+            if item.bar is not None or item.max_drop is not None
+        },
     )
 
 

@@ -153,6 +153,16 @@ def test_judging_the_same_trials_again_is_no_reroll_and_another_panel_or_rule_is
     assert "REGRESSED at most 3 %, PASS at most 15 %" in page
 
 
+def test_another_rule_for_a_score_is_another_test(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    plain, gated = make_entry(), make_entry(scores={"mean_power": (None, 60.0, 0.0, 300.0)})
+    again = make_entry(days=1.0, scores={"mean_power": (None, 60.0, 0.0, 300.0)})
+    wider = make_entry(scores={"mean_power": (None, 80.0, 0.0, 300.0)})
+    assert gated.test == again.test
+    assert len({plain.test, gated.test, wider.test}) == 3
+
+
 def test_with_bar_and_baseline_either_convicts_and_both_must_pass(
     make_entry: Callable[..., LedgerEntry],
 ) -> None:
