@@ -12,6 +12,7 @@ import trimesh
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from nw_eval import api
+from nw_eval.engine.listener import Silence
 from nw_eval.files.cache import sealed_path
 from nw_eval.robots import Triangles, find_robot, get_robot
 from nw_eval.robots.looks import MOST_FACES, kept_thinned, shares, thinned
@@ -425,6 +426,21 @@ def test_looks_that_cannot_be_read_cost_a_note_and_no_robot(tmp_path, name, corn
         ("box", "base"),
         ("sphere", "foot"),
     ]
+
+
+def test_a_run_says_what_of_its_robot_is_not_drawn(tmp_path):
+    written(tmp_path / "table", URDF.replace("VISUAL", SEEN.replace("hull.stl", "hull.dae")))
+    (tmp_path / "still").mkdir()
+    (tmp_path / "still" / "policy.yaml").write_text(STILL)
+    (tmp_path / "tables.yaml").write_text(SUITE.replace("trials: 2", "trials: 1"))
+    said = []
+
+    class Ear(Silence):
+        def message(self, text):
+            said.append(text)
+
+    api.run(tmp_path / "tables.yaml", out=tmp_path / "run", workers=1, listener=Ear())
+    assert said[0].startswith("robot table: visual mesh 'hull.dae' is not drawn: only STL and OBJ")
 
 
 # Logs.
