@@ -458,15 +458,20 @@ def test_logs_hold_the_triangles_in_the_frames_of_bodies(table):
     assert len(top.triangles) == 2
     assert not top.cubes
     assert set(robot_clouds(table.bodies, table.visuals)) == set(table.bodies)
-    # And so do the browser's page and Rerun.
+    # And so does the browser's page.
     drawn = triangles_of(top)
     np.testing.assert_array_equal(drawn[0][0], shape.triangles.vertices)
     np.testing.assert_array_equal(drawn[0][1], shape.triangles.faces)
     assert drawn[0][2] == pytest.approx((230, 26, 51), abs=1)
-    pytest.importorskip("rerun")
-    mesh = archetypes(top)["mesh"]
+
+
+def test_recordings_of_rerun_hold_the_triangles(table):
+    pytest.importorskip("rerun", reason="needs the extra rerun")
+    update = SceneUpdate.FromString(robot_update(table.bodies, table.visuals))
+    mesh = archetypes(next(e for e in update.entities if e.frame_id == "top"))["mesh"]
+    own = table.visuals[0].triangles
     corners = np.array(mesh.vertex_positions.as_arrow_array().to_pylist())
-    np.testing.assert_array_equal(corners, points[shape.triangles.faces].reshape(-1, 3))
+    np.testing.assert_array_equal(corners, own.vertices[own.faces].reshape(-1, 3))
 
 
 SUITE = """\
