@@ -12,6 +12,7 @@ import trimesh
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from nw_eval import api
+from nw_eval.engine.listener import Silence
 from nw_eval.files.cache import sealed_path
 from nw_eval.robots import Triangles, find_robot, get_robot
 from nw_eval.robots.looks import MOST_FACES, kept_thinned, shares, thinned
@@ -427,6 +428,21 @@ def test_looks_that_cannot_be_read_cost_a_note_and_no_robot(tmp_path, name, corn
     ]
 
 
+def test_a_run_says_what_of_its_robot_is_not_drawn(tmp_path):
+    written(tmp_path / "table", URDF.replace("VISUAL", SEEN.replace("hull.stl", "hull.dae")))
+    (tmp_path / "still").mkdir()
+    (tmp_path / "still" / "policy.yaml").write_text(STILL)
+    (tmp_path / "tables.yaml").write_text(SUITE.replace("trials: 2", "trials: 1"))
+    said = []
+
+    class Ear(Silence):
+        def message(self, text):
+            said.append(text)
+
+    api.run(tmp_path / "tables.yaml", out=tmp_path / "run", workers=1, listener=Ear())
+    assert said[0].startswith("robot table: visual mesh 'hull.dae' is not drawn: only STL and OBJ")
+
+
 # Logs.
 
 
@@ -442,15 +458,20 @@ def test_logs_hold_the_triangles_in_the_frames_of_bodies(table):
     assert len(top.triangles) == 2
     assert not top.cubes
     assert set(robot_clouds(table.bodies, table.visuals)) == set(table.bodies)
-    # And so do the browser's page and Rerun.
+    # And so does the browser's page.
     drawn = triangles_of(top)
     np.testing.assert_array_equal(drawn[0][0], shape.triangles.vertices)
     np.testing.assert_array_equal(drawn[0][1], shape.triangles.faces)
     assert drawn[0][2] == pytest.approx((230, 26, 51), abs=1)
-    pytest.importorskip("rerun")
-    mesh = archetypes(top)["mesh"]
+
+
+def test_recordings_of_rerun_hold_the_triangles(table):
+    pytest.importorskip("rerun", reason="needs the extra rerun")
+    update = SceneUpdate.FromString(robot_update(table.bodies, table.visuals))
+    mesh = archetypes(next(e for e in update.entities if e.frame_id == "top"))["mesh"]
+    own = table.visuals[0].triangles
     corners = np.array(mesh.vertex_positions.as_arrow_array().to_pylist())
-    np.testing.assert_array_equal(corners, points[shape.triangles.faces].reshape(-1, 3))
+    np.testing.assert_array_equal(corners, own.vertices[own.faces].reshape(-1, 3))
 
 
 SUITE = """\
