@@ -111,15 +111,14 @@ def init_policy(
 
     Args:
         checkpoint: any format that an adapter reads; of a folder the newest step is taken.
-        robot: which robot the policy drives; the card names it by its name.
+        robot: which robot the policy drives.
         out: the card to write; `policy.yaml` beside the checkpoint, or in the folder, if None.
         layout: name of the published layout that it is to have; the likeliest if None.
 
     Raises:
         PolicyError: the file cannot be read, could run code, holds an unknown network, does not fit
             `layout`, or drives another robot; the folder has no checkpoint.
-        UsageError: there is a card already, or no such robot.
-        RobotError, FetchError, PrerequisiteError: the robot cannot be used, or fetched.
+        UsageError: there is a card already.
         StoreError: the card cannot be written.
     """
     from nw_eval.cards.load import CARD_FILE
@@ -128,7 +127,6 @@ def init_policy(
     from nw_eval.onboarding.beside import files_beside_checkpoint, find_checkpoint
     from nw_eval.onboarding.draft import draft_of, files_beside
     from nw_eval.onboarding.notation import plain
-    from nw_eval.robots import find_robot
     from nw_eval.rollout.confined.access import inspecting_rules
     from nw_eval.rollout.confined.isolated import call_isolated
 
@@ -140,16 +138,13 @@ def init_policy(
     card = out or folder / CARD_FILE
     if what_is(followed(card)) == "file":
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
-    found = find_robot(robot)
-    own = () if found.folder is None else (found.folder,)
     text = str(
         call_isolated(
             draft_of,
             subject=str(checkpoint),
-            rules=inspecting_rules(checkpoint, also=own),
+            rules=inspecting_rules(checkpoint),
             checkpoint=str(checkpoint),
-            robot=found.reference,
-            robot_folder=None if found.folder is None else str(found.folder),
+            robot=robot,
             folder=str(card.parent),
             layout=layout,
             beside=files_beside_checkpoint(checkpoint),

@@ -38,7 +38,7 @@ from nw_eval.onboarding.notation import (
 from nw_eval.onboarding.trained import KNOWN_ACTIVATIONS, network_lines, trained_network
 from nw_eval.onboarding.vectors import Likely, ObservationDraft, likely_layouts, sized_terms
 from nw_eval.policies.bundle import SIZE_LIMIT
-from nw_eval.robots import RobotSpec, get_robot, know_robot
+from nw_eval.robots import RobotSpec, get_robot
 
 _ACTION = re.compile(r"action|\bmu\b|mean|joint|target", re.IGNORECASE)
 _NAMELESS = re.compile(r"(policy|model)([._-].*)?", re.IGNORECASE)
@@ -124,7 +124,6 @@ def draft_of(
     checkpoint: str,
     robot: str,
     folder: str,
-    robot_folder: str | None = None,
     layout: str | None = None,
     beside: Mapping[str, str] | None = None,
 ) -> str:
@@ -134,7 +133,6 @@ def draft_of(
         PolicyError: as `inspect_checkpoint` and `write_card_draft`.
         UsageError: there is no such robot.
     """
-    know_robot(robot, None if robot_folder is None else Path(robot_folder))
     facts = inspect_checkpoint(Path(checkpoint))
     return write_card_draft(
         facts, get_robot(robot), folder=Path(folder), layout=layout, beside=beside

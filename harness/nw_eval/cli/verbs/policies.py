@@ -105,7 +105,7 @@ class Init:
     rsl_rl, skrl, rl_games, CleanRL, Stable-Baselines3, brax or flax. Of a folder, such as a
     training's, the newest step is taken."""
     robot: str
-    """The robot that the policy drives: go1, go2, another name, or the path of its folder."""
+    """The robot that the policy drives: go1 or go2."""
     out: Path | None = None
     """The card to write; `policy.yaml` beside the checkpoint, or in the folder, when absent."""
     layout: str | None = None

@@ -22,10 +22,10 @@ OPENING_SECONDS = 25
 """Of processor time to open a checkpoint in: imports take 2 to 5 s of it, 100 MB another 1."""
 
 
-def inspecting_rules(checkpoint: Path, *, also: Sequence[Path] = ()) -> Rules:
-    """Return the rules of a process that reads a checkpoint without a card, and `also` those."""
+def inspecting_rules(checkpoint: Path) -> Rules:
+    """Return the rules of a process that reads one checkpoint, without a card."""
     return Rules(
-        reads=(checkpoint.resolve(), *also),
+        reads=(checkpoint.resolve(),),
         memory=memory_to_open(_size(checkpoint)),
         seconds=OPENING_SECONDS,
     )
