@@ -156,7 +156,7 @@ def test_cameras_have_names_and_look_where_a_rotation_or_a_pitch_says(tmp_path):
         "  down: {position: [0.1, 0, 0], pitch: 1.5707963267948966}\n"
     )
     cameras = find_robot(f"{written(tmp_path, MJCF, yaml)}/").spec.cameras
-    assert list(cameras) == ["ego", "back", "down"]
+    assert {"ego", "back", "down"} <= cameras.keys()
     assert cameras["back"].fovy == pytest.approx(np.pi / 3)
     ahead = {name: np.array(mount.R_trunk_camera)[:, 2] for name, mount in cameras.items()}
     np.testing.assert_allclose(ahead["ego"], (1, 0, 0), atol=1e-12)
@@ -348,7 +348,7 @@ def test_a_urdf_gets_a_free_joint(tmp_path):
             "touches: geom\nfeet: [hull, toe]",
             "robot.yaml:5:14: feet: no geom that collides 'toe'; ",
         ),
-        ("published: {body: [hul]}", "robot.yaml:4:20: published.body: no body 'hul'; did you"),
+        ("published: {body: [hul]}", "robot.yaml:4:20: published: no body 'hul'; did you"),
         (
             "cameras: {a: {position: [0, 0, 0], rotation: [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}",
             "robot.yaml:4:36: cameras.a.rotation: it is no rotation",
