@@ -11,10 +11,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from nw_eval import api, robots
-from nw_eval.cards import load_card
+from nw_eval import api
 from nw_eval.errors import RobotError, UsageError
-from nw_eval.files.shipped import shipped
 from nw_eval.plugins import installed
 from nw_eval.robots import BUILT_IN, find_robot, get_robot, know_robot, robot_names
 from nw_eval.robots import folder as limits
@@ -158,7 +156,11 @@ def test_cameras_have_names_and_look_where_a_rotation_or_a_pitch_says(tmp_path):
         "  down: {position: [0.1, 0, 0], pitch: 1.5707963267948966}\n"
     )
     cameras = find_robot(f"{written(tmp_path, MJCF, yaml)}/").spec.cameras
+<<<<<<< HEAD
     assert list(cameras) == ["ego", "front", "back", "down"]
+=======
+    assert {"ego", "back", "down"} <= cameras.keys()
+>>>>>>> rship
     assert cameras["back"].fovy == pytest.approx(np.pi / 3)
     ahead = {name: np.array(mount.R_trunk_camera)[:, 2] for name, mount in cameras.items()}
     np.testing.assert_allclose(ahead["ego"], (1, 0, 0), atol=1e-12)
@@ -347,7 +349,7 @@ def test_a_urdf_gets_a_free_joint(tmp_path):
             "touches: geom\nfeet: [hull, toe]",
             "robot.yaml:5:14: feet: no geom that collides 'toe'; ",
         ),
-        ("published: {body: [hul]}", "robot.yaml:4:20: published.body: no body 'hul'; did you"),
+        ("published: {body: [hul]}", "robot.yaml:4:20: published: no body 'hul'; did you"),
         (
             "cameras: {a: {position: [0, 0, 0], rotation: [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}",
             "robot.yaml:4:36: cameras.a.rotation: it is no rotation",
@@ -584,17 +586,6 @@ def test_a_suite_of_checked_scenes_names_the_folder_of_their_robot_from_its_own(
         api.check_scenes(["flat/carpet_room"], robot="./hopper", suite=suite, policy="stand")
         own = load_suite(suite)
         assert find_robot(own.robot, own.base) == find_robot("./hopper")
-
-
-def test_a_card_is_drafted_for_a_robot_that_is_named_by_its_folder(tmp_path, monkeypatch):
-    go2 = shutil.copytree(Path(robots.__file__).parent / "go2", tmp_path / "folder")
-    text = (go2 / "robot.yaml").read_text()
-    (go2 / "robot.yaml").write_text(text.replace("name: go2\n", "name: mine\n"))
-    weights = shutil.copy(shipped("policies") / "go1-parkour" / "policy.onnx", tmp_path)
-    monkeypatch.chdir(tmp_path)
-    drafted = api.init_policy(Path(weights), robot="./folder")
-    assert "\nrobot: mine\n" in drafted.text
-    assert load_card(drafted.file).robot == "mine"
 
 
 def field(height):

@@ -222,7 +222,10 @@ def test_a_state_holds_what_an_imu_on_a_head_reads(tmp_path):
         ("imu: {body: hed}", "imu.body: no body 'hed'; did you mean 'head'?"),
         ("imu: {quaternion: [0, 0, 0, 0]}", "imu: a quaternion of length 0"),
         ("  ego: {position: [0, 0, 0]}", "cameras: `eye` is `ego`, too; remove one"),
-        ("  up: {body: had, position: [0, 0, 0]}", "cameras.up.body: no body 'had'; did you mean 'head'?"),
+        (
+            "  up: {body: had, position: [0, 0, 0]}",
+            "cameras.up.body: no body 'had'; did you mean 'head'?",
+        ),
         ("  a/b: {position: [0, 0, 0]}", "a/b"),
     ],
 )

@@ -221,8 +221,8 @@ def _of_folder(folder: Path, *, is_known: bool = True) -> FoundRobot:
     return before.found
 
 
-def _of_fetched(reference: str) -> FoundRobot:
-    """Return a robot of a hub or of MuJoCo Menagerie."""
+def _fetched_folder(reference: str) -> Path:
+    """Return the folder of a robot of a hub or of MuJoCo Menagerie, fetched if it is not here."""
     from nw_eval.hub.fetch import located
 
     fetched = located(parse(reference, "robot"))
@@ -231,13 +231,19 @@ def _of_fetched(reference: str) -> FoundRobot:
             f"{reference}: its revision {fetched.revision[:12]} has no robot.yaml",
             fix="name a repository that is a robot's folder",
         )
+    return fetched.folder
+
+
+def _of_fetched(reference: str) -> FoundRobot:
+    """Return the robot of such a folder; of Menagerie's, errors say where one writes what lacks."""
+    folder = _fetched_folder(reference)
     try:
-        return _of_folder(fetched.folder)
+        return _of_folder(folder)
     except RobotError as error:
         if not reference.startswith(MENAGERIE):
             raise
-        own = f"{_FOLDER}/{fetched.folder.name}"
-        copied = f"copy {fetched.folder} to {own} and name that; in its robot.yaml, "
+        own = f"{_FOLDER}/{folder.name}"
+        copied = f"copy {folder} to {own} and name that; in its robot.yaml, "
         raise RobotError(
             [replace(each, fix=copied + (each.fix or "mend it")) for each in error.problems]
         ) from None

@@ -620,14 +620,14 @@ class _Derivation:
         kind: str = "body",
         known: Sequence[str] | None = None,
     ) -> list[str]:
-        known, where = self.bodies if known is None else known, ".".join(key)
+        known = self.bodies if known is None else known
         for index, name in enumerate(names):
             if name not in known:
                 raise self._fault(
-                    (*key, index), f"{where}: no {kind} {name!r}", nearest(name, known)
+                    (*key, index), f"{key[0]}: no {kind} {name!r}", nearest(name, known)
                 )
             if name in names[:index]:
-                raise self._fault((*key, index), f"{where}: {name!r} is named twice")
+                raise self._fault((*key, index), f"{key[0]}: {name!r} is named twice")
         return list(names)
 
     # What it sees, and how it looks.
