@@ -156,11 +156,7 @@ def test_cameras_have_names_and_look_where_a_rotation_or_a_pitch_says(tmp_path):
         "  down: {position: [0.1, 0, 0], pitch: 1.5707963267948966}\n"
     )
     cameras = find_robot(f"{written(tmp_path, MJCF, yaml)}/").spec.cameras
-<<<<<<< HEAD
     assert list(cameras) == ["ego", "front", "back", "down"]
-=======
-    assert {"ego", "back", "down"} <= cameras.keys()
->>>>>>> rship
     assert cameras["back"].fovy == pytest.approx(np.pi / 3)
     ahead = {name: np.array(mount.R_trunk_camera)[:, 2] for name, mount in cameras.items()}
     np.testing.assert_allclose(ahead["ego"], (1, 0, 0), atol=1e-12)

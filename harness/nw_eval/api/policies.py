@@ -149,18 +149,15 @@ def init_policy(
 
     Args:
         checkpoint: any format that an adapter reads; of a folder the newest step is taken.
-<<<<<<< HEAD
         robot: which robot the policy drives: a name, or the path of a folder.
-=======
-        robot: which robot the policy drives.
->>>>>>> rship
         out: the card to write; `policy.yaml` beside the checkpoint, or in the folder, if None.
         layout: name of the published layout that it is to have; the likeliest if None.
 
     Raises:
         PolicyError: the file cannot be read, could run code, holds an unknown network, does not fit
             `layout`, or drives another robot; the folder has no checkpoint.
-        UsageError: there is a card already.
+        UsageError: there is a card already, or no such robot.
+        RobotError, FetchError, PrerequisiteError: the robot cannot be used, or fetched.
         StoreError: the card cannot be written.
     """
     from nw_eval.cards.load import CARD_FILE
@@ -169,6 +166,7 @@ def init_policy(
     from nw_eval.onboarding.beside import files_beside_checkpoint, find_checkpoint
     from nw_eval.onboarding.draft import draft_of, files_beside
     from nw_eval.onboarding.notation import plain
+    from nw_eval.robots import find_robot
     from nw_eval.rollout.confined.access import inspecting_rules
     from nw_eval.rollout.confined.isolated import call_isolated
 
@@ -180,21 +178,15 @@ def init_policy(
     card = out or folder / CARD_FILE
     if what_is(followed(card)) == "file":
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
-<<<<<<< HEAD
     found = find_robot(robot)
-=======
->>>>>>> rship
     text = str(
         call_isolated(
             draft_of,
             subject=str(checkpoint),
-<<<<<<< HEAD
             rules=inspecting_rules(checkpoint, robot=found.folder),
-=======
-            rules=inspecting_rules(checkpoint),
->>>>>>> rship
             checkpoint=str(checkpoint),
-            robot=robot,
+            robot=found.reference,
+            robot_folder=None if found.folder is None else str(found.folder),
             folder=str(card.parent),
             layout=layout,
             beside=files_beside_checkpoint(checkpoint),

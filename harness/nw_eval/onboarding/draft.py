@@ -45,11 +45,7 @@ from nw_eval.onboarding.vectors import (
     terms_for,
 )
 from nw_eval.policies.bundle import SIZE_LIMIT
-<<<<<<< HEAD
 from nw_eval.robots import BUILT_IN, RobotSpec, get_robot, know_robot
-=======
-from nw_eval.robots import RobotSpec, get_robot
->>>>>>> rship
 
 _ACTION = re.compile(r"action|\bmu\b|mean|joint|target", re.IGNORECASE)
 _NAMELESS = re.compile(r"(policy|model)([._-].*)?", re.IGNORECASE)
@@ -138,6 +134,7 @@ def draft_of(
     checkpoint: str,
     robot: str,
     folder: str,
+    robot_folder: str | None = None,
     layout: str | None = None,
     beside: Mapping[str, str] | None = None,
 ) -> str:
@@ -149,6 +146,7 @@ def draft_of(
         PolicyError: as `inspect_checkpoint` and `write_card_draft`.
         UsageError: there is no such robot.
     """
+    know_robot(robot, None if robot_folder is None else Path(robot_folder))
     facts = inspect_checkpoint(Path(checkpoint))
     return write_card_draft(
         facts, get_robot(robot), folder=Path(folder), layout=layout, beside=beside

@@ -22,7 +22,6 @@ OPENING_SECONDS = 25
 """Of processor time to open a checkpoint in: imports take 2 to 5 s of it, 100 MB another 1."""
 
 
-<<<<<<< HEAD
 def inspecting_rules(checkpoint: Path, *, robot: Path | None = None) -> Rules:
     """Return the rules of a process that reads one checkpoint, without a card.
 
@@ -30,12 +29,6 @@ def inspecting_rules(checkpoint: Path, *, robot: Path | None = None) -> Rules:
     """
     return Rules(
         reads=(checkpoint.resolve(), *(() if robot is None else (robot.resolve(),))),
-=======
-def inspecting_rules(checkpoint: Path) -> Rules:
-    """Return the rules of a process that reads one checkpoint, without a card."""
-    return Rules(
-        reads=(checkpoint.resolve(),),
->>>>>>> rship
         memory=memory_to_open(_size(checkpoint)),
         seconds=OPENING_SECONDS,
     )
