@@ -63,6 +63,8 @@ class WatchedCheckpoint:
     """Of success, from that one to this."""
     drop_low: float | None = None
     drop_high: float | None = None
+    drop_trials: int = 0
+    """How many trials settled the comparison, of all that ran: `drop` is of those alone."""
     problem: str = ""
     """Why it could not be used."""
 
@@ -441,6 +443,7 @@ class _Watch:
             drop=None if against is None else against.drop,
             drop_low=None if bounds is None else bounds.low,
             drop_high=None if bounds is None else bounds.high,
+            drop_trials=0 if against is None else against.trials,
         )
 
     def _publish(self, judged: RunReport, step: int) -> None:
@@ -516,6 +519,7 @@ def _write_table(path: Path, checkpoints: Sequence[WatchedCheckpoint]) -> None:
         "against": count,
         "trials": count,
         "completed": count,
+        "drop_trials": count,
         **dict.fromkeys(("success", "low", "high", "drop", "drop_low", "drop_high"), number),
     }
     schema = pa.schema(
