@@ -5,7 +5,7 @@ import os
 import shutil
 import threading
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from onnx import numpy_helper
 
 from nw_eval import api
 from nw_eval.api.watching import checkpoints_in, training_step
+from nw_eval.cli.verbs.watch import checkpoint_line
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.policies import load_bundle
 
@@ -95,6 +96,14 @@ def test_the_latest_comes_first_and_each_is_gated_against_the_best_before_it(tra
     assert (more.checkpoints[-1].verdict, more.checkpoints[-1].against) == ("REGRESSED", 2)
     assert more.exit_code == 1
     assert more.checkpoints[:3] == found.checkpoints
+    # The drop is of the trials that settled it, which the page and the line say.
+    last = more.checkpoints[-1]
+    assert 0 < last.drop_trials <= last.trials
+    page = more.page.read_text(encoding="utf-8")
+    assert (f" in {last.drop_trials}</td>" in page) == (last.drop_trials < last.trials)
+    assert checkpoint_line(replace(last, drop_trials=4, trials=9)).endswith(
+        "against step 2 in the 4 trials that settled it · completed 0 of 9 trials"
+    )
 
 
 def test_the_exit_code_is_not_that_of_an_earlier_checkpoint_than_the_newest(training):

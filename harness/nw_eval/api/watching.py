@@ -63,6 +63,8 @@ class WatchedCheckpoint:
     """Of success, from that one to this."""
     drop_low: float | None = None
     drop_high: float | None = None
+    drop_trials: int = 0
+    """How many trials settled the comparison, of all that ran: `drop` is of those alone."""
     problem: str = ""
     """Why it could not be used."""
     scores: dict[str, float] = field(default_factory=dict[str, float])
@@ -443,6 +445,7 @@ class _Watch:
             drop=None if against is None else against.drop,
             drop_low=None if bounds is None else bounds.low,
             drop_high=None if bounds is None else bounds.high,
+            drop_trials=0 if against is None else against.trials,
             scores={item.spec.name: item.mean for item in verdict.scores if item.mean is not None},
         )
 
@@ -519,6 +522,7 @@ def _write_table(path: Path, checkpoints: Sequence[WatchedCheckpoint]) -> None:
         "against": count,
         "trials": count,
         "completed": count,
+        "drop_trials": count,
         **dict.fromkeys(("success", "low", "high", "drop", "drop_low", "drop_high"), number),
         "scores": pa.map_(pa.string(), number),
     }

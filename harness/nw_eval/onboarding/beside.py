@@ -143,9 +143,22 @@ def read_beside(
         own: what the checkpoint says itself.
         size: numbers that it takes; 0 where it does not say.
     """
-    read: list[tuple[float, ExporterMetadata]] = []
+    read = _read_files(texts, robot, checkpoint, size)
     if own is not None:
         read.append((_ORDER.index("checkpoint"), own))
+    if not read:
+        return None
+    read.sort(key=lambda pair: pair[0])
+    whole = read[0][1]
+    for _, other in read[1:]:
+        whole = merged(whole, other)
+    return whole
+
+
+def _read_files(
+    texts: Mapping[str, str], robot: RobotSpec, checkpoint: str, size: int
+) -> list[tuple[int, ExporterMetadata]]:
+    """Return what each file says that is about a checkpoint, and the place of its kind."""
     parsed: dict[str, Data] = {}
     for name, text in texts.items():
         try:
@@ -159,20 +172,15 @@ def read_beside(
             said = reader(data, robot, list(parsed.values()))
             marked = {f.name: plain(name) for f in fields(said) if getattr(said, f.name)}
             by_kind.setdefault(kind, []).append((name, replace(said, sources=marked)))
+    read: list[tuple[int, ExporterMetadata]] = []
     for kind, several in by_kind.items():
         for name, said in _about(several, checkpoint, len(robot.joints), size):
+            notes = said.notes
             if said.model and Path(said.model).stem != Path(checkpoint).stem:
                 about = plain(Path(said.model).name)
-                note = f"{plain(name)} is about {about}: is that this file?"
-                said = replace(said, notes=(*said.notes, note))  # noqa: PLW2901 - the same file.
-            read.append((_ORDER.index(kind), said))
-    if not read:
-        return None
-    read.sort(key=lambda pair: pair[0])
-    whole = read[0][1]
-    for _, other in read[1:]:
-        whole = merged(whole, other)
-    return whole
+                notes = (*notes, f"{plain(name)} is about {about}: is that this file?")
+            read.append((_ORDER.index(kind), replace(said, notes=notes)))
+    return read
 
 
 def _about(
@@ -247,7 +255,9 @@ def _kind(data: Data) -> tuple[str, _Reader | None]:
     about = {"policy_path", "policy_name", "num_obs", "num_single_obs"}
     if any(keys <= set(data) for keys in gains) and about & set(data):
         return "gym", _gym
-    if any({"obs_names", "obs_cfg", "action_cfg"} <= set(words) for words in _ros_nodes(data)):
+    if any(
+        {"obs_names", "obs_cfg", "action_cfg"} <= set(words) for words in _ros_nodes(data).values()
+    ):
         return "legged_ros2", _legged_ros2
     if {"sim", "decimation", "observations", "actions"} <= set(data):
         return "env", _environment
@@ -496,7 +506,7 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
 
     `joint_mapping` has the robot's joint of each joint of the policy; lists are in the policy's
     order. quadruped_ros2_control writes the same without the name above it. Its controller's own
-    file has the joints, in the policy's order; its `stand_pos` is no pose of a training.
+    file has the rate of the physics; its `stand_pos` is no pose of a training.
     """
     name, value = next(((key, v) for key, v in data.items() if "rl_kp" in _dict(v)), ("", data))
     config = _dict(value)
@@ -504,18 +514,16 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
         named = name.split("/")[0]
         base = next((_dict(other.get(named)) for other in others if named in other), {})
     else:
-        base = next((node for node in _all_nodes(others) if "stand_pos" in node), {})
-        frequency = _number(base.get("update_rate"))
-        base = {
-            "joint_names": base.get("joints"),
-            "joint_mapping": list(range(len(_texts(base.get("joints"))))),
-            "dt": 1 / frequency if frequency else None,
-        }
+        nodes = (pair for other in others for pair in _ros_nodes(other).items())
+        node = next((node for key, node in nodes if key.startswith("rl_")), {})
+        frequency = _number(node.get("update_rate"))
+        base = {"dt": 1 / frequency if frequency else None}
     joints = _texts(base.get("joint_names")) or motor_names(robot)
-    mapping = [
-        int(number) for number in _numbers(config.get("joint_mapping", base.get("joint_mapping")))
-    ]
+    mapping = [int(number) for number in _numbers(config.get("joint_mapping"))]
     names = tuple(joints[n] for n in mapping) if sorted(mapping) == list(range(len(joints))) else ()
+    is_guess = not names and sorted(motor_names(robot)) == sorted(LEG_BY_LEG)
+    if is_guess:  # Isaac Gym sorts the legs by name; robot_lab has those of the right first.
+        names = LEG_BY_LEG if config.get("framework") == "isaacgym" else RIGHT_FIRST
     past = [int(number) for number in _numbers(config.get("observations_history"))]
     steps = len(past) or 1
     # The latest is 0 there; in the older form of the file it is the largest number.
@@ -559,6 +567,7 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
         observation_clip=_number(config.get("clip_obs")),
         model=str(config.get("model_name") or ""),
         joint_count=count,
+        guessed_order=is_guess,
     )
 
 
@@ -669,19 +678,15 @@ def _list_order(pose: Sequence[float], robot: RobotSpec) -> tuple[str, ...]:
     return next((order for signs, order in orders if signs == left), ())
 
 
-def _ros_nodes(data: Data) -> list[Data]:
-    """Return the parameters of each node of a file for ROS 2."""
-    return [_dict(_dict(node).get("ros__parameters")) for node in data.values()]
-
-
-def _all_nodes(files: Sequence[Data]) -> Iterable[Data]:
-    for data in files:
-        yield from _ros_nodes(data)
+def _ros_nodes(data: Data) -> dict[str, Data]:
+    """Return the parameters of each node of a file for ROS 2, by the node's name."""
+    return {name: _dict(_dict(node).get("ros__parameters")) for name, node in data.items()}
 
 
 def _legged_ros2(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
     """Read the controller's file of legged_ros2, which Legged Lab exports with a policy."""
-    config = next(node for node in _ros_nodes(data) if "obs_cfg" in node and "action_cfg" in node)
+    nodes = _ros_nodes(data).values()
+    config = next(node for node in nodes if "obs_cfg" in node and "action_cfg" in node)
     names = tuple(map(short_name, _texts(config.get("joint_names"))))
     actions = {short_name(key): _dict(v) for key, v in _dict(config["action_cfg"]).items()}
 

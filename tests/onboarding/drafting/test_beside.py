@@ -455,24 +455,26 @@ def test_of_several_configs_that_which_names_the_checkpoint_is_read(card_of):
 
 
 CONTROLLER = """
+guide_controller:
+  ros__parameters: {update_rate: 500, stand_pos: [0.0]}
 rl_quadruped_controller:
   ros__parameters:
     update_rate: 200
-    joints: [%s]
     stand_pos: [0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 0.8, -1.5]
 """
 
 
-def test_a_config_of_quadruped_ros2_control_has_no_name_above_it(card_of):
+@pytest.mark.parametrize(("framework", "leg"), [("isaacgym", "FL"), ("isaacsim", "FR")])
+def test_a_config_of_quadruped_ros2_control_has_no_name_above_it(framework, leg, card_of):
     flat = "\n".join(
         line.strip()
         for line in SAR.splitlines()
         if line.startswith("  ") and "joint_mapping" not in line and "default_dof" not in line
     )
-    legs = ", ".join(f"{joint}_joint" for joint in LEFT_FIRST)
-    beside = {"config.yaml": flat + "\ndecimation: 4\n", "../control.yaml": CONTROLLER % legs}
-    text, card = card_of(3 * 45, beside)
-    assert (card.control.joints, card.control.rate) == (LEFT_FIRST, 50)
+    flat += f"\ndecimation: 4\nframework: {framework}\n"
+    text, card = card_of(3 * 45, {"config.yaml": flat, "../control.yaml": CONTROLLER})
+    assert (card.control.joints[0], card.control.rate) == (f"{leg}_hip", 50)
+    assert "CHECK: the order of the checkpoint: config.yaml names no order" in text
     assert card.control.kp == [40, 41, 42] * 4
     assert words(card)[:2] == ["command", "ang_vel"]
     assert card.observations["obs"].history.order == "oldest_first", "its newest is the largest"

@@ -105,6 +105,8 @@ def checkpoint_line(made: WatchedCheckpoint) -> str:
     fell = ""
     if made.drop is not None:
         fell = f" · drop {made.drop:.3f} against step {made.against}"
+        if 0 < made.drop_trials < made.trials:
+            fell += f" in the {made.drop_trials} trials that settled it"
     return (
         f"step {made.step}: {made.verdict}{score}{fell} · "
         f"completed {made.completed} of {plural(made.trials, 'trial')}"
