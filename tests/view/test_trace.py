@@ -172,7 +172,7 @@ def test_a_task_without_waypoints_is_looked_at_along_its_walk_and_else_ahead():
     walked, stood, along = SimpleNamespace(), SimpleNamespace(), np.array([[0.0, 0.0, 0.3]] * 2)
     aim_along(stood, along)
     assert np.linalg.norm((stood.position - stood.look_at)[:2]) > 0.5
-    aim_along(walked, along + [[0.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
+    aim_along(walked, np.array([[0.0, 0.0, 0.3], [0.0, 4.0, 0.3]]))
     assert (walked.look_at - walked.position)[1] > 1.0
 
 
