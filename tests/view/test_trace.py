@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import nw_eval
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.results.moment_link import PORT, MomentLink, read_link
 from nw_eval.rollout.mcap.reader import LogReader
+from nw_eval.view.drawing import aim_along
 from nw_eval.view.sources import open_shelf
 from nw_eval.view.trace import APART, parting, read_trace
 
@@ -164,3 +166,22 @@ def test_pictures_of_the_head_are_said_to_be_seen_only_where_the_policy_was_give
     seen = read_trace(next(out.rglob("*.mcap")))
     assert seen.is_seen
     assert len(seen.frames[0])
+
+
+def test_a_task_without_waypoints_is_looked_at_along_its_walk_and_else_ahead():
+    walked, stood, along = SimpleNamespace(), SimpleNamespace(), np.array([[0.0, 0.0, 0.3]] * 2)
+    aim_along(stood, along)
+    assert np.linalg.norm((stood.position - stood.look_at)[:2]) > 0.5
+    aim_along(walked, np.array([[0.0, 0.0, 0.3], [0.0, 4.0, 0.3]]))
+    assert (walked.look_at - walked.position)[1] > 1.0
+
+
+def test_the_log_of_a_task_without_waypoints_has_none(tmp_path):
+    suite = SUITE.replace("go1-parkour", "stand").replace("record: all", "task: stand")
+    (tmp_path / "still.yaml").write_text(
+        suite.replace("1.6", "0.4").replace("trials: 2", "trials: 1")
+    )
+    run = nw_eval.run(str(tmp_path / "still.yaml"), out=tmp_path / "run", in_process=True)
+    trace = read_trace(tmp_path / "run" / run.rows[0].mcap_path)
+    assert trace.waypoints.shape == (0, 3)
+    assert len(trace.trunk) == 21

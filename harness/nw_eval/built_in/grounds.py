@@ -50,7 +50,7 @@ class Bowl:
         away = self.middle + run / 2 + _THICK / 2 * math.sin(angle)
         z = run / 2 * math.tan(angle) - _THICK / 2 * math.cos(angle)
         level = (z - _THICK / 2, z + _THICK / 2)
-        across = (-self.reach, self.reach)
+        across = (2.0 - self.reach, self.reach - 2.0)
         for side in (1.0, -1.0):
             along = (side * away - half, side * away + half)
             for x, y, pitch, roll in (
@@ -75,7 +75,7 @@ class Rubble:
     """Flat stones that lie about at random, the same ones always; one waypoint ahead.
 
     Attributes:
-        count: of stones.
+        count: of stones that are drawn; those that would lie on an earlier one are left out.
         heights: from and to, metres.
         sides: from and to, metres.
         reach: metres from the spawn within which they lie, along x and y.
@@ -89,7 +89,7 @@ class Rubble:
     heights: tuple[float, float]
     sides: tuple[float, float] = (0.2, 0.6)
     reach: float = 11.0
-    clear: float = 0.9
+    clear: float = 1.1
     finish: float = 4.0
     material: str = "granite/grey"
     seed: int = 1
@@ -104,14 +104,19 @@ class Rubble:
         return ((self.finish, 0.0, 0.0),)
 
     def build(self, builder: PlaceBuilder) -> None:
-        """Lay the stones."""
+        """Lay the stones, none on another one."""
         drawn = np.round(np.random.default_rng(self.seed).random((self.count, 6)), 4).tolist()
         low, high = self.sides
+        laid: list[tuple[float, float, float]] = []
         for index, (u, v, length, width, height, turn) in enumerate(drawn):
             x, y = (2.0 * u - 1.0) * self.reach, (2.0 * v - 1.0) * self.reach
             if min(math.hypot(x, y), math.hypot(x - self.finish, y)) < self.clear:
                 continue
             half_x, half_y = (0.5 * (low + share * (high - low)) for share in (length, width))
+            round_it = math.hypot(half_x, half_y)
+            if any(math.hypot(x - at_x, y - at_y) < round_it + other for at_x, at_y, other in laid):
+                continue
+            laid.append((x, y, round_it))
             top = self.heights[0] + height * (self.heights[1] - self.heights[0])
             builder.box(
                 (x - half_x, x + half_x),
@@ -144,10 +149,10 @@ GROUNDS: tuple[Entry, ...] = (
     ),
     Entry(
         name="open/rubble",
-        title="560 flat stones, 2 to 6 cm, strewn over a lawn",
+        title="flat stones, 2 to 6 cm, strewn over a lawn",
         task="open",
         setting=Field(ground="grass/dry"),
-        course=Rubble(count=560, heights=(0.02, 0.06)),
+        course=Rubble(count=1000, heights=(0.02, 0.06)),
         light="overcast",
     ),
 )

@@ -173,9 +173,15 @@ def draw_robot(
     return handles
 
 
+_STILL = 0.1
+"""Metres; over less there is no direction to look along."""
+
+
 def aim_along(camera: Any, stops: NDArray[np.float64]) -> None:
     """Let the first camera of a browser look along stops (K, 3), from behind and beside them."""
     ahead = stops[-1] - stops[0]
+    if float(np.linalg.norm(ahead[:2])) < _STILL:
+        ahead = np.array([1.0, 0.0, 0.0])
     length = max(float(np.linalg.norm(ahead[:2])), 2.0)
     ahead = ahead / max(float(np.linalg.norm(ahead)), 1e-6)
     aside = np.array([-ahead[1], ahead[0], 0.0])

@@ -146,7 +146,8 @@ class ViewPage(ServedPage):
         self.server.gui.reset()
         self._drawing = TrialDrawing(self.server, self._traces, splat)
         first = self._traces[0]
-        aim_along(self.server.initial_camera, np.vstack([first.trunk[:1], first.waypoints]))
+        way = first.waypoints if len(first.waypoints) else first.trunk[-1:]
+        aim_along(self.server.initial_camera, np.vstack([first.trunk[:1], way]))
         self._draw_panel("")
 
     def _note(self, words: str) -> None:

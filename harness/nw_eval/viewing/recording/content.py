@@ -56,7 +56,8 @@ def write_place(track: Track, messages: Messages) -> None:
     for time, update in messages.get("/waypoints", ()):
         discs = [entity.cylinders[0] for entity in update.entities]
         labels = [str(number) for number in range(len(discs))]
-        track.at(time, track.entity(WORLD, "waypoints"), cylinders(discs, labels))
+        if discs:  # A task need have none.
+            track.at(time, track.entity(WORLD, "waypoints"), cylinders(discs, labels))
     for time, cloud in messages.get("/robot/path", ()):
         points, _ = cloud_points(cloud)
         path = track.rr.LineStrips3D([points], colors=[_PATH_COLOUR], radii=_PATH_RADIUS)
