@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
@@ -23,13 +24,23 @@ from nw_eval.results.provenance import (
     write_run_info,
 )
 from nw_eval.results.row import Row
+from nw_eval.scores import specs_of
 from nw_eval.suite import new_suite
 
 DIGEST, STARTS = "dd" * 32, 12
 
 
 def save_run(
-    path, policy, reached, *, suite="tiny", seed=7, scene="flat/room", part=None, **changes
+    path,
+    policy,
+    reached,
+    *,
+    suite="tiny",
+    seed=7,
+    scene="flat/room",
+    part=None,
+    power=None,
+    **changes,
 ):
     """Save a run of which this many of twelve trials reached all of four waypoints."""
     settings = {"name": suite, "robot": "go1", "policy": "stand", "scenes": [scene]}
@@ -48,6 +59,8 @@ def save_run(
         machine=MachineInfo(host="ci", cpu="Some CPU", cores=2, system="Linux", python="3.11"),
         engine={"mujoco": "4.0.0", "renderer": "cpu gsplat-1.5", "cpu": "znver4 1f0c77a2"},
     )
+    if power is not None:
+        info = info.model_copy(update={"scores": specs_of(["mean_power"])})
     if part is not None:
         share, shard = shard_of(saved_trials(info, planned), part)
         scenes = {scene: SceneInfo(digest=DIGEST, task="flat", trials=len(share))}
@@ -59,7 +72,9 @@ def save_run(
     )
     with Journal.create(path / "journal.jsonl", header) as journal:
         for number, trial in enumerate(saved_trials(info, planned)):
-            journal.append(row_of(trial, policy, checkpoint, done=number < reached))
+            row = row_of(trial, policy, checkpoint, done=number < reached)
+            scores = () if power is None else (("mean_power", power),)
+            journal.append(replace(row, scores=scores))
     return path
 
 
@@ -118,6 +133,19 @@ class Reader(HTMLParser):
     def handle_data(self, data):
         if self._open and self.rows and data.strip():
             self.rows[-1].append(data.strip())
+
+
+def test_scores_that_all_of_a_suite_were_measured_by_stand_on_the_board(runs, tmp_path):
+    scored = [
+        save_run(tmp_path / "thrifty", "thrifty", 12, suite="third", power=81.5),
+        save_run(tmp_path / "wasteful", "wasteful", 12, suite="third", power=172.5),
+    ]
+    page = Reader(nw_eval.write_site([*runs, *scored], tmp_path / "site").page)
+    assert ["policy", "mean_power, W, lower is better"] in page.rows
+    assert ["thrifty", "81.5"] in page.rows
+    assert ["wasteful", "172.5"] in [row[:2] for row in page.rows]
+    plain = nw_eval.write_site(runs, tmp_path / "plain").page.read_text()
+    assert "Scores on" not in plain
 
 
 def test_policies_stand_by_suite_with_intervals_and_ties(runs, tmp_path):
