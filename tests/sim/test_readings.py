@@ -20,7 +20,11 @@ PACKAGE = Path(nw_eval.__file__).parent
 BEFORE_PHYSICS = {
     "scenes/attach.py",
     "scenes/narrowphase/install.py",
+    "robots/compiled.py",
     "robots/derived.py",
+    "robots/looks.py",
+    "robots/mounts.py",
+    "robots/rewritten.py",
     "robots/standing.py",
 }
 

@@ -13,14 +13,20 @@ import io
 import zipfile
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, Literal
 
+import mujoco as _mujoco
 import numpy as np
 import numpy.typing as npt
 
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import cache_dir, read_sealed, sealed_path
-from nw_eval.robots.spec import Triangles
+from nw_eval.robots.compiled import CompiledRobot
+from nw_eval.robots.spec import Shape, Triangles
+from nw_eval.robots.standing import collides
+
+# Its classes live in compiled modules without type information.
+mujoco: Any = _mujoco
 
 MOST_FACES = 20_000
 """Of all meshes of a robot together, as it is drawn."""
@@ -159,3 +165,90 @@ def _meeting(
     planes += hold[:, np.newaxis, np.newaxis] * np.eye(3)
     moved = middles + np.linalg.solve(planes, right[..., np.newaxis])[..., 0]
     return np.clip(moved, cells, cells + size)
+
+
+_MOST_SHAPES = 400  # that are drawn
+_GRID = 2.0**14  # points of meshes stand on 1/16384 m: the zero bits compress, and nobody sees it
+_PLAIN = (0.5, 0.5, 0.5, 1.0)  # the colour of a geom that has none of its own
+_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+_KINDS = {
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): ("sphere", 1),
+    int(mujoco.mjtGeom.mjGEOM_BOX): ("box", 3),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER): ("cylinder", 2),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): ("ellipsoid", 3),
+}
+
+
+def visuals_of(robot: CompiledRobot) -> tuple[tuple[Shape, ...], Literal["geoms", "visuals"]]:
+    """Return what is drawn, and what of it pictures show.
+
+    Where all that is only seen are primitives, pictures show these geoms. Else no mesh is left
+    to physics, and a body without anything that is only seen shows what collides.
+    """
+    model = robot.model
+    geoms = [g for g in range(model.ngeom) if colour_of(model, g)[3] > 0.0]
+    only_seen = [g for g in geoms if not collides(robot.model, g)]
+    has_meshes = any(model.geom_type[g] == _MESH for g in only_seen)
+    if only_seen and not has_meshes:
+        shapes = [shape for g in only_seen[:_MOST_SHAPES] for shape in _shapes(robot, g, None)]
+        return tuple(shapes), "geoms"
+    shown = {int(model.geom_bodyid[g]) for g in only_seen}
+    seen = [g for g in geoms if g in only_seen or int(model.geom_bodyid[g]) not in shown]
+    meshes = [g for g in seen[:_MOST_SHAPES] if model.geom_type[g] == _MESH]
+    faces = [int(model.mesh_facenum[model.geom_dataid[g]]) for g in meshes]
+    sizes = [float(np.linalg.norm(model.geom_aabb[g, 3:])) for g in meshes]
+    most = dict(zip(meshes, shares(faces, sizes), strict=True))
+    return tuple(s for g in seen[:_MOST_SHAPES] for s in _shapes(robot, g, most.get(g))), "visuals"
+
+
+def colour_of(model: Any, geom: int) -> tuple[float, float, float, float]:
+    """Return the colour of a geom, 0 to 1: its own, else its material's, as MuJoCo draws it."""
+    material = int(model.geom_matid[geom])
+    own = model.geom_rgba[geom]
+    is_own = material < 0 or not np.array_equal(own, np.array(_PLAIN, np.float32))
+    red, green, blue, alpha = _decimals(own if is_own else model.mat_rgba[material])
+    return red, green, blue, alpha
+
+
+def _shapes(robot: CompiledRobot, geom: int, most: int | None) -> list[Shape]:
+    """Return what a geom looks like, in the frame of its body.
+
+    Args:
+        robot: that has it.
+        geom: its number.
+        most: how many faces a mesh may have.
+    """
+    model = robot.model
+    kind, size = int(model.geom_type[geom]), model.geom_size[geom].tolist()
+    position, turn = model.geom_pos[geom], tuple(model.geom_quat[geom].tolist())
+    at = tuple(position.tolist())
+    body = robot.body_name(int(model.geom_bodyid[geom]))
+    look: dict[str, Any] = {"body": body, "rgba": colour_of(model, geom)}
+    if kind in _KINDS:
+        name, count = _KINDS[kind]
+        return [Shape(kind=name, size=tuple(size[:count]), position=at, quat=turn, **look)]  # pyright: ignore[reportArgumentType]
+    turned = np.empty(9)
+    mujoco.mju_quat2Mat(turned, model.geom_quat[geom])
+    R = turned.reshape(3, 3)
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        radius, half = size[:2]
+        ends = [tuple((position + R[:, 2] * end).tolist()) for end in (half, -half)]
+        tube = Shape(kind="cylinder", size=(radius, half), position=at, quat=turn, **look)
+        return [tube, *(Shape(kind="sphere", size=(radius,), position=e, **look) for e in ends)]
+    if kind != _MESH or not most:
+        return []
+    mesh = int(model.geom_dataid[geom])
+    start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    vertices = model.mesh_vert[start : start + count].astype(np.float64)
+    start, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    faces = model.mesh_face[start : start + count].astype(np.int64)
+    fewer = kept_thinned(vertices, faces, most)
+    if not len(fewer.faces):
+        return []
+    points = np.rint((fewer.vertices @ R.T + position) * _GRID) / _GRID
+    return [Shape(kind="mesh", size=(), triangles=Triangles.of(points, fewer.faces), **look)]
+
+
+def _decimals(values: npt.NDArray[np.float32]) -> tuple[float, ...]:
+    """Return what single-precision numbers were written as: 0.8, not 0.800000011920929."""
+    return tuple(float(str(value)) for value in values)

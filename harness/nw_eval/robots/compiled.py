@@ -1,0 +1,277 @@
+"""A robot's model file as MuJoCo compiles it: one body with a free joint, and names for all parts.
+
+MuJoCo compiles the model once to say what is in it. `derived`, `mounts`, `looks` and `rewritten`
+read the compiled model.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from copy import deepcopy
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
+
+import mujoco as _mujoco
+import numpy as np
+
+from nw_eval.errors import RobotError, nearest
+from nw_eval.robots.folder import RobotFolder, element_lines, fill_meshes
+
+# Its classes live in compiled modules without type information.
+mujoco: Any = _mujoco
+
+MOST_JOINTS, MOST_BODIES, MOST_GEOMS = 100, 300, 2_000
+"""Of a robot."""
+
+_LIGHTEST, _HEAVIEST = 0.1, 2_000.0  # kg
+
+
+class CompiledRobot:
+    """A model file, parsed and compiled.
+
+    Args:
+        folder: of the robot.
+
+    Attributes:
+        folder, settings: where it comes from, and its robot.yaml.
+        mjspec: MuJoCo's editable model, in which everything has a name.
+        model, data: compiled from it.
+        root, root_joint: names of the body with the free joint, and of that joint.
+        bodies: names of all, parents before children.
+        before, after: how many numbers of a keyframe belong to bodies that were left out.
+
+    Raises:
+        RobotError: MuJoCo cannot read or compile it, or it is no robot.
+    """
+
+    def __init__(self, folder: RobotFolder) -> None:
+        self.folder = folder
+        self.settings = folder.settings
+        self._text = ""
+        self.mjspec: Any = self._parsed()
+        self._tidy()
+        self.model: Any = self.compiled(self.mjspec)
+        self.data: Any = mujoco.MjData(self.model)
+        self.root = self._root()
+        self._weigh()
+        self.bodies = [self.body_name(i) for i in range(1, self.model.nbody)]
+
+    def _parsed(self) -> Any:
+        model = deepcopy(self.folder.model)
+        try:
+            if model.tag == "robot":
+                model = self._converted(model)
+            fill_meshes(model, self.folder)
+            self._text = tostring(model, encoding="unicode")
+            return mujoco.MjSpec.from_string(self._text)
+        except ValueError as error:
+            raise self._refused("MuJoCo cannot read it", error) from None
+
+    def _refused(self, what: str, error: Exception) -> RobotError:
+        """Return an error of MuJoCo's, with the line of the file that it is about."""
+        message, *further = str(error).strip().splitlines()
+        about, line = " ".join(further), 1
+        named = re.search(r"name '([^']+)'", about)
+        placed = re.search(r"line (\d+)", about)
+        if named is not None:
+            message += f" ({named[1]})"
+            line = self.folder.line_of(named[1], "body", "joint", "geom", "mesh")
+        if line == 1 and placed is not None:
+            # MuJoCo counts the lines of the text that it was given.
+            read = element_lines(self._text.encode())
+            starts = [begin for event, _, begin in read if event == "start"]
+            elements = list(self.folder.model.iter())
+            if len(starts) == len(elements) and int(placed[1]) in starts:
+                line = self.folder.lines[elements[starts.index(int(placed[1]))]]
+        return self.folder.fault(f"{what}: {message}", line=line)
+
+    def _converted(self, urdf: Element) -> Element:
+        """Return a URDF as MJCF."""
+        for each in urdf.findall("mujoco"):
+            urdf.remove(each)
+        options = {"strippath": "true", "fusestatic": "false", "balanceinertia": "true"}
+        SubElement(SubElement(urdf, "mujoco"), "compiler", {**options, "discardvisual": "false"})
+        try:
+            spec = self._read_urdf(urdf)
+        except ValueError as error:
+            if next(urdf.iter("visual"), None) is None:
+                raise
+            for link in urdf.iter("link"):
+                for visual in link.findall("visual"):
+                    link.remove(visual)
+            spec = self._read_urdf(urdf)  # What is wrong without its looks, is.
+            said = str(error).strip().splitlines()[0]
+            self.folder.notes.append(f"its <visual> are not drawn: MuJoCo says {said}")
+        model = fromstring(spec.to_xml())  # noqa: S314 - MuJoCo's own text.
+        for each in model.findall("compiler"):
+            for key in ("meshdir", "texturedir", "strippath"):
+                each.attrib.pop(key, None)
+        return model
+
+    def _read_urdf(self, urdf: Element) -> Any:
+        text = tostring(urdf, encoding="unicode")
+        spec = mujoco.MjSpec.from_string(text, assets=self.folder.meshes)
+        spec.compile()
+        return spec
+
+    def compiled(self, spec: Any) -> Any:
+        """Compile a model.
+
+        Raises:
+            RobotError: MuJoCo cannot, or it has too many parts.
+        """
+        try:
+            model = spec.compile()
+        except ValueError as error:
+            raise self._refused("MuJoCo cannot compile it", error) from None
+        for what, count, most in (
+            ("bodies", model.nbody, MOST_BODIES),
+            ("joints", model.njnt, MOST_JOINTS),
+            ("geoms", model.ngeom, MOST_GEOMS),
+        ):
+            if count > most:
+                raise self.fault(("model",), f"it has {count} {what}, over {most}")
+        return model
+
+    def _tidy(self) -> None:
+        """Leave the floor out, give everything a name, and one root a free joint."""
+        spec = self.mjspec
+        world = spec.worldbody
+        for kind in ("geoms", "sites", "cameras"):
+            for each in list(getattr(world, kind)):
+                spec.delete(each)
+        tops = list(world.bodies)
+        moving = [body for body in tops if _has_joints(body)]
+        if len(moving) > 1:
+            # Some files keep bodies of joints that are locked beside the robot (Unitree's g1, h1).
+            moving = [body for body in moving if _is_free(body)] or moving
+        if len(moving) > 1 or not tops:
+            names = ", ".join(body.name or "?" for body in moving) or "none"
+            raise self.fault(("model",), f"it must have one body at the top, and has {names}")
+        root = moving[0] if moving else tops[0]
+        place = [body.name for body in tops].index(root.name)
+        # Keyframes have the numbers of the bodies that are left out, too.
+        self.before = sum(map(_coordinates, tops[:place]))
+        self.after = sum(map(_coordinates, tops[place + 1 :]))
+        for body in tops:
+            if body.name != root.name:
+                spec.delete(body)
+        joints = list(root.joints)
+        if not _is_free(root):
+            if joints:
+                raise self.fault(
+                    ("model",), f"its top body {root.name!r} has joints that are not free"
+                )
+            root.add_freejoint()
+        self._name()
+
+    def _name(self) -> None:
+        """Give all parts names, and let defaults of the file not act on the scene beside it."""
+        spec = self.mjspec
+        plain, own = mujoco.MjSpec().default.geom, spec.default.geom
+        for name in ("condim", "contype", "conaffinity", "friction", "margin", "gap", "group"):
+            setattr(own, name, getattr(plain, name))
+        for name in ("solref", "solimp", "solmix", "priority", "density", "rgba", "type"):
+            setattr(own, name, getattr(plain, name))
+        for kind, parts in (("body", spec.bodies), ("joint", spec.joints), ("geom", self.geoms())):
+            taken = {part.name for part in parts}
+            for number, part in enumerate(parts):
+                part.name = part.name or _free_name(f"{kind}_{number}", taken)
+
+    def _root(self) -> str:
+        free = np.flatnonzero(self.model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
+        if len(free) != 1:
+            raise self.fault(("model",), f"it has {len(free)} free joints; a robot has one")
+        self.root_joint = str(self.model.joint(int(free[0])).name)
+        root = self.body_name(int(self.model.jnt_bodyid[free[0]]))
+        if self.settings.root is not None and self.settings.root != root:
+            raise self.fault(("root",), f"root: the free joint is that of {root!r}")
+        return root
+
+    def _weigh(self) -> None:
+        masses = self.model.body_mass
+        total, most = float(masses.sum()), self.body_name(int(masses.argmax()))
+        if not _LIGHTEST <= total <= _HEAVIEST:
+            raise self.folder.fault(
+                f"the robot weighs {total:.4g} kg, of which {most!r} has {masses.max():.4g} kg; "
+                f"{_LIGHTEST:g} to {_HEAVIEST:,.0f} kg are simulated",
+                'masses are in kg; a mesh in millimetres needs scale="0.001 0.001 0.001"',
+                self.folder.line_of(most, "body"),
+            )
+
+    def body_name(self, number: int) -> str:
+        """Return the name of a body of `model`."""
+        return str(self.model.body(number).name)
+
+    def joint_names(self, joints: Sequence[int]) -> list[str]:
+        """Return the names of joints of `model`."""
+        return [str(self.model.joint(joint).name) for joint in joints]
+
+    def known(
+        self,
+        key: tuple[str, ...],
+        names: Sequence[str],
+        kind: str = "body",
+        known: Sequence[str] | None = None,
+    ) -> list[str]:
+        """Return names of robot.yaml that the model has.
+
+        Args:
+            key: where in robot.yaml they are.
+            names: what is written there.
+            kind: what they name.
+            known: all that there are; None = the bodies.
+
+        Raises:
+            RobotError: there is none of a name, or one is there twice.
+        """
+        where = ".".join(key)
+        known = self.bodies if known is None else known
+        for index, name in enumerate(names):
+            if name not in known:
+                raise self.fault(
+                    (*key, index), f"{where}: no {kind} {name!r}", nearest(name, known)
+                )
+            if name in names[:index]:
+                raise self.fault((*key, index), f"{where}: {name!r} is named twice")
+        return list(names)
+
+    def geoms(self) -> list[Any]:
+        """Return all geoms of `mjspec`."""
+        return [geom for body in self.mjspec.bodies for geom in body.geoms]
+
+    def fault(
+        self, place: tuple[str | int, ...], message: str, fix: str | None = None
+    ) -> RobotError:
+        """Return an error about robot.yaml.
+
+        Args:
+            place: the key that it is about; `("model",)` = the model file.
+            message: what is wrong.
+            fix: what helps.
+        """
+        words = f"{self.settings.model.file}: {message}" if place == ("model",) else message
+        return RobotError([self.folder.file.problem(place, words, fix)])
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
+
+
+def _is_free(body: Any) -> bool:
+    return any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in body.joints)
+
+
+def _coordinates(body: Any) -> int:
+    """Return how many numbers of a keyframe a body and those below it have."""
+    sizes = {mujoco.mjtJoint.mjJNT_FREE: 7, mujoco.mjtJoint.mjJNT_BALL: 4}
+    own = sum(sizes.get(joint.type, 1) for joint in body.joints)
+    return own + sum(map(_coordinates, body.bodies))
+
+
+def _has_joints(body: Any) -> bool:
+    return bool(list(body.joints)) or any(_has_joints(child) for child in body.bodies)
