@@ -182,11 +182,11 @@ def test_a_biped_is_held_upright_and_falls_when_it_is_let_go(tmp_path, monkeypat
 
 
 def test_feet_at_several_heights_are_all_found_where_the_robot_stands_on_them(tmp_path):
-    """One leg is bent less in the pose: it alone is lowest until the robot has settled."""
+    """The rear legs are bent less in the pose: they alone are lowest, by 3 cm."""
     (tmp_path / "dog.xml").write_text(dog())
     (tmp_path / "robot.yaml").write_text(
         "nw-robot: 1\nname: dog\nmodel: {file: dog.xml}\nmotors: [{joints: '*', kp: 60, kd: 2}]\n"
-        "pose: {'*_thigh': 0.7, '*_knee': -1.4, 'rr_thigh': 0.5, 'rr_knee': -1.0}\n"
+        "pose: {'*_thigh': 0.7, '*_knee': -1.4, 'r[rl]_thigh': 0.57, 'r[rl]_knee': -1.15}\n"
     )
     spec = find_robot(f"{tmp_path}/").spec
     assert spec.feet == ("shin_fr", "shin_fl", "shin_rr", "shin_rl")
@@ -203,17 +203,17 @@ def test_feet_at_several_heights_are_all_found_where_the_robot_stands_on_them(tm
         (
             "</mujoco>",
             '<equality>\n<connect body1="shin_fl" body2="shin_fr"/></equality></mujoco>',
-            "dog.xml:50:1: <connect> closes a loop of shin_fl and shin_fr, and closed loops are",
+            "dog.xml:54:1: <connect> closes a loop of shin_fl and shin_fr, and closed loops are",
         ),
         (
             'name="rl_roll" axis',
             'type="slide" name="rl_roll" axis',
-            "dog.xml:38:1: joint 'rl_roll'",
+            "dog.xml:42:1: joint 'rl_roll'",
         ),
         (
             'size="0.025" mass="0.05"/>\n          </body>\n        </body>\n      </body></body>',
             'size="x"/>\n          </body>\n        </body>\n      </body></body>',
-            "dog.xml:46:1: MuJoCo cannot read it: XML Error: bad format in attribute 'size'",
+            "dog.xml:50:1: MuJoCo cannot read it: XML Error: bad format in attribute 'size'",
         ),
         (
             "<worldbody>",
