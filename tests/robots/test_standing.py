@@ -353,3 +353,20 @@ def test_a_checkpoint_is_drafted_for_the_folder_of_a_robot(tmp_path):
     assert page.joints[3].kp == 140
     with pytest.raises(RobotError, match=r"is the robot 'go1', and .* is a card of 'g1_12dof'"):
         api.check_policy(str(tmp_path / "policy"), robot="go1")
+
+
+def test_a_fault_of_a_suites_robot_is_told_once_and_not_as_an_unknown_robot_of_the_card(
+    model, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    head = "nw-robot: 1\nname: spaniel\nmodel: {file: dog.xml}\n"
+    (model.parent / "robot.yaml").write_text(f"{head}motors: [{{joints: '*', kp: 1e300}}]\n")
+    card = "nw-policy: 1\nname: still\nrobot: spaniel\nadapter: zero\n"
+    control = "control: {action: joint_position_offset, scale: 0.25}\n"
+    (tmp_path / "still.yaml").write_text(card + control)
+    suite = "nw-eval: 1\nname: s\nrobot: ./dog\npolicy: ./still.yaml\ntrials: 1\nseed: 1\n"
+    (tmp_path / "s.yaml").write_text(f"{suite}scenes: [flat/carpet_room]\nrecord: none\n")
+    assert left(["check", "s.yaml"]) == 2
+    said = capsys.readouterr().err
+    assert "kp: should be less than or equal to 100000" in said
+    assert "unknown robot" not in said
