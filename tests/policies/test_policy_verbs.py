@@ -32,6 +32,8 @@ def test_the_list_has_shipped_bundles_example_cards_and_the_projects_own(tmp_pat
     lines = policy_table(api.list_policies()).splitlines()
     assert [line.split()[0] for line in lines] == [
         "examples/act-go1",
+        "examples/b2-robot-lab",
+        "examples/g1-unitree-rl-gym",
         "examples/himloco-go2",
         "examples/lucidsim-go1",
         "examples/parkour-expert-go1",
@@ -46,6 +48,8 @@ def test_the_list_has_shipped_bundles_example_cards_and_the_projects_own(tmp_pat
     ]
     (own,) = (line for line in lines if line.startswith("mine"))
     assert "is missing" in own
+    (far,) = (line for line in lines if line.startswith("examples/b2-robot-lab"))
+    assert "robot_lab's walking policy for the B2, blind (robot: not here)" in far
 
 
 def test_a_card_is_shown_without_its_weights():

@@ -182,11 +182,11 @@ def test_a_biped_is_held_upright_and_falls_when_it_is_let_go(tmp_path, monkeypat
 
 
 def test_feet_at_several_heights_are_all_found_where_the_robot_stands_on_them(tmp_path):
-    """One leg is bent less in the pose: it alone is lowest until the robot has settled."""
+    """The rear legs are bent less in the pose: they alone are lowest, by 3 cm."""
     (tmp_path / "dog.xml").write_text(dog())
     (tmp_path / "robot.yaml").write_text(
         "nw-robot: 1\nname: dog\nmodel: {file: dog.xml}\nmotors: [{joints: '*', kp: 60, kd: 2}]\n"
-        "pose: {'*_thigh': 0.7, '*_knee': -1.4, 'rr_thigh': 0.5, 'rr_knee': -1.0}\n"
+        "pose: {'*_thigh': 0.7, '*_knee': -1.4, 'r[rl]_thigh': 0.57, 'r[rl]_knee': -1.15}\n"
     )
     spec = find_robot(f"{tmp_path}/").spec
     assert spec.feet == ("shin_fr", "shin_fl", "shin_rr", "shin_rl")
@@ -203,17 +203,17 @@ def test_feet_at_several_heights_are_all_found_where_the_robot_stands_on_them(tm
         (
             "</mujoco>",
             '<equality>\n<connect body1="shin_fl" body2="shin_fr"/></equality></mujoco>',
-            "dog.xml:50:1: <connect> closes a loop of shin_fl and shin_fr, and closed loops are",
+            "dog.xml:54:1: <connect> closes a loop of shin_fl and shin_fr, and closed loops are",
         ),
         (
             'name="rl_roll" axis',
             'type="slide" name="rl_roll" axis',
-            "dog.xml:38:1: joint 'rl_roll'",
+            "dog.xml:42:1: joint 'rl_roll'",
         ),
         (
             'size="0.025" mass="0.05"/>\n          </body>\n        </body>\n      </body></body>',
             'size="x"/>\n          </body>\n        </body>\n      </body></body>',
-            "dog.xml:46:1: MuJoCo cannot read it: XML Error: bad format in attribute 'size'",
+            "dog.xml:50:1: MuJoCo cannot read it: XML Error: bad format in attribute 'size'",
         ),
         (
             "<worldbody>",
@@ -353,3 +353,20 @@ def test_a_checkpoint_is_drafted_for_the_folder_of_a_robot(tmp_path):
     assert page.joints[3].kp == 140
     with pytest.raises(RobotError, match=r"is the robot 'go1', and .* is a card of 'g1_12dof'"):
         api.check_policy(str(tmp_path / "policy"), robot="go1")
+
+
+def test_a_fault_of_a_suites_robot_is_told_once_and_not_as_an_unknown_robot_of_the_card(
+    model, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    head = "nw-robot: 1\nname: spaniel\nmodel: {file: dog.xml}\n"
+    (model.parent / "robot.yaml").write_text(f"{head}motors: [{{joints: '*', kp: 1e300}}]\n")
+    card = "nw-policy: 1\nname: still\nrobot: spaniel\nadapter: zero\n"
+    control = "control: {action: joint_position_offset, scale: 0.25}\n"
+    (tmp_path / "still.yaml").write_text(card + control)
+    suite = "nw-eval: 1\nname: s\nrobot: ./dog\npolicy: ./still.yaml\ntrials: 1\nseed: 1\n"
+    (tmp_path / "s.yaml").write_text(f"{suite}scenes: [flat/carpet_room]\nrecord: none\n")
+    assert left(["check", "s.yaml"]) == 2
+    said = capsys.readouterr().err
+    assert "kp: should be less than or equal to 100000" in said
+    assert "unknown robot" not in said

@@ -34,6 +34,7 @@ _SAMPLES = 57  # angles of a joint that are tried
 _WIDEST = 2.8  # rad; no leg bends farther in a stance
 _BENT, _STRAIGHT = 0.75, 0.98  # of a leg's length, in the stance of four legs and of two
 _SOLE = 0.02  # m above the lowest point of a foot, within which a geom is of its sole
+_STEEP = 0.2  # cosine between a capsule and the vertical; one that lies touches along its length
 _SIDEWAYS = 0.9  # cosine between a joint's axis and the root's y, above which it is one of pitch
 
 
@@ -314,4 +315,13 @@ def _sole(model: Any, data: Any, foot: str) -> Array:
     own = [g for g in np.flatnonzero(model.geom_bodyid == body).tolist() if collides(model, g)]
     low = [lowest(model, data, geom) for geom in own]
     under = [geom for geom, z in zip(own, low, strict=True) if z < min(low) + _SOLE]
-    return data.xmat[body].reshape(3, 3).T @ (data.geom_xpos[under].mean(axis=0) - data.xpos[body])
+    middle = np.mean([_low_end(model, data, geom) for geom in under], axis=0)
+    return data.xmat[body].reshape(3, 3).T @ (middle - data.xpos[body])
+
+
+def _low_end(model: Any, data: Any, geom: int) -> Array:
+    """Return the middle of a geom in the world, (3,) m; of a capsule that stands, its lower end."""
+    axis = data.geom_xmat[geom].reshape(3, 3)[:, 2]
+    is_long = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE and abs(axis[2]) > _STEEP
+    half = float(model.geom_size[geom, 1]) if is_long else 0.0
+    return data.geom_xpos[geom] - np.sign(axis[2]) * half * axis
