@@ -37,7 +37,7 @@ def test_the_meaning_is_what_stands_under_the_field_or_over_its_class(models):
     )
     term = models["Gravity"]["properties"]["term"]
     assert term["const"] == "gravity"
-    assert term["description"].startswith("Direction of gravity in the trunk frame")
+    assert term["description"].startswith("Direction of gravity, a unit vector (3)")
 
 
 def test_descriptions_change_nothing_else(models):

@@ -1,5 +1,7 @@
 """Wheels: motors that follow velocities, and cards that drive them."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from nw_eval.rollout.perturbed import TrialSetup
 from nw_eval.scenes.mesh import merge
 from nw_eval.scenes.scene import Scene
 from nw_eval.sensors import build_sensors
+from nw_eval.sensors.check import check_card
 from nw_eval.sim import World
 from nw_eval.testing import moment_of
 
@@ -233,3 +236,48 @@ def test_positions_for_a_wheel_without_a_gain_are_refused(tmp_path, cart):
 def test_lists_of_joints_that_are_not_given_change_no_digest_of_a_card(tmp_path):
     terms = card_of(tmp_path).observations["obs"].model_dump()["terms"]
     assert not {"leave_out", "zero"} & {key for term in terms for key in term}
+
+
+EXAMPLES = Path(__file__).resolve().parents[2]
+
+
+def test_the_example_of_a_robot_on_wheels_and_its_card_fit_each_other(tmp_path):
+    # The model is not shipped; the names of its joints and bodies are what both files know of it.
+    legs = "".join(
+        f"""<body name="{leg}_hip" pos="{x} {y} 0">
+          <joint name="{leg}_hip_joint" axis="1 0 0" range="-1 1"/><geom size="0.03" mass="0.7"/>
+          <body name="{leg}_thigh" pos="0 {y / 3} 0">
+            <joint name="{leg}_thigh_joint" axis="0 1 0" range="-1.5 3.4"/>
+            <geom size="0.03" mass="1"/>
+            <body name="{leg}_calf" pos="0 0 -0.213">
+              <joint name="{leg}_calf_joint" axis="0 1 0" range="-2.7 -0.8"/>
+              <geom size="0.03" mass="0.2"/>
+              <body name="{leg}_wheel_link" pos="0 0 -0.2264">
+                <joint name="{leg}_wheel_joint" axis="0 1 0"/>
+                <geom type="cylinder" size="0.085 0.03" euler="90 0 0" mass="1"/>
+              </body></body></body></body>"""
+        for leg, x, y in (
+            ("FR", 0.2, -0.1),
+            ("FL", 0.2, 0.1),
+            ("RR", -0.2, -0.1),
+            ("RL", -0.2, 0.1),
+        )
+    )
+    (tmp_path / "go2w.xml").write_text(
+        '<mujoco><compiler autolimits="true"/><worldbody><body name="base_link"><freejoint/>'
+        f'<geom type="box" size="0.2 0.1 0.05" mass="7"/><site name="imu"/>{legs}'
+        "</body></worldbody></mujoco>".replace('angle="degree"', "")
+    )
+    text = (EXAMPLES / "robots/examples/go2w/robot.yaml").read_text("utf-8")
+    (tmp_path / "robot.yaml").write_text(text)
+    model = (tmp_path / "go2w.xml").read_text().replace("<compiler ", '<compiler angle="radian" ')
+    (tmp_path / "go2w.xml").write_text(model.replace('euler="90', 'euler="1.5708'))
+    robot = find_robot(f"{tmp_path}/").spec
+    assert robot.follows.count("velocity") == 4
+    card = load_card(EXAMPLES / "policies/examples/go2w-robot-lab/policy.yaml")
+    (observation,) = check_card(card)
+    assert observation.shape == (57,)
+    follows = dict(zip(robot.joints, motors_follow(card, robot), strict=True))
+    assert {name for name, told in follows.items() if told == "velocity"} == {
+        name for name in robot.joints if "wheel" in name
+    }
