@@ -103,9 +103,9 @@ class Check:
 class Init:
     """Inspect a checkpoint, without running it, and write a first card beside it.
 
-    Files beside it, or in `params` or `io_descriptors` beside or above it, say what it does not:
-    deploy.yaml, IO_descriptors.yaml, env.yaml, agent.yaml, and the configs of rl_sar,
-    legged_rl_deploy and unitree_rl_gym. The card says which file gave which line.
+    Files beside it, above it, or in `params`, `configs` or `io_descriptors` there, say what it does
+    not: deploy.yaml, IO_descriptors.yaml, env.yaml, agent.yaml, and the configs of rl_sar,
+    legged_rl_deploy, unitree_rl_gym and others. The card says which file gave which line.
     """
 
     checkpoint: tyro.conf.Positional[Path]
