@@ -345,7 +345,7 @@ def test_a_urdf_gets_a_free_joint(tmp_path):
             "touches: geom\nfeet: [hull, toe]",
             "robot.yaml:5:14: feet: no geom that collides 'toe'; ",
         ),
-        ("published: {body: [hul]}", "robot.yaml:4:20: published: no body 'hul'; did you"),
+        ("published: {body: [hul]}", "robot.yaml:4:20: published.body: no body 'hul'; did you"),
         (
             "cameras: {a: {position: [0, 0, 0], rotation: [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}",
             "robot.yaml:4:36: cameras.a.rotation: it is no rotation",

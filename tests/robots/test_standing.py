@@ -218,7 +218,7 @@ def test_feet_at_several_heights_are_all_found_where_the_robot_stands_on_them(tm
         (
             "<worldbody>",
             '<include file="x.xml"/><worldbody>',
-            "dog.xml:1:1: <include> is not among the elements",
+            "dog.xml:1:1: <include>: .x.xml. is not in the folder",
         ),
     ],
 )

@@ -413,17 +413,20 @@ class _Reader:
             if child.tag != "include":
                 self._include(child)
                 continue
+            line = self.lines[child]
             name = Path(child.get("file", "")).as_posix()
             if name in self.seen:  # MuJoCo refuses that, too.
-                raise self.fault(f"<include>: {name!r} is read already", "include each file once")
+                raise self.fault(
+                    f"<include>: {name!r} is read already", "include each file once", line
+                )
             try:
                 content = self.read(name, XML_BYTES)
             except FileNotFoundError:
-                raise self.fault(
-                    f"<include>: {name!r} is not in the folder", "put it there"
-                ) from None
+                message = f"<include>: {name!r} is not in the folder"
+                raise self.fault(message, "put it there", line) from None
             except ValueError as error:
-                raise self.fault(f"<include>: {error}", "put it into the folder") from None
+                message = f"<include>: {error}"
+                raise self.fault(message, "put it into the folder", line) from None
             where, self.where = self.where, str(self.folder / name)
             root = self._tree(content, {"mujoco", "mujocoinclude"})
             self._include(root)
