@@ -63,7 +63,7 @@ class ModelFacts:
     has_motors: bool
     kp: tuple[float | None, ...]
     """Of servos, N m / rad."""
-    kd: tuple[float | None, ...]
+    kd: tuple[float, ...]
     """N m s / rad."""
     torque: tuple[float | None, ...]
     """N m."""
@@ -166,7 +166,7 @@ class _Derivation(CompiledRobot):
             joints=tuple(names),
             has_motors=bool(self._written()),
             kp=tuple(motor.kp for motor in motors),
-            kd=tuple(motor.kd for motor in motors),
+            kd=tuple(0.0 if motor.kd is None else motor.kd for motor in motors),
             torque=tuple(motor.torque for motor in motors),
             armature=tuple(motor.armature for motor in motors),
             friction=tuple(motor.friction for motor in motors),

@@ -1,0 +1,665 @@
+"""What the config files of exporters and trainings say of a policy, read as data.
+
+    params/deploy.yaml          unitree_rl_lab, unitree_rl_mjlab
+    IO_descriptors.yaml         Isaac Lab
+    params/env.yaml, agent.yaml Isaac Lab, mjlab, rsl_rl, skrl, rl_games
+    config.yaml, base.yaml      rl_sar and quadruped_ros2_control; legged_rl_deploy
+    *.yaml                      unitree_rl_gym's deploy configs, and those of its forks
+    *.yaml                      controllers of legged_ros2
+
+A file is known by its keys, not by its name. Nothing of a tag is executed: `!!python/tuple` is a
+list. Lists for each joint are in the order of `joint_names`, whatever their order in the file.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+from nw_eval.cards.joints import short_name
+from nw_eval.onboarding.checkpoint import ExportedTerm, ExporterMetadata
+from nw_eval.onboarding.layouts import LEG_BY_LEG, RIGHT_FIRST, TYPE_BY_TYPE
+from nw_eval.robots import RobotSpec
+
+Data = Mapping[str, Any]
+Reader = Callable[[Data, RobotSpec, Sequence[Data]], ExporterMetadata]
+
+
+def reader_of(data: Data) -> tuple[str, Reader | None]:
+    """Return what kind of file it is, by its keys, and what reads it."""
+    inner = next((value for value in data.values() if isinstance(value, dict)), {})
+    policy = _dict(data.get("policy"))
+    if isinstance(data.get("joint_ids_map"), list) and "step_dt" in data:
+        return "deploy", _deploy
+    if {"actions", "observations", "articulations"} <= set(data):
+        return "io_descriptors", _descriptors
+    if isinstance(policy.get("joint_ids_map"), list) and "policy_dt" in policy:
+        return "legged_rl_deploy", _legged_rl_deploy
+    if any({"observations", "rl_kp"} <= set(words) for words in (inner, data)):
+        return "rl_sar", _rl_sar
+    gains = ({"kps", "kds", "default_angles"}, {"ctrl_kp", "ctrl_kd", "action_scale"})
+    about = {"policy_path", "policy_name", "num_obs", "num_single_obs"}
+    if any(keys <= set(data) for keys in gains) and about & set(data):
+        return "gym", _gym
+    if any(
+        {"obs_names", "obs_cfg", "action_cfg"} <= set(words) for words in _ros_nodes(data).values()
+    ):
+        return "legged_ros2", _legged_ros2
+    if {"sim", "decimation", "observations", "actions"} <= set(data):
+        return "env", _environment
+    if {"sim", "decimation", "robot", "observation_space"} <= set(data):
+        return "env", _direct_environment
+    if _activation(data):
+        return "agent", _agent
+    return "", None
+
+
+def _dict(value: Any) -> Data:
+    return cast("Data", value) if isinstance(value, dict) else {}
+
+
+def _number(value: Any) -> float | None:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) if is_number and math.isfinite(value) else None
+
+
+def _numbers(value: Any) -> tuple[float, ...]:
+    """Return a list of numbers, or one; empty where it is something else."""
+    items = cast("list[Any]", value) if isinstance(value, list) else [value]
+    numbers = [_number(item) for item in items]
+    return () if None in numbers else tuple(cast("list[float]", numbers))
+
+
+def _texts(value: Any) -> tuple[str, ...]:
+    items = cast("list[Any]", value) if isinstance(value, list) else []
+    return tuple(item for item in items if isinstance(item, str))
+
+
+def _limits(value: Any) -> tuple[float, float] | None:
+    """Return [low, high], or one number for both sides, or a list of equal pairs."""
+    if isinstance(value, list) and value and all(pair == value[0] for pair in value):
+        value = value[0] if isinstance(value[0], list) else value
+    numbers = _numbers(value)
+    if len(numbers) == 1 and numbers[0] > 0:
+        return -numbers[0], numbers[0]
+    return (numbers[0], numbers[1]) if len(numbers) == 2 and numbers[0] < numbers[1] else None
+
+
+def _per_second(seconds: Any) -> float | None:
+    number = _number(seconds)
+    return round(1 / number, 6) if number else None
+
+
+def _speeds(commands: Any) -> dict[str, tuple[float, float]]:
+    """Return the ranges of a velocity command, wherever they stand below `commands`."""
+    for command in _dict(commands).values():
+        ranges = _dict(_dict(command).get("ranges"))
+        found = {
+            key: limits
+            for key in ("lin_vel_x", "lin_vel_y", "ang_vel_z")
+            if len(limits := _numbers(ranges.get(key))) == 2
+        }
+        if found:
+            return found
+    return {}
+
+
+def motor_names(robot: RobotSpec) -> tuple[str, ...]:
+    """Return the joints as their maker counts the motors: Unitree's quadrupeds FR, FL, RR, RL."""
+    own = [short_name(joint) for joint in robot.joints]
+    return RIGHT_FIRST if sorted(own) == sorted(RIGHT_FIRST) else tuple(own)
+
+
+def _mapped(places: Any, robot: RobotSpec) -> tuple[str, ...]:
+    """Return the joints of a policy from the numbers of their motors; empty for another robot."""
+    names, numbers = motor_names(robot), _numbers(places)
+    if sorted(numbers) != list(range(len(names))):
+        return ()
+    return tuple(names[int(number)] for number in numbers)
+
+
+def _deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
+    """Read what unitree_rl_lab and unitree_rl_mjlab deploy with.
+
+    `joint_ids_map` has the motor of each joint of the policy. Gains are in the order of the motors,
+    all other lists in that of the policy.
+    """
+    names = _texts(data.get("joint_names")) or _mapped(data.get("joint_ids_map"), robot)
+    motors = motor_names(robot)
+    actions = _dict(data.get("actions"))
+    kind, action = next(iter(actions.items()), ("", {}))
+    action = _dict(action)
+    described = _dict(data.get("observations"))
+    by_step = described.get("use_gym_history") is True
+    offset = _numbers(action.get("offset"))
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=reordered(_numbers(data.get("stiffness")), motors, names),
+        joint_damping=reordered(_numbers(data.get("damping")), motors, names),
+        default_joint_pos=_numbers(data.get("default_joint_pos")),
+        action=_action_kind(kind, offset),
+        action_scale=_numbers(action.get("scale")),
+        action_clip=_limits(action.get("clip")),
+        rate=_per_second(data.get("step_dt")),
+        speeds=_speeds(data.get("commands")),
+        observation_terms=tuple(
+            _manager_term(name, _dict(term), by_step=by_step)
+            for name, term in described.items()
+            if isinstance(term, dict)
+        ),
+        joint_count=len(_numbers(data.get("joint_ids_map"))),
+    )
+
+
+def _action_kind(kind: str, offset: Sequence[float]) -> str:
+    if re.search("effort|torque", kind, re.IGNORECASE):
+        return "joint_torque"
+    is_absolute = bool(offset) and not any(offset)
+    return "joint_position" if is_absolute else "joint_position_offset"
+
+
+def _manager_term(
+    name: str, term: Data, *, by_step: bool = False, function: str = ""
+) -> ExportedTerm:
+    """Return a term of Isaac Lab's observation manager, or of one like it."""
+    scale = _numbers(term["scale"]) if term.get("scale") is not None else (1.0,)
+    limits = _limits(term.get("clip"))
+    steps = _number(term.get("history_length"))
+    period = _number(_dict(term.get("params")).get("period"))
+    flat = term.get("flatten_history_dim")
+    return ExportedTerm(
+        name=name,
+        function=function,
+        scale=scale or None,
+        clip=limits or (-math.inf, math.inf),
+        history=min(max(int(steps or 0), 1), 100),
+        flat_history=flat if isinstance(flat, bool) else None,
+        width=len(scale) if len(scale) > 1 else None,
+        form=f"order: oldest_first, by: {'step' if by_step else 'term'}",
+        keys=f"frequency: {1 / period:g}" if period and "phase" in name else "",
+    )
+
+
+def _descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
+    """Read what Isaac Lab exports with `export_io_descriptors`."""
+    actions = cast("list[Any]", data["actions"]) if isinstance(data["actions"], list) else []
+    action = _dict(actions[0]) if actions else {}
+    names = _texts(action.get("joint_names"))
+    robot = _dict(next(iter(_dict(data["articulations"]).values()), {}))
+    theirs = _texts(robot.get("joint_names"))
+    scene = _dict(data.get("scene"))
+
+    def per_joint(key: str) -> tuple[float, ...]:
+        values = _numbers(robot.get(key))
+        return reordered(values, theirs, names) if any(values) else ()
+
+    groups = _dict(data["observations"])
+    group = groups.get("policy", groups.get("actor", next(iter(groups.values()), [])))
+    terms = cast("list[Any]", group) if isinstance(group, list) else []
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=per_joint("default_joint_stiffness"),
+        joint_damping=per_joint("default_joint_damping"),
+        default_joint_pos=per_joint("default_joint_pos"),
+        armature=per_joint("default_joint_armature"),
+        action=_action_kind(str(action.get("full_path")), _numbers(action.get("offset"))),
+        action_scale=_numbers(action.get("scale")),
+        action_clip=_limits(action.get("clip")),
+        rate=_per_second(scene.get("dt")),
+        physics_rate=_per_second(scene.get("physics_dt")),
+        observation_terms=tuple(_described_term(_dict(term)) for term in terms),
+        notes=("several terms make its action: " + str(len(actions)),) if len(actions) > 1 else (),
+    )
+
+
+def _described_term(term: Data) -> ExportedTerm:
+    sizes = _numbers(term.get("shape"))
+    read = _manager_term(
+        str(term.get("name")),
+        _dict(term.get("overloads")),
+        function=str(term.get("full_path")).rpartition(".")[2],
+    )
+    return replace(read, width=int(math.prod(sizes)) if sizes else None)
+
+
+def _legged_rl_deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
+    """Read what legged_rl_deploy runs a policy with; its lists are in the policy's order."""
+    policy = _dict(data["policy"])
+    names = _mapped(policy["joint_ids_map"], robot)
+    kind, action = next(iter(_dict(policy.get("actions")).items()), ("", {}))
+    action = _dict(action)
+    described = _dict(policy.get("observations"))
+    stack = _dict(described.get("stack"))
+    steps = int(_number(stack.get("length")) or 1)
+    order = stack.get("order") if stack.get("order") == "newest_first" else "oldest_first"
+    command = _dict(_dict(policy.get("commands")).get("base_velocity"))
+    low, high = _numbers(command.get("min")), _numbers(command.get("max"))
+    ranges = zip(
+        ("lin_vel_x", "lin_vel_y", "ang_vel_z"), zip(low, high, strict=False), strict=False
+    )
+    first = _texts(action.get("process_order"))[:1] == ("clip",)
+    offset = _numbers(action.get("offset"))
+
+    def term(name: str, words: Data) -> ExportedTerm:
+        scale = _numbers(words["scale"]) if "scale" in words else (1.0,)
+        bounds = [*_numbers(words.get("min")), *_numbers(words.get("max"))]
+        steps_of = _texts(words.get("process_order"))
+        if "scale" in steps_of and steps_of[-1:] == ("clip",):
+            # A card clips first. Limits of what is scaled by several factors are not kept.
+            bounds = [bound / scale[0] for bound in bounds] if len(set(scale)) == 1 else []
+        cycle = _number(_dict(words.get("params")).get("cycle_time"))
+        return ExportedTerm(
+            name=name.removesuffix("_B"),
+            scale=scale or None,
+            clip=_limits(bounds) or (-math.inf, math.inf),
+            history=steps,
+            form=f"order: {order}, by: step",
+            keys=f"frequency: {1 / cycle:g}" if cycle else "",
+        )
+
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=_numbers(policy.get("stiffness")),
+        joint_damping=_numbers(policy.get("damping")),
+        default_joint_pos=offset if any(offset) else (),
+        action=_action_kind(kind, offset),
+        action_scale=_numbers(action.get("scale")),
+        action_clip=_limits([*_numbers(action.get("min")), *_numbers(action.get("max"))])
+        if first
+        else None,
+        rate=_per_second(policy["policy_dt"]),
+        physics_rate=_per_second(data.get("ll_dt")),
+        speeds=dict(ranges) if len(low) == len(high) == 3 else {},
+        observation_terms=tuple(
+            term(name, _dict(words)) for name, words in _dict(described.get("terms")).items()
+        ),
+        model=str(policy.get("model_path") or ""),
+        joint_count=len(_numbers(policy["joint_ids_map"])),
+    )
+
+
+_SAR_SCALES = {
+    "lin_vel": "lin_vel_scale",
+    "ang_vel": "ang_vel_scale",
+    "dof_pos": "dof_pos_scale",
+    "dof_vel": "dof_vel_scale",
+    "commands": "commands_scale",
+}
+
+
+def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMetadata:
+    """Read what rl_sar runs a policy with: `config.yaml`, and the robot's `base.yaml`.
+
+    `joint_mapping` has the robot's joint of each joint of the policy; lists are in the policy's
+    order. quadruped_ros2_control writes the same without the name above it. Its controller's own
+    file has the rate of the physics; its `stand_pos` is no pose of a training.
+    """
+    name, value = next(((key, v) for key, v in data.items() if "rl_kp" in _dict(v)), ("", data))
+    config = _dict(value)
+    if name:
+        named = name.split("/")[0]
+        base = next((_dict(other.get(named)) for other in others if named in other), {})
+    else:
+        nodes = (pair for other in others for pair in _ros_nodes(other).items())
+        node = next((node for key, node in nodes if key.startswith("rl_")), {})
+        frequency = _number(node.get("update_rate"))
+        base = {"dt": 1 / frequency if frequency else None}
+    joints = _texts(base.get("joint_names")) or motor_names(robot)
+    mapping = [int(number) for number in _numbers(config.get("joint_mapping"))]
+    names = tuple(joints[n] for n in mapping) if sorted(mapping) == list(range(len(joints))) else ()
+    is_guess = not names and sorted(motor_names(robot)) == sorted(LEG_BY_LEG)
+    if is_guess:  # Isaac Gym sorts the legs by name; robot_lab has those of the right first.
+        names = LEG_BY_LEG if config.get("framework") == "isaacgym" else RIGHT_FIRST
+    past = [int(number) for number in _numbers(config.get("observations_history"))]
+    steps = len(past) or 1
+    # The latest is 0 there; in the older form of the file it is the largest number.
+    newest = past[:1] == [0 if name else steps - 1] and steps > 1
+    by = "term" if config.get("observations_history_priority") == "term" else "step"
+    form = f"order: {'newest_first' if newest else 'oldest_first'}, by: {by}"
+    period = [_number(base.get(key, config.get(key))) for key in ("dt", "decimation")]
+    low, high = (
+        _numbers(config.get("clip_actions_lower")),
+        _numbers(config.get("clip_actions_upper")),
+    )
+    scale = _numbers(config.get("action_scale"))
+    terms = [
+        ExportedTerm(
+            name=word,
+            scale=_numbers(config.get(_SAR_SCALES.get(word, ""), 1.0)) or None,
+            clip=(-math.inf, math.inf),
+            history=steps,
+            form=form,
+            keys="clipped: true" if word == "actions" and low and high else "",
+        )
+        for word in _texts(config.get("observations"))
+    ]
+    count = int(_number(config.get("num_of_dofs", base.get("num_of_dofs"))) or len(robot.joints))
+    hips = [int(place) for place in _numbers(config.get("hip_scale_reduction_indices"))]
+    less = _number(config.get("hip_scale_reduction"))
+    if less is not None and less != 1.0 and len(scale) == 1:
+        scale = tuple(scale[0] * (less if place in hips else 1.0) for place in range(count))
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=_numbers(config.get("rl_kp")),
+        joint_damping=_numbers(config.get("rl_kd")),
+        default_joint_pos=_numbers(config.get("default_dof_pos", base.get("default_dof_pos"))),
+        action="joint_position_offset",
+        action_scale=scale,
+        action_clip=(max(low), min(high)) if low and high else None,
+        torque_limits=_numbers(config.get("torque_limits", base.get("torque_limits"))),
+        rate=round(1 / (period[0] * period[1]), 6) if all(period) else None,  # type: ignore[operator]
+        physics_rate=_per_second(period[0]),
+        observation_terms=tuple(terms),
+        observation_clip=_number(config.get("clip_obs")),
+        model=str(config.get("model_name") or ""),
+        joint_count=count,
+        guessed_order=is_guess,
+    )
+
+
+_GYM_TERMS = ("ang_vel", "projected_gravity", "commands", "dof_pos", "dof_vel", "actions")
+_OTHER_GYM_TERMS = ("commands", "projected_gravity", "ang_vel", "dof_pos", "dof_vel", "actions")
+"""Of go2_deploy, which deploys what LeggedGym-Ex trains."""
+
+
+def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
+    """Read the deploy configs of unitree_rl_gym, its forks, and of go2_deploy.
+
+    The terms are those of their deploy scripts, in their order.
+    """
+
+    def said(*keys: str) -> Any:
+        return next((data[key] for key in keys if data.get(key) is not None), None)
+
+    is_other = "ctrl_kp" in data
+    pose = _numbers(said("default_angles", "stand_pos"))
+    joints = int(_number(data.get("num_actions")) or len(pose))
+    command = said("cmd_scale", "command_scale")
+    if command is None and "lin_vel_scale" in data:
+        command = [data["lin_vel_scale"], data["lin_vel_scale"], data.get("ang_vel_scale")]
+    scales = {
+        "ang_vel": said("ang_vel_scale", "obs_scales_ang_vel"),
+        "commands": command,
+        "dof_pos": said("dof_pos_scale", "obs_scales_dof_pos"),
+        "dof_vel": said("dof_vel_scale", "obs_scales_dof_vel"),
+    }
+    clip = _number(data.get("clip_actions"))
+    steps = int(_number(data.get("frame_stack")) or 1)
+    term = ExportedTerm(
+        name="", clip=(-math.inf, math.inf), history=steps, form="order: oldest_first, by: step"
+    )
+    terms = [
+        replace(
+            term,
+            name=name,
+            scale=_numbers(scales.get(name, 1.0)) or None,
+            width=joints if name in {"dof_pos", "dof_vel", "actions"} else 3,
+            keys="clipped: true" if name == "actions" and clip else "",
+        )
+        for name in (_OTHER_GYM_TERMS if is_other else _GYM_TERMS)
+    ]
+    size = _number(said("num_single_obs", "num_obs"))
+    if size == 11 + 3 * joints:
+        # Sine and cosine of a phase of 0.8 s, as its deploy scripts have it.
+        terms.append(replace(term, name="phase", scale=(1.0,), width=2, keys="frequency: 1.25"))
+    elif size is not None and size != 9 + 3 * joints:
+        return ExporterMetadata()  # It is of another script, which may mean other things by it.
+    step, every = (_number(data.get(key)) for key in ("simulation_dt", "control_decimation"))
+    period = step * every if step and every else said("control_dt", "dt")
+    names, is_guess = _gym_joints(data, robot, pose)
+    # Where the script permutes, gains and pose are in the order of the motors.
+    pose = reordered(pose, _list_order(pose, robot) or names, names) if pose else ()
+    scale = _numbers(data.get("action_scale"))
+    less = _number(data.get("hip_scale_reduction"))
+    if less is not None and less != 1.0 and len(scale) == 1:
+        scale = tuple(scale[0] * (less if "hip" in name else 1.0) for name in names)
+    fastest = _numbers(data.get("max_cmd"))
+    keys = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=_numbers(said("kps", "ctrl_kp")),
+        joint_damping=_numbers(said("kds", "ctrl_kd")),
+        default_joint_pos=pose,
+        action="joint_position_offset",
+        action_scale=scale,
+        action_clip=(-clip, clip) if clip else None,
+        rate=_per_second(period),
+        physics_rate=_per_second(step),
+        speeds={key: (-most, most) for key, most in zip(keys, fastest, strict=False)},
+        observation_terms=tuple(terms),
+        observation_clip=_number(data.get("clip_observations")),
+        model=str(said("policy_path", "policy_name") or ""),
+        joint_count=joints,
+        input_size=int(size or 0),
+        guessed_order=is_guess,
+    )
+
+
+def _gym_joints(
+    data: Data, robot: RobotSpec, pose: Sequence[float]
+) -> tuple[tuple[str, ...], bool]:
+    """Return the joints of a policy, and whether their order is a guess."""
+    own = [short_name(joint) for joint in robot.joints]
+    listed = _texts(data.get("model_joint_names")) or _texts(data.get("joint_names"))
+    if sorted(map(short_name, listed)) == sorted(own):
+        return tuple(map(short_name, listed)), False
+    for key in ("joint2motor_idx", "leg_joint2motor_idx"):
+        if mapped := _mapped(data.get(key), robot):
+            return mapped, False
+    if sorted(own) != sorted(LEG_BY_LEG):
+        return (tuple(own) if len(own) == len(pose) else ()), False
+    if "ctrl_kp" in data:
+        return motor_names(robot), False  # go2_deploy gives the motors what the policy gives.
+    return LEG_BY_LEG, True  # Isaac Gym sorts the legs by name.
+
+
+def _list_order(pose: Sequence[float], robot: RobotSpec) -> tuple[str, ...]:
+    """Return the order of a quadruped's joints that its pose shows by the signs of its hips."""
+    if sorted(short_name(joint) for joint in robot.joints) != sorted(LEG_BY_LEG):
+        return ()
+    hips = pose[::3] if len(pose) == len(LEG_BY_LEG) else ()
+    # Legs of the robot's left stand out with a positive hip.
+    left = [hip > 0 for hip in hips if 0 < abs(hip) < 0.5]
+    orders = (([True, False] * 2, LEG_BY_LEG), ([False, True] * 2, RIGHT_FIRST))
+    return next((order for signs, order in orders if signs == left), ())
+
+
+def _ros_nodes(data: Data) -> dict[str, Data]:
+    """Return the parameters of each node of a file for ROS 2, by the node's name."""
+    return {name: _dict(_dict(node).get("ros__parameters")) for name, node in data.items()}
+
+
+def _legged_ros2(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
+    """Read the controller's file of legged_ros2, which Legged Lab exports with a policy."""
+    nodes = _ros_nodes(data).values()
+    config = next(node for node in nodes if "obs_cfg" in node and "action_cfg" in node)
+    names = tuple(map(short_name, _texts(config.get("joint_names"))))
+    actions = {short_name(key): _dict(v) for key, v in _dict(config["action_cfg"]).items()}
+
+    def per_joint(key: str) -> tuple[float, ...]:
+        values = [_number(actions.get(name, {}).get(key)) for name in names]
+        return () if None in values else tuple(cast("list[float]", values))
+
+    described = _dict(config["obs_cfg"])
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=per_joint("kp"),
+        joint_damping=per_joint("kd"),
+        default_joint_pos=per_joint("default_pos"),
+        action="joint_position_offset",
+        action_scale=per_joint("scale"),
+        rate=_number(config.get("update_rate")),
+        observation_terms=tuple(
+            _manager_term(name, _dict(described.get(name)))
+            for name in _texts(config.get("obs_names"))
+        ),
+        joint_count=len(names),
+    )
+
+
+def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
+    """Read the environment of a training in Isaac Lab, or in mjlab, where patterns name joints."""
+    asset = _dict(_dict(data.get("scene")).get("robot"))
+    action = next(
+        (_dict(term) for term in _dict(data["actions"]).values() if "scale" in _dict(term)), {}
+    )
+    groups = _dict(data["observations"])
+    group = _dict(groups.get("policy", groups.get("actor", next(iter(groups.values()), {}))))
+    steps = _number(group.get("history_length"))
+    terms: list[ExportedTerm] = []
+    for name, words in group.items():
+        term = _dict(words)
+        if "func" in term:
+            own = {**term, "history_length": steps} if steps else term
+            function = re.split(r"[.:]", str(term["func"]))[-1]
+            terms.append(_manager_term(name, own, function=function))
+    names, is_guess = _joint_order(action, robot)
+    patterns = _Patterns(names)
+    groups_of_motors = [_dict(motor) for motor in _dict(asset.get("actuators")).values()]
+    simulation = _dict(data["sim"])
+    step = _number(simulation.get("dt", _dict(simulation.get("mujoco")).get("timestep")))
+    every = _number(data.get("decimation"))
+    pose = _dict(asset.get("init_state")).get("joint_pos")
+    offset = action.get("use_default_offset") is not False or _numbers(action.get("offset"))
+    kind = str(action.get("class_type"))
+    known = any(groups_of_motors) or bool(pose)
+    return ExporterMetadata(
+        joint_names=names if known else (),
+        joint_stiffness=patterns.motors(groups_of_motors, "stiffness"),
+        joint_damping=patterns.motors(groups_of_motors, "damping"),
+        default_joint_pos=patterns.values(pose),
+        torque_limits=patterns.motors(groups_of_motors, "effort_limit"),
+        armature=patterns.motors(groups_of_motors, "armature"),
+        action=_action_kind(kind, () if offset else (0.0,)),
+        action_scale=patterns.values(action.get("scale")),
+        action_clip=_limits(next(iter(_dict(action.get("clip")).values()), None)),
+        rate=_per_second(step * every if step and every else None),
+        physics_rate=_per_second(step),
+        speeds=_speeds(data.get("commands")),
+        observation_terms=tuple(terms),
+        guessed_order=is_guess and known,
+    )
+
+
+def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
+    """Read an environment of Isaac Lab that computes its observations in code of its own.
+
+    The file says everything but what the policy sees.
+    """
+    asset = _dict(data["robot"])
+    names, is_guess = _joint_order({"class_type": "isaaclab"}, robot)
+    patterns = _Patterns(names)
+    motors = [_dict(motor) for motor in _dict(asset.get("actuators")).values()]
+    step, every = _number(_dict(data["sim"]).get("dt")), _number(data.get("decimation"))
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=patterns.motors(motors, "stiffness"),
+        joint_damping=patterns.motors(motors, "damping"),
+        default_joint_pos=patterns.values(_dict(asset.get("init_state")).get("joint_pos")),
+        torque_limits=patterns.motors(motors, "effort_limit"),
+        armature=patterns.motors(motors, "armature"),
+        action="joint_position_offset",
+        action_scale=_numbers(data.get("action_scale")),
+        rate=_per_second(step * every if step and every else None),
+        physics_rate=_per_second(step),
+        guessed_order=is_guess,
+        notes=("the environment computes what the policy sees in its own code",),
+    )
+
+
+def _joint_order(action: Data, robot: RobotSpec) -> tuple[tuple[str, ...], bool]:
+    """Return the joints of the action, and whether their order is a guess."""
+    own = [short_name(joint) for joint in robot.joints]
+    listed = [short_name(name) for name in _texts(action.get("joint_names"))]
+    if sorted(listed) == sorted(own) and action.get("preserve_order") is True:
+        return tuple(listed), False
+    is_lab = "isaaclab" in str(action.get("class_type"))
+    known = is_lab and sorted(own) == sorted(TYPE_BY_TYPE)
+    return (TYPE_BY_TYPE if known else tuple(own)), True
+
+
+class _Patterns:
+    """Values by regular expressions that a joint's name must match in full.
+
+    Args:
+        names: short names of the joints, in the order of what is returned.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = names
+
+    def values(self, value: Any) -> tuple[float, ...]:
+        """Return one number for all joints or one each; empty where some are not said."""
+        if not isinstance(value, dict):
+            return _numbers(value)
+        found = [self._of(name, cast("Data", value)) for name in self._names]
+        return () if None in found or not found else tuple(cast("list[float]", found))
+
+    def motors(self, groups: Iterable[Data], key: str) -> tuple[float, ...]:
+        """Return the values of groups of motors."""
+        found: dict[str, float] = {}
+        for group in groups:
+            listed = group.get("joint_names_expr", group.get("target_names_expr"))
+            for name in self._names:
+                if any(_matches(pattern, name) for pattern in _texts(listed)):
+                    value = group.get(key)
+                    own = self._of(name, value) if isinstance(value, dict) else _number(value)
+                    if own is not None:
+                        found[name] = own
+        complete = bool(found) and set(found) == set(self._names)
+        return tuple(found[name] for name in self._names) if complete else ()
+
+    @staticmethod
+    def _of(name: str, values: Data) -> float | None:
+        return next((_number(v) for pattern, v in values.items() if _matches(pattern, name)), None)
+
+
+def _matches(pattern: str, name: str) -> bool:
+    """Whether a pattern of at most 100 characters means a joint, with `_joint` or without."""
+    # Brackets, dots, stars and words are all that such patterns have; others could take long.
+    if len(pattern) > 100 or pattern.count("*") + pattern.count("+") > 3:
+        return False
+    try:
+        return any(re.fullmatch(pattern, whole) for whole in (f"{name}_joint", name))
+    except re.error:
+        return False
+
+
+def _agent(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
+    """Read the trainer's own settings: rsl_rl, skrl or rl_games."""
+    return ExporterMetadata(
+        activation=_activation(data), action_clip=_limits(data.get("clip_actions"))
+    )
+
+
+def _activation(data: Data) -> str:
+    for path in (
+        ("actor", "activation"),
+        ("policy", "activation"),
+        ("models", "policy", "network", "activations"),
+        ("params", "network", "mlp", "activation"),
+    ):
+        value: Any = data
+        for key in path:
+            if isinstance(value, list) and value:
+                value = cast("list[Any]", value)[0]
+            value = _dict(value).get(key)
+        if isinstance(value, list) and value:
+            value = cast("list[Any]", value)[0]
+        if isinstance(value, str):
+            return value.rpartition(".")[2].lower()
+    return ""
+
+
+def reordered(
+    values: Sequence[float], names: Sequence[str], wanted: Sequence[str]
+) -> tuple[float, ...]:
+    """Return values for joints in another order; empty where they are of other joints."""
+    by_name = dict(zip(map(short_name, names), values, strict=False))
+    if len(values) == 1 or list(names) == list(wanted):
+        return tuple(values)
+    own = [short_name(name) for name in wanted]
+    return tuple(by_name[name] for name in own) if set(own) <= set(by_name) else ()
