@@ -201,7 +201,8 @@ WORDS = {
     *("scenes", "robot", "memory_limit", "shard", "address", "track", "json", "name", "note"),
     *("axis", "trial", "sample", "share", "root", "layout", "host", "to", "takeover", "suite"),
     *("score", "topic"),
-    *("licence", "held_out", "policies fetch policy", "scenes fetch scenes", "pattern"),
+    *("licence", "held_out", "pattern"),
+    *("policies fetch policy", "robots fetch robot", "scenes fetch scenes"),
 }
 """Options, or verbs and options, that are words and no paths."""
 

@@ -160,8 +160,9 @@ _FRESH = (
     "the checkpoint by these starts, nor the starts for it."
 )
 _CHANCES = (
-    "The chances that more trials decide come from simulated trials, in which every waypoint of a "
-    "scene is reached with one chance; what that is, beyond what was seen, is left open."
+    "The chances that more trials decide come from simulated trials, in which every part of "
+    "a trial (a waypoint of a course) is done with one chance; what that is, beyond what was seen, "
+    "is left open."
 )
 _SAME_OFFSETS = (
     "The protocol {protocol} gives trial number i the same start offset in every scene, so "

@@ -1,4 +1,4 @@
-"""`nw-eval robots`: which there are, what one is, if it stands, a first robot.yaml."""
+"""`nw-eval robots`: which there are, what one is, if it stands, a first robot.yaml, fetching."""
 
 from __future__ import annotations
 
@@ -96,14 +96,34 @@ class Check:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Fetch:
+    """Fetch a robot as its hub, or MuJoCo Menagerie, has it now; runs use it from then on.
+
+    Nothing of it is run, and no network is asked again. Robots of a hub need the extra `hub`, those
+    of Menagerie the extra `robots`.
+    """
+
+    robot: tyro.conf.Positional[str]
+    """hub:org/name, hub:org/name@revision, or menagerie:NAME."""
+
+    def __call__(self) -> int:
+        from nw_eval import api
+        from nw_eval.cli.terminal.lines import fetched_lines
+
+        print(fetched_lines(api.fetch_robot(self.robot)))
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Robots:
-    """List the robots that suites can name, show or check one, draft one from a model file."""
+    """List the robots that suites can name, show, check or fetch one, draft one from a model."""
 
     action: (
         Annotated[List, tyro.conf.subcommand("list")]
         | Annotated[Show, tyro.conf.subcommand("show")]
         | Annotated[Init, tyro.conf.subcommand("init")]
         | Annotated[Check, tyro.conf.subcommand("check")]
+        | Annotated[Fetch, tyro.conf.subcommand("fetch")]
     )
 
     def __call__(self) -> int:
