@@ -44,6 +44,9 @@ def test_scores_are_in_rows_and_on_every_page(folder):
     report = api.report(folder / "run")
     by_name = {item.spec.name: item for item in report.verdict.scores}
     assert list(by_name) == ["mean_power", "base_roll_rms", "time_to_finish", "foot_slip"]
+    measured = [dict(row.scores)["base_roll_rms"] for row in rows]
+    assert report.scores["base_roll_rms"].mean == pytest.approx(sum(measured) / 2)
+    assert report.scores == by_name
     assert by_name["time_to_finish"].undefined == 2
     assert by_name["time_to_finish"].mean == 60.0
     assert by_name["mean_power"].word is not None
@@ -68,6 +71,23 @@ def test_a_drop_of_a_score_that_no_baseline_is_there_for_is_said_not_to_be_judge
     said = "mean_power: max_drop 100 was not judged, there is no baseline"
     assert said in report.verdict.reasons
     assert said in (folder / "run" / "report.md").read_text()
+
+
+@pytest.mark.slow
+def test_the_baselines_own_policy_is_invalid_where_the_baseline_lacks_a_gated_score(folder):
+    head = SUITE.partition("scores:")[0].replace("policy: stand", "policy: go1-parkour")
+    head = head.replace("duration: 0.4", "duration: 3.0")  # Half of the waypoints.
+    gate = "gate:\n  max_drop: 0.3\n  rounds: 2\n"
+    (folder / "scored.yaml").write_text(head + gate)
+    saved = api.save_baseline("scored.yaml", starts=2, workers=1)
+    same = api.run("scored.yaml", baseline=str(saved.file), out=folder / "same", workers=1)
+    assert (same.verdict.verdict, same.verdict.against.basis) == ("PASS", "same")
+    (folder / "scored.yaml").write_text(head + gate + "  scores: {mean_power: {max_drop: 60}}\n")
+    report = api.run("scored.yaml", baseline=str(saved.file), out=folder / "run", workers=1)
+    assert (report.verdict.verdict, report.exit_code) == ("INVALID", 5)
+    assert report.verdict.against.basis == "same"
+    (told,) = [each for each in report.verdict.reasons if "has no mean_power" in each]
+    assert "nw-eval baseline save" in told
 
 
 def test_a_run_that_fails_removes_its_own_earlier_comment_and_no_file_of_the_users(folder):

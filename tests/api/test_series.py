@@ -1,6 +1,7 @@
 """Which checkpoint of a series fell first, by real trials in one scene."""
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -74,6 +75,36 @@ def test_the_first_checkpoint_that_fell_is_found_and_a_search_goes_on_where_it_w
     assert [run.info.started for run in again.runs.values()] == [
         run.info.started for run in found.runs.values()
     ]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("series")
+def test_a_checkpoint_that_falls_by_a_gated_score_alone_is_flagged_and_the_score_is_named():
+    """Stiffer servos walk as far for more than twice the power. Bars of scores are left out."""
+    text = SUITE.partition("gate:")[0].replace("duration: 8.0", "duration: 3.0") + (
+        "gate:\n  success_rate: 0.99\n  max_drop: 0.3\n  rounds: 16\n  scores:\n"
+        "    mean_power: {max_drop: 60, range: [0, 300], bar: 1}\n"
+        "    limit_time: {bar: 0.00001}\n"
+    )
+    Path("one.yaml").write_text(text)
+    shutil.copytree(load_bundle("go1-parkour").folder, "stiff")
+    card = Path("stiff/policy.yaml")
+    card.write_text(
+        card.read_text().replace("kp: 20", "kp: 30").replace("name: go1-parkour", "name: stiff")
+    )
+    found = api.bisect(
+        "one.yaml", ["second.onnx"], good="good.onnx", bad="./stiff", starts=16, workers=2
+    )
+    assert dict(found.found.words) == {0: "PASS", 1: "REGRESSED"}
+    assert found.exit_code == 1
+    fallen = found.runs[1].verdict
+    assert fallen.against.word == "PASS", "by success alone it would not be flagged"
+    assert [(item.spec.name, item.bar) for item in fallen.scores] == [("mean_power", None)]
+    page = series_page(found)
+    assert "the first flagged: ./stiff; mean_power " in page
+    (line,) = [line for line in page.splitlines() if line.startswith("2  ./stiff")]
+    assert line.split()[2] == "REGRESSED"
+    assert line.endswith("mean_power")
 
 
 def test_what_is_no_checkpoint_is_refused_before_anything_runs(series):

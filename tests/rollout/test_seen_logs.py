@@ -19,6 +19,7 @@ from nw_eval.rollout.observed import MANY, element_names
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.result import StageClock
 from nw_eval.rollout.trial import run_trial
+from nw_eval.scores.own import Expectation, expectation_text
 from nw_eval.sensors.drawing.palette import PALETTE
 from nw_eval.viewing.foxglove import layout_json
 from nw_eval.viewing.shown import shown_by_card, shown_in_log
@@ -74,11 +75,19 @@ def watched(folder, make_job, library, tmp_path_factory):
     return LogReader(path), given
 
 
+SCORES = (
+    "mean_power",
+    "time_to_finish",
+    expectation_text("slow", Expectation(reading="joint_rate", at_most=3.0)),
+    expectation_text("on_time", Expectation(score="time_to_finish", at_most=6.0)),
+)
+
+
 @pytest.fixture(scope="module")
 def walked(make_job, library, tmp_path_factory):
     """Return the log of two seconds of the shipped policy, and its job."""
     path = tmp_path_factory.mktemp("log") / "walked.mcap"
-    job = make_job(mcap=path, record="all")
+    job = make_job(mcap=path, record="all", scores=SCORES)
     run_trial(job, library=library)
     return LogReader(job.mcap), job
 
@@ -384,3 +393,29 @@ def test_the_table_of_topics_names_every_topic_of_a_log_with_its_schema(walked, 
             assert found, f"{topic} ({schema}) is not in the table"
             used.update(t.name + t.schema for t in found)
     assert used == {t.name + t.schema for t in TOPICS}
+
+
+def test_a_log_has_the_scores_of_its_trial_as_far_as_it_went(walked, make_job, library, tmp_path):
+    log, job = walked
+    written = [
+        (time, {term.name: term.values[0] for term in message.terms})
+        for _, time, message in log.messages("/scores")
+    ]
+    assert [time / 1e9 for time, _ in written] == pytest.approx([0.4, 0.8, 1.2, 1.6, 2.0, 2.0])
+    early, (_, last) = written[:-1], written[-1]
+    assert {frozenset(values) for _, values in early} == {frozenset({"mean_power", "expect_slow"})}
+    assert [values["expect_slow"] for _, values in early] == sorted(
+        (values["expect_slow"] for _, values in early), reverse=True
+    ), "once it is broken it stays so"
+    for time, values in early[1:3]:
+        short = run_trial(make_job(scores=SCORES, duration=time / 1e9), library=library)
+        assert values["mean_power"] == pytest.approx(dict(short.scores)["mean_power"], rel=1e-6)
+    plain = run_trial(replace(job, mcap=None, record="none"), library=library)
+    assert last == pytest.approx(dict(plain.scores), rel=1e-6)
+    recorded = json.loads(log.metadata()["nw.verdict"]["scores"])
+    assert recorded == dict(plain.scores), "a log changes no bit of them"
+
+    path = tmp_path / "bare.mcap"
+    bare = run_trial(replace(job, mcap=path, scores=()), library=library)
+    assert (bare.state_digest, bare.action_digest) == (plain.state_digest, plain.action_digest)
+    assert "/scores" not in LogReader(path).topics()

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.gate.bisection import Bisection, Decision
     from nw_eval.request import Request
+    from nw_eval.suite.model import Gate
 
 _REPORTS = Path("reports")
 
@@ -66,7 +67,8 @@ def bisect(
     """Find which checkpoint of a series is the first that the gate flags as worse than a good one.
 
     Each that is asked for is judged against the bank of the good one, trial by trial, as `run` does
-    it; the suite's bar is left out, since all of a series may lie on one side of it.
+    it, by success and by each of `gate.scores` that has a `max_drop`. The suite's bars are left
+    out, since all of a series may lie on one side of one.
 
     Args:
         suite: a suite file or the name of a shipped one.
@@ -250,7 +252,7 @@ def _judged(request: Request, folder: Path, means: _Means) -> RunReport:
         plan = continued(folder, replace(request, suite=None))
     else:
         suite = load_suite(request.suite)
-        gate = suite.gate.model_copy(update={"success_rate": None})
+        gate = _without_bars(suite.gate)
         plan = plan_of(request, draft_of(suite.model_copy(update={"gate": gate})))
     return judged(
         roll_out(
@@ -264,8 +266,18 @@ def _judged(request: Request, folder: Path, means: _Means) -> RunReport:
     )
 
 
+def _without_bars(gate: Gate) -> Gate:
+    """Return a gate that compares with its baseline alone, in success and in scores."""
+    scores = {
+        name: asked.model_copy(update={"bar": None})
+        for name, asked in gate.scores.items()
+        if asked.max_drop is not None
+    }
+    return gate.model_copy(update={"success_rate": None, "scores": scores})
+
+
 def _finding(run: RunReport) -> Decision:
-    """Return what a run found of its checkpoint.
+    """Return what a run found of its checkpoint: the worst word on success and on its scores.
 
     Raises:
         IncomparableError: the bank's own policy moved on this machine.
@@ -290,4 +302,7 @@ def _finding(run: RunReport) -> Decision:
             if is_wrong
             else "the same command goes on with what is missing",
         )
-    return verdict.against.word
+    words = (verdict.against.word, *(item.word for item in verdict.scores))
+    if "REGRESSED" in words:
+        return "REGRESSED"
+    return "INCONCLUSIVE" if "INCONCLUSIVE" in words else "PASS"

@@ -259,6 +259,10 @@ class Episode:
         own = tuple(self.task.scores().items())
         return own if self._scores is None else (*own, *self._scores.values(end))
 
+    def scores_so_far(self) -> dict[str, float]:
+        """Return scores of the trial until now, by name: see `ScoreMeter.so_far`."""
+        return {} if self._scores is None else self._scores.so_far()
+
     def limits_passed(self) -> dict[str, float]:
         """Return when limits were first passed, s, by score; after `scores`."""
         return {} if self._scores is None else self._scores.moments()

@@ -16,6 +16,7 @@ from nw_eval.rollout.mcap.topics import ELEMENTS
 from nw_eval.rollout.observed import LOG_CAMERA, LogCamera, Seen
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
 from nw_eval.rollout.result import policy_fault
+from nw_eval.scores.score import STRETCH
 from nw_eval.sensors.terms import velocity_at
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ class Recorder(Observer):
         own = (LOG_CAMERA,) if self._camera.is_on else ()
         self._mounts = tuple(dict.fromkeys((*(view.mount for view in self._seen.views), *own)))
         self._state_due = True
+        self._measures = bool(trial.job.scores)
         self._share = trial.episode.world.control_rate / CONTROL_RATE
         self._state_period = self._steps(STATE_PERIOD)
         self._path_period = self._steps(PATH_PERIOD)
@@ -123,6 +125,9 @@ class Recorder(Observer):
     def advanced(self, step: Step) -> None:
         """Write what happened in the step."""
         self._state_due = False
+        if self._log.is_open and self._measures and self._episode.step % STRETCH == 0:
+            with self._clock("log"):
+                self._log.scores(self._episode.world.time, self._episode.scores_so_far())
         if self._log.is_open and self._events.is_due(step.events):
             with self._clock("log"):
                 self._state_due = self._events.notice(step.events)
@@ -137,6 +142,8 @@ class Recorder(Observer):
         self._log.step(StepNote(world.time, data, path="shown"))
         if result.status == "ok":
             self._log.state(episode.world.time, episode.saved())
+            if self._measures:
+                self._log.scores(episode.world.time, dict(result.scores))
             reached = (
                 f"{result.waypoints_reached} of {result.waypoints_total} waypoints"
                 if result.waypoints_total

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,8 @@ from nw_eval.arrays import pack, unpack
 from nw_eval.clean import clean
 from nw_eval.errors import UsageError
 from nw_eval.scores import Figures, Score, Stretch, TrialEnd, score_class
+from nw_eval.scores.own import Keeps
+from nw_eval.scores.registry import BUILT_IN
 from nw_eval.scores.score import STRETCH
 
 if TYPE_CHECKING:
@@ -112,12 +114,23 @@ class ScoreMeter:
         """Return the scores that are defined, by name."""
         if self._count:
             self._show()
-        found = {name: score.value(end) for name, score in self._scores.items()}
-        return tuple(
-            (name, float(value))
-            for name, value in found.items()
-            if value is not None and math.isfinite(value)
-        )
+        return _defined({name: score.value(end) for name, score in self._scores.items()})
+
+    def so_far(self) -> dict[str, float]:
+        """Return scores of the trial until now, by name; empty but after each `STRETCH` steps.
+
+        In between, readings wait: to show them early would change the last bits of a sum. Scores of
+        packages and functions of the suite are asked at the end alone, as they are promised.
+        """
+        if self._count:
+            return {}
+        end = TrialEnd(outcome=None, seconds=self._world.time, success=self._task.success)
+        found = {
+            name: score.value(end)
+            for name, score in self._scores.items()
+            if isinstance(score, Keeps) or type(score) is BUILT_IN.get(name)
+        }
+        return dict(_defined(found))
 
     def moments(self) -> dict[str, float]:
         """Return when in the trial limits were first passed, s, by score; after `values`."""
@@ -157,6 +170,14 @@ class ScoreMeter:
         for score in self._scores.values():
             score.update(stretch)
         self._count = 0
+
+
+def _defined(values: Mapping[str, float | None]) -> tuple[tuple[str, float], ...]:
+    return tuple(
+        (name, float(value))
+        for name, value in values.items()
+        if value is not None and math.isfinite(value)
+    )
 
 
 _ROWS = "rows"

@@ -263,13 +263,13 @@ def _expecting(
 ) -> type[Score]:
     if expected.score is None:
         declared = expectation_spec(name, expected, "")
-        return type("Keeps", (_Keeps,), {"spec": declared, "expected": expected})
+        return type("Keeps", (Keeps,), {"spec": declared, "expected": expected})
     cls = inner(expected.score)
     declared = expectation_spec(name, expected, cls.spec.unit)
     return type("Reaches", (_Reaches,), {"spec": declared, "expected": expected, "of": cls})
 
 
-class _Keeps(Score):
+class Keeps(Score):
     """Whether a reading was never beyond a bound for longer than it may."""
 
     expected: ClassVar[Expectation]

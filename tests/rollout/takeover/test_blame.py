@@ -126,6 +126,56 @@ def test_one_who_stands_still_is_lost_when_there_is_no_time_left(record, library
     assert (last.end, late.completes) == ("completed", False)
 
 
+HASTY = """\
+nw-eval: 1
+name: hasty
+robot: go1
+policy: stand
+trials: 1
+seed: 7
+episode: {duration: 2.0}
+scenes: [hurdles/one_low_carpet]
+expect:
+  gentle: {reading: joint_rate, at_most: 8, longer_than: 0.02}
+"""
+
+
+@pytest.mark.slow
+def test_when_limits_were_first_passed_is_said_of_the_trial_and_of_the_baselines(tmp_path):
+    (tmp_path / "hasty.yaml").write_text(HASTY)
+    logs = {}
+    for policy in ("stand", "go1-parkour"):
+        run = api.run(
+            tmp_path / "hasty.yaml", policy=policy, baseline="none", out=tmp_path / policy,
+            workers=1,
+        )  # fmt: skip
+        logs[policy] = tmp_path / policy / run.rows[0].mcap_path
+    (found,) = api.blame(tmp_path / "stand", baseline="go1-parkour", workers=1).trials
+    moments = {
+        policy: api.log_scores(log, scores=["expect_gentle", "limit_time"]).moments
+        for policy, log in logs.items()
+    }
+    assert found.report.limits == moments["stand"]
+    assert found.report.tries[0].limits == moments["go1-parkour"]
+    when = moments["go1-parkour"]["expect_gentle"]
+    own = moments["stand"].get("expect_gentle")
+    told = "never" if own is None else f"at {own:.3f} s"
+    said = f"expect_gentle {told} (by {found.report.baseline} at {when:.3f} s)"
+    assert said in trial_line(found)
+    assert moments["stand"] != moments["go1-parkour"]
+
+
+def test_of_a_trial_that_measures_no_scores_no_limit_is_told():
+    assert "limits" not in trial_line(blamed((0, True), (216, False)))
+
+
+def test_the_scores_of_a_trial_that_was_taken_over_are_of_all_of_it(record, library):
+    path, result = record("go1-parkour", scores=("mean_power", "action_rate"), duration=2.0)
+    taken = take_over(path, start=1.0, policy="go1-parkour", library=library)
+    assert taken.report.is_identical
+    assert taken.result.scores == result.scores
+
+
 def run_of(suite):
     return SimpleNamespace(suite={"name": suite})
 

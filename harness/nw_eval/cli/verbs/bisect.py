@@ -24,10 +24,11 @@ class BisectSeries:
 
     Checkpoints are files of weights for the card of --policy, or bundles, in order of age; or the
     folder of a training, which stands for its checkpoints in order of their steps. Each
-    that is asked for is judged against the baseline of the good one, as `run --baseline` does, but
-    for the suite's bar. One before the first flagged may already be worse by less than the gate
-    sees: the result says by how much at most. Exit code 1 if one was flagged, 0 if the bad one was
-    not, 3 if nothing was decided.
+    that is asked for is judged against the baseline of the good one, as `run --baseline` does, by
+    success and by each of `gate.scores` with a `max_drop`; the suite's bars are left out. One
+    before the first flagged may already be worse by less than the gate sees: the result says by how
+    much at most. Exit code 1 if one was flagged, 0 if the bad one was not, 3 if nothing was
+    decided.
     """
 
     suite: tyro.conf.Positional[str]
@@ -113,7 +114,8 @@ def _cells(run: RunReport | None) -> tuple[str, str, str, str]:
     if against.interval is not None and against.trials:
         drop += f" ({against.interval.low:.2f} to {against.interval.high:.2f})"
     named = [scene.scene for scene in against.scenes if scene.named]
-    return against.word, drop, str(len(run.rows)), ", ".join(named)
+    named += [item.spec.name for item in run.verdict.scores if item.word == "REGRESSED"]
+    return run.verdict.verdict, drop, str(len(run.rows)), ", ".join(named)
 
 
 def _sentences(found: Bisection, series: BisectedSeries) -> list[str]:
@@ -145,16 +147,24 @@ def _sentences(found: Bisection, series: BisectedSeries) -> list[str]:
 
 
 def _worse(run: RunReport | None) -> str:
-    """Return between which drops a flagged checkpoint lies; nothing where that is unknown."""
+    """Return by what a checkpoint was flagged, and how much worse it is; nothing if unknown."""
     from nw_eval.gate.verdict import percent_sure
 
     against = None if run is None else run.verdict.against
-    if against is None or against.interval is None:
+    if run is None or against is None:
         return ""
+    scores = "".join(
+        f"; {reason}"
+        for item in run.verdict.scores
+        if item.word == "REGRESSED"
+        for reason in item.reasons
+    )
+    if against.interval is None or against.word != "REGRESSED":
+        return scores
     low, high = against.interval
     return (
         f", {low:.2f} ({percent_sure(against.alpha_regr)} sure) to {high:.2f} "
-        f"({percent_sure(against.alpha_pass)} sure) worse than the good one"
+        f"({percent_sure(against.alpha_pass)} sure) worse than the good one{scores}"
     )
 
 

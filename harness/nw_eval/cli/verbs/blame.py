@@ -28,6 +28,10 @@ class Blame:
     tried nothing is known; where it is not so that it completes from all moments before and from
     none after, the answer says so.
 
+    Where the run's suite measures scores, it also says when the trial first passed a limit of a
+    joint or motor (`limit_time`) or first broke what the suite expects, and when the baseline did
+    from the same start.
+
     With --cause: perception or control? Old and new control run with old and new sight, in the
     trials of the run, and the drop is parted into what is due to either; reports of the run say so.
     """
@@ -143,7 +147,7 @@ def forecast_line(plan: BlamePlan) -> str:
 
 def trial_line(trial: BlamedTrial) -> str:
     """Return what came of one trial."""
-    return clean(f"{trial.trial}: {_sentence(trial)}")
+    return clean(f"{trial.trial}: {_sentence(trial)}{_limits(trial)}")
 
 
 def blame_page(blames: Blames) -> str:
@@ -212,7 +216,26 @@ def _standing(report: BlameReport) -> str:
 
 def _needs_words(trial: BlamedTrial) -> bool:
     report = trial.report
-    return report is None or report.committed is None or not report.is_monotone
+    return (
+        report is None or report.committed is None or not report.is_monotone or bool(_limits(trial))
+    )
+
+
+def _limits(trial: BlamedTrial) -> str:
+    """Return when limits were first passed in the trial, and in the baseline's from the start."""
+    report = trial.report
+    if report is None:
+        return ""
+    own, others = report.limits, report.tries[0].limits
+    told = [
+        f"{name} {_at(own.get(name))} (by {report.baseline} {_at(others.get(name))})"
+        for name in dict.fromkeys((*own, *others))
+    ]
+    return f"; limits first passed, by both from the start: {', '.join(told)}" if told else ""
+
+
+def _at(moment: float | None) -> str:
+    return "never" if moment is None else f"at {moment:.3f} s"
 
 
 def _sentence(trial: BlamedTrial) -> str:

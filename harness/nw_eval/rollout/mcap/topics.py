@@ -158,6 +158,13 @@ TOPICS = (
         "`targets`, rad, or N m; SHA-256 of its observations",
     ),
     Topic(
+        name="/scores",
+        schema="nw.Observation",
+        rate="every 20 control steps, and at the end",
+        holds="where the suite measures [scores](scores.md#scores-of-a-log): built-in ones of the "
+        "trial until then, a term each, in its unit, single precision; at the end all of its row",
+    ),
+    Topic(
         name="/nw/state",
         schema="nw.SimState",
         rate="5 Hz (2 Hz above 32 KiB), at waypoints, first contacts and the end",

@@ -30,7 +30,7 @@ from nw_eval.rollout.mcap.drawn import (
 from nw_eval.rollout.mcap.file import Images, McapFile
 from nw_eval.rollout.mcap.images import Form as PixelForm
 from nw_eval.rollout.mcap.images import calibration_message, image_message
-from nw_eval.rollout.mcap.messages import Event, nanoseconds, stamp
+from nw_eval.rollout.mcap.messages import Event, Observation, Term, nanoseconds, stamp
 from nw_eval.rollout.mcap.observations import SeenRows, observation_message
 from nw_eval.rollout.mcap.states import Saved, States
 from nw_eval.rollout.mcap.steps import BodyForms, StepNote, Steps
@@ -253,6 +253,17 @@ class TrialLog:
         self._out.add("/nw/event", when, event)
         line = Log(timestamp=stamp(when), level=level, message=text, name=f"nw.{kind}")
         self._out.add("/log", when, line)
+
+    @_costs_only_the_log
+    def scores(self, time: float, values: Mapping[str, float]) -> None:
+        """Write scores of the trial until now, by name, each in its unit."""
+        if not values:
+            return
+        when = nanoseconds(time)
+        terms = [Term(name=name, values=[value]) for name, value in values.items()]
+        self._out.add(
+            "/scores", when, Observation(timestamp=stamp(when), shape=[len(terms)], terms=terms)
+        )
 
     @_costs_only_the_log
     def finish(self, *, keep_images: bool, verdict: Mapping[str, str]) -> None:

@@ -17,11 +17,14 @@ from nw_eval.rollout.replaying.logged import read_logged_trial
 from nw_eval.rollout.replaying.reports import BlameReport, Ending, Try
 from nw_eval.rollout.replaying.takeover import second_job
 from nw_eval.rollout.result import StageClock
+from nw_eval.scores.own import is_code
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
     from typing import Any
+
+    from nw_eval.rollout.job import TrialJob
 
 _MOST_KEPT = 256 * 2**20
 """Bytes of states that are kept; those of policies with stacked images have some 100 kB each."""
@@ -52,12 +55,14 @@ def blame(
     job = second_job(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
-    with open_trial(replace(job, mcap=None), library, StageClock()) as trial:
+    job = replace(job, mcap=None, scores=_looking_on(job))
+    with open_trial(job, library, StageClock()) as trial:
         states, stride = _kept(lead(trial, recorded, library))
         if not states:
             raise StoreError(
                 f"{path} does not say what was applied in its trial", fix="run the trial again"
             )
+        limits = _limits(trial)
         tries: dict[int, Try] = {}
 
         def completes(step: int) -> bool:
@@ -71,7 +76,25 @@ def blame(
         baseline=driver(job),
         tries=tuple(tries[step] for step in order),
         stride=stride,
+        limits=limits,
     )
+
+
+def _looking_on(job: TrialJob) -> tuple[str, ...]:
+    """Return which scores look on: the trial's own, and the one that knows the robot's limits.
+
+    A function of the suite does so only if its caller allows code.
+    """
+    if not job.scores:
+        return ()
+    allowed = (name for name in job.scores if job.allow_code or not is_code(name))
+    return tuple(dict.fromkeys((*allowed, "limit_time")))
+
+
+def _limits(trial: OpenTrial) -> dict[str, float]:
+    """Return when limits were first passed in a trial until now, s, by score."""
+    trial.episode.scores(None)  # Shows them the last steps.
+    return trial.episode.limits_passed()
 
 
 def _kept(states: Iterable[Any]) -> tuple[dict[int, bytes], int]:
@@ -99,6 +122,7 @@ def _tried(trial: OpenTrial, state: bytes) -> Try:
         end=result.outcome or result.error_type or "",
         reason=result.end_reason or result.error_text,
         steps=result.steps,
+        limits=_limits(trial),
     )
 
 

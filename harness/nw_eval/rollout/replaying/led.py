@@ -51,9 +51,9 @@ if TYPE_CHECKING:
     from nw_eval.scenes.rays import RayScene
     from nw_eval.words import Collision
 
-_OF_THE_TRIAL = ("state_digest", "action_digest")
+_OF_THE_TRIAL = ("state_digest", "action_digest", "scores")
 """Parts of a state that are the trial's, with the task's; all others are the policy's, its sensors
-among them."""
+among them. A score is of the whole trial, whoever acts."""
 _WORLD_HEAD = 12
 """Bytes of a world's state that name the model: magic and fingerprint, see `sim.state`."""
 _HANDOVER = "takeover.json"
@@ -93,7 +93,9 @@ def lead(
     recorded = _recorded_digests(logged.log)
     follower = trial.episode
     onlooker = _Onlooker(follower.policy)
-    with _open_puppet(logged.job, _puppet_of(card), library) as puppet:
+    own = trial.job
+    job = replace(logged.job, scores=own.scores, allow_code=own.allow_code)
+    with _open_puppet(job, _puppet_of(card), library) as puppet:
         leader = puppet.episode
         state = _join(follower, leader)
         for decided in decisions(logged.log, joints=len(robot.joints)):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from nw_eval.rollout.replaying.logged import recorded_rate
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,6 +122,8 @@ class Try:
     """What decided that."""
     steps: int
     """Control steps of the trial then."""
+    limits: Mapping[str, float] = field(default_factory=dict[str, float])
+    """When limits were first passed in the trial then, s, by score: see `BlameReport`."""
 
     @property
     def completes(self) -> bool:
@@ -144,6 +144,9 @@ class BlameReport:
     """In the order of their moments; the first is the trial's beginning."""
     stride: int
     """Control steps between two moments that could be tried."""
+    limits: Mapping[str, float] = field(default_factory=dict[str, float])
+    """When limits were first passed in the recorded trial, s, by score: `limit_time`, and what the
+    suite expects; empty where its suite measures no scores."""
 
     @property
     def committed(self) -> Try | None:
