@@ -34,6 +34,7 @@ def test_the_list_has_shipped_bundles_example_cards_and_the_projects_own(tmp_pat
         "examples/act-go1",
         "examples/b2-robot-lab",
         "examples/g1-unitree-rl-gym",
+        "examples/go2w-robot-lab",
         "examples/himloco-go2",
         "examples/lucidsim-go1",
         "examples/parkour-expert-go1",
