@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from nw_eval import api
+from nw_eval import api, robots
 from nw_eval.cards import load_card
 from nw_eval.cli.verbs.policies import card_page, policy_table, probe_page
 from nw_eval.errors import PolicyError, UsageError
@@ -29,6 +29,7 @@ def test_the_list_has_shipped_bundles_example_cards_and_the_projects_own(tmp_pat
     folder.mkdir(parents=True)
     (folder / "policy.yaml").write_text("nw-policy: 1\nname: mine\n")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(robots, "_folders", {})  # Other tests of this process know a B2.
     lines = policy_table(api.list_policies()).splitlines()
     assert [line.split()[0] for line in lines] == [
         "examples/act-go1",
