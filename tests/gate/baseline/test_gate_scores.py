@@ -254,6 +254,16 @@ def test_a_critical_scene_convicts_by_a_score_that_is_worse_there_alone(
         assert "critical scene b" not in alone[0]
 
 
+def test_the_bar_of_a_score_is_in_the_sum_of_what_convicts_wrongly(judged: Make) -> None:
+    now, before = {"cost_of_transport": 0.9}, {"cost_of_transport": 0.92}
+    asked = {"cost_of_transport": {"max_drop": 0.3, "range": (0.0, 2.0)}}
+    alone = judged({"scores": asked}, now, before)
+    asked["cost_of_transport"]["bar"] = 1.6
+    barred = judged({"scores": asked}, now, before)
+    assert alone.against.false_alarm == pytest.approx(0.01)
+    assert barred.against.false_alarm == pytest.approx(0.06), "1 - confidence more, as by success"
+
+
 @pytest.mark.parametrize("tier", ["critical", "supporting"])
 def test_a_critical_scene_convicts_by_the_bar_of_a_score_alone(judged: Make, tier: str) -> None:
     found = judged(
