@@ -224,3 +224,63 @@ def test_errors_of_regressed_are_split_over_all_that_is_gated() -> None:
 def test_what_cannot_be_gated_is_told(scores: dict[str, Any], said: str) -> None:
     with pytest.raises(ValidationError, match=said):
         Gate(scores=scores)
+
+
+CRITICAL = {"success_rate": 0.5, "tiers": {"a": "critical"}}
+
+
+@pytest.mark.parametrize("tier", ["critical", "supporting"])
+def test_a_critical_scene_convicts_by_a_score_that_is_worse_there_alone(
+    judged: Make, tier: str
+) -> None:
+    """Worse by 1 in scene a, and better by 0.9 in b: the mean has hardly changed."""
+    found = judged(
+        {
+            **CRITICAL,
+            "tiers": {"a": tier},
+            "scores": COT | {"cost_of_transport": {"max_drop": 0.3, "range": (0.0, 2.0)}},
+        },
+        {"cost_of_transport": lambda row: 1.92 if row.scene == "a" else 0.02},
+        {"cost_of_transport": 0.92},
+        trials=40,
+    )
+    alone = [reason for reason in found.reasons if reason.startswith("critical scene a alone: ")]
+    assert (found.verdict == "REGRESSED") == (tier == "critical") == bool(alone)
+    if alone:
+        (item,) = found.scores
+        assert item.drop < item.max_drop, "the mean alone would not convict"
+        assert "cost_of_transport 0.92 -> 1.92 in " in alone[0]
+        assert alone[0].index(", at least ") < alone[0].index(" worse (99.75 % confidence)")
+        assert "critical scene b" not in alone[0]
+
+
+def test_the_bar_of_a_score_is_in_the_sum_of_what_convicts_wrongly(judged: Make) -> None:
+    now, before = {"cost_of_transport": 0.9}, {"cost_of_transport": 0.92}
+    asked = {"cost_of_transport": {"max_drop": 0.3, "range": (0.0, 2.0)}}
+    alone = judged({"scores": asked}, now, before)
+    asked["cost_of_transport"]["bar"] = 1.6
+    barred = judged({"scores": asked}, now, before)
+    assert alone.against.false_alarm == pytest.approx(0.01)
+    assert barred.against.false_alarm == pytest.approx(0.06), "1 - confidence more, as by success"
+
+
+@pytest.mark.parametrize("tier", ["critical", "supporting"])
+def test_a_critical_scene_convicts_by_the_bar_of_a_score_alone(judged: Make, tier: str) -> None:
+    found = judged(
+        {"tiers": {"a": tier}, "scores": {"cost_of_transport": {"bar": 1.4, "range": (0.0, 2.0)}}},
+        {"cost_of_transport": lambda row: 2.0 if row.scene == "a" else 0.0},
+    )
+    alone = [reason for reason in found.reasons if reason.startswith("critical scene a alone: ")]
+    assert (found.verdict == "REGRESSED") == (tier == "critical") == bool(alone)
+
+
+def test_a_critical_scene_in_which_a_score_is_worse_by_no_more_than_max_drop_convicts_nobody(
+    judged: Make,
+) -> None:
+    found = judged(
+        {**CRITICAL, "scores": {"cost_of_transport": {"max_drop": 0.3, "range": (0.0, 2.0)}}},
+        {"cost_of_transport": lambda row: 1.22 if row.scene == "a" else 0.62},
+        {"cost_of_transport": 0.92},
+        trials=40,
+    )
+    assert found.verdict != "REGRESSED"

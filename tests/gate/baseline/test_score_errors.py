@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -49,11 +49,23 @@ def panel(rng: np.random.Generator, count: int, kind: str) -> np.ndarray:
 def gates(make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make) -> Make:
     """Words of simulated gates, each with a baseline of its own, from the candidate's means."""
 
-    def simulate(means: dict[str, float], kind: str, *, what: str, count: int, seed: int) -> Any:
+    def simulate(
+        means: dict[str, float],
+        kind: str,
+        *,
+        what: str,
+        count: int,
+        seed: int,
+        moved: Mapping[str, float] | None = None,
+    ) -> Any:
         asks = {"max_drop": DROP, "tolerate": TOLERATE} if what == "baseline" else {"bar": BAR}
         gate = Gate(
-            scores=dict.fromkeys(NAMES, asks), false_alarm=NOMINAL, confidence=1.0 - NOMINAL
+            scores=dict.fromkeys(NAMES, asks),
+            false_alarm=NOMINAL,
+            confidence=1.0 - NOMINAL,
+            tiers={} if moved is None else {"a": "critical"},
         )
+        by_scene = moved or {}
         run = make_run(SCENES, TRIALS, drawn_from=STARTS)
         run = run.model_copy(update={"scores": specs_of(NAMES)})
         plain = make_bank(run, dict.fromkeys(SCENES, [1.0] * STARTS))
@@ -66,7 +78,12 @@ def gates(make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make)
             starts = plain.panels[0].starts
             # The drop is from the bank's own mean, so that this is to be the level exactly.
             before = np.stack([panel(rng, len(starts), kind) for _ in NAMES], axis=1)
-            now = np.stack([drawn(rng, means[name], len(rows), kind) for name in NAMES], axis=1)
+            now = np.zeros((len(rows), len(NAMES)))
+            for scene in SCENES:
+                there = [number for number, row in enumerate(rows) if row.scene == scene]
+                for place, name in enumerate(NAMES):
+                    mean = means[name] + by_scene.get(scene, 0.0)
+                    now[there, place] = drawn(rng, mean, len(there), kind)
             scored = tuple(
                 replace(start, scores=tuple(zip(NAMES, each, strict=True)))
                 for start, each in zip(starts, before.tolist(), strict=True)
@@ -135,3 +152,38 @@ def test_at_their_bars_five_scores_convict_and_one_passes_at_most_as_often_as_th
     assert at_most(sum(word == "PASS" for word in one) / count, NOMINAL, count)
     worse = gates(dict.fromkeys(NAMES, 0.8), kind, what="bar", count=50, seed=6)
     assert sum(word == "REGRESSED" for word in worse) == 50
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("kind", ["all or nothing", "spread"])
+def test_a_critical_scene_that_is_worse_by_max_drop_in_five_scores_convicts_at_most_by_its_share(
+    gates: Make, kind: str
+) -> None:
+    count = 300
+    rest = (len(SCENES) * TOLERATE - DROP) / (len(SCENES) - 1)  # The mean is just tolerated.
+    moved = dict.fromkeys(SCENES, rest) | {"a": DROP}
+    level = dict.fromkeys(NAMES, LEVEL)
+    found = gates(level, kind, what="baseline", count=count, seed=7, moved=moved)
+    wrong = sum(word == "REGRESSED" for word in found)
+    assert at_most(wrong / count, NOMINAL * (1.0 + 1.0 / len(SCENES)), count)
+    far = dict.fromkeys(SCENES, -0.15) | {"a": 0.55}
+    worse = gates(level, kind, what="baseline", count=50, seed=8, moved=far)
+    assert sum(word == "REGRESSED" for word in worse) > 40, "what fell there by far is seen"
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("kind", ["all or nothing", "spread"])
+def test_a_critical_scene_at_the_bars_of_five_scores_convicts_at_most_by_its_share(
+    gates: Make, kind: str
+) -> None:
+    count = 400
+    moved = dict.fromkeys(SCENES, -0.3) | {"a": 0.0}
+    at_the_bar = dict.fromkeys(NAMES, BAR)
+    found = gates(at_the_bar, kind, what="bar", count=count, seed=9, moved=moved)
+    wrong = sum(word == "REGRESSED" for word in found)
+    assert at_most(wrong / count, NOMINAL, count)
+    far = dict.fromkeys(SCENES, -0.4) | {"a": 0.4}
+    worse = gates(at_the_bar, kind, what="bar", count=50, seed=10, moved=far)
+    assert sum(word == "REGRESSED" for word in worse) > 40, "what is beyond it by far is seen"

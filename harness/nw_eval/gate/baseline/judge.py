@@ -174,6 +174,7 @@ def compare(
     capped = over_the_cap(rows, met.left, gate)
     critical = sum(gate.tier(scene) == "critical" for scene, _ in setup.judged)
     alpha_pass = 1.0 - gate.confidence
+    bars = [gate.success_rate, *(asked.bar for asked in gate.scores.values())]
     comparison = Comparison(
         word="INCONCLUSIVE" if capped else finding.word,
         bank=setup.bank.manifest.name,
@@ -188,7 +189,7 @@ def compare(
         interval=finding.interval,
         mean_convicts=finding.mean_convicts,
         false_alarm=most_false_alarms(
-            bar=None if gate.success_rate is None else alpha_pass,
+            bar=None if all(bar is None for bar in bars) else alpha_pass,
             bar_critical=critical > 0,
             baseline=gate.false_alarm,
             critical=critical,

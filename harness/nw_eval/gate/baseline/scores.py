@@ -9,6 +9,10 @@ trial runs. Scaled to [0, 1], 1 the best, it is judged as success is:
   as that of success (`stats.bank.interval`), must end below `max_drop` to PASS, and begin above
   `tolerate` to be REGRESSED.
 
+A critical scene convicts by a score alone as it does by success: its own upper bound is below the
+bar at a confidence that all critical scenes share, or its own interval of the drop begins above
+`max_drop` at a level that all scenes share.
+
 PASS asks for every score, so that each may err with the whole 1 - confidence. REGRESSED by any one
 is REGRESSED: there the errors are split over all gated scores and success (`Gate.shared`, after
 Bonferroni). All trials of the budget run, and the scores are looked at once, at the end.
@@ -34,12 +38,12 @@ from nw_eval.gate.baseline.judge import ComparisonSetup, setup_of
 from nw_eval.gate.baseline.match import renewing
 from nw_eval.gate.verdict import ScoreFinding, Verdict, Word, percent_sure
 from nw_eval.plural import plural
-from nw_eval.results.bank import Against, SavedBank, Start
+from nw_eval.results.bank import Against, SavedBank, Start, Stratum
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.scores import ScoreSpec
 from nw_eval.stats.bank.evidence import Bank
-from nw_eval.stats.bank.interval import drop_interval_after
+from nw_eval.stats.bank.interval import drop_interval_after, scene_drop_intervals
 from nw_eval.stats.bank.trials import DrawnTrials
 from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.stats.interval import Interval
@@ -165,6 +169,9 @@ def _finding(
         word, reason = _by_bar(spec, asked.bar, low, high, gate)
         words.append(word)
         reasons.append(reason)
+        if alone := _below_alone(spec, asked.bar, best, verdict, gate):
+            words.append("REGRESSED")
+            reasons += alone
     if asked.max_drop is not None and setup is not None and met is not None:
         word, reason, found = _by_baseline(found, asked, asked.max_drop, gate, setup, met)
         words.append(word)
@@ -211,6 +218,69 @@ def _by_bar(spec: ScoreSpec, bar: float, low: float, high: float, gate: Gate) ->
     return "INCONCLUSIVE", (
         f"{name}: the bar {bar:g} lies between its bounds, {ends[0]:.4g} and {ends[1]:.4g}{unit}"
     )
+
+
+def _below_alone(
+    spec: ScoreSpec,
+    bar: float,
+    best: Mapping[str, Sequence[float]],
+    verdict: Verdict,
+    gate: Gate,
+) -> list[str]:
+    """Return a sentence for each critical scene that is beyond the bar by itself."""
+    critical = [item.scene for item in verdict.per_scene if gate.tier(item.scene) == "critical"]
+    alpha = (1.0 - gate.confidence) / (max(1, len(critical)) * gate.shared)
+    found: list[str] = []
+    for scene in critical:
+        if not best.get(scene):
+            continue
+        high = upper_bound(_arrays({scene: best[scene]}), 1.0 - alpha)
+        if high < spec.scaled(bar):
+            most, unit = "at most" if spec.better == "higher" else "at least", spec.unit
+            found.append(
+                f"critical scene {scene} alone: {spec.name} is {most} {spec.unscaled(high):.4g}"
+                f"{' ' if unit else ''}{unit} ({percent_sure(alpha)} confidence), the bar is "
+                f"{bar:g}"
+            )
+    return found
+
+
+def _fallen_alone(
+    spec: ScoreSpec,
+    max_drop: float,
+    gate: Gate,
+    judged: Sequence[Stratum],
+    bank: Bank,
+    seen: DrawnTrials,
+) -> list[str]:
+    """Return a sentence for each critical scene whose own drop is certainly over `max_drop`.
+
+    Each is tested at alpha_regr / S, S all scenes that count: as scenes are named by success.
+    """
+    critical = [place for place, each in enumerate(judged) if gate.tier(each[0]) == "critical"]
+    if not critical:
+        return []
+    alpha = gate.false_alarm / gate.shared / len(judged)
+    own = seen.at(np.flatnonzero(np.isin(seen.scenes, critical)).tolist())
+    drops = scene_drop_intervals(bank, own, alpha_pass=1.0 - gate.confidence, alpha_regr=alpha)
+    unit = f" {spec.unit}" if spec.unit else ""
+    found: list[str] = []
+    for place in critical:
+        low = drops[place].low * spec.width
+        if low <= max_drop:
+            continue
+        scene, changed = judged[place]
+        name = " ".join([scene, *(f"{axis} {value:g}" for axis, value in changed)])
+        there = own.at(np.flatnonzero(own.scenes == place).tolist())
+        before = there.baseline if bank.paired else bank.means[there.scenes]
+        pairs = ~np.isnan(before - there.candidate)
+        was, now = (spec.unscaled(float(each[pairs].mean())) for each in (before, there.candidate))
+        found.append(
+            f"critical scene {name} alone: {spec.name} "
+            f"{was:.4g} -> {now:.4g}{unit} in {plural(int(pairs.sum()), 'trial')}, at least "
+            f"{low:.4g} worse ({percent_sure(alpha)} confidence), max_drop {max_drop:g}"
+        )
+    return found
 
 
 def _by_baseline(
@@ -264,6 +334,8 @@ def _by_baseline(
         f"{name} {spec.unscaled(level):.4g} -> {spec.unscaled(now):.4g}{unit} in "
         f"{plural(int(pairs.sum()), 'trial')}, max_drop {max_drop:g}"
     )
+    if alone := _fallen_alone(spec, max_drop, gate, judged, bank, seen):
+        return "REGRESSED", "; ".join((*alone, change)), found
     if high < max_drop:
         sure = percent_sure(alpha_pass)
         return "PASS", f"{change}: at most {max(high, 0.0):.4g} worse ({sure} confidence)", found
