@@ -149,7 +149,7 @@ def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
     bank = against.bank
     if bank.panel_of(machine_in(engine_of(plan.render, plan.suite.plugins))) is None:
         return ()
-    fix = "save it again with this suite: `nw-eval baseline save --renew`"
+    fix = "save it again with this suite: `nw-eval baseline save SUITE --policy POLICY --renew`"
     return tuple(
         f"{lacks_score(bank, name)}: {fix}"
         for name, asked in plan.suite.gate.scores.items()

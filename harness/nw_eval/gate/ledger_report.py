@@ -120,7 +120,7 @@ def ledger_report(
         words=dict(Counter(entry.word for entry in entries)),
         judged_again=sum(entry.is_test for entry in entries) - len(tests),
         against_baselines=_alarms([each for each in tests if each.baseline is not None]),
-        against_bars=_alarms([each for each in tests if each.bar is not None], of_bar=True),
+        against_bars=_alarms([each for each in tests if _has_bar(each)], of_bar=True),
         rerolls=_rerolls(tests, whose),
         best_of_many=_best_of_many(tests, whose),
         dropped=dropped,
@@ -182,13 +182,18 @@ def _per_year(times: Sequence[datetime]) -> float | None:
     return None if days < _SHORTEST else (len(times) - 1) / days * _DAYS
 
 
+def _has_bar(test: LedgerEntry) -> bool:
+    """Whether success or a score was held against a bar."""
+    return any(bar is not None for bar in (test.bar, *(each[0] for each in test.scores.values())))
+
+
 def _alphas(test: LedgerEntry, *, bar: bool, baseline: bool) -> tuple[float, float]:
     """Return with which probability a test convicts and passes wrongly, by bar, baseline or either.
 
     Either of them convicts, and so do critical scenes alone. Both must pass, so that no wrong PASS
     is likelier than by the one of them that it slips through.
     """
-    by_bar = 1.0 - test.confidence if bar and test.bar is not None else None
+    by_bar = 1.0 - test.confidence if bar and _has_bar(test) else None
     against = test.baseline if baseline else None
     alone = sum(scene.alone for scene in test.seen)
     critical, scenes = alone, len(test.seen)
@@ -197,7 +202,8 @@ def _alphas(test: LedgerEntry, *, bar: bool, baseline: bool) -> tuple[float, flo
     regressed = most_false_alarms(
         bar=by_bar,
         bar_critical=alone > 0,
-        baseline=None if against is None else against.alpha_regr,
+        # What an entry has is the share of success; each gated score has another one like it.
+        baseline=None if against is None else against.alpha_regr * (1 + len(test.scores)),
         critical=min(critical, scenes),
         scenes=scenes,
     )

@@ -55,6 +55,17 @@ def test_critical_scenes_of_a_baseline_convict_wrongly_up_to_twice_as_often(
     assert older.against_baselines.regressed == pytest.approx(0.02)
 
 
+def test_gated_scores_convict_wrongly_too_and_share_the_error_of_success(
+    make_entry: Callable[..., LedgerEntry],
+) -> None:
+    half = make_entry().baseline.model_copy(update={"alpha_regr": 0.005})
+    power = {"mean_power": (None, 60.0, 0.0, 300.0)}
+    report = ledger_report([make_entry(baseline=half, scores=power)])
+    assert report.against_baselines.regressed == pytest.approx(0.01)
+    barred = make_entry(baseline=None, scores={"mean_power": (90.0, None, 0.0, 300.0)})
+    assert ledger_report([barred]).against_bars.regressed == pytest.approx(0.05)
+
+
 def test_scenes_that_were_picked_after_a_look_are_a_test_of_their_own(
     make_entry: Callable[..., LedgerEntry],
 ) -> None:
