@@ -95,8 +95,8 @@ class Request:
     """How scan meshes collide: compiled to terrain, or slow and exact by their own triangles.
     The suite's own choice when absent, which is terrain where it makes none."""
     allow_code: bool = False
-    """Let the policy's card import Python code: a policy's behind the fence, a sensor's beside the
-    world."""
+    """Let Python code run: that of the policy's card behind the fence, a sensor's and a suite's
+    scores beside the world."""
     shard: str | None = None
     """I/N: only part I of N of the trials, which `nw-eval merge` puts together and judges."""
 

@@ -1,7 +1,10 @@
 """A robot of one's own in a run: found, fenced, named in rows, sent to nodes, replayed."""
 
 import os
+import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -70,6 +73,18 @@ def test_a_robot_of_a_suites_own_folder_runs_and_repeats_bit_for_bit(mine):
     assert api.replay(mine / "run" / row.mcap_path).is_identical
     again = api.run(mine / "mine.yaml", out=mine / "again", in_process=True, cache=False)
     assert rows_digest(again.rows) == rows_digest(report.rows)
+
+
+def test_another_process_scores_the_log_of_a_robot_that_only_the_log_names(mine):
+    api.run(mine / "mine.yaml", out=mine / "run", workers=1, cache=False, record="all")
+    (log,) = (mine / "run").glob("mcap/*/*/*.mcap")
+    (mine / "elsewhere").mkdir()
+    done = subprocess.run(
+        [sys.executable, "-m", "nw_eval", "scores", str(log)],
+        cwd=mine / "elsewhere", capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"^mean_power +\d", done.stdout, re.MULTILINE)
 
 
 def test_another_robot_of_the_same_name_has_other_trials(mine):

@@ -385,6 +385,7 @@ def test_what_robot_yaml_says_wrongly_is_told_with_its_place(tmp_path, line, sai
             "write it in UTF-8",
         ),
         ('mass="5"', 'mass="nan"', "<geom> has mass='nan'; write numbers"),
+        ('mass="5"', 'mass="NaN(1)"', "<geom> has mass='NaN(1)'; write numbers"),
         ('pos="0 0.1 0"', 'pos="0 -inf 0"', "<body> has pos='0 -inf 0'"),
         ('type="free"', 'type="ball"', "has joints that are not free"),
         (

@@ -11,9 +11,10 @@ from pydantic import ValidationError
 
 import nw_eval
 from nw_eval import cli
+from nw_eval.cli.verbs.check import forecast_page
 from nw_eval.errors import CodeError, UsageError
 from nw_eval.scores import Figures, ScoreSpec, Stretch, TrialEnd, score_class
-from nw_eval.scores.own import Expectation, expectation_text
+from nw_eval.scores.own import Expectation, OwnScore, expectation_text, own_text
 from nw_eval.suite.model import new_suite
 from nw_eval.tasks.course import Course
 
@@ -126,8 +127,9 @@ def test_a_trial_that_is_continued_goes_on_counting():
     assert later.moment() == pytest.approx(0.505)
 
 
-def test_a_score_that_is_undefined_counts_as_its_declaration_says():
-    within = opened(score="time_to_finish", at_most=6.0)
+@pytest.mark.parametrize("bound", [6.0, 60.0, 1e6])
+def test_a_score_that_is_undefined_keeps_to_no_bound(bound):
+    within = opened(score="time_to_finish", at_most=bound)
     assert within.value(END) == 1.0
     assert within.value(TrialEnd(outcome="fell", seconds=1.0, success=0.5)) == 0.0
 
@@ -158,12 +160,54 @@ def test_an_expectation_that_cannot_be_kept_or_broken_is_refused(expected, said)
         ({**OWN, "python": "smooth:jerk"}, "should match pattern"),
         ({**OWN, "python": "smooth.py:Jerk"}, "must be lower case"),
         ({**OWN, "name": "mean_power"}, "is built in"),
+        ({**OWN, "name": "success"}, "is built in"),
         ({**OWN, "name": "expect_it"}, "do not begin with expect_"),
     ],
 )
 def test_a_function_that_cannot_be_a_score_is_refused(own, said):
     with pytest.raises(ValidationError, match=said):
         new_suite({**SUITE, "scores": (own,)})
+
+
+def test_check_says_what_a_gate_of_scores_alone_asks(tmp_path):
+    gate = {"scores": {"mean_power": {"bar": 150.0, "max_drop": 60.0}}}
+    (tmp_path / "own.yaml").write_text(json.dumps({**SUITE, "gate": gate}))
+    page = forecast_page(nw_eval.check(tmp_path / "own.yaml"))
+    assert "RAN" not in page
+    asked = "mean_power by its bar 150, 95 % sure; mean_power by its max_drop 60"
+    assert f"no bar of success (gate.success_rate); {asked}" in page
+
+
+def test_a_function_takes_no_name_of_a_score_of_the_task():
+    task = {"kind": "stand"}
+    own = {**OWN, "name": "position_drift"}
+    with pytest.raises(ValidationError, match="'position_drift' is a score of the task"):
+        new_suite({**SUITE, "task": task, "scores": (own,)})
+    assert new_suite({**SUITE, "scores": (own,)}).measured
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("def jerk(torques)\n    return 0.0\n", r"smooth\.py:1: expected ':'"),
+        ("def jork(torques):\n    return 0.0\n", "has no function 'jerk'; did you mean 'jork'"),
+        ("def jerk(torqes):\n    return 0.0\n", "a parameter 'torqes', which is no reading"),
+    ],
+)
+def test_a_file_that_no_worker_could_use_is_refused_before_anything_runs(tmp_path, code, said):
+    (tmp_path / "smooth.py").write_text(code)
+    (tmp_path / "own.yaml").write_text(json.dumps({**SUITE, "scores": [OWN]}))
+    with pytest.raises(UsageError, match=said):
+        nw_eval.check(tmp_path / "own.yaml", allow_code=True)
+
+
+def test_a_function_that_leaves_the_process_is_no_failure_of_the_policy(tmp_path):
+    (tmp_path / "smooth.py").write_text("def jerk(torques):\n    raise SystemExit(3)\n")
+    own = OwnScore.model_validate(OWN)
+    score = score_class(own_text(own, tmp_path), allow_code=True)(FIGURES)
+    score.update(Stretch(FIGURES, torques=np.zeros((2, 4, 3))))
+    with pytest.raises(RuntimeError, match="left the process"):
+        score.value(END)
 
 
 def test_a_suite_without_expectations_is_written_as_it_was():
@@ -259,10 +303,10 @@ def test_another_code_is_another_job_and_another_baseline(written):
 @pytest.mark.parametrize(
     ("code", "said"),
     [
-        ("def jerk(x:", "cannot be loaded: SyntaxError"),
         ("raise ValueError('not today')", "cannot be loaded: ValueError: not today"),
-        ("def other(targets): return 0.0", "cannot be loaded: AttributeError"),
-        ("def jerk(target): return 0.0", "has a parameter 'target', which is no reading"),
+        ("raise SystemExit", "cannot be loaded: SystemExit"),
+        ("if 0: jerk = 1", "cannot be loaded: AttributeError"),
+        ("jerk = lambda target: 0.0", "has a parameter 'target', which is no reading"),
     ],
 )
 def test_code_that_cannot_be_used_is_named(written, code, said):

@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 from copy import deepcopy
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement, fromstring, tostring
+from xml.etree.ElementTree import Element, ParseError, SubElement, fromstring, tostring
 
 import mujoco as _mujoco
 import numpy as np
@@ -65,7 +65,7 @@ class CompiledRobot:
             fill_meshes(model, self.folder)
             self._text = tostring(model, encoding="unicode")
             return mujoco.MjSpec.from_string(self._text)
-        except ValueError as error:
+        except (ValueError, RuntimeError, ParseError) as error:
             raise self._refused("MuJoCo cannot read it", error) from None
 
     def _refused(self, what: str, error: Exception) -> RobotError:
@@ -123,7 +123,7 @@ class CompiledRobot:
         """
         try:
             model = spec.compile()
-        except ValueError as error:
+        except (ValueError, RuntimeError) as error:
             raise self._refused("MuJoCo cannot compile it", error) from None
         for what, count, most in (
             ("bodies", model.nbody, MOST_BODIES),

@@ -12,6 +12,7 @@ import hashlib
 import io
 import math
 import os
+import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -247,7 +248,8 @@ class RobotFile(_Part):
     """For robots of the published evaluation."""
 
 
-_NOT_FINITE = {sign + word for sign in ("", "+", "-") for word in ("nan", "inf", "infinity")}
+# As C's strtod reads them, which takes `nan(1)` too.
+_NOT_FINITE = re.compile(r"(?:^|\s)[+-]?(?:nan(?:\(\w*\))?|inf(?:inity)?)(?=\s|$)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -478,7 +480,7 @@ class _Reader:
                 parent.remove(child)
             elif child.tag in _KNOWN:
                 for key, value in child.attrib.items():
-                    if key != "name" and _NOT_FINITE & set(value.lower().split()):
+                    if key != "name" and _NOT_FINITE.search(value):
                         raise self.fault(
                             f"<{child.tag}> has {key}={value[:40]!r}",
                             "write numbers",

@@ -55,6 +55,8 @@ class ScoreMeter:
             try:
                 cls = score_class(name, allow_code=allow_code)
                 self._scores[cls.spec.name] = cls(figures)
+            except UsageError:
+                raise
             except Exception as error:
                 own = name.partition("=")[0]
                 raise UsageError(

@@ -6,11 +6,13 @@ the cache of trials know it by a text, `NAME={...}`, which says all of it, the c
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import inspect
 import json
+import math
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -195,10 +197,46 @@ def own_text(own: OwnScore, folder: Path) -> str:
     """Return how jobs name a function's score: with its source.
 
     Raises:
-        UsageError: the file cannot be read, or is too long.
+        UsageError: the file cannot be read, is too long, or is seen to lack the function.
     """
-    fields = {**own.model_dump(exclude_none=True), "source": _source(own, folder)}
+    source = _source(own, folder)
+    _vet(own, folder, source)
+    fields = {**own.model_dump(exclude_none=True), "source": source}
     return f"{own.spec.name}={json.dumps(fields, sort_keys=True)}"
+
+
+def _vet(own: OwnScore, folder: Path, source: str) -> None:
+    """Refuse what no worker could use; nothing is run."""
+    file, _, wanted = own.python.rpartition(":")
+    where = f"score {own.spec.name!r}: {folder / file}"
+    try:
+        parsed = ast.parse(source)
+    except (SyntaxError, ValueError) as error:
+        line = getattr(error, "lineno", None) or 1
+        message = f"{where}:{line}: {clean(getattr(error, 'msg', error), at_most=200)}"
+        raise UsageError(message, fix="mend the file") from None
+    functions = [each for each in parsed.body if isinstance(each, ast.FunctionDef)]
+    function = next((each for each in reversed(functions) if each.name == wanted), None)
+    if function is not None:
+        _vet_parameters(
+            own, [each.arg for each in (*function.args.args, *function.args.kwonlyargs)]
+        )
+    elif all(isinstance(each, _PLAIN) for each in parsed.body):
+        known = [each.name for each in functions]
+        raise UsageError(f"{where} has no function {wanted!r}", fix=nearest(wanted, known))
+
+
+_PLAIN = (ast.FunctionDef, ast.ClassDef, ast.Import, ast.Expr)
+"""Statements that give no function another name."""
+
+
+def _vet_parameters(own: OwnScore, names: Sequence[str]) -> None:
+    if unknown := [name for name in names if name not in GIVEN]:
+        raise UsageError(
+            f"score {own.spec.name!r}: {own.python} has a parameter {unknown[0]!r}, which is no "
+            "reading",
+            fix=nearest(unknown[0], sorted(GIVEN)),
+        )
 
 
 def source_digest(own: OwnScore, folder: Path) -> str:
@@ -311,7 +349,7 @@ class Keeps(Score):
 
 
 class _Reaches(Score):
-    """Whether a score keeps to a bound; one that is undefined counts as it is declared."""
+    """Whether a score keeps to a bound; one that is undefined keeps to none."""
 
     expected: ClassVar[Expectation]
     of: ClassVar[type[Score]]
@@ -327,7 +365,8 @@ class _Reaches(Score):
     def value(self, end: TrialEnd) -> float | None:
         """Return 1 or 0."""
         value = self.score.value(end)
-        value = self.of.spec.undefined if value is None else value
+        if value is None or not math.isfinite(value):
+            return 0.0  # A trial that never finishes does not finish within any bound.
         if self.expected.at_most is not None:
             return float(value <= self.expected.at_most)
         return float(value >= (self.expected.at_least or 0.0))
@@ -357,18 +396,13 @@ def _computing(own: OwnScore, source: str) -> type[Score]:
         exec(compile(source, file, "exec"), module.__dict__)  # noqa: S102 - the caller allows it.
         function = getattr(module, wanted)
         parameters = tuple(inspect.signature(function).parameters)
-    except Exception as error:  # noqa: BLE001 - the code may raise anything.
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - the code may raise anything.
         raise UsageError(
             f"score {own.spec.name!r}: {own.python} cannot be loaded: "
             f"{type(error).__name__}: {clean(error, at_most=200)}",
             fix="mend the file",
         ) from None
-    if unknown := [name for name in parameters if name not in GIVEN]:
-        raise UsageError(
-            f"score {own.spec.name!r}: {own.python} has a parameter {unknown[0]!r}, which is no "
-            "reading",
-            fix=nearest(unknown[0], sorted(GIVEN)),
-        )
+    _vet_parameters(own, parameters)
     members = {"spec": own.spec, "function": staticmethod(function), "parameters": parameters}
     return type("Computed", (_Computed,), members)
 
@@ -399,7 +433,11 @@ class _Computed(Score):
             name: own[name] if name in own else np.concatenate(self.seen[name])
             for name in self.parameters
         }
-        value = self.function(**given)
+        try:
+            value = self.function(**given)
+        except SystemExit as error:  # It would count as the policy's.
+            message = f"score {self.spec.name!r}: its function left the process ({error})"
+            raise RuntimeError(message) from None
         return None if value is None else float(value)
 
     def state(self) -> dict[str, NDArray[Any]]:

@@ -417,9 +417,16 @@ class Suite(_Strict):
     ) -> tuple[str | OwnScore, ...]:
         names = [each if isinstance(each, str) else each.spec.name for each in scores]
         _declared([each for each in scores if isinstance(each, str)], info)
+        # What the task declares would stand beside it in rows and gates, by the same name.
+        of_task: Mapping[str, ScoreSpec] = (info.context or {}).get("task", {})
         for each in scores:
-            if not isinstance(each, str) and each.spec.name in SCORE_CLASSES:
-                raise ValueError(f"{each.spec.name!r} is built in; set another `name`")
+            if isinstance(each, str):
+                continue
+            name = each.spec.name
+            if name in SCORE_CLASSES or name == "success":
+                raise ValueError(f"{name!r} is built in; set another `name`")
+            if name in of_task:
+                raise ValueError(f"{name!r} is a score of the task; set another `name`")
         each_once(tuple(names))
         return scores
 

@@ -72,10 +72,16 @@ def forecast_page(forecast: Forecast) -> str:
 
 def _bar(gate: Gate) -> str:
     """Return what a run must show to pass, in words."""
-    if gate.success_rate is None:
+    sure = f"{100 * gate.confidence:.4g} % sure"
+    if gate.success_rate is not None:
+        bar = f"success of at least {gate.success_rate:g}, {sure}"
+    elif not gate.scores:
         bar = "none (gate.success_rate): the verdict will be RAN"
     else:
-        bar = f"success of at least {gate.success_rate:g}, {100 * gate.confidence:.4g} % sure"
+        bar = "no bar of success (gate.success_rate)"
+    for name, asked in gate.scores.items():
+        bar += "" if asked.bar is None else f"; {name} by its bar {asked.bar:g}, {sure}"
+        bar += "" if asked.max_drop is None else f"; {name} by its max_drop {asked.max_drop:g}"
     return bar
 
 

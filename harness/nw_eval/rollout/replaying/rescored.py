@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from nw_eval.errors import StoreError, UsageError
+from nw_eval.robots import know_robot
 from nw_eval.rollout.confined.access import running_rules
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.library import Library
@@ -132,6 +133,7 @@ def _of_run(
         )
     Library().scene(logged.job.scene, logged.job.collision)  # Its cache is out of reach there.
     folder = logged.job.robot_folder
+    know_robot(logged.job.robot, folder)
     rules = running_rules(
         puppet_bundle(logged),
         scenes=[logged.job.scene],
@@ -183,6 +185,7 @@ def _lead(*, log: str, names: Sequence[str], allow_code: bool) -> dict[str, Any]
     """Lead a trial along its log; return what was measured as plain values."""
     logged = read_logged_trial(Path(log))
     logged = replace(logged, job=replace(logged.job, scores=tuple(names), allow_code=allow_code))
+    know_robot(logged.job.robot, logged.job.robot_folder)
     states = {state.step: state for state in logged.log.states()}
     restored, outcome = 0, None
     with open_puppet(logged, Library()) as puppet:
