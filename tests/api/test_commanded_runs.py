@@ -58,6 +58,7 @@ pose: {"*_hip_pitch_joint": -0.1, "*_knee_joint": 0.3, "*_ankle_pitch_joint": -0
 """,
 }
 TASKS = {"velocity": VELOCITY, "push": PUSH, "stand": STAND}
+BY_DAY = {("b2", "velocity"), ("g1", "push")}
 
 
 def own_robot(folder, name):
@@ -232,8 +233,19 @@ def test_a_policy_of_somebody_else_follows_a_command_forward_sideways_and_round(
 
 
 @pytest.mark.skipif(not ASSETS.is_dir(), reason="third-party robots are not here")
-@pytest.mark.parametrize("kind", TASKS)
-@pytest.mark.parametrize(("robot", "policy"), [("b2", "b2-robot-lab"), ("g1", "g1-unitree-rl-gym")])
+@pytest.mark.parametrize(
+    ("robot", "policy", "kind"),
+    [
+        # By day one task each.
+        pytest.param(
+            *robot,
+            kind,
+            marks=() if (robot[0], kind) in BY_DAY else pytest.mark.nightly,
+        )
+        for robot in (("b2", "b2-robot-lab"), ("g1", "g1-unitree-rl-gym"))
+        for kind in TASKS
+    ],
+)
 def test_any_robot_does_every_task(folder, robot, policy, kind):
     text = SUITE.replace("robot: go1", f"robot: {own_robot(folder, robot)}")
     text = text.replace("trials: 3", "trials: 1")

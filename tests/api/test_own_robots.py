@@ -167,10 +167,10 @@ def test_policies_of_others_walk_on_robots_of_others(tmp_path, name):
 @pytest.mark.parametrize(
     ("control", "steps"),
     [
-        ("rate: 100", 100),
+        pytest.param("rate: 100", 100, marks=pytest.mark.nightly),
         ("rate: 62.5, physics_rate: 250", 62),
         ("rate: 30, physics_rate: 300", 30),
-        ("rate: 25", 50),
+        pytest.param("rate: 25", 50, marks=pytest.mark.nightly),
     ],
 )
 def test_a_policy_acts_at_its_own_rate_and_its_trial_is_replayed_to_the_bit(mine, control, steps):
