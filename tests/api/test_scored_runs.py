@@ -1,5 +1,6 @@
 """A suite with scores from its file to its pages."""
 
+from dataclasses import replace
 from html import unescape
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from nw_eval import api
 from nw_eval.errors import UsageError
 from nw_eval.reporting.junit import junit_xml
+from nw_eval.results.bank_file import read_bank, write_bank
 from nw_eval.results.parquet import read_rows
 
 SUITE = """
@@ -88,6 +90,27 @@ def test_the_baselines_own_policy_is_invalid_where_the_baseline_lacks_a_gated_sc
     assert report.verdict.against.basis == "same"
     (told,) = [each for each in report.verdict.reasons if "has no mean_power" in each]
     assert "nw-eval baseline save" in told
+
+
+@pytest.mark.slow
+def test_a_baseline_whose_scores_were_changed_is_invalid_for_its_own_policy(folder):
+    head = SUITE.partition("scores:")[0].replace("policy: stand", "policy: go1-parkour")
+    gate = "gate:\n  max_drop: 0.3\n  rounds: 2\n  scores: {mean_power: {max_drop: 60}}\n"
+    (folder / "scored.yaml").write_text(head + gate)
+    saved = api.save_baseline("scored.yaml", starts=2, workers=1)
+    honest = read_bank(saved.file)
+    (panel,) = honest.panels
+    doubled = tuple(
+        replace(start, scores=tuple((name, 2.0 * value) for name, value in start.scores))
+        for start in panel.starts
+    )
+    saved.file.unlink()
+    write_bank(saved.file, replace(honest, panels=(replace(panel, starts=doubled),)))
+    report = api.run("scored.yaml", baseline=str(saved.file), out=folder / "run", workers=1)
+    assert (report.verdict.verdict, report.exit_code) == ("INVALID", 5)
+    told = [each for each in report.verdict.reasons if "mean_power" in each]
+    assert "start 0: mean_power " in told[0]
+    assert ", the baseline's " in told[0]
 
 
 def test_a_run_that_fails_removes_its_own_earlier_comment_and_no_file_of_the_users(folder):

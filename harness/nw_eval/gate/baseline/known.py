@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -176,6 +177,14 @@ def difference(row: Row, start: Start) -> str | None:
     parts = [f"{name} {now}, the baseline's {then}" for name, then, now in pairs if then != now]
     if not parts and trajectory(row) != start.trajectory:
         parts = [f"bits {trajectory(row)}, the baseline's {start.trajectory}"]
+    elif not parts:
+        # Of the same states, but sums of them may end in other bits on another CPU.
+        said = dict(start.scores)
+        parts = [
+            f"{name} {now:g}, the baseline's {said[name]:g}"
+            for name, now in row.scores
+            if name in said and not math.isclose(now, said[name], rel_tol=1e-9, abs_tol=1e-12)
+        ]
     if not parts:
         return None
     cell = "".join(f" {axis} {value:g}" for axis, value in start.perturbation)
