@@ -93,7 +93,7 @@ def scores_text(found: LogScores) -> str:
         notes.append(
             f"the run recorded other values of {', '.join(apart)}"
             if apart
-            else f"{plural(len(found.recorded), 'score')} as the run recorded them, to 1e-9"
+            else f"{plural(len(found.recorded), 'score')} equal to what the run recorded, to 1e-9"
         )
     if found.restored:
         notes.append(
