@@ -329,8 +329,10 @@ def test_scales_that_a_card_lacks_are_told(tmp_path, name, missing):
 def test_scales_that_a_checkpoint_was_not_trained_with_are_told(tmp_path, term):
     card = with_scales("playground-go1", {term: USUAL[term]})
     told = check(tmp_path, card, WEIGHTS["playground-go1"])
-    assert f"it follows with the scale of `{term}` 1; if trained that way" in probe_page(told)
-    assert not told.passed
+    # With a wrong scale of the yaw rate alone the trial ends as soon as with the right one.
+    assert told.passed == (term == "ang_vel")
+    follows = "note: it follows better" if told.passed else "fault: it follows"
+    assert f"{follows} with the scale of `{term}` 1; if trained that way" in probe_page(told)
 
 
 @pytest.mark.assets

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nw_eval.cards import load_card
-from nw_eval.onboarding.probe.recording import Recording
+from nw_eval.onboarding.probe.recording import Recording, Walk
 
 PERIOD = 0.02
 POLICIES = Path(__file__).resolve().parents[3] / "policies"
@@ -43,15 +43,22 @@ def walked(
 
 
 class HandMade:
-    """A rig on which `walk(card, seconds)` says what happens; `asked` counts the recordings."""
+    """A rig on which `goes(card, seconds)` says what happens; `asked` counts the recordings.
 
-    def __init__(self, walk):
-        self.walk = walk
+    A trial takes 10 s under cards of which `completes(card)` is true.
+    """
+
+    def __init__(self, goes, completes=lambda _card: False):
+        self.goes = goes
+        self.completes = completes
         self.asked = 0
 
     def record(self, card, *, seconds, level=math.inf):  # noqa: ARG002 - it leans as it is made.
         self.asked += 1
-        return self.walk(card, seconds)
+        return self.goes(card, seconds)
+
+    def walk(self, card):
+        return Walk(completed=self.completes(card), seconds=10.0)
 
 
 def obeys(card, shares=(1.0, 1.0, 1.0), **more):
@@ -85,5 +92,5 @@ def _obeys():
 
 @pytest.fixture(scope="session")
 def rig_that_says():
-    """Return a maker of stages: `rig_that_says(walk)`."""
+    """Return a maker of stages: `rig_that_says(walk, completes)`."""
     return HandMade

@@ -18,13 +18,21 @@ GO1 = get_robot("go1")
 def compared(commanded, walked, rig_that_says):
     """Return a maker of findings: `compared(walk)`; and the rig that it ran on."""
 
-    def compared(walk, *, simulated=1000.0, deadline=math.inf, **recorded):
-        rig = rig_that_says(walk)
+    def compared(walk, *, completes=no_card, simulated=1000.0, deadline=math.inf, **recorded):
+        rig = rig_that_says(walk, completes)
         metered = Metered(rig, simulated=simulated, deadline=deadline)
         followed, findings = compare(metered, commanded, GO1, walked(seconds=1.0, **recorded))
         return followed, [(finding.kind, finding.text) for finding in findings], rig
 
     return compared
+
+
+def no_card(_):
+    return False
+
+
+def every_card(_):
+    return True
 
 
 def halved_hips(card):
@@ -109,15 +117,29 @@ def test_a_policy_that_falls_does_not_stand_still(compared, obeys):
     assert all("and it fell" in text for _, text in findings[:5])
 
 
-def test_a_card_with_which_all_that_trials_command_is_followed_is_a_fault(compared, obeys):
+def test_a_card_with_which_all_is_followed_and_a_trial_is_better_is_a_fault(compared, obeys):
     def walk(card, _):
         return obeys(card, (1.0, 1.0, 1.0 if halved_hips(card) else 0.4))
 
-    _, findings, _ = compared(walk)
+    _, findings, _ = compared(walk, completes=halved_hips)
     assert [kind for kind, _ in findings] == ["fault"] * 3
     assert findings[2][1].startswith(
         "it follows with the scale of the hips halved; if trained that way"
     )
+
+
+@pytest.mark.parametrize(
+    ("completes", "missed"), [(every_card, "note"), (no_card, "fault")], ids=["both", "neither"]
+)
+def test_a_card_that_is_no_better_in_a_trial_is_a_note(compared, obeys, completes, missed):
+    """A right card may turn at half of what it is told, and complete every trial."""
+
+    def walk(card, _):
+        return obeys(card, (1.0, 1.0, 1.0 if halved_hips(card) else 0.4))
+
+    _, findings, _ = compared(walk, completes=completes)
+    assert [kind for kind, _ in findings] == [missed, missed, "note"]
+    assert findings[2][1].startswith("it follows better with the scale of the hips halved; if")
 
 
 def test_a_card_under_which_only_the_sides_are_slow_is_no_fault(compared, obeys):
@@ -194,7 +216,7 @@ def test_no_other_card_is_tried_on_a_policy_that_sees_images(compared, obeys):
 def test_a_policy_without_commands_is_let_go_on_its_way(
     uncommanded, walked, rig_that_says, reached, acts, said
 ):
-    rig = rig_that_says(lambda *_: walked((reached, 0.0, 0.0)))
+    rig = rig_that_says(lambda *_: walked((reached, 0.0, 0.0)), no_card)
     metered = Metered(rig, simulated=1000.0)
     actions = np.outer(np.sin(np.arange(50.0)), np.full(12, acts))
     followed, findings = compare(

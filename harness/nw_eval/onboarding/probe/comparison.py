@@ -9,10 +9,11 @@ told under their own cards.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from nw_eval.cards import Card
+from nw_eval.cards.command import ConstantCommand
 from nw_eval.errors import NwEvalError
 from nw_eval.onboarding.probe.findings import ProbeFinding, command_findings
 from nw_eval.onboarding.probe.following import (
@@ -23,6 +24,7 @@ from nw_eval.onboarding.probe.following import (
     follow,
     motions,
     own_way,
+    stands_still,
 )
 from nw_eval.onboarding.probe.hypotheses import (
     TRIED,
@@ -31,7 +33,14 @@ from nw_eval.onboarding.probe.hypotheses import (
     hypotheses,
     scale_hypotheses,
 )
-from nw_eval.onboarding.probe.recording import STUMBLES, Metered, Recording, Rig, SpentError
+from nw_eval.onboarding.probe.recording import (
+    STUMBLES,
+    Metered,
+    Recording,
+    Rig,
+    SpentError,
+    Walk,
+)
 from nw_eval.robots import RobotSpec
 
 _CLEARLY = 0.1  # Fall of the deviation from which on another card is told.
@@ -77,8 +86,8 @@ def compare(
     """Return what becomes of commands under a card, and if another card does better.
 
     Another card that mends everything makes the card as it is a fault where the policy stumbles,
-    misses what trials command, or goes the opposite way. Where it is only slow at what no trial
-    commands, it is a note: a right card may go sideways at half of what it is told, and a change
+    goes the opposite way, or does a trial better under the other card: waypoints with bends on
+    level ground. All else is a note: a right card may turn at half of what it is told, and a change
     that helps there can cost success.
 
     Args:
@@ -98,8 +107,56 @@ def compare(
         return written, [*command_findings(written), _cut(rig, "fault", "every command")]
     found = [] if recording.stumbles else command_findings(written)
     if not recording.sees_images:
-        found += _others(rig, card, robot, written, stumbles=recording.stumbles)
+        trials = None if isinstance(card.command, ConstantCommand) else _Trials(rig, card)
+        others = _others(rig, card, robot, written, trials, stumbles=recording.stumbles)
+        if trials is not None and not any(one.kind == "fault" for one in others):
+            found = _excused(found, written, trials)
+        found += others
     return ([] if recording.stumbles else written), found
+
+
+class _Trials:
+    """Trials under the card as it is written, which runs once if at all, and under others."""
+
+    def __init__(self, rig: Rig, card: Card) -> None:
+        self._rig = rig
+        self._card = card
+        self._written: Walk | None = None
+
+    @property
+    def written(self) -> Walk:
+        """How the trial ends under the card as it is written."""
+        if self._written is None:
+            self._written = _walk(self._rig, self._card)
+        return self._written
+
+    def are_better(self, card: Card) -> bool:
+        """Whether the trial is completed under another card, and was not or took far longer."""
+        return self.written.is_worse_than(_walk(self._rig, card))
+
+
+def _walk(rig: Rig, card: Card) -> Walk:
+    try:
+        return rig.walk(card)
+    except SpentError:
+        raise
+    except NwEvalError:
+        return Walk(completed=False, seconds=0.0)
+
+
+def _excused(
+    found: list[ProbeFinding], written: Sequence[Followed], trials: _Trials
+) -> list[ProbeFinding]:
+    """Return what is missed as notes where the trial is completed and no command is reversed."""
+    faulty = any(one.kind == "fault" for one in found)
+    if not faulty or stands_still(written) or any(one.is_opposite for one in written):
+        return found
+    try:
+        if not trials.written.completed:
+            return found
+    except SpentError:
+        return found
+    return [replace(one, kind="note") for one in found]
 
 
 def _tried(card: Card, recording: Recording) -> list[Motion]:
@@ -113,7 +170,13 @@ def _tried(card: Card, recording: Recording) -> list[Motion]:
 
 
 def _others(
-    rig: Metered, card: Card, robot: RobotSpec, written: Sequence[Followed], *, stumbles: bool
+    rig: Metered,
+    card: Card,
+    robot: RobotSpec,
+    written: Sequence[Followed],
+    trials: _Trials | None,
+    *,
+    stumbles: bool,
 ) -> list[ProbeFinding]:
     """Return the other card that helps most, or that none does."""
     is_bad = stumbles or any(one.is_missed or one.stumbled for one in written)
@@ -127,12 +190,15 @@ def _others(
     except SpentError:
         cut = [_cut(rig, "note", "every other card")]
     if best is not None and best.helps:
+        is_certain = stumbles or any(one.is_opposite for one in written)
         matters = any(
-            one.is_opposite
-            or ((one.is_missed or one.stumbled) and (one.motion.is_used or one.motion.is_own))
+            (one.is_missed or one.stumbled) and (one.motion.is_used or one.motion.is_own)
             for one in written
         )
-        is_fault = (stumbles or matters) and best.mends
+        try:
+            is_fault = best.mends and (is_certain or (matters and _better(trials, best)))
+        except SpentError:
+            is_fault = False
         does = ("walks" if stumbles else "follows") + ("" if is_fault else " better")
         text = f"it {does} {best.hypothesis.advice(card)}\n  then reached: {best.figures}"
         return [ProbeFinding(kind="fault" if is_fault else "note", text=text), *cut]
@@ -142,6 +208,11 @@ def _others(
     if best is not None:
         nearest = f"the nearest, with {best.hypothesis.words}: {best.figures}"
     return [ProbeFinding(kind="note", text=f"none of the changes tried helps: {TRIED}; {nearest}")]
+
+
+def _better(trials: _Trials | None, best: Attempt) -> bool:
+    """Whether trials are better under another card; so where the card drives along no trail."""
+    return trials is None or trials.are_better(best.hypothesis.card)
 
 
 def _cut(rig: Metered, kind: Literal["fault", "note"], what: str) -> ProbeFinding:

@@ -23,9 +23,11 @@ from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.result import StageClock
+from nw_eval.scenes.scene import Scene
+from nw_eval.sensors.terms import commanded_speed
 from nw_eval.sim import World
 from nw_eval.suite.trials import Trial
-from nw_eval.words import Outcome
+from nw_eval.words import Collision, Outcome
 
 Array = NDArray[np.float64]
 STUMBLES = 0.3
@@ -93,14 +95,15 @@ class Collector(Observer):
         self._start = episode.world.trunk_position
         self._first = episode.world.joint_positions
         self._rows: list[tuple[Array, Array, Array, Array, float, Array]] = []
-        self._outcome: Outcome | None = None
+        self.outcome: Outcome | None = None
+        """How the trial has ended; None while it goes on."""
         self._seen: dict[str, list[NDArray[Any]]] = {name: [] for name in episode.sensors}
         self._gave: dict[str, list[NDArray[Any]]] = {}
 
     def advanced(self, step: Step) -> None:
         """Collect a control step."""
         decision, world = step.decision, self._episode.world
-        self._outcome = step.outcome
+        self.outcome = step.outcome
         self.tilt = float(np.abs(world.roll_pitch_yaw[:2]).max())
         body = (world.joint_positions, world.torques, self.tilt, _velocity(world))
         self._rows.append((decision.action, decision.targets, *body))
@@ -126,7 +129,7 @@ class Collector(Observer):
             period=world.control_period,
             travelled=float(np.linalg.norm((world.trunk_position - self._start)[:2])),
             seconds=world.time,
-            outcome=None if self._outcome in {"timeout", "completed"} else self._outcome,
+            outcome=None if self.outcome in {"timeout", "completed"} else self.outcome,
             inputs=episode.policy.inputs,
             sees_images=any(sensor.is_image for sensor in episode.sensors.values()),
             fed_inputs=self._fed.network_inputs if self._fed else {},
@@ -145,6 +148,24 @@ def _velocity(world: World) -> Array:
 _IDENTITY = "0" * 64  # The suite digest of a trial that is part of no suite.
 
 
+_BENDS = ((1.5, 0.0, 0.0), (2.7, 0.9, 0.0), (3.0, 2.2, 0.0), (4.2, 2.6, 0.0), (5.2, 1.8, 0.0))
+"""Waypoints with bends to both sides, m: 37, 77, 18 and -39 degrees from where the robot starts."""
+_FIELD = "open/field"
+_PATIENCE = 3.0  # Times what the card's speed takes along the waypoints.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Walk:
+    """How a trial on the flat ended."""
+
+    completed: bool
+    seconds: float
+
+    def is_worse_than(self, other: Walk) -> bool:
+        """Whether the other trial was completed, and this one was not or took far longer."""
+        return other.completed and not (self.completed and self.seconds <= 1.25 * other.seconds)
+
+
 class ThisBundle(Library):
     """A library whose every bundle is the one that is looked at."""
 
@@ -157,8 +178,20 @@ class ThisBundle(Library):
         return self.own
 
 
+class _Bends(ThisBundle):
+    """The same, whose every scene has the waypoints `_BENDS`."""
+
+    def scene(self, reference: str, collision: Collision = "terrain") -> Scene:
+        """Return it."""
+        return replace(super().scene(reference, collision), trail=np.array(_BENDS))
+
+
 class Rig(Protocol):
     """Records a checkpoint under one card after another."""
+
+    def walk(self, card: Card) -> Walk:
+        """Run a trial under a card: waypoints with bends on level ground."""
+        ...
 
     def record(self, card: Card, *, seconds: float, level: float = math.inf) -> Recording:
         """Run the checkpoint under a card, while it leans less than `level`."""
@@ -195,6 +228,24 @@ class SceneRig:
             library=self._library,
         )
 
+    def walk(self, card: Card) -> Walk:
+        """Run a trial under a card: waypoints with bends on level ground.
+
+        Raises:
+            NwEvalError: it cannot be run.
+        """
+        length = float(np.linalg.norm(np.diff(_BENDS, axis=0, prepend=0.0), axis=1).sum())
+        seconds = _PATIENCE * length / max(abs(commanded_speed(card.command)), 0.4)
+        bundle = replace(self._bundle, card=card)
+        job = _job(bundle, _Bends(bundle), _FIELD, seconds, allow_code=self._allow_code)
+        with open_trial(*job, StageClock()) as opened:
+            collector = Collector(opened.episode)
+            for _ in opened.episode.steps(collector):
+                pass
+            return Walk(
+                completed=collector.outcome == "completed", seconds=opened.episode.world.time
+            )
+
 
 def record(
     bundle: Bundle,
@@ -220,6 +271,19 @@ def record(
     """
     library = library or ThisBundle(bundle)
     library.own = bundle
+    job = _job(bundle, library, scene, seconds, allow_code=allow_code)
+    with open_trial(*job, StageClock()) as opened:
+        collector = Collector(opened.episode)
+        for _ in opened.episode.steps(collector):
+            if collector.tilt >= level:
+                break
+        return collector.recording()
+
+
+def _job(
+    bundle: Bundle, library: ThisBundle, scene: str, seconds: float, *, allow_code: bool
+) -> tuple[TrialJob, ThisBundle]:
+    """Return a trial from the first start of a scene, and the library that opens it."""
     reference, collision = parse_reference(scene)
     place = library.scene(reference, collision)
     trial = Trial(
@@ -242,12 +306,7 @@ def record(
         checkpoint_digest=bundle.checkpoint_digest,
         allow_code=allow_code,
     )
-    with open_trial(job, library, StageClock()) as opened:
-        collector = Collector(opened.episode)
-        for _ in opened.episode.steps(collector):
-            if collector.tilt >= level:
-                break
-        return collector.recording()
+    return job, library
 
 
 class SpentError(Exception):
@@ -282,3 +341,16 @@ class Metered:
         recording = self._rig.record(card, seconds=seconds, level=level)
         self.spent += recording.seconds
         return recording
+
+    def walk(self, card: Card) -> Walk:
+        """Run a trial under a card: waypoints with bends on level ground.
+
+        Raises:
+            SpentError: the budget is used up.
+            NwEvalError: it cannot be run.
+        """
+        if self.spent >= self._simulated or monotonic() >= self._deadline:
+            raise SpentError
+        walk = self._rig.walk(card)
+        self.spent += walk.seconds
+        return walk
