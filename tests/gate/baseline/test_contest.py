@@ -329,7 +329,10 @@ def test_an_informational_scene_that_has_not_ended_is_run_and_holds_no_ruling_ba
     assert (verdict.verdict, verdict.success) == ("PASS", None if not verdict.n else 1.0)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(seed, marks=pytest.mark.nightly if seed > 8 else ()) for seed in range(24)],
+)
 def test_workers_that_run_ahead_end_with_the_same_trials_and_verdict(
     course: Make, seed: int
 ) -> None:
