@@ -10,7 +10,7 @@ import trimesh
 from sample_corridor import box, corridor, floor_with_hole, gaussians_on
 
 from nw_eval.catalogue import get_scene, inspect_scene, names
-from nw_eval.survey import survey_scene
+from nw_eval.survey import footing_lines, survey_scene
 
 
 def found(scene):
@@ -73,6 +73,45 @@ def test_a_hole_where_feet_go_is_found_from_where_to_where(place, hole, code, se
     first, last = finding.message.split("from ")[1].split(" m along")[0].split(" to ")
     assert float(first) == pytest.approx(hole[0], abs=0.03)
     assert float(last) == pytest.approx(hole[1], abs=0.03)
+
+
+def test_a_hole_behind_the_last_waypoint_is_found_where_the_robot_arrives(place):
+    finding = found(place(corridor(floor_with_hole(4.1, 4.5, -0.45, 0.3)), splat=False))
+    assert "behind the last waypoint" in finding["ground_unseen"].message
+    assert found(place(corridor(floor_with_hole(4.7, 5.1, -0.45, 0.3)), splat=False)) == {}
+
+
+def cobbles(height, *, cell=0.1, x=(-1.5, 5.5), y=(-1.0, 1.0)):
+    """Return ground of stones of 0.1 m, each so high or at 0, as on a chessboard; m."""
+    columns, rows = (round((high - low) / cell) for low, high in (x, y))
+    parts = [box((x[0], y[0], -0.2), (x[1], y[1], 0.0))]
+    parts += [
+        box(
+            (x[0] + cell * i, y[0] + cell * j, -0.1),
+            (x[0] + cell * (i + 1), y[0] + cell * (j + 1), height),
+        )
+        for i in range(columns)
+        for j in range(i % 2, rows, 2)
+    ]
+    return trimesh.util.concatenate(parts)
+
+
+@pytest.mark.parametrize(("height", "rough"), [(0.03, False), (0.06, True)])
+def test_ground_is_as_rough_as_it_is_and_too_rough_where_a_go1_falls(place, height, rough):
+    surveyed = survey_scene(place(cobbles(height), splat=False))
+    # Of stones at two heights, half of each.
+    assert np.nanmedian(surveyed.ground.footing.roughness) == pytest.approx(height / 2, rel=0.1)
+    assert ("ground_rough" in {one.code for one in surveyed.findings}) == rough
+    said = footing_lines(surveyed)
+    assert f"roughness: the ground is {1e3 * height / 2:.0f} mm off" in said[0]
+    assert f"steps: {height:.2f} m over 0.04 m" in said[1]
+
+
+def test_stairs_and_bars_are_steps_and_not_rough():
+    for name in ("stairs/seven_high_courtyard", "hurdles/three_benches_cloister"):
+        footing = survey_scene(get_scene(name), read_splat=False).ground.footing
+        assert np.nanquantile(footing.roughness, 0.9) < 0.003
+        assert np.nanmax(footing.step) == pytest.approx(0.2 if "stairs" in name else 0.22, abs=0.01)
 
 
 def test_a_hole_beside_the_feet_is_nobodys_business(place):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from sample_corridor import box
 
 from nw_eval import api, cli
@@ -20,6 +23,39 @@ OPEN = trimesh.util.concatenate(
     [box((-1.5, -1, -0.2), (5.5, 1, 0)), box((1.5, -1, -0.1), (2.5, 1, 0.1))]
 )
 """The corridor without walls: it ends at x = 5.5."""
+
+
+ASSETS = Path(
+    os.environ.get("NW_EVAL_ASSETS", Path(__file__).resolve().parents[3] / "shared" / "assets")
+)
+STAIRS = ASSETS / "photographs" / "stairs" / "real_stairs_125cm.png"
+
+
+def real_stairs():
+    """Return a scan of real stairs that lead up along x, z = 0 at (0, 0), 4 cm a triangle; m."""
+    grey, alpha = np.moveaxis(np.array(Image.open(STAIRS, formats=["PNG"]))[..., [0, 3]], 2, 0)
+    known = ((alpha > 0) & (grey > 4))[::-1, ::-1]
+    z = 1.25 * (grey / 255.0 - grey[40, 75] / 255.0)[::-1, ::-1]
+    rows, columns = z.shape
+    y, x = 0.04 * (np.indices(z.shape) - np.array([rows - 41, columns - 76])[:, None, None])
+    a = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    b, c, d = a + 1, a + columns + 1, a + columns
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    faces = faces[known.ravel()[faces].all(axis=1)]
+    return trimesh.Trimesh(np.column_stack([x.ravel(), y.ravel(), z.ravel()]), faces, process=False)
+
+
+@pytest.mark.assets
+@pytest.mark.skipif(not STAIRS.is_file(), reason="needs the real stairs")
+@pytest.mark.parametrize(
+    ("before_end", "walked"), [(0.15, "0 of 4"), (0.3, "0 of 4"), (0.6, "3 of 4"), (0.8, "4 of 4")]
+)
+def test_on_real_stairs_a_waypoint_is_too_near_the_end_where_go1_parkour_fails(
+    place, before_end, walked
+):
+    top = (2.52 - before_end, 0.0, 0.56 if before_end < 0.7 else 0.37)
+    scene = replace(place(real_stairs(), splat=False), trail=np.array([(1.16, 0, 0.19), top]))
+    assert ("waypoint_at_end" in codes(scene)) == (walked[0] == "0")
 
 
 def codes(scene, robot="go1"):
@@ -74,6 +110,7 @@ def test_a_last_waypoint_at_the_scans_end_is_an_error_that_says_how_far(place):
     finding = codes(along(place, 2.0, 5.3))["waypoint_at_end"]
     assert finding.severity == "error"
     assert finding.value == pytest.approx(0.2, abs=0.03)
+    assert "move it back by 0.33 m or more" in finding.fix
     assert "waypoint_at_end" not in codes(along(place, 2.0, 4.9))
 
 

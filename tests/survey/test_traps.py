@@ -27,7 +27,7 @@ scene = Scene(name="c", title="", task="stairs", solids=terrain.solids, trail=TR
               ground=Plane(z=terrain.floor), static_mesh=mesh)
 rays = RayScene(mesh)
 feet = drop_feet(scene, rays, 0.2)
-print(len(survey_ground(scene, rays, 0.2).flaws), feet.sunk, feet.count, feet.deepest)
+print(len(survey_ground(scene, rays, 0.2, 0.55).flaws), feet.sunk, feet.count, feet.deepest)
 """
 
 

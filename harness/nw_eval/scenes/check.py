@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.scenes.finding import SceneFinding
-from nw_eval.scenes.mesh import rotation_matrix
+from nw_eval.scenes.mesh import TriangleMesh, rotation_matrix
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box, HeightField, Scene
 
@@ -28,9 +28,12 @@ _BODY_TOP = 0.45
 _ROUND = 0.8
 # Terrain has a surface of its own where it is this much above the plane that catches, metres.
 _ABOVE_VOID = 0.4
-# Shares of a splat in or near the box of the mesh that are too little to be the same place.
+# Shares of a splat round the trail that are too little to be the same place: of the whole, and in
+# a place much larger than that, of the share that the mesh's surface has there.
 _LEAST_INSIDE = 0.02
+_LEAST_OF_MESH = 0.1
 _AROUND = 2.0
+_SAMPLES = 20_000
 
 
 def check_scene(scene: Scene, *, read_splat: bool = True) -> tuple[SceneFinding, ...]:
@@ -202,8 +205,11 @@ def _splat(scene: Scene) -> list[SceneFinding]:
     high = np.minimum(path.max(axis=0) + _AROUND, mesh.vertices.max(axis=0) + 0.5)
     T = scene.T_world_splat
     world = means @ T[:3, :3].T + T[:3, 3]
-    share = float(((world > low) & (world < high)).all(axis=1).mean())
-    if share >= _LEAST_INSIDE:
+    share, of_mesh = (
+        float(((points > low) & (points < high)).all(axis=1).mean())
+        for points in (world, _on_surface(mesh))
+    )
+    if share >= min(_LEAST_INSIDE, _LEAST_OF_MESH * of_mesh):
         return []
     middle = np.median(world, axis=0).round(2).tolist()
     return [
@@ -216,6 +222,18 @@ def _splat(scene: Scene) -> list[SceneFinding]:
             value=share,
         )
     ]
+
+
+def _on_surface(mesh: TriangleMesh) -> Values:
+    """Return points that are spread evenly over a mesh, (N, 3)."""
+    a, b, c = mesh.triangles.swapaxes(0, 1)
+    area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    number = np.arange(_SAMPLES) + 0.5
+    face = np.searchsorted(area, number / _SAMPLES * area[-1]).clip(0, len(area) - 1)
+    # Two steps that have no common multiple with each other nor with 1 (Roberts 2018, R2).
+    u, v = (number * 0.7548776662 % 1.0)[:, None], (number * 0.5698402910 % 1.0)[:, None]
+    u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
+    return a[face] + u * (b - a)[face] + v * (c - a)[face]
 
 
 def _means(scene: Scene) -> Values:

@@ -15,6 +15,7 @@ Code = Literal[
     "feet_sink",
     "floor_offset",
     "ground_missing",
+    "ground_rough",
     "ground_unseen",
     "ground_untouched",
     "hole",

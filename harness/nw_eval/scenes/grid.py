@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from nw_eval.scenes.scene import DEFAULT_FRICTION, Friction
 from nw_eval.words import Collision
 
-# Raise it with every change that changes a solid of any scene: it is part of the cache's key.
-COMPILER_VERSION = 5
+# Raise it with every change of a solid or a finding of any scene: it is part of the cache's key.
+COMPILER_VERSION = 6
 
 Mask = NDArray[np.bool_]
 Leg = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -132,6 +132,24 @@ def trail_heights(trail: NDArray[np.float64], xy: NDArray[np.float64]) -> NDArra
         near = np.flatnonzero(away <= (away.min() + 2 * radius) * (1 + 1e-9) + 1e-9)
         heights[tile] = _nearest_heights([legs[index] for index in near], xy[tile])
     return heights
+
+
+def to_trail(
+    trail: NDArray[np.float64], xy: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the distance from a trail, and how far along it the nearest point is, m.
+
+    Args:
+        trail: (K, 3) with K > 1.
+        xy: (N, 2).
+    """
+    away, along, gone = np.full(len(xy), np.inf), np.zeros(len(xy)), 0.0
+    for leg in pairwise(trail):
+        squared, share = _distances(leg, xy)
+        length, distance = float(np.linalg.norm((leg[1] - leg[0])[:2])), np.sqrt(squared)
+        along = np.where(distance < away, gone + share * length, along)
+        away, gone = np.minimum(away, distance), gone + length
+    return away, along
 
 
 def _tiles(xy: NDArray[np.float64]) -> list[NDArray[np.int64]]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.scenes.finding import SceneFinding
-from nw_eval.scenes.grid import Grid, shifted
+from nw_eval.scenes.grid import Grid, shifted, to_trail
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.surface import Columns, Surface
 
@@ -27,17 +27,24 @@ _SMOOTHING = 30
 # Square metres below which a gap is not worth a word.
 _UNSAID = 1e-3
 _MOST_FINDINGS = 10
+# A hole is on the way as near to it as this, and as far behind the last waypoint, metres.
+_BESIDE = 0.3
+_ARRIVAL = 0.6
 
 
 def close_holes(
-    heights: Values, grid: Grid, largest: float
+    heights: Values, grid: Grid, largest: float, path: Values
 ) -> tuple[Values, Mask, tuple[SceneFinding, ...]]:
     """Interpolate over holes.
+
+    A hole on the way is a warning; what the robot's feet meet there, the survey of the ground says.
+    One aside, behind the start or beyond the arrival is a note.
 
     Args:
         heights: (R, C) metres, nan where the mesh has no surface.
         grid: where they are.
         largest: square metres; larger holes, and what lies outside the mesh, stay nan.
+        path: (K, 3) of the spawn and the waypoints, metres.
 
     Returns:
         Heights, where they were interpolated (R, C), and the holes inside the mesh, largest first.
@@ -53,18 +60,34 @@ def close_holes(
     findings: list[SceneFinding] = []
     inner = [i for i in range(1, count + 1) if not rim[i] and sizes[i] > _UNSAID]
     for index in sorted(inner, key=lambda i: -sizes[i])[:_MOST_FINDINGS]:
-        x, y = points[(labels == index).ravel()].mean(axis=0).tolist()
+        hole = points[(labels == index).ravel()]
+        x, y = hole.mean(axis=0).tolist()
+        is_on_way, where = _from_way(hole, path)
         findings.append(
             SceneFinding(
                 code="hole",
-                severity="warning",
+                severity="warning" if is_on_way else "note",
                 message=f"the mesh has a hole of {sizes[index]:.3f} m2 at ({x:.2f}, {y:.2f}), "
-                + ("closed by interpolation" if closes[index] else "left open"),
+                f"{where}, {'closed by interpolation' if closes[index] else 'left open'}",
                 value=float(sizes[index]),
                 place=(x, y, 0.0),
             )
         )
     return _interpolate(heights, closed), closed, tuple(findings)
+
+
+def _from_way(hole: Values, path: Values) -> tuple[bool, str]:
+    """Return whether a hole, samples (N, 2), is on the way along a path, and where it is."""
+    away, along = to_trail(path, hole)
+    nearest = int(np.argmin(away))
+    length = float(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1).sum())
+    if away[nearest] < (_BESIDE if along[nearest] < length else _ARRIVAL):
+        return True, "on the way"
+    if along[nearest] <= 0.0:
+        return False, f"{away[nearest]:.1f} m behind the start"
+    if along[nearest] >= length:
+        return False, f"{away[nearest]:.1f} m beyond the last waypoint"
+    return False, f"{away[nearest]:.1f} m aside of the way"
 
 
 def _interpolate(heights: Values, closed: Mask) -> Values:

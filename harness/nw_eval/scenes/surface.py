@@ -57,7 +57,7 @@ class Surface:
         """Prepare a mesh; `trail` is (K, 3), metres, and begins at the spawn."""
         self._rays = RayScene(mesh) if rays is None else rays
         self._options = options
-        self._trail = trail
+        self.trail = trail
         corners = mesh.triangles
         self._corner = corners[:, 0]
         self._normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -67,7 +67,7 @@ class Surface:
 
     def ceiling(self, xy: Values) -> Values:
         """Return the height above which nothing counts, (N,)."""
-        return trail_heights(self._trail, xy) + self._options.headroom
+        return trail_heights(self.trail, xy) + self._options.headroom
 
     def ground(self, xy: Values) -> Values:
         """Return only the ground of `columns`, (N,)."""
@@ -76,7 +76,7 @@ class Surface:
     def columns(self, xy: Values) -> Columns:
         """Look down at points (N, 2)."""
         z, enters = self._hits(xy)
-        reference = trail_heights(self._trail, xy)
+        reference = trail_heights(self.trail, xy)
         tops, bottoms, sheets = _slabs(z, enters, self._options.headroom, reference + _ON_TRAIL)
         ceiling = reference + self._options.headroom
         # Thin gaps close from the top down; what begins above the ceiling is not there.

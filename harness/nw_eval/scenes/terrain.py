@@ -183,7 +183,7 @@ def _field(
 ) -> _Field:
     columns = surface.columns(grid.points())
     ground = columns.ground.reshape(grid.shape)
-    heights, closed, findings = close_holes(ground, grid, options.largest_hole)
+    heights, closed, findings = close_holes(ground, grid, options.largest_hole, surface.trail)
     heights, raised = raise_walls(heights, columns, mesh, surface, grid)
     edges: tuple[Plate, ...] = ()
     if fine:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from nw_eval.plural import plural
 from nw_eval.robots import get_robot
 from nw_eval.scenes.finding import SceneFinding
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Scene
 from nw_eval.survey.ground import (
+    FOOT,
+    MOST_ROUGH,
+    PATCH,
     DroppedFeet,
     SurveyedGround,
     drop_feet,
     feet_findings,
+    footing_findings,
     ground_findings,
     survey_ground,
 )
@@ -72,7 +78,7 @@ def survey_scene(scene: Scene, *, robot: str = "go1", read_splat: bool = True) -
     legs = fit_of(scene, legs_of(spec))
     beyond = beyond_finding(legs)
     rays = RayScene(scene.mesh())
-    ground = survey_ground(scene, rays, stance.half_width)
+    ground = survey_ground(scene, rays, stance.half_width, stance.length)
     feet = drop_feet(scene, rays, stance.half_width)
     views = None
     if read_splat and scene.splat is not None:
@@ -88,6 +94,7 @@ def survey_scene(scene: Scene, *, robot: str = "go1", read_splat: bool = True) -
             *(() if beyond is None else (beyond,)),
             *ground_findings(ground, scene.task),
             *feet_findings(feet),
+            *footing_findings(ground.footing, robot, legs.legs.length),
             *(() if views is None else view_findings(views)),
         ),
     )
@@ -105,6 +112,29 @@ def survey_lines(survey: Survey) -> tuple[str, ...]:
     if survey.views is not None:
         lines += _view_lines(survey.views)
     return tuple(lines)
+
+
+def footing_lines(survey: Survey) -> tuple[str, ...]:
+    """Return how rough the ground is along the trail, and how stepped and steep."""
+    found, length = survey.ground.footing, survey.length
+    known = np.isfinite(found.roughness)
+    if not known.any():
+        return (f"roughness: no ground is known along {length:.1f} m of trail",)
+    usual, most = 1e3 * np.quantile(found.roughness[known], (0.5, 0.9))
+    bears = 1e3 * MOST_ROUGH * survey.legs.legs.length
+    step = np.where(np.isfinite(found.step), found.step, 0.0)
+    highest, slopes = int(np.argmax(step)), np.degrees(found.slope[np.isfinite(found.slope)])
+    steepest = f"{np.median(slopes):.0f} degrees (median), {slopes.max():.0f} at most"
+    roughness = (
+        f"roughness: the ground is {usual:.0f} mm off the plane of {PATCH:g} m (median), "
+        f"{most:.0f} mm or less on 90 % of {length:.1f} m of trail; feet of {survey.robot} bear "
+        f"{bears:.0f} mm"
+    )
+    steps = (
+        f"steps: {step[highest]:.2f} m over {FOOT:g} m at most, {found.along[highest]:.1f} m along "
+        f"the trail; slopes are {steepest if len(slopes) else 'not known'}"
+    )
+    return roughness, steps
 
 
 def _view_lines(seen: SurveyedViews) -> list[str]:

@@ -1,6 +1,7 @@
 """The ground where feet go: what the mesh shows there, what physics has, and what is wrong with it.
 
 Feet are dropped along the trail, too: whether physics carries them where the mesh shows ground.
+`footing_of` measures how rough, stepped and steep the ground is.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from nw_eval.scenes.finding import Code, SceneFinding, Severity
@@ -59,6 +61,20 @@ LONGEST_GAP = 1.0
 INVENTED = 0.1
 """Area of ground that physics may add to what the mesh shows, m2: a small hole that is closed."""
 
+PATCH = 0.25
+"""Edge of the square of ground to whose plane roughness is measured, m."""
+FOOT = 0.04
+"""Length over which a step is measured, m: that of a foot."""
+MOST_ROUGH = 0.07
+"""Roughness that feet bear, in lengths of a leg; see docs/scenes.md for the trials."""
+MOST_STEEP = 0.61
+"""Slope that feet bear, rad: 35 degrees; the steepest ramps of the built-in scenes have 30."""
+
+_EDGE = 0.06  # m over a foot's length: an edge, which is a step and no roughness
+_LEAST_ROUGH = 0.5  # m along the trail; over less, an edge may be taken for roughness
+_PATCH = round(PATCH / SPACING / 2)  # samples to each side of a patch's middle
+_LEAST_KNOWN = 0.5  # share of a patch that has ground
+
 _MOST_FINDINGS = 5  # findings of one scene; the largest
 _CODES: dict[Flaw, Code] = {
     "missing": "ground_missing",
@@ -73,15 +89,17 @@ _FIXES: dict[Flaw, str] = {
 }
 
 
-def survey_ground(scene: Scene, rays: RayScene, half_width: float) -> SurveyedGround:
+def survey_ground(scene: Scene, rays: RayScene, half_width: float, length: float) -> SurveyedGround:
     """Look down on the corridor along a scene's trail, and feel what carries there.
 
     Args:
         scene: where.
         rays: of its mesh.
         half_width: of the corridor, m: half of a standing robot, without `WANDER`.
+        length: of the robot, m: the corridor goes on so far behind the last waypoint.
     """
-    samples = trail_samples(scene, SPACING, behind=_BEHIND, most=_MOST)
+    samples = trail_samples(scene, SPACING, behind=_BEHIND, beyond=length, most=_MOST)
+    end = float(trail_samples(scene, 1.0).along[-1])
     reach = half_width + WANDER
     sides = np.linspace(-reach, reach, 1 + 2 * round(reach / SPACING))
     xy = samples.points[:, None, :2] + sides[:, None] * samples.left[:, None]
@@ -107,8 +125,10 @@ def survey_ground(scene: Scene, rays: RayScene, half_width: float) -> SurveyedGr
     ]
     return SurveyedGround(
         width=2 * reach,
-        sound=float(1 - any_flaw.mean()),
+        sound=float(1 - any_flaw[samples.along <= end].mean()),
+        end=end,
         flaws=tuple(sorted(flaws, key=lambda flaw: (flaw.first, flaw.kind))),
+        footing=footing_of(samples, seen),
     )
 
 
@@ -118,13 +138,144 @@ class SurveyedGround:
 
     Attributes:
         width: m.
-        sound: share of its samples at which mesh and physics have the same ground.
+        sound: share of its samples up to the last waypoint at which mesh and physics have the same
+            ground.
+        end: where the last waypoint is, m along the trail; the corridor goes on behind it.
         flaws: in the order of the trail; none is smaller than a foot.
+        footing: how rough, stepped and steep it is.
     """
 
     width: float
     sound: float
+    end: float
     flaws: tuple[GroundFlaw, ...]
+    footing: Footing
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Footing:
+    """The ground of the corridor at stations along the trail, from the start on.
+
+    Attributes:
+        along: (S,) m from the start, `FEET_SPACING` apart.
+        places: (S, 3) on the trail's line, world, m.
+        roughness: (S,) root mean square distance from the plane of a square of `PATCH`, m. Where
+            an edge crosses the square, of its smoother half. nan without ground.
+        step: (S,) largest change of height over `FOOT`, m, of an edge that is wider than a foot;
+            nan without ground.
+        slope: (S,) of that plane in the corridor's middle, rad; nan without ground.
+    """
+
+    along: Values
+    places: Values
+    roughness: Values
+    step: Values
+    slope: Values
+
+
+def footing_of(samples: TrailSamples, seen: Values) -> Footing:
+    """Return how rough, stepped and steep a corridor is.
+
+    Args:
+        samples: (S,) of its line, `SPACING` apart.
+        seen: (S, L) heights of its ground, lines `SPACING` apart, m; nan where there is none.
+    """
+    every = round(FEET_SPACING / SPACING)
+    rows = np.flatnonzero(samples.along > -SPACING / 2)[::every]
+    padded = np.pad(seen, ((_PATCH, _PATCH), (0, 0)), constant_values=np.nan)
+    windows = sliding_window_view(padded, 2 * _PATCH + 1, axis=0)[rows]  # (stations, lines, along)
+    middles = np.linspace(_PATCH, seen.shape[1] - 1 - _PATCH, 3).round().astype(np.int64)
+    across = middles[:, None] + np.arange(-_PATCH, _PATCH + 1)
+    patches = windows[:, across].swapaxes(2, 3)  # (stations, left to right, along, across)
+    rough, slope = _planes(patches)
+    foot = round(FOOT / SPACING)
+    near = patches[:, :, _PATCH - every : _PATCH + every + 1]
+    rises = np.abs(near[:, :, foot:] - near[:, :, :-foot])
+    there = np.isfinite(rises)
+    step = np.median(np.where(there, rises, 0.0), axis=3).max(axis=(1, 2))
+    known = np.isfinite(rough)
+    squares = np.where(known, rough**2, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
+    return Footing(
+        along=samples.along[rows],
+        places=samples.points[rows],
+        roughness=np.where(known.any(axis=1), np.sqrt(squares), np.nan),
+        step=np.where(there.any(axis=(1, 2, 3)), step, np.nan),
+        slope=slope[:, 1],
+    )
+
+
+def _planes(patches: Values) -> tuple[Values, Values]:
+    """Return the roughness, m, and the slope, rad, of squares of ground, (S, 3) each.
+
+    Planes are fitted by least squares. A square that an edge crosses is judged by its smoothest
+    half: a step from plane to plane is not rough.
+
+    Args:
+        patches: (S, 3, N, N) heights `SPACING` apart, m; nan where there is none.
+    """
+    side = SPACING * np.arange(-_PATCH, _PATCH + 1)
+    u, v = (part.ravel() for part in np.meshgrid(side, side, indexing="ij"))
+    design = np.column_stack([np.ones_like(u), u, v])
+    outer = (design[:, :, None] * design[:, None, :]).reshape(-1, 9)
+    flat = patches.reshape(-1, len(u))
+    heights = np.where(np.isfinite(flat), flat, 0.0)
+    foot = round(FOOT / SPACING)
+    edged = np.zeros(len(flat), dtype=np.bool_)
+    for moved in (patches, patches.swapaxes(2, 3)):
+        rises = np.abs(moved[:, :, foot:] - moved[:, :, :-foot])
+        edged |= (rises > _EDGE).any(axis=(2, 3)).ravel()
+    rough, slope = np.full((2, len(flat)), np.inf)
+    for number, piece in enumerate((u < 1.0, u <= 0.0, u >= 0.0, v <= 0.0, v >= 0.0)):
+        weight = (np.isfinite(flat) & piece).astype(np.float64)
+        count = weight.sum(axis=1)
+        enough = count >= _LEAST_KNOWN * piece.sum()
+        normal = (weight @ outer).reshape(-1, 3, 3) + 1e-9 * np.eye(3)
+        plane = np.linalg.solve(normal, ((weight * heights) @ design)[..., None])[..., 0]
+        off = weight * (heights - plane @ design.T)
+        found = np.sqrt((off**2).sum(axis=1) / np.maximum(count, 1.0))
+        better = enough & (found < rough) & (edged if number else ~edged)
+        rough = np.where(better, found, rough)
+        slope = np.where(better, np.arctan(np.hypot(plane[:, 1], plane[:, 2])), slope)
+    rough, slope = (np.where(np.isfinite(part), part, np.nan) for part in (rough, slope))
+    return rough.reshape(patches.shape[:2]), slope.reshape(patches.shape[:2])
+
+
+def footing_findings(footing: Footing, robot: str, leg: float) -> list[SceneFinding]:
+    """Return where the ground is rougher or steeper than feet bear, the longest stretch of each.
+
+    Args:
+        footing: measured.
+        robot: its name.
+        leg: length of its legs, m.
+    """
+    bounds = (
+        (footing.roughness, MOST_ROUGH * leg, "{:.3f} m off the plane of {} m"),
+        (footing.slope, MOST_STEEP, "{:.2f} rad steep over {} m"),
+    )
+    found: list[SceneFinding] = []
+    for values, limit, words in bounds:
+        beyond = np.concatenate([[False], values > limit, [False]])
+        starts, ends = np.flatnonzero(np.diff(beyond.astype(np.int8))).reshape(-1, 2).T
+        if not len(starts) or (ends - starts).max() * FEET_SPACING < _LEAST_ROUGH:
+            continue
+        longest = int(np.argmax(ends - starts))
+        first, last = int(starts[longest]), int(ends[longest]) - 1
+        value = float(np.median(values[first : last + 1]))
+        x, y, z = footing.places[(first + last) // 2].tolist()
+        found.append(
+            SceneFinding(
+                code="ground_rough",
+                severity="warning",
+                message=f"the ground is {words.format(value, PATCH)} (median) from "
+                f"{footing.along[first]:.2f} to {footing.along[last]:.2f} m along the trail, round "
+                f"({x:.2f}, {y:.2f}); feet of a {robot} bear {limit:.3f}",
+                fix="smooth the mesh there if the real ground is smoother, or lead the trail "
+                "elsewhere",
+                value=value,
+                place=(x, y, z),
+            )
+        )
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,6 +462,10 @@ def feet_findings(feet: DroppedFeet) -> list[SceneFinding]:
 def _finding(flaw: GroundFlaw, ground: SurveyedGround, task: Task) -> SceneFinding:
     x, y, _ = flaw.place
     where = f"from {flaw.first:.2f} to {flaw.last:.2f} m along the trail, round ({x:.2f}, {y:.2f})"
+    if flaw.last < 0.0:
+        where += ", where hind feet stand at the start"
+    elif flaw.first > ground.end:
+        where += ", behind the last waypoint"
     size = f"{flaw.width:.2f} m wide in the {ground.width:.2f} m where feet go, {flaw.area:.3f} m2"
     off = "" if flaw.off is None else f", by {flaw.off:.2f} m ({TOLERANCE:g} m is allowed)"
     added = f" ({INVENTED:g} m2 of such ground is a warning)" if flaw.kind == "unseen" else ""

@@ -75,7 +75,12 @@ class TrailSamples:
 
 
 def trail_samples(
-    scene: Scene, spacing: float, *, behind: float = 0.0, most: int = 100_000
+    scene: Scene,
+    spacing: float,
+    *,
+    behind: float = 0.0,
+    beyond: float = 0.0,
+    most: int = 100_000,
 ) -> TrailSamples:
     """Return points on a scene's trail, its start and its last waypoint included.
 
@@ -83,6 +88,7 @@ def trail_samples(
         scene: whose trail.
         spacing: between neighbours, m; a longer trail than `most` of them gets fewer a metre.
         behind: how far before the start the line begins, m.
+        beyond: how far behind the last waypoint it ends, m.
         most: points at most, about.
     """
     yaw = scene.spawn.yaw
@@ -100,10 +106,12 @@ def trail_samples(
         first = -behind if index == 0 else 0.0
         stations = np.arange(first, across, spacing)
         if index == len(legs) - 1:
-            stations = np.append(stations, across)
-        points = a + np.maximum(stations, 0.0)[:, None] / across * (b - a)
+            further = across + np.arange(spacing, beyond + spacing / 2, spacing)
+            stations = np.concatenate([stations, [across], further])
+        on_leg = np.clip(stations, 0.0, across)
+        points = a + on_leg[:, None] / across * (b - a)
         ahead = (b - a)[:2] / across
-        points[:, :2] += np.minimum(stations, 0.0)[:, None] * ahead
+        points[:, :2] += (stations - on_leg)[:, None] * ahead
         above = np.full(len(stations), max(a[2], b[2]) + _LOOK_DOWN)
         ways = np.broadcast_to(ahead, (len(stations), 2))
         rows.append(np.column_stack([gone + stations, points, ways, above]))
@@ -325,7 +333,7 @@ def _end(scene: Scene, path: Values, robot: str, length: float) -> SceneFinding 
         severity="error",
         message=f"the last waypoint, at ({x:.2f}, {y:.2f}), is {room:.2f} m before the mesh ends; "
         f"a {robot} is {length:.2f} m long from nose to tail and needs as much ground to arrive",
-        fix="move it back, or capture more of the place",
+        fix=f"move it back by {length - room:.2f} m or more, or capture more of the place",
         value=room,
         place=(x, y, z),
     )

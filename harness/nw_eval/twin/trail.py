@@ -24,8 +24,11 @@ from nw_eval.tasks.course import REACH_RADIUS
 from nw_eval.twin.trail_profile import (
     STEP,
     GroundProfile,
+    Shown,
     Stretch,
+    free_way,
     ground_along,
+    sound,
     stretches_of,
     way_of,
 )
@@ -40,9 +43,20 @@ _APART = 0.25
 _APPROACH = 1.5
 """Level way before the first feature, at most, metres: as much as in the shipped scenes."""
 _CLEAR = REACH_RADIUS + 0.3
-"""From the spawn to the first waypoint at least, metres: beyond reach of where any trial begins."""
-_ARRIVE = 0.6
-"""Of ground behind the last waypoint, metres: a robot's length."""
+"""From the spawn to the first waypoint at least, metres: beyond reach of where any trial begins.
+A longer robot has its own length."""
+LENGTH = 0.55
+"""Of a Go1 from nose to tail, metres."""
+_MARGIN = 0.05
+"""Of ground behind the last waypoint, more than a robot's length, metres."""
+_FEET = np.linspace(-0.3, 0.3, 13)
+"""Lines beside the way on which feet go, metres."""
+_BEHIND = 0.3
+"""Of ground behind the start on which hind feet stand, metres."""
+_LONGEST = 8.0
+"""Of a trail, metres: a trial has 12 s, in which go1-parkour walks about as far."""
+_BOW = 0.15
+"""Distance of the way from a straight leg, metres, from which on it gets a waypoint."""
 _RUN_UP = 0.5
 """Metres of level way that a robot needs before the first feature."""
 FLOOR = 0.02
@@ -75,6 +89,7 @@ class TrailProposal:
         trail: waypoints on top of what the robot steps on, metres.
         features: in order.
         warnings: what somebody should look at.
+        whole: whether the ground has no hole as wide as a foot where feet go.
     """
 
     task: Task
@@ -83,34 +98,70 @@ class TrailProposal:
     trail: tuple[Vector, ...]
     features: tuple[TrailFeature, ...]
     warnings: tuple[str, ...]
+    whole: bool
 
 
-def propose_trail(mesh: TriangleMesh, centres: Values) -> TrailProposal:
+def propose_trail(
+    mesh: TriangleMesh, centres: Values, *, length: float = LENGTH, shown: Shown | None = None
+) -> TrailProposal:
     """Return a trail along the way that the cameras went, over what lies there.
+
+    It is as long as the robot at least, `_LONGEST` at most, and ends a robot's length before the
+    ground does.
 
     Args:
         mesh: of the place in metres, z up.
         centres: (V, 3) of the cameras in the order of the walk, in the same frame.
+        length: of the robot from nose to tail, metres.
+        shown: where photographs show the ground; None = nobody knows.
 
     Raises:
         SceneError: the cameras went less than a metre, the mesh has no ground below them, or too
             little for a waypoint that a robot has to walk to.
     """
-    way = way_of(centres)
     below = float(centres[:, 2].max())
-    profile = ground_along(mesh, way, below)
+    profile = ground_along(mesh, way_of(centres), below, shown)
+    return _proposed(mesh, profile, below, length)
+
+
+def propose_free_trail(
+    mesh: TriangleMesh, centres: Values, *, length: float = LENGTH, shown: Shown | None = None
+) -> TrailProposal:
+    """Return a trail on the longest straight strip of level ground, wherever the cameras went.
+
+    It leads the way that the cameras went, as far as they went anywhere. Arguments as
+    `propose_trail`.
+
+    Raises:
+        SceneError: no such strip is long enough.
+    """
+    below = float(centres[:, 2].max())
+    profile = ground_along(mesh, free_way(mesh, centres, below, shown), below)
+    return _proposed(mesh, profile, below, length)
+
+
+def _proposed(
+    mesh: TriangleMesh, profile: GroundProfile, below: float, length: float
+) -> TrailProposal:
     features = features_of(profile, stretches_of(profile))
     if features and features[0].start > _APPROACH:
         profile = profile.after(features[0].start - _APPROACH)
         features = features_of(profile, stretches_of(profile))
+    along, whole = _soundness(mesh, profile, below, length + _MARGIN)
+    end = _last(profile, along, whole, length + _MARGIN)
+    stands = _stands(profile, features, min(end, _LONGEST), length)
+    reached = [feature for feature in features if feature.start < stands[-1]]
+    is_cut = end > _LONGEST and (stands[-1] > _LONGEST - STEP or len(reached) < len(features))
+    features = reached
     task, reasons = guess_task(features)
     return TrailProposal(
         task=task,
         reasons=reasons,
         spawn=_spawn(profile),
-        trail=_waypoints(profile, features, _last(mesh, profile, below)),
+        trail=tuple(_point(profile, stand) for stand in stands),
         features=tuple(features),
-        warnings=_warnings(profile, features),
+        warnings=_warnings(profile, features, end if is_cut else None),
+        whole=bool(whole[along <= stands[-1] + length].all()),
     )
 
 
@@ -142,41 +193,62 @@ def _spawn(profile: GroundProfile) -> Spawn:
     return Spawn(position=(x, y, z), yaw=yaw)
 
 
-def _last(mesh: TriangleMesh, profile: GroundProfile, below: float) -> float:
-    """Return how far along the way a waypoint may stand: with `_ARRIVE` of ground behind it."""
-    xy = profile.xy
-    ahead = xy[-1] - xy[max(0, len(xy) - 1 - round(_RUN_UP / STEP))]
-    ahead = ahead / max(float(np.hypot(*ahead)), 1e-12)
-    stations = np.arange(0.0, _ARRIVE + STEP / 2, STEP)
-    sides = np.array([-0.1, 0.0, 0.1])[:, None] * np.array([-ahead[1], ahead[0]])
-    places = xy[-1] + stations[:, None, None] * ahead + sides
-    heights = RayScene(mesh).height(places.reshape(-1, 2), z_from=below)
-    there = np.isfinite(heights).reshape(places.shape[:2]).any(axis=1)
-    room = _ARRIVE if there.all() else float(stations[int(np.argmin(there))])
-    return float(profile.along[-1]) - (_ARRIVE - room)
+def _soundness(
+    mesh: TriangleMesh, profile: GroundProfile, below: float, arrive: float
+) -> tuple[Values, NDArray[np.bool_]]:
+    """Return where along the way feet go, (S,) metres, and whether the ground there is sound.
+
+    From a stance behind the start to so many metres, `arrive`, behind the end of the way.
+    """
+    xy, before, behind = profile.xy, round(_BEHIND / STEP), round(arrive / STEP)
+    first, last = xy[1] - xy[0], xy[-1] - xy[max(0, len(xy) - 1 - round(_RUN_UP / STEP))]
+    last = STEP * last / max(float(np.hypot(*last)), 1e-12)
+    places = np.concatenate(
+        [
+            xy[0] - np.arange(before, 0, -1)[:, None] * first,
+            xy,
+            xy[-1] + np.arange(1, behind + 1)[:, None] * last,
+        ]
+    )
+    ahead = np.gradient(places, axis=0)
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-12)
+    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    points = places[:, None] + _FEET[:, None] * left[:, None]
+    heights = RayScene(mesh).height(points.reshape(-1, 2), z_from=below)
+    along = STEP * np.arange(-before, len(xy) + behind, dtype=np.float64)
+    return along, sound(np.isfinite(heights).reshape(points.shape[:2]))
 
 
-def _waypoints(
-    profile: GroundProfile, features: Sequence[TrailFeature], end: float
-) -> tuple[Vector, ...]:
-    """Return a waypoint where each feature is stood on, and one behind the last.
+def _last(profile: GroundProfile, along: Values, whole: NDArray[np.bool_], arrive: float) -> float:
+    """Return how far along the way a waypoint may stand: with so much ground behind it, metres."""
+    end = float(profile.along[-1])
+    broken = along[(along > end - STEP / 2) & ~whole]
+    return min(end, float(broken[0]) - arrive) if len(broken) else end
 
-    None is within reach of the spawn.
+
+def _stands(
+    profile: GroundProfile, features: Sequence[TrailFeature], end: float, length: float
+) -> list[float]:
+    """Return where along the way waypoints stand: on each feature, behind the last, in bends.
+
+    None is within reach of the spawn, nor nearer to it than the robot is long.
 
     Args:
         profile: of the way.
         features: in order.
         end: how far along the way a waypoint may stand.
+        length: of the robot, metres.
 
     Raises:
         SceneError: none is left.
     """
+    clear = max(_CLEAR, length)
     stands = sorted(stand for feature in features for stand in feature.stands)
-    last = max((feature.end for feature in features), default=None)
+    last = max((feature.end for feature in features if feature.start < end), default=None)
     stands.append(end if last is None else min(end, max([last, *stands]) + _FINISH))
     kept: list[float] = []
     for stand in stands:
-        if stand > end or _from_start(profile, stand) < _CLEAR:
+        if stand > end or _from_start(profile, stand) < clear:
             continue
         if kept and stand - kept[-1] < _APART:
             continue
@@ -184,10 +256,28 @@ def _waypoints(
     if not kept:
         raise SceneError(
             f"there are {profile.along[-1]:.2f} m of ground along the way: too little for a "
-            f"waypoint {_CLEAR:g} m from the start, with {_ARRIVE:g} m behind it to arrive in",
-            fix="capture more ground ahead of the start, or write the trail by hand",
+            f"waypoint {clear:g} m from the start, with {length + _MARGIN:g} m behind it to arrive "
+            "in",
+            fix="capture more ground ahead of the start, or lay the trail on the label page",
         )
-    return tuple(_point(profile, stand) for stand in kept)
+    return [stand for leg in pairwise([0.0, *kept]) for stand in _bends(profile, *leg)]
+
+
+def _bends(profile: GroundProfile, first: float, last: float) -> list[float]:
+    """Return the end of a leg, after places between where the way bends away from it."""
+    a, b = (round(place / STEP) for place in (first, last))
+    piece = profile.xy[a : b + 1]
+    if _from_start(profile, last) < _CLEAR or len(piece) < 3:
+        return [last]
+    along = piece[-1] - piece[0]
+    aside = piece - piece[0]
+    off = np.abs(aside[:, 0] * along[1] - aside[:, 1] * along[0])
+    off = off / max(float(np.hypot(*along)), 1e-9)
+    middle = first + STEP * int(np.argmax(off))
+    near = min(middle - first, last - middle) < _CLEAR or _from_start(profile, middle) < _CLEAR
+    if off.max() < _BOW or near:
+        return [last]
+    return [*_bends(profile, first, middle), *_bends(profile, middle, last)]
 
 
 def _from_start(profile: GroundProfile, along: float) -> float:
@@ -203,8 +293,28 @@ def _point(profile: GroundProfile, along: float) -> Vector:
     return round(x, 3), round(y, 3), round(float(profile.height[place]), 3)
 
 
-def _warnings(profile: GroundProfile, features: Sequence[TrailFeature]) -> tuple[str, ...]:
+def _warnings(
+    profile: GroundProfile, features: Sequence[TrailFeature], further: float | None
+) -> tuple[str, ...]:
+    """Return what somebody should look at.
+
+    Args:
+        profile: of the way.
+        features: that the trail leads over.
+        further: how far along the way a waypoint could stand, metres, where the trail does not go
+            so far.
+    """
     warnings: list[str] = []
+    if further is not None:
+        warnings.append(
+            f"the way goes on for {further:.1f} m: the trail is {_LONGEST:g} m long at most, about "
+            "as far as a robot walks in a trial; for more, add waypoints and set `duration`"
+        )
+    if profile.left_out > 0.0:
+        warnings.append(
+            f"{profile.left_out:.1f} m of the way lie beyond 1 m or more without ground or "
+            "without a photograph of it: the trail is on the longest piece between"
+        )
     height = float(profile.height[0])
     if abs(height) > FLOOR:
         warnings.append(

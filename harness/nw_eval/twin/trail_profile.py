@@ -7,7 +7,7 @@ and leans to the sides; it is cut into what is level, what slopes along the way,
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
@@ -20,6 +20,8 @@ from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 
 Values = NDArray[np.float64]
+Shown = Callable[[Values], NDArray[np.bool_]]
+"""Says at which places (N, 2), metres, photographs show the ground."""
 
 _SIDES = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
 """Lines beside the way on which the ground is looked at, metres: what a robot stands on."""
@@ -32,7 +34,13 @@ _WHOLE = 0.98
 _STEP_ON = 1.0
 """How much farther even ground may lie than ground, metres."""
 _BUMP = 0.02
-"""Distance from a plane up to which ground is even, metres."""
+"""Distance from a plane up to which any ground is even, metres."""
+_USUAL = 1.25
+"""Of rough ground, how many times as far as it usually is from a plane even ground may be."""
+_LONGEST_HOLE = 1.0
+"""Of a way, metres: a hole as long as a gap that a robot leaps. A longer one ends the way."""
+_NOISE = 4.0
+"""Standard deviations of rough ground that are no edge."""
 _MEDIAN = 5
 """Samples of which the middle one counts: scans have spikes."""
 
@@ -43,11 +51,15 @@ _SMOOTH = 0.6
 """Length over which a way is rounded off, metres: hands and steps swing by less."""
 _LEAST = 1.0
 """Of a way that can be a trail, metres."""
+_FREE_CELL, _MOST_CELLS = 0.1, 400
+"""Edge of a square of ground where level ground is looked for, metres, and how many, each way."""
+_LEVEL = 0.15
+"""Difference of heights of level ground, rough or not, metres."""
 _FAR = 0.9
 """Share of the farthest camera's distance: the first time that the walk is so far, it is there."""
 
 EDGE_RISE = 0.06
-"""What is lower is no edge, metres."""
+"""What is lower is no edge, metres. On rough ground more is: see `GroundProfile.edge`."""
 _EDGE_RUN = 4
 """Samples over which an edge rises at most: scans round it off."""
 _GRADE = math.tan(math.radians(6.0))
@@ -72,6 +84,8 @@ class GroundProfile:
         height: (S,) metres; across holes of the mesh, straight.
         lean: (S,) slope to the left, tangent; positive where the left is higher.
         known: share of the samples that have ground below them.
+        edge: what is lower is no edge, metres: `EDGE_RISE`, more on rough ground such as cobbles.
+        left_out: metres of the way before and behind it, beyond holes that are too long.
     """
 
     xy: Values
@@ -79,32 +93,38 @@ class GroundProfile:
     height: Values
     lean: Values
     known: float
+    edge: float = EDGE_RISE
+    left_out: float = 0.0
 
     def after(self, start: float) -> GroundProfile:
         """Return the rest of it, from so many metres along."""
         first = round(start / STEP)
-        return GroundProfile(
+        return replace(
+            self,
             xy=self.xy[first:],
             along=self.along[first:] - self.along[first],
             height=self.height[first:],
             lean=self.lean[first:],
-            known=self.known,
         )
 
 
-def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile:
+def ground_along(
+    mesh: TriangleMesh, way: Values, below: float, shown: Shown | None = None
+) -> GroundProfile:
     """Return the ground along a way.
 
     Args:
         mesh: in metres, z up, faces counter-clockwise from outside.
         way: (S, 2) metres, evenly spaced.
         below: height from which to look down, metres: that of the cameras, under any ceiling.
+        shown: where photographs show the ground; None = nobody knows.
 
     Raises:
         SceneError: less than half of the way has ground below it.
 
     The way begins and ends where there is ground to stand on: cameras look ahead, and rarely at
-    what lies below the first of them.
+    what lies below the first of them. Of a way with holes longer than 1 m, or
+    with ground that no photograph shows for so long, it is the longest piece between them.
     """
     # A robot stands on ground behind the start, too.
     run = round(_STAND / STEP)
@@ -118,13 +138,16 @@ def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile
     heights = np.where(np.isfinite(heights), heights, np.nan).reshape(points.shape[:2])
     there = np.isfinite(heights)
     seen = there.sum(axis=1) >= 3
-    first, last = _firm(seen, there.mean(axis=1), heights, run)
+    start, end = _longest_piece(seen if shown is None else seen & shown(way), run)
+    first, last = _firm(seen[start:end], there[start:end].mean(axis=1), heights[start:end], run)
+    left_out = STEP * float(seen[run:].sum() - seen[max(run, start) : end].sum())
+    first, last = start + first, start + last
     way, heights, seen = way[first:last], heights[first:last], seen[first:last]
     known = float(seen.mean()) if len(seen) else 0.0
     if known < _KNOWN:
         raise SceneError(
             f"{known:.0%} of the way has ground below it in the mesh",
-            fix="photograph the ground too, from above, or write the trail by hand",
+            fix="photograph the ground too, from above, or lay the trail on the label page",
         )
     stations = STEP * np.arange(len(way), dtype=np.float64)
     filled = np.where(seen[:, None], heights, 0.0)
@@ -132,9 +155,47 @@ def ground_along(mesh: TriangleMesh, way: Values, below: float) -> GroundProfile
     lean = _lean(np.where(seen[:, None], heights, np.nan))
     height = np.interp(stations, stations[seen], middle[seen])
     lean = np.interp(stations, stations[seen], lean[seen])
+    # Stairs and bars across the way are as high at the left as at the right; cobbles are not.
+    off = filled - middle[:, None] - lean[:, None] * _SIDES
+    rough = 1.4826 * float(np.median(np.abs(off[seen][:, _SIDES != 0.0])))
     return GroundProfile(
-        xy=way, along=stations, height=_settled(height), lean=_settled(lean), known=known
+        xy=way,
+        along=stations,
+        height=_settled(height),
+        lean=_settled(lean),
+        known=known,
+        edge=max(EDGE_RISE, _NOISE * rough),
+        left_out=left_out,
     )
+
+
+def _longest_piece(seen: NDArray[np.bool_], run: int) -> tuple[int, int]:
+    """Return first and end of the longest piece of a way between holes that are too long.
+
+    It has up to `run` places without ground before its own.
+
+    Args:
+        seen: (S,) whether there is ground.
+        run: places that were put before the way.
+    """
+    places = np.flatnonzero(seen)
+    if not len(places):
+        return 0, len(seen)
+    pieces = np.split(places, np.flatnonzero(np.diff(places) * STEP > _LONGEST_HOLE) + 1)
+    longest = max(pieces, key=len)
+    return max(0, int(longest[0]) - run), int(longest[-1]) + 1
+
+
+def sound(there: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return at which places (S,) of a way none of its lines has a hole that is wider than a foot.
+
+    Args:
+        there: (S, lines) whether there is ground, `STEP` apart along the way.
+    """
+    padded = np.pad(~there, ((2, 2), (0, 0)), mode="edge")
+    three = padded[:-2] & padded[1:-1] & padded[2:]
+    holes = three[:-2] | three[1:-1] | three[2:]
+    return np.logical_not(np.logical_or.reduce(holes, axis=1))
 
 
 def _firm(seen: NDArray[np.bool_], share: Values, heights: Values, run: int) -> tuple[int, int]:
@@ -168,6 +229,8 @@ def _firm(seen: NDArray[np.bool_], share: Values, heights: Values, run: int) -> 
 def _even(heights: Values, half: int) -> NDArray[np.bool_]:
     """Return about which places (S,) the ground lies in a plane, level or not.
 
+    On ground that is rough all along, these are the places where it is as even as it usually is.
+
     Args:
         heights: (S, lines) metres, nan without ground.
         half: places to each side that count.
@@ -179,7 +242,10 @@ def _even(heights: Values, half: int) -> NDArray[np.bool_]:
     values = about.reshape(len(heights), -1)
     known = np.where(np.isfinite(values), values, 0.0)
     off = np.abs(values - known @ np.linalg.pinv(plane).T @ plane.T)
-    return (off <= _BUMP).mean(axis=1) >= _WHOLE
+    off = np.where(np.isfinite(off), off, np.inf)
+    farthest = np.quantile(off, _WHOLE, axis=1, method="inverted_cdf")
+    usual = farthest[np.isfinite(farthest)]
+    return farthest <= max(_BUMP, _USUAL * float(np.median(usual)) if len(usual) else 0.0)
 
 
 def _lean(heights: Values) -> Values:
@@ -224,7 +290,7 @@ def way_of(centres: Values) -> Values:
         gone = float(away.max(initial=0.0))
         raise SceneError(
             f"the cameras went {gone:.2f} m from the first one, which is no trail",
-            fix=f"photograph a walk of {_LEAST:g} m or more, or write the trail by hand",
+            fix=f"photograph a walk of {_LEAST:g} m or more, or lay the trail on the label page",
         )
     walked = _evenly(flat[: _end(away) + 1])
     half = max(1, round(_SMOOTH / STEP / 2))
@@ -237,6 +303,66 @@ def way_of(centres: Values) -> Values:
     sums = np.cumsum(np.concatenate([np.zeros((1, 2)), padded]), axis=0)
     width = 2 * half + 1
     return _evenly((sums[width:] - sums[:-width]) / width)
+
+
+def free_way(
+    mesh: TriangleMesh, centres: Values, below: float, shown: Shown | None = None
+) -> Values:
+    """Return the longest straight way on level ground, (S, 2) metres, `STEP` apart.
+
+    Ground as wide as a robot to each side of it differs in height by `_LEVEL` at most. Ways are
+    looked for every 15 degrees on a grid of 0.1 m, coarser where the mesh is large.
+
+    Args:
+        mesh: in metres, z up.
+        centres: (V, 3) of the cameras: of two ways along a strip, the one that they went.
+        below: height from which to look down, metres.
+        shown: where photographs show the ground; None = nobody knows.
+
+    Raises:
+        SceneError: there is no level ground as wide as a robot.
+    """
+    low, high = mesh.vertices[:, :2].min(axis=0), mesh.vertices[:, :2].max(axis=0)
+    cell = max(_FREE_CELL, float((high - low).max()) / _MOST_CELLS)
+    shape = tuple(np.ceil((high - low) / cell).astype(int).tolist())
+    middles = low + (np.indices(shape).reshape(2, -1).T + 0.5) * cell
+    heights = RayScene(mesh).height(middles, z_from=below).reshape(shape)
+    known = np.ones(len(middles), dtype=np.bool_) if shown is None else shown(middles)
+    reach = max(1, round(_STAND / 2 / cell))
+    square = (2 * reach + 1, 2 * reach + 1)
+    around = np.lib.stride_tricks.sliding_window_view(
+        np.pad(heights, reach, constant_values=-np.inf), square
+    )
+    lowest, highest = around.min(axis=(2, 3)), around.max(axis=(2, 3))
+    there = np.isfinite(lowest) & known.reshape(shape)
+    level = there & (np.where(there, highest - np.where(there, lowest, 0.0), np.inf) <= _LEVEL)
+    best, ends = 0.0, np.zeros((0, 2))
+    middle, size = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    stations = np.arange(-size, size + cell, cell)
+    for turn in np.radians(np.arange(0.0, 180.0, 15.0)).tolist():
+        ahead = np.array([np.cos(turn), np.sin(turn)])
+        left = np.array([-ahead[1], ahead[0]])
+        points = middle + stations[:, None, None] * left + stations[:, None] * ahead
+        places = np.floor((points - low) / cell).astype(np.int64)
+        inside = ((places >= 0) & (places < shape)).all(axis=-1)
+        places = np.where(inside[..., None], places, 0)
+        free = inside & level[places[..., 0], places[..., 1]]
+        # A column of False between the lines ends each run.
+        flat = np.pad(free, ((0, 0), (1, 1))).ravel().astype(np.int8)
+        starts, stops = (np.flatnonzero(np.diff(flat) == way) for way in (1, -1))
+        if len(starts) and (stops - starts).max() * cell > best + 1e-9:
+            longest = int(np.argmax(stops - starts))
+            best = float((stops - starts)[longest]) * cell
+            row, column = divmod(int(starts[longest]), free.shape[1] + 2)
+            ends = points[row, [column, column + int((stops - starts)[longest]) - 1]]
+    if not len(ends):
+        raise SceneError(
+            f"the mesh has no level ground {_STAND:g} m wide",
+            fix="photograph the ground too, from above, or lay the trail on the label page",
+        )
+    if (ends[1] - ends[0]) @ (centres[-1, :2] - centres[0, :2]) < 0.0:
+        ends = ends[::-1]
+    return _evenly(ends)
 
 
 def _end(away: Values) -> int:
@@ -291,13 +417,13 @@ class Stretch:
 def stretches_of(profile: GroundProfile) -> list[Stretch]:
     """Return the pieces of a profile in order: edges, and what lies between them.
 
-    An edge rises or falls by `EDGE_RISE` at least within 8 cm, from the ground on one side to that
-    on the other. Between edges, runs of 30 cm or more
-    with a grade above 6 degrees are slopes and the rest is level.
+    An edge rises or falls by the profile's `edge` at least within 8 cm, from the ground on one side
+    to that on the other. Between edges, runs of 30 cm or more with a grade above 6 degrees are
+    slopes and the rest is level.
     """
     z = profile.height
     found: list[Stretch] = []
-    bounds = [0, *(place for edge in _edges(z) for place in edge), len(z) - 1]
+    bounds = [0, *(place for edge in _edges(z, profile.edge) for place in edge), len(z) - 1]
     for number, (first, last) in enumerate(pairwise(bounds)):
         if number % 2:
             found.append(_stretch("edge", first, last, z))
@@ -320,15 +446,15 @@ def _sharp(stretch: Stretch, all_of_them: Sequence[Stretch], z: Values) -> Stret
     return replace(stretch, before=before, after=after)
 
 
-def _edges(z: Values) -> list[tuple[int, int]]:
-    """Return first and last samples of each edge."""
+def _edges(z: Values, least: float) -> list[tuple[int, int]]:
+    """Return first and last samples of each edge that is so high at least, metres."""
     rise = z[_EDGE_RUN:] - z[:-_EDGE_RUN] if len(z) > _EDGE_RUN else np.zeros(0)
-    steep = np.where(np.abs(rise) >= EDGE_RISE, np.sign(rise), 0.0)
+    steep = np.where(np.abs(rise) >= least, np.sign(rise), 0.0)
     edges: list[tuple[int, int]] = []
     for first, last in _runs(steep):
         # The windows that contain an edge reach beyond it; what moves in them is the edge.
         low, high = first, min(last + _EDGE_RUN, len(z) - 1)
-        moves = np.flatnonzero(np.abs(np.diff(z[low : high + 1])) > 0.2 * EDGE_RISE) + low
+        moves = np.flatnonzero(np.abs(np.diff(z[low : high + 1])) > 0.2 * least) + low
         if len(moves):
             low, high = int(moves[0]), int(moves[-1]) + 1
         if edges and low <= edges[-1][1]:

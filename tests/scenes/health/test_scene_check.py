@@ -131,6 +131,16 @@ def test_a_splat_of_another_size_is_found(tmp_path):
     assert codes(replace(there, T_world_splat=np.diag([50.0, 50, 50, 1])), read_splat=False) == []
 
 
+def test_a_short_trail_in_a_long_street_has_its_splat_where_it_should_be(tmp_path):
+    street = quad_mesh((-5, -5, 0), (400, 0, 0), (0, 10, 0), "ground")
+    means = np.random.default_rng(0).uniform((-5, -5, 0), (395, 5, 0.2), (20_000, 3))
+    there = scene(street, splat=Splat(tmp_path, means))
+    assert codes(there) == []
+    aside = np.eye(4)
+    aside[1, 3] = 20.0
+    assert codes(replace(there, T_world_splat=aside)) == ["splat_elsewhere"]
+
+
 def test_splats_that_cannot_be_read_are_told_from_empty_ones(tmp_path):
     assert codes(scene(splat=Splat(tmp_path, np.zeros((0, 3))))) == ["splat_empty"]
     assert codes(scene(splat=Splat(tmp_path, error="a.pt: cut short"))) == ["splat_invalid"]

@@ -165,6 +165,24 @@ def test_a_lintel_over_a_threshold_leaves_the_door_open():
     assert terrain.solids[0].heights.max() == pytest.approx(0.1, abs=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("x", "y", "severity", "where"),
+    [
+        ((1.0, 1.3), (0.1, 0.4), "warning", "on the way"),
+        ((1.0, 1.3), (0.4, 0.7), "note", "0.4 m aside of the way"),
+        ((-0.7, -0.4), (-0.2, 0.2), "note", "0.4 m behind the start"),
+        ((3.3, 3.5), (-0.2, 0.2), "warning", "on the way"),
+        ((3.61, 3.75), (-0.2, 0.2), "note", "0.6 m beyond the last waypoint"),
+    ],
+)
+def test_a_hole_is_worth_a_warning_where_the_robot_walks_only(x, y, severity, where):
+    parts = [floor(x=(-8, x[0])), floor(x=(x[1], 8)), floor(x=x, y=(-8, y[0])),
+             floor(x=x, y=(y[1], 8))]  # fmt: skip
+    (hole,) = compiled(*parts, trail=np.array([[1.5, 0, 0], [3.0, 0, 0]])).findings
+    assert (hole.code, hole.severity) == ("hole", severity)
+    assert where in hole.message
+
+
 def test_small_holes_are_closed_and_large_ones_stay_open():
     def framed(x0, x1):
         return [floor(x=(-8, x0)), floor(x=(x1, 8)), floor(x=(x0, x1), y=(-8, -0.2)),
@@ -175,6 +193,7 @@ def test_small_holes_are_closed_and_large_ones_stay_open():
     assert small.findings[0].value == pytest.approx(0.2, rel=0.1)
     assert small.findings[0].place[:2] == pytest.approx((1.25, 0.0), abs=0.02)
     assert np.abs(small.solids[0].heights).max() < 1e-6
+    assert "on the way" in small.findings[0].message
     large = compiled(*framed(1.0, 2.5))
     assert "left open" in large.findings[0].message
     assert large.solids[0].height(np.array([[1.75, 0.0]]))[0] < -0.4

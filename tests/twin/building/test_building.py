@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
@@ -13,10 +14,13 @@ from nw_eval.errors import SceneError, StoreError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 from nw_eval.splat.camera import Camera
+from nw_eval.splat.files import write_splat
+from nw_eval.splat.gaussians import Gaussians
 from nw_eval.twin.align.alignment import Alignment, read_alignment, write_alignment
 from nw_eval.twin.building.build import Build, BuildSettings
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
 from nw_eval.twin.capture import Capture, PlacedShot, read_capture, write_capture
+from nw_eval.twin.reconstruct.depth import write_arrays
 from nw_eval.twin.reconstruct.mesh import ColourMesh, write_mesh
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -175,6 +179,55 @@ def test_a_walk_over_platforms_starts_on_ground_at_zero_with_the_pit_below(tmp_p
     np.testing.assert_allclose(scene.trail[:, 2], 0.0, atol=1e-3)
     assert scene.mesh().vertices[:, 2].min() == pytest.approx(-0.4)
     assert scene.T_world_splat[2, 3] == pytest.approx(-0.4)
+
+
+def test_the_ground_of_the_trail_is_measured_and_written_down(tmp_path):
+    floor = quad_mesh((-5, -2, 0), (15, 0, 0), (0, 4, 0), "ground")
+    lines = []
+    build = Build(tmp_path, BuildSettings(), lines.append)
+    walked(build.folder, floor, 1.5)
+    points = np.random.default_rng(0).uniform((-2, -1, 0), (6, 1, 0), (2_000, 3))
+    flat = Gaussians(
+        means=points,
+        log_scales=np.full((2_000, 3), -3.0),
+        quats=np.tile([1.0, 0, 0, 0], (2_000, 1)),
+        opacity_logits=np.full(2_000, 3.0),
+        sh=np.zeros((2_000, 1, 3)),
+    )
+    write_splat(build.folder.splat / "splat.ply", flat)
+    # The mesh is 1 cm above what the photographs show; none shows what is before x = 0.
+    for shot in read_capture(build.folder.capture).shots:
+        camera = shot.camera
+        down = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+        depth = np.where(down > 0.1, 1.51 / np.maximum(down, 0.1), 0.0)
+        depth = np.where(depth + camera.T_world_camera[0, 3] > 0.0, depth, 0.0)
+        depth = np.repeat(depth[:, None], camera.width, axis=1).astype(np.float32)
+        path = build.folder.mesh / "depth" / f"{shot.name}.npz"
+        write_arrays(path, depth=depth, confidence=np.ones_like(depth))
+    build.place()
+    build.check()
+    said = "\n".join(lines)
+    assert "check: roughness: the ground is 0 mm off" in said
+    assert "check: steps: 0.00 m over 0.04 m at most" in said
+    assert "check: depths: mesh and depth maps are 10 mm apart (median), 90 % within 10 mm" in said
+    written = json.loads(build.folder.trail.read_text())
+    assert written["robot"] == "go1"
+    assert {row["roughness"] for row in written["stations"]} == {0.0}
+    assert [row["along"] for row in written["stations"][:3]] == [0.0, 0.1, 0.2]
+    assert written["stations"][9]["depths_median"] == pytest.approx(0.01, abs=1e-3)
+    assert max(row["photographs"] for row in written["stations"]) >= 2
+    # The walk begins at x = -2, where the mesh has ground as well.
+    assert load_folder(tmp_path).spawn.position[0] > -0.5
+
+
+def test_a_place_without_room_for_a_trail_says_why_and_names_the_label_page(tmp_path):
+    lines = []
+    build = Build(tmp_path, BuildSettings(), lines.append)
+    walked(build.folder, quad_mesh((0, 0, 0), (1.1, 0, 0), (0, 0.8, 0), "ground"), 1.5)
+    build.place()
+    (why,) = [line for line in lines if line.startswith("place: no trail: ")]
+    assert "too little for a waypoint 0.6 m from the start" in why
+    assert any(line.endswith(f"nw-eval twin label {tmp_path}") for line in lines)
 
 
 @pytest.mark.nightly

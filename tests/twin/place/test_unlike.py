@@ -5,7 +5,17 @@ import pytest
 
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.rays import RayScene
-from nw_eval.twin.building.unlike import SeenDepth, unlike_photographs
+from nw_eval.splat.camera import Camera
+from nw_eval.twin.building.unlike import (
+    SeenDepth,
+    depth_differences,
+    difference_findings,
+    seen_depths,
+    shown_ground,
+    unlike_photographs,
+)
+from nw_eval.twin.capture import Capture, PlacedShot
+from nw_eval.twin.reconstruct.depth import write_arrays
 
 LINE = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
 FIRST, SECOND, THIRD = (-0.5, 1.2), (1.6, 2.6), (3.0, 5.0)
@@ -76,3 +86,63 @@ def test_what_one_photograph_alone_shows_is_not_believed():
 def test_what_is_beyond_reach_of_the_trail_does_not_count():
     aside = LINE + np.array([0.0, 1.6, 0.0])
     assert unlike_photographs(course(FIRST, THIRD), aside, photographs(TRUE)) == []
+
+
+STATIONS = np.column_stack([np.linspace(0.0, 4.0, 41), np.zeros(41), np.zeros(41)])
+
+
+@pytest.mark.parametrize("off", [0.0, 0.02])
+def test_depths_are_as_far_from_the_mesh_as_it_is_wrong(off):
+    ground = course((-1.0, 6.0))
+    seen = [
+        SeenDepth(origin=each.origin, points=each.points + np.array([0.0, 0.0, off]))
+        for each in photographs(ground, noise=0.0)
+    ]
+    found = depth_differences(ground, STATIONS, seen)
+    assert found.overall == pytest.approx((off, off), abs=0.001)
+    assert 1 <= found.photographs[5] < found.photographs[30]
+    assert np.nanmax(found.most) == pytest.approx(off, abs=0.001)
+    assert f"mesh and depth maps are {1e3 * off:.0f} mm apart (median)" in str(found)
+    assert list(difference_findings(found, STATIONS[:, 0], STATIONS)) == []
+
+
+def test_ground_that_is_wrong_or_that_no_photograph_shows_is_named_by_where_it_is():
+    ground, raised = course((-1.0, 6.0)), course((-1.0, 2.0), (2.0, 6.0))
+    raised.vertices[-4:, 2] += 0.15
+    near = [
+        SeenDepth(origin=each.origin, points=each.points[each.points[:, 0] > 1.0])
+        for each in photographs(ground)
+    ]
+    found = depth_differences(raised, STATIONS, near)
+    wrong, blind = difference_findings(found, STATIONS[:, 0], STATIONS)
+    assert "more than 0.05 m apart (median) from 2.1" in wrong.message
+    assert "to 4.00 m along the trail" in wrong.message
+    assert "no photograph shows the ground" in blind.message
+    assert "from 0.00 to 0.90 m along the trail" in blind.message
+    assert {wrong.severity, blind.severity} == {"warning"}
+    shown = shown_ground(raised, near)
+    assert shown(np.array([[0.5, 0.0], [1.5, 0.0], [3.0, 0.0], [1.5, 9.0]])).tolist() == [
+        False, True, False, False,
+    ]  # fmt: skip
+
+
+def test_depths_of_a_photograph_that_was_made_smaller_lie_where_it_shows_them(tmp_path):
+    down = np.diag([1.0, -1.0, -1.0, 1.0])
+    down[2, 3] = 2.0
+    camera = Camera.from_fovy(width=800, height=600, fovy=0.9, T_world_camera=down)
+    shot = PlacedShot(name="a.jpg", file="a.jpg", camera=camera, seen=np.zeros(0, np.int32))
+    nothing = np.zeros((0, 3))
+    capture = Capture(
+        shots=(shot,),
+        points=nothing,
+        colours=nothing.astype(np.uint8),
+        errors=np.zeros(0, np.float32),
+    )
+    half = np.full((300, 400), 2.0, np.float32)
+    write_arrays(tmp_path / "a.jpg.npz", depth=half, confidence=np.ones_like(half))
+    (seen,) = seen_depths(capture, np.eye(4), tmp_path)
+    reach = 2.0 * np.tan(0.45)
+    np.testing.assert_allclose(
+        np.abs(seen.points).max(axis=0), [4 * reach / 3, reach, 0], atol=0.01
+    )
+    np.testing.assert_allclose(seen.points.mean(axis=0), 0.0, atol=0.01)

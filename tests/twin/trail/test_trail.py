@@ -11,7 +11,7 @@ from nw_eval.built_in.ramps import RAMPS
 from nw_eval.built_in.stairs import STAIRS
 from nw_eval.errors import SceneError
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
-from nw_eval.twin.trail import propose_trail
+from nw_eval.twin.trail import propose_free_trail, propose_trail
 
 GROUND = quad_mesh((-5, -5, 0), (30, 0, 0), (0, 10, 0), "ground")
 
@@ -285,3 +285,102 @@ def test_no_waypoint_is_within_reach_of_the_start():
 def test_too_little_ground_for_a_waypoint_is_no_trail():
     with pytest.raises(SceneError, match=r"too little for a waypoint 0\.6 m from the start"):
         propose_trail(island(0.8), walk(1.1))
+
+
+def cobbled(seed, *, rough=0.025):
+    """Return a street of stones of 0.1 m whose heights have such a standard deviation, metres."""
+    rng = np.random.default_rng(seed)
+    heights = rng.normal(0.0, rough, (120, 40))
+    return scanned(
+        lambda x: heights[
+            (10 * (x + 2)).astype(int), (10 * (np.arange(x.shape[1]) * 0.04)).astype(int)
+        ],
+        rng,
+        noise=0.002,
+        holes=0.0,
+    )
+
+
+def test_cobbles_are_a_flat_way():
+    for seed in range(4):
+        proposal = propose_trail(cobbled(seed, rough=0.035), walk(5.0))
+        assert proposal.features == (), proposal.reasons
+        assert proposal.spawn.position[0] < 0.1
+
+
+def test_on_cobbles_a_trail_begins_where_they_are_as_even_as_usual():
+    bump = box((-0.3, 0.1), (0.0, 0.15))
+    start = propose_trail(merge([cobbled(0), bump]), walk(5.0)).spawn.position
+    assert 0.35 < start[0] < 0.8
+
+
+def test_a_way_across_a_hole_is_a_trail_on_its_longer_side():
+    parts = [
+        quad_mesh((-5, -5, 0), (6.5, 0, 0), (0, 10, 0), "ground"),
+        quad_mesh((3.0, -5, 0), (20, 0, 0), (0, 10, 0), "ground"),
+    ]
+    proposal = propose_trail(merge(parts), walk(8.0))
+    assert proposal.spawn.position[0] == pytest.approx(3.3, abs=0.05)
+    assert proposal.trail[-1][0] == pytest.approx(8.0, abs=0.05)
+    assert "1.5 m of the way lie beyond" in proposal.warnings[0]
+    assert proposal.whole
+
+
+def test_ground_that_no_photograph_shows_is_no_way():
+    proposal = propose_trail(GROUND, walk(8.0), shown=lambda xy: xy[:, 0] > 2.0)
+    assert proposal.spawn.position[0] == pytest.approx(2.0, abs=0.35)
+
+
+def test_a_trail_is_no_longer_than_a_robot_walks_in_a_trial():
+    proposal = propose_trail(GROUND, walk(20.0))
+    assert proposal.trail[-1][0] == pytest.approx(8.0, abs=0.05)
+    assert "the way goes on for 20.0 m: the trail is 8 m long at most" in proposal.warnings[0]
+
+
+def test_a_way_that_bends_has_a_waypoint_in_the_bend():
+    corner = np.array([(0, 0, 1.4), (1.5, 0, 1.4), (3, 0, 1.4), (3, 1.5, 1.4), (3, 3, 1.4)])
+    proposal = propose_trail(GROUND, corner)
+    bend, last = np.array(proposal.trail)[:, :2]
+    np.testing.assert_allclose(bend, (3.0, 0.0), atol=0.3)
+    np.testing.assert_allclose(last, (3.0, 3.0), atol=0.05)
+
+
+@pytest.mark.parametrize("length", [0.55, 0.9])
+def test_a_longer_robot_has_a_longer_trail_and_more_ground_to_arrive_on(length):
+    (last,) = propose_trail(island(3.0), walk(5.0), length=length).trail
+    assert last[0] == pytest.approx(3.0 - length - 0.05, abs=0.06)
+    with pytest.raises(SceneError, match=f"a waypoint {max(0.6, length):g} m from the start"):
+        propose_trail(island(length + 0.55), walk(1.7), length=length)
+
+
+def table(*things):
+    """Return a table of 4 x 2.4 m with things on it, at whose sides there is nothing."""
+    top = quad_mesh((0, 0, 0), (4, 0, 0), (0, 2.4, 0), "ground")
+    return merge([top, *things])
+
+
+def orbit():
+    """Return cameras that go round the table, farther out than it reaches."""
+    turn = np.linspace(0.0, 5.0, 24)
+    return np.column_stack([2 + 3.5 * np.cos(turn), 1.2 + 2.5 * np.sin(turn), 1.5 + 0 * turn])
+
+
+def test_where_the_cameras_stood_off_the_ground_the_trail_is_on_the_longest_free_strip():
+    toy = box((1.8, 2.4), (0.0, 0.6), (1.3, 2.0))
+    with pytest.raises(SceneError, match="of the way has ground below it"):
+        propose_trail(table(toy), orbit())
+    proposal = propose_free_trail(table(toy), orbit())
+    assert proposal.whole
+    assert proposal.features == ()
+    stops = np.array([proposal.spawn.position, *proposal.trail])
+    assert np.linalg.norm(stops[-1] - stops[0]) > 2.0
+    assert (stops[:, :2] > 0.25).all()
+    assert (stops[:, :2] < (3.75, 2.15)).all()
+
+
+def test_a_table_with_no_room_for_a_robot_has_no_trail():
+    with pytest.raises(SceneError, match="too little for a waypoint") as caught:
+        propose_free_trail(quad_mesh((0, 0, 0), (1.2, 0, 0), (0, 0.8, 0), "ground"), orbit())
+    assert "label page" in str(caught.value)
+    with pytest.raises(SceneError, match=r"no level ground 0\.6 m wide"):
+        propose_free_trail(quad_mesh((0, 0, 0), (3, 0, 0), (0, 0.5, 0), "ground"), orbit())

@@ -6,6 +6,7 @@ memory, is said before they begin.
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -17,14 +18,24 @@ from numpy.typing import NDArray
 
 from nw_eval.api import check_scenes
 from nw_eval.errors import SceneError, StoreError
+from nw_eval.files.cache import atomic_path
+from nw_eval.robots import get_robot
 from nw_eval.scenes.finding import SceneFinding, has_errors
 from nw_eval.scenes.folder import load_folder
-from nw_eval.survey import survey_lines
+from nw_eval.survey import Survey, footing_lines, survey_lines
+from nw_eval.survey.trail import stance_of
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
 from nw_eval.twin.building.appearance import AppearanceOptions, train_splat
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
-from nw_eval.twin.building.unlike import seen_depths, unlike_photographs
+from nw_eval.twin.building.unlike import (
+    DepthDifferences,
+    depth_differences,
+    difference_findings,
+    seen_depths,
+    shown_ground,
+    unlike_photographs,
+)
 from nw_eval.twin.calibrate.calibrate import calibrate
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import Capture, read_capture
@@ -33,7 +44,7 @@ from nw_eval.twin.place import SUITE, Route, write_place
 from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh
 from nw_eval.twin.reconstruct.options import ReconstructOptions
 from nw_eval.twin.reconstruct.reconstruct import reconstruct
-from nw_eval.twin.trail import FLOOR, TrailProposal, propose_trail
+from nw_eval.twin.trail import FLOOR, TrailProposal, propose_free_trail, propose_trail
 
 Say = Callable[[str], None]
 
@@ -197,12 +208,12 @@ class Build:
         mesh = read_colour_mesh(folder.mesh / "mesh.ply")
         capture = read_capture(folder.capture)
         try:
-            proposal = _proposal(world, mesh, capture)
+            proposal = self._proposal(world, mesh, capture)
             height = proposal.spawn.position[2]
             if abs(height) > FLOOR:
                 # A walk over platforms has its floor below them, and robots start above z = 0.
                 world = np.vstack([world[:2], world[2] - height * world[3], world[3]])
-                proposal = _proposal(world, mesh, capture)
+                proposal = self._proposal(world, mesh, capture, silent=True)
                 self._say(f"place: moved by {-height:+.2f} m: the ground under the start is z = 0")
             route = self._route(proposal)
         except SceneError as error:
@@ -230,12 +241,13 @@ class Build:
             SceneError: what an earlier stage has left is damaged.
         """
         (checked,) = check_scenes([str(self.folder.scene)], robot=self._settings.robot)
-        if checked.survey is not None:
-            for line in survey_lines(checked.survey):
+        survey = checked.survey
+        if survey is not None:
+            for line in (*survey_lines(survey), *footing_lines(survey)):
                 self._say(f"check: {line}")
         findings = list(checked.findings)
         if all(finding.code != "unreadable" for finding in findings):
-            findings += self._unlike_photographs()
+            findings += self._unlike_photographs(survey)
         for finding in findings:
             self._say(f"check: {finding}")
         suite, wrong = shlex.quote(str(self.folder.scene / SUITE)), has_errors(findings)
@@ -245,25 +257,94 @@ class Build:
             self._say(f"check: ready: nw-eval run {suite}")
         return not wrong
 
-    def _unlike_photographs(self) -> list[SceneFinding]:
-        """Return where the mesh along the trail is not as its own photographs show it."""
+    def _unlike_photographs(self, survey: Survey | None) -> list[SceneFinding]:
+        """Return where the mesh along the trail is not as its own photographs show it.
+
+        Where the trail was surveyed, `trail.json` is written, and what depths differ by is said.
+        """
         scene, depths = load_folder(self.folder.scene), self.folder.mesh / "depth"
         captured = (self.folder.capture / "capture.json").is_file() and depths.is_dir()
         if scene.splat is None or not captured:
             return []  # A place from elsewhere, or whose build was cleared away: nobody knows.
         line = np.array([scene.spawn.position, *scene.trail])
         # The splat is in the capture's frame, wherever the place was moved to since.
-        seen = seen_depths(read_capture(self.folder.capture), scene.T_world_splat, depths)
-        return unlike_photographs(scene.mesh(), line, seen)
+        seen = [*seen_depths(read_capture(self.folder.capture), scene.T_world_splat, depths)]
+        findings = unlike_photographs(scene.mesh(), line, seen)
+        if survey is not None:
+            footing = survey.ground.footing
+            differences = depth_differences(scene.mesh(), footing.places, seen)
+            self._say(f"check: {differences}")
+            findings += difference_findings(differences, footing.along, footing.places)
+            self._write_trail(survey, differences)
+        return findings
+
+    def _write_trail(self, survey: Survey, differences: DepthDifferences) -> None:
+        """Write what is measured at each station of the trail, metres and radians."""
+        footing = survey.ground.footing
+        columns = {
+            "along": footing.along,
+            "roughness": footing.roughness,
+            "step": footing.step,
+            "slope": footing.slope,
+            "depths_median": differences.median,
+            "depths_90": differences.most,
+        }
+        names = ("x", "y", "z", *columns, "photographs")
+        values = np.column_stack([footing.places, *columns.values()]).round(4)
+        rows = [
+            dict(zip(names, [*(None if np.isnan(v) else v for v in row), count], strict=True))
+            for row, count in zip(values.tolist(), differences.photographs.tolist(), strict=True)
+        ]
+        content = {"robot": survey.robot, "length": round(survey.length, 4), "stations": rows}
+        with atomic_path(self.folder.trail) as temporary:
+            temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
+        self._say(f"check: each 0.1 m of the trail is in {self.folder.trail}")
 
     def _no_route(self, error: SceneError) -> Route:
         """Return a step ahead, and say why."""
         self._say(f"place: no trail: {error}")
         self._say(
-            "place: its trail is one waypoint a metre from the start: write trail, spawn and "
-            f"task into {self.folder.scene / 'scene.yaml'}"
+            "place: its trail is one waypoint a metre from the start, for you to replace: "
+            f"nw-eval twin label {shlex.quote(str(self.folder.scene))}"
         )
         return Route(task="hurdles", trail=np.array([[1.0, 0.0, 0.0]]))
+
+    def _proposal(
+        self,
+        T_metric_capture: NDArray[np.float64],
+        mesh: ColourMesh,
+        capture: Capture,
+        *,
+        silent: bool = False,
+    ) -> TrailProposal:
+        """Return the trail of the walk, or else of the longest level ground, for the robot.
+
+        Raises:
+            SceneError: neither has enough ground.
+        """
+        moved = moved_mesh(T_metric_capture, mesh.vertices, mesh.faces)
+        centres = moved_capture(T_metric_capture, capture).centres
+        length = stance_of(get_robot(self._settings.robot)).length
+        depths, shown = self.folder.mesh / "depth", None
+        if depths.is_dir():
+            shown = shown_ground(moved, seen_depths(capture, T_metric_capture, depths))
+        say = (lambda _: None) if silent else self._say
+        walked = None
+        try:
+            walked = propose_trail(moved, centres, length=length, shown=shown)
+            if walked.features or walked.whole:
+                return walked
+            say("place: where the cameras went the ground has holes")
+        except SceneError as error:
+            say(f"place: no trail where the cameras went: {error}")
+        try:
+            free = propose_free_trail(moved, centres, length=length, shown=shown)
+        except SceneError:
+            if walked is None:
+                raise
+            return walked
+        say("place: the trail is on the longest straight strip of level ground")
+        return free
 
     def _route(self, proposal: TrailProposal) -> Route:
         """Return the trail that the place suggests, and say what lies on it."""
@@ -276,13 +357,6 @@ class Build:
             spawn=spawn.position,
             yaw=spawn.yaw,
         )
-
-
-def _proposal(
-    T_metric_capture: NDArray[np.float64], mesh: ColourMesh, capture: Capture
-) -> TrailProposal:
-    moved = moved_mesh(T_metric_capture, mesh.vertices, mesh.faces)
-    return propose_trail(moved, moved_capture(T_metric_capture, capture).centres)
 
 
 def say_ahead(

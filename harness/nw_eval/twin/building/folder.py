@@ -21,7 +21,7 @@ _FORMATS: dict[Stage, int] = {
     "reconstruct": 5,
     "align": 3,
     "splat": 4,
-    "place": 6,
+    "place": 7,
 }
 """Each changes with what its stage makes of the same inputs."""
 _MOST_BYTES = 1_000_000
@@ -35,6 +35,7 @@ class BuildFolder:
         mesh/         depths and the mesh, in the capture's frame
         align.json    from the capture's frame to metres
         splat/        the Gaussians, in the capture's frame
+        trail.json    roughness, steps, slopes and differences from the depths along the trail
         stamps.json   by stage, a digest of all that its result depends on
 
     Args:
@@ -48,6 +49,7 @@ class BuildFolder:
         self.mesh = self.path / "mesh"
         self.splat = self.path / "splat"
         self.align = self.path / "align.json"
+        self.trail = self.path / "trail.json"
         self._results: dict[Stage, Path] = {
             "calibrate": self.capture / "capture.json",
             "reconstruct": self.mesh / "mesh.ply",
