@@ -253,3 +253,31 @@ def test_euler_angles_are_mujoco_s(angles):
     found = published.euler_angles(matrix.reshape(3, 3))
     mujoco.mju_euler2Quat(again, np.array(found), "xyz")
     assert abs(quat @ again) == pytest.approx(1.0, abs=1e-9)
+
+
+UNSCALED = SCENE.replace("licence:", "units: unknown\nlicence:")
+
+
+def test_a_place_that_is_not_to_scale_is_saved_in_metres_once_two_points_say_so(tmp_path):
+    folder = written_place(tmp_path / "place", scene=UNSCALED)
+    with pytest.raises(SceneError, match=r"is not to scale: .*nw-eval twin label"):
+        load_folder(folder)
+    labelling = open_labelling(folder)
+    labelling.nudge_waypoint(0, 0.1, 0.0)
+    labelling.save()
+    assert "units: unknown" in (folder / "scene.yaml").read_text()
+    assert labelling.words.endswith("not to scale")
+    with pytest.raises(UsageError, match="not to scale; put two markers"):
+        labelling.publish(tmp_path / "published")
+
+    again = open_labelling(folder)
+    again.mark((2.0, 0.0, 0.1))
+    again.mark((3.0, 0.0, 0.1))
+    assert again.distance_words == "1.000 units"
+    again.scale_to(0.25)
+    again.save()
+    assert "units: m\n" in (folder / "scene.yaml").read_text()
+    scene = load_folder(folder)
+    assert np.ptp(scene.static_mesh.vertices[:, 0]) == pytest.approx(9.0 / 4)
+    assert scene.trail[0] == pytest.approx((2.6 / 4, 0.0, 0.1 / 4), abs=1e-4)
+    assert np.linalg.det(scene.T_world_splat[:3, :3]) == pytest.approx(1 / 64)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +19,17 @@ from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.twin.label.ground import Ground, HeightProfile, height_profile
 from nw_eval.twin.label.opening import OpenedPlace
 from nw_eval.twin.label.state import (
+    METRES,
     Axis,
     CropBox,
     LabelState,
     Placement,
     Point,
     StartPose,
+    Unit,
     as_point,
     cropped,
+    level_on,
     mapped,
     shift,
     stretch,
@@ -114,7 +118,27 @@ class PlaceEdits:
                 f"markers {now} m apart cannot be {metres:g} m apart",
                 fix="put two markers at places whose distance you know, and type it",
             )
-        self._move(stretch(metres / now))
+        self._move(stretch(metres / now), to_scale=True)
+
+    def set_unit(self, unit: Unit) -> None:
+        """Say in which unit the files are that were opened; lengths that were measured go."""
+        factor = METRES[unit] / self.state.placement.scale
+        self._move(stretch(factor), to_scale=True)
+
+    def flip(self) -> None:
+        """Turn the place upside down about z = 0, on which its floor then lies still."""
+        low, high = self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)
+        x, y, _ = as_point((low + high) / 2)
+        self._move(turn("x", math.pi, (x, y, 0.0)))
+
+    def click_floor(self, point: Point) -> None:
+        """Put a point on the floor; the third one turns the place so that all lie at z = 0."""
+        points = (*self.state.floor, point)
+        if len(points) < 3:
+            self._check_scan()
+            self._do(replace(self.state, floor=points))
+        else:
+            self._move(level_on(np.array(points)), floor=())
 
     def crop_to(self, box: CropBox | None) -> None:
         """Keep what is in a box (world, m); None = all."""
@@ -140,10 +164,17 @@ class PlaceEdits:
             return None
         return math.dist(*self.state.markers)
 
-    def _move(self, delta: NDArray[np.float64]) -> None:
+    @property
+    def distance_words(self) -> str:
+        """The distance for people: in metres, or units where nobody knows how long one is."""
+        unit = "m" if self.state.to_scale else "units"
+        return "" if self.distance is None else f"{self.distance:.3f} {unit}"
+
+    def _move(self, delta: NDArray[np.float64], **changes: Any) -> None:
+        """Move the place, and change other parts of the state in the same step."""
         self._check_scan()
-        if not np.array_equal(delta, np.eye(4)):
-            self._do(self.state.moved(delta))
+        still = np.array_equal(delta, np.eye(4))
+        self._do(replace(self.state if still else self.state.moved(delta), **changes))
 
     def _check_scan(self) -> None:
         if not self.place.is_scan:

@@ -31,6 +31,11 @@ from nw_eval.words import Task
 Propose = Callable[[TriangleMesh, NDArray[np.float64]], TrailProposal]
 """Proposes a course on a mesh (world, m) along places where somebody walked, (N, 3)."""
 
+NEEDS_SCALE = (
+    "put two markers at places whose distance you know, type it, and scale; or say the file's unit"
+)
+"""What to do about a place that is not to scale."""
+
 _EYES = np.array([0.0, 0.0, 1.0])  # m above a trail, to look at its ground; ceilings are higher
 _STRIDE = 1.0  # m from the last waypoint to one that is added without a place
 
@@ -209,12 +214,14 @@ class Labelling(PlaceEdits):
         """What is decided, in a line for people."""
         state = self.state
         where = ", ".join(f"{part:.2f}" for part in self.start.position)
-        return f"{state.task}, {plural(len(state.waypoints), 'waypoint')}, start at {where}"
+        unit = "" if state.to_scale else ", not to scale"
+        return f"{state.task}, {plural(len(state.waypoints), 'waypoint')}, start at {where}{unit}"
 
     @property
     def is_saved(self) -> bool:
         """Whether the files say what is decided now; markers are not saved."""
-        return replace(self.state, markers=()) == replace(self._saved, markers=())
+        now, then = (replace(one, markers=(), floor=()) for one in (self.state, self._saved))
+        return now == then
 
     def save(self) -> Path:
         """Write what is decided into the scene folder that was opened.
@@ -237,6 +244,7 @@ class Labelling(PlaceEdits):
             course=self.course,
             mesh=None if is_still else self.mesh,
             T_world_opened=state.placement.matrix,
+            to_scale=state.to_scale,
         )
         self._saved = state
         return self.place.folder
@@ -245,11 +253,13 @@ class Labelling(PlaceEdits):
         """Write the scene the published way, XML pair, meshes and splat; return its folder.
 
         Raises:
-            UsageError: there is no waypoint.
+            UsageError: there is no waypoint, or the place is not to scale.
             SceneError: the splat cannot be read.
             StoreError: it cannot be written.
         """
         self._check_trail()
+        if not self.state.to_scale:
+            raise UsageError("the place is not to scale", fix=NEEDS_SCALE)
         return publish_pair(
             folder,
             name=self.place.name,

@@ -71,12 +71,13 @@ def open_place(folder: Path) -> OpenedPlace:
         name=str(text["name"]),
         collision=collision,
         splat=files[splat] if splat is not None else None,
-        mesh=read_mesh(files[collision]) if is_scan else load_folder(folder).static_mesh,
+        mesh=read_mesh(files[collision]) if is_scan else _boxes_of(folder),
         is_scan=is_scan,
         T_world_splat=Placement(**text.get("T_world_splat", {})).matrix,
         captures=captures,
         cameras=read_poses(files[captures]) if captures is not None else (),
         state=LabelState(
+            to_scale=text.get("units", "m") == "m",
             task=text["task"],
             waypoints=tuple(as_point(np.array(point, dtype=float)) for point in text["trail"]),
             start=StartPose(
@@ -85,3 +86,7 @@ def open_place(folder: Path) -> OpenedPlace:
             ),
         ),
     )
+
+
+def _boxes_of(folder: Path) -> TriangleMesh:
+    return load_folder(folder, needs_scale=False).static_mesh

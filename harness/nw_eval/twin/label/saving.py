@@ -46,6 +46,7 @@ def save_label(
     course: Route,
     mesh: TriangleMesh | None,
     T_world_opened: NDArray[np.float64],
+    to_scale: bool = True,
 ) -> None:
     """Rewrite scene.yaml of a folder; its other keys and its comments stay where they can.
 
@@ -57,6 +58,7 @@ def save_label(
         course: task, trail and start.
         mesh: what can be touched now, world, m; None = it is still the one that was opened.
         T_world_opened: (4, 4) similarity by which splat and cameras are moved.
+        to_scale: whether all that is in metres now.
 
     Raises:
         SceneError: scene.yaml is wrong, or what would be saved cannot be loaded.
@@ -82,6 +84,7 @@ def save_label(
                 collision=collision,
                 captures=captures,
                 T_world_splat=T_world_opened @ place.T_world_splat,
+                to_scale=to_scale,
             )
             (staged / SCENE_FILE).write_text(written, encoding="utf-8")
             splat = text.splat
@@ -89,7 +92,7 @@ def save_label(
                 # It is large, and loading a scene only looks whether it is there.
                 (staged / splat).parent.mkdir(parents=True, exist_ok=True)
                 (staged / splat).touch()
-            load_folder(staged)
+            load_folder(staged, needs_scale=False)
             for old, new in ((place.collision, collision), (place.captures, captures)):
                 if new is not None and new != old:
                     moves.enter_context(_moved_in(staged / new, folder / new))
@@ -177,8 +180,11 @@ class SceneText:
         collision: str,
         captures: str | None,
         T_world_splat: NDArray[np.float64],
+        to_scale: bool = True,
     ) -> str:
         """Return the text with what a labelling decides; what is as it was keeps its spelling."""
+        if "units" in self._text or not to_scale:
+            _put(self._text, "units", "m" if to_scale else "unknown")
         _edit(self._text, course, collision, captures, T_world_splat)
         stream = StringIO()
         self._yaml.dump(self._text, stream)
