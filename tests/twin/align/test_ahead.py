@@ -82,6 +82,8 @@ def test_cameras_that_come_in_metres_give_scale_and_up():
     ]
     options = facts.completed(NOTHING, [])
     assert (options.metric, options.up) == (True, "+y")
+    words = said(Footage(kind="nerfstudio", files=()))
+    assert "--metric says that the cameras of nerfstudio are in metres, if they are" in words
 
 
 def test_a_length_in_a_photograph_that_is_not_there_is_an_error_at_once(tmp_path):

@@ -12,7 +12,7 @@ from label_places import SCENE, WALK, block, floor, opened, photographed, writte
 from nw_eval.errors import SceneError, StoreError, UsageError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.neverwhere import load_published
-from nw_eval.twin.label import published, saving
+from nw_eval.twin.label import files, published
 from nw_eval.twin.label.labelling import open_labelling
 from nw_eval.twin.label.state import CropBox
 
@@ -179,7 +179,7 @@ def test_a_disk_that_fails_at_the_end_changes_nothing(tmp_path, monkeypatch):
     def full(path):
         raise StoreError(f"cannot write {path}: no space", fix="free disk space")
 
-    monkeypatch.setattr(saving, "atomic_path", full)
+    monkeypatch.setattr(files, "atomic_path", full)
     with pytest.raises(StoreError):
         labelling.save()
     assert files_of(labelling.place.folder) == before

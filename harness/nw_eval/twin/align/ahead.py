@@ -40,6 +40,8 @@ _SIDE = 1600
 """Pixels of their longer side, at most."""
 _GPS = 5.0
 """Metres that a phone's GPS errs by."""
+_FAR = 30.0
+"""Metres between photographs from which on that is good for a scale."""
 GIVE = (
     "--tag-edge METRES of a printed tag36h11 in view, --camera-height METRES, or --length A B "
     "METRES between two points of photographs (IMG_1.jpg:412,310)"
@@ -86,7 +88,7 @@ class SourceFacts:
         """
         options = replace(options, metric=options.metric or self.metric, up=options.up or self.up)
         gps = {name: self.positions[name] for name in names if name in self.positions}
-        if options.positions or len(gps) < 3 or _span(gps) < _GPS:
+        if options.positions or len(gps) < 3 or _span(gps) < _FAR:
             return options
         return replace(options, positions=gps, positions_up="+z")
 
@@ -175,15 +177,17 @@ def scale_lines(facts: SourceFacts | None, options: AlignOptions, scene: Path) -
     if options.metric or (facts is not None and facts.metric):
         what = "--metric" if options.metric or facts is None else f"the cameras of {facts.kind}"
         given.append(f"{what}: poses in metres")
+    elif facts is not None and facts.kind not in {"photographs", "video"}:
+        could.append(f"--metric says that the cameras of {facts.kind} are in metres, if they are")
     if facts is not None and facts.positions:
         span = _span(facts.positions)
         where = (
             f"GPS in {len(facts.positions)} of {plural(facts.photographs, 'photograph')}, "
             f"over {span:.0f} m"
         )
-        (given if span > 6.0 * _GPS else could).append(
+        (given if span >= _FAR else could).append(
             f"{where}: good to about {_GPS / max(span, 1.0):.0%}"
-            if span > 6.0 * _GPS
+            if span >= _FAR
             else f"{where}: too near together for a scale, GPS errs by {_GPS:g} m"
         )
     if given:

@@ -165,7 +165,7 @@ def find_gravity(
             say(
                 f"the floor slopes by {apart:.1f} degrees against upright edges: up is by the edges"
             )
-            up, uncertain = upright, max(math.degrees(sigma), apart / 2.0)
+            up, uncertain = upright, max(math.degrees(sigma), min(apart / 2.0, 1.0))
     for plane in planes:
         slope = math.degrees(math.acos(min(1.0, abs(float(plane.normal @ up)))))
         if plane.share > _RAMP and math.degrees(LEVEL) * 12 < slope < 40:
@@ -182,7 +182,7 @@ def find_gravity(
         has_floor=plane is not None,
         uncertain=uncertain,
         cues=_cues(up, level, found, floor, by_mesh, [*extra, *known]),
-        warnings=_warnings(level, floor, known),
+        warnings=_warnings(level, floor, uncertain),
     )
 
 
@@ -245,7 +245,7 @@ def _cue(name: str, own: Values, up: Values, sigma: float, reason: str) -> Gravi
     )
 
 
-def _warnings(level: Horizon, floor: FloorLevel, known: Sequence[KnownUp]) -> tuple[str, ...]:
+def _warnings(level: Horizon, floor: FloorLevel, uncertain: float) -> tuple[str, ...]:
     warnings: list[str] = []
     if floor.plane is None:
         warnings.append(
@@ -253,9 +253,10 @@ def _warnings(level: Horizon, floor: FloorLevel, known: Sequence[KnownUp]) -> tu
             "that of the lowest points. Does the floor mirror, or has it no texture? Lay something "
             "matt with a pattern on it, and photograph again"
         )
-        if level.degrees > _SURE and not known:
+        if uncertain > _SURE:
             warnings.append(
-                f"up is known to {level.degrees:.0f} degrees only: all cameras look one way"
+                f"up is known to {uncertain:.0f} degrees only: all cameras look one way. Three "
+                "clicks on the floor in `nw-eval twin label` set it"
             )
     if level.sideways:
         warnings.append("the pictures seem to lie on their sides: check which way is up")

@@ -20,9 +20,9 @@ _READ_BY: dict[Stage, tuple[Stage, ...]] = {"align": ("align", "place")}
 Another scale needs no other splat."""
 
 _FORMATS: dict[Stage, int] = {
-    "calibrate": 3,
+    "calibrate": 4,
     "reconstruct": 5,
-    "align": 3,
+    "align": 4,
     "splat": 4,
     "place": 6,
 }
