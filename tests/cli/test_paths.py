@@ -200,7 +200,7 @@ WORDS = {
     "ledger head",
     *("scenes", "robot", "memory_limit", "shard", "address", "track", "json", "name", "note"),
     *("axis", "trial", "sample", "share", "root", "layout", "host", "to", "takeover", "suite"),
-    *("score", "topic"),
+    *("score", "topic", "length"),
     *("licence", "held_out", "pattern"),
     *("policies fetch policy", "robots fetch robot", "scenes fetch scenes"),
 }

@@ -61,7 +61,7 @@ ELSEWHERE = {
     "twin/calibrate/video.py": "works in a temporary folder",
     "twin/label/copying.py": "fills a temporary folder that appears by one rename",
     "twin/label/published.py": "fills a temporary folder that appears by one rename",
-    "twin/label/saving.py": "fills a temporary folder, whose files are moved when all fits",
+    "twin/label/files.py": "fills a temporary folder, whose files are moved when all fits",
     "twin/reconstruct/openmvs.py": "keeps what a program says, in a working folder",
     "view/live_page.py": "calls `save_played`, which uses `atomic_path`",
     "viewing/recording/blueprint.py": "is given the temporary path by `write_layout`",

@@ -25,6 +25,7 @@ Code = Literal[
     "mesh_partly_read",
     "mesh_turned",
     "mesh_wide",
+    "not_to_scale",
     "no_floor_under_spawn",
     "no_splat",
     "open_view",

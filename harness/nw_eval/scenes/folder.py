@@ -33,6 +33,7 @@ from nw_eval.words import Collision, RasterizeMode, Task
 
 SCENE_FILE = "scene.yaml"
 _GROUND_REACH = 60.0
+_NOT_TO_SCALE = "not_to_scale"
 _LEAST_WIDE, _MOST_WIDE = 0.3, 2.0 * limits.REACH
 # A place this much wider than its trail is told, metres and times.
 _ODDLY_WIDE, _TIMES_COURSE = 200.0, 40.0
@@ -144,8 +145,8 @@ class _SceneFile(_FolderModel):
     """One line for people; the name when absent."""
     licence: Line
     """SPDX identifier of the place's data, or words."""
-    units: Literal["m"] = "m"
-    """Of all lengths here and in the mesh."""
+    units: Literal["m", "unknown"] = "m"
+    """Of all lengths here and in the mesh; a place of an unknown unit does not run."""
     trail: tuple[Point, ...] = Field(min_length=1, max_length=limits.WAYPOINTS)
     """Waypoints x, y, z on top of what the robot steps on, in order; world, m."""
     spawn: _Spawn = _Spawn()
@@ -202,15 +203,26 @@ class FileSplat:
         return path
 
 
-def load_folder(folder: Path, *, collision: Collision = "terrain") -> Scene:
+def load_folder(
+    folder: Path, *, collision: Collision = "terrain", needs_scale: bool = True
+) -> Scene:
     """Return the scene of a folder.
 
     A collision mesh becomes terrain: height fields and boxes, or with `triangles` its own ones.
 
+    Args:
+        folder: that holds scene.yaml.
+        collision: how its mesh collides.
+        needs_scale: refuse a scene whose unit is unknown.
+
     Raises:
-        SceneError: a file is missing or wrong; every problem found, with file and line.
+        SceneError: a file is missing or wrong; every problem found, with file and line. Or the
+            scene is not to scale.
     """
-    return inspect_folder(folder, collision=collision)[0]
+    scene, findings = inspect_folder(folder, collision=collision)
+    if needs_scale and findings and findings[0].code == _NOT_TO_SCALE:
+        raise SceneError(f"{folder} is not to scale: {findings[0].message}", fix=findings[0].fix)
+    return scene
 
 
 def inspect_folder(
@@ -239,7 +251,7 @@ def inspect_folder(
             options=TerrainOptions(collision=collision),
         )
         solids, ground, findings = terrain.solids, Plane(z=terrain.floor), terrain.findings
-        findings = (*read, *wide, *findings)
+        findings = (*_unscaled(folder, text), *read, *wide, *findings)
     elif path.suffix.lower() in _OTHER_MESHES:
         problem = file.problem(
             ("collision",),
@@ -249,6 +261,7 @@ def inspect_folder(
         raise SceneError([problem])
     else:
         boxes = _boxes(path)
+        findings = _unscaled(folder, text)
         static_mesh = solids_mesh(boxes, text.ground)
         solids, ground = boxes, Plane(z=text.ground)
     splat = None
@@ -279,6 +292,21 @@ def inspect_folder(
         licence=text.licence,
     )
     return scene, findings
+
+
+def _unscaled(folder: Path, text: _SceneFile) -> tuple[SceneFinding, ...]:
+    if text.units == "m":
+        return ()
+    return (
+        SceneFinding(
+            code=_NOT_TO_SCALE,
+            severity="error",
+            message=f"{SCENE_FILE} says units: {text.units}: nobody knows its size, so no robot "
+            "runs in it",
+            fix=f"put two markers at a known distance in `nw-eval twin label {folder}`, and save; "
+            f"or `nw-eval twin place {folder} --length A B METRES` where it was built there",
+        ),
+    )
 
 
 def folder_files(folder: Path) -> dict[str, Path]:

@@ -23,6 +23,7 @@ from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import OutsideError, inside, regular
 from nw_eval.files.pictures import open_picture
 from nw_eval.splat.camera import Camera
+from nw_eval.twin.calibrate.solution import Lens
 
 _JSON, _POINTS = "capture.json", "points.npz"
 _MOST_BYTES = 64 * 2**20
@@ -55,6 +56,8 @@ class PlacedShot:
         camera: in the capture's frame.
         seen: (K,) int32, sorted: numbers of the points that it shows.
         mask: file of its mask, (H, W) where 0 is no part of the place; None without.
+        lens: through which the photograph was taken; None where nobody says, and then the pixels of
+            a photograph are those of its picture.
     """
 
     name: str
@@ -62,6 +65,7 @@ class PlacedShot:
     camera: Camera
     seen: NDArray[np.int32]
     mask: str | None = None
+    lens: Lens | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +117,15 @@ class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class _Lens(_Model):
+    model: str
+    width: int
+    height: int
+    params: tuple[FiniteFloat, ...]
+
+
 class _Shot(_Model):
+    lens: _Lens | None = None
     name: str
     file: str
     mask: str | None = None
@@ -172,6 +184,7 @@ def write_capture(capture: Capture, folder: Path) -> None:
             "name": shot.name,
             "file": shot.file,
             "mask": shot.mask,
+            "lens": None if shot.lens is None else vars(shot.lens),
             "T_world_camera": shot.camera.T_world_camera.tolist(),
             **{k: getattr(shot.camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")},
         }
@@ -221,6 +234,7 @@ def _shot(one: _Shot, seen: NDArray[np.int32], folder: Path) -> PlacedShot:
         file=one.file,
         mask=one.mask,
         seen=seen,
+        lens=None if one.lens is None else Lens(**one.lens.model_dump()),
         camera=Camera(
             width=one.width,
             height=one.height,

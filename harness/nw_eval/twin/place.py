@@ -79,6 +79,7 @@ def write_place(
     capture: Capture | None = None,
     title: str = "",
     robot: str = "go1",
+    to_scale: bool = True,
 ) -> None:
     """Write a scene folder, and a suite of it beside; scene.yaml appears last.
 
@@ -93,6 +94,7 @@ def write_place(
         capture: whose cameras say from where the place was photographed; None = nobody knows.
         title: one line for people.
         robot: of the suite.
+        to_scale: whether T_world_capture leads to metres; else the scene says that it does not.
 
     Raises:
         SceneError: the name is none, the mesh cannot be read, or the place cannot be loaded.
@@ -109,6 +111,7 @@ def write_place(
         "name": name,
         "task": course.task,
         "licence": licence,
+        **({} if to_scale else {"units": "unknown"}),
         "collision": COLLISION,
         "trail": [rounded(point) for point in course.trail],
         "spawn": {"position": rounded(course.spawn), "yaw": round(float(course.yaw), 4)},
@@ -127,7 +130,7 @@ def write_place(
         write_captures(out / CAPTURES, cameras)
         text["captures"] = CAPTURES
     write_yaml(out / SCENE_FILE, text)
-    load_folder(out)
+    load_folder(out, needs_scale=False)
     write_ready_suite(out / SUITE, name, ["."], robot=robot_from(out, robot))
 
 

@@ -1,10 +1,22 @@
 """Up is found in rooms, whatever else is large and flat in them, and however phones are held."""
 
+import cv2
 import numpy as np
 import pytest
-from rooms import about_z, capture, degrees_off, floor_off, room, similarity, straight, walk
+from PIL import Image
+from rooms import (
+    about_z,
+    capture,
+    degrees_off,
+    floor_off,
+    room,
+    scale_off,
+    similarity,
+    straight,
+    walk,
+)
 
-from nw_eval.errors import SceneError, UsageError
+from nw_eval.errors import SceneError
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions
 
@@ -43,8 +55,9 @@ def test_a_place_that_is_one_ramp_is_not_levelled():
     alignment = aligned(points, poses, T, options=AlignOptions(metric=True))
     assert degrees_off(alignment, T) < 1.5  # By cameras and walls; the ramp has 14 degrees.
     assert any("no level plane" in warning for warning in alignment.warnings)
-    with pytest.raises(UsageError, match="no level floor was found, so that the cameras' height"):
-        aligned(points, poses, T, options=AlignOptions(camera_height=1.5))
+    unscaled = aligned(points, poses, T, options=AlignOptions(camera_height=1.5))
+    assert not unscaled.is_to_scale
+    assert any("no level floor was found, so that" in line for line in unscaled.warnings)
 
 
 def test_phones_on_their_sides_are_told_from_phones_held_upright():
@@ -104,6 +117,53 @@ def test_a_mesh_makes_the_floor_exact_where_points_are_few():
     assert degrees_off(alignment, T) < 0.1
     assert abs(floor_off(alignment, T)) < 0.005
     assert "mesh" in [cue.name for cue in alignment.gravity]
+
+
+def drawn(folder, found, edges):
+    """Draw edges ((E, 2, 3), the capture's frame) into a capture's pictures."""
+    for shot in found.shots:
+        c = shot.camera
+        picture = np.full((c.height, c.width, 3), 200, np.uint8)
+        for ends in edges:
+            local = ends @ c.T_camera_world[:3, :3].T + c.T_camera_world[:3, 3]
+            if local[:, 2].min() > 0.2:
+                pixels = local[:, :2] / local[:, 2:] * (c.fx, c.fy) + (c.cx, c.cy) - 0.5
+                a, b = ((16 * end).astype(int).tolist() for end in pixels)
+                cv2.line(picture, a, b, (30, 30, 30), 2, cv2.LINE_AA, 4)
+        Image.fromarray(picture).save(folder / shot.file)
+
+
+@pytest.mark.parametrize("slope", [0.0, 3.0])
+def test_upright_edges_tell_a_floor_that_slopes_from_one_that_is_level(tmp_path, slope):
+    rng = np.random.default_rng(12)
+    T, poses, angle = similarity(rng), straight(rng, 12), np.radians(slope)
+    tilt = cv2.Rodrigues(np.array([0.0, -angle, 0.0]))[0]
+    # A street between houses without a wall that a plane would be found in: it slopes, they do not.
+    points = room(rng, walls=0) @ tilt.T
+    poses[:, :3, 3] = poses[:, :3, 3] @ tilt.T
+    found = capture(points, poses, T, files=[f"{i}.png" for i in range(12)], size=(640, 480))
+    feet = np.array([(x, y, 0.1) for x in np.linspace(2, 12, 14) for y in (0.5, 4.5)])
+    uprights = np.stack([feet, feet + np.array([0.0, 0.0, 2.0])], axis=1)
+    drawn(tmp_path, found, uprights @ T[:3, :3].T + T[:3, 3])
+    alignment = align(found, tmp_path, options=METRIC)
+    cues = {cue.name: cue for cue in alignment.gravity}
+    assert degrees_off(alignment, T) < 0.4
+    assert alignment.up_uncertain < 2.0
+    assert cues["floor"].degrees == pytest.approx(slope, abs=0.4)
+    assert any("up by floor is 3" in line for line in alignment.warnings) == (slope > 0)
+    # Cameras 1.4 m above the floor, wherever it has risen to.
+    assert scale_off(alignment, T) == pytest.approx(1.5 / 1.4 - 1, abs=0.02)
+
+
+def test_edges_that_lie_anyhow_say_nothing_about_up(tmp_path):
+    rng = np.random.default_rng(13)
+    poses = walk(rng, 12)
+    found = capture(room(rng), poses, files=[f"{i}.png" for i in range(12)], size=(640, 480))
+    middles = rng.uniform((-1, -1, 0), (7, 6, 2.5), (150, 3))
+    ways = rng.normal(size=(150, 3))
+    drawn(tmp_path, found, np.stack([middles, middles + ways], axis=1))
+    alignment = align(found, tmp_path, options=METRIC)
+    assert "edges" not in {cue.name for cue in alignment.gravity}
 
 
 def test_cues_that_agree_are_not_warned_of():

@@ -1,6 +1,7 @@
 """A unit's length by tags, heights, positions and lengths, and what is said where they differ."""
 
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,10 +13,11 @@ from tags import picture, texture
 from nw_eval.errors import PrerequisiteError, UsageError
 from nw_eval.splat.camera import look_at
 from nw_eval.twin.align.align import align
-from nw_eval.twin.align.alignment import AlignOptions, KnownLength
+from nw_eval.twin.align.alignment import AlignOptions, KnownLength, words_of
 from nw_eval.twin.align.positions import east_north_up, gps_positions
 from nw_eval.twin.align.tags import find_tags
 from nw_eval.twin.align.triangulate import triangulate
+from nw_eval.twin.calibrate.solution import Lens
 
 SIZE = (480, 360)
 
@@ -80,16 +82,20 @@ def test_markers_of_aruco_serve_as_well(tmp_path):
     assert abs(scale_off(alignment, T)) < 0.01
 
 
-def test_nothing_for_scale_is_an_error_that_says_what_to_give(tmp_path):
+def test_without_a_scale_the_cameras_are_as_high_as_people_carry_them_and_it_says_so(tmp_path):
     rng = np.random.default_rng(4)
+    T = similarity(rng)
     tags = [(texture(3), lying(3, 2.5), 0.2)]
-    found = photographed(tmp_path, rng, tags, np.eye(4), around(rng)[:3])
-    with pytest.raises(
-        UsageError, match=r"tag 3 is in view.*not known.*give its edge \(tag_edge\)"
+    found = photographed(tmp_path, rng, tags, T, around(rng)[:3])
+    for options, why in (
+        (AlignOptions(), "tag 3 is in view, its edge is not known"),
+        (AlignOptions(tag_edge=0.2, tag_family="tag25h9"), "no tag25h9 tag of known edge"),
     ):
-        align(found, tmp_path)
-    with pytest.raises(UsageError, match="no tag25h9 tag of known edge is in any picture"):
-        align(found, tmp_path, options=AlignOptions(tag_edge=0.2, tag_family="tag25h9"))
+        alignment = align(found, tmp_path, options=options)
+        assert not alignment.is_to_scale
+        assert any(why in warning for warning in alignment.warnings)
+        # They were 1.2 m above the floor, and are taken to be at 1.5.
+        assert scale_off(alignment, T) == pytest.approx(1.5 / 1.2 - 1.0, abs=0.02)
 
 
 def test_the_height_of_the_cameras_gives_the_scale_within_two_percent():
@@ -145,7 +151,8 @@ def test_two_points_of_known_distance_give_the_scale():
     ("first", "message"),
     [
         ({"nobody.jpg": (1, 1), "000.jpg": (2, 2)}, "no shot of the capture"),
-        ({"000.jpg": (10, 10)}, "do not meet in a point"),
+        ({"000.jpg": (10, 10)}, "000.jpg:9.5,9.5 is in one photograph, and there is no mesh"),
+        ({"000.jpg": (10, 900)}, "lies outside of the photograph, which has 320 x 240 pixels"),
         ({"000.jpg": (10, 10), "004.jpg": (300, 10)}, "do not meet in a point"),
         ((1.0, 2.0, 3.0), "coincide"),
     ],
@@ -155,6 +162,59 @@ def test_picks_that_make_no_point_are_an_error(first, message):
     length = KnownLength(first=first, second=(1.0, 2.0, 3.0), metres=1.0)
     with pytest.raises(UsageError, match=message):
         align(capture(room(rng), walk(rng)), None, options=AlignOptions(lengths=(length,)))
+
+
+FLOOR = (
+    np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]]),
+    np.array([[0, 1, 2], [0, 2, 3]]),
+)
+
+
+def test_two_pixels_of_one_photograph_as_it_was_taken_give_the_scale_on_the_mesh():
+    rng = np.random.default_rng(16)
+    T, poses = similarity(rng), around(rng)
+    found = capture(room(rng), poses, T)
+    c = found.shots[0].camera
+    lens = Lens(model="SIMPLE_RADIAL", width=640, height=480, params=(2 * c.fx, 320, 240, -0.1))
+    found = replace(found, shots=(replace(found.shots[0], lens=lens), *found.shots[1:]))
+    ends = []
+    for point in ((3.0, 2.2, 0.0), (3.4, 2.7, 0.0)):
+        local = c.T_camera_world[:3] @ T @ np.array([*point, 1.0])
+        x, y = lens.camera().img_from_cam(local[None])[0] - 0.5
+        ends.append(f"000.jpg:{x:.2f},{y:.2f}")
+    mesh = (FLOOR[0] @ T[:3, :3].T + T[:3, 3], FLOOR[1])
+    length = KnownLength.of_words(*ends, float(np.hypot(0.4, 0.5)))
+    alignment = align(found, None, mesh, AlignOptions(lengths=(length,)))
+    assert abs(scale_off(alignment, T)) < 0.001  # Without the lens it would be 3 % off.
+    assert alignment.scales[0].name == "length"
+    assert "where each pixel is off by one" in alignment.scales[0].reason
+    sky = KnownLength.of_words(ends[0], "000.jpg:320,0", 1.0)
+    hole = (mesh[0], mesh[1][:0])
+    with pytest.raises(UsageError, match=f"the point {ends[0]} does not meet the surface"):
+        align(found, None, hole, AlignOptions(lengths=(sky,)))
+
+
+def test_a_length_is_read_as_it_is_typed():
+    typed = KnownLength.of_words("a:b 1.jpg:412,310", "IMG_1.jpg:1.5,2+IMG_2.jpg:3,4", 0.9)
+    assert typed.first == {"a:b 1.jpg": (412.5, 310.5)}
+    assert typed.second == {"IMG_1.jpg": (2.0, 2.5), "IMG_2.jpg": (3.5, 4.5)}
+    assert words_of(typed.second) == "IMG_1.jpg:1.5,2+IMG_2.jpg:3,4"
+    for wrong in ("IMG_1.jpg", "IMG_1.jpg:4", ":1,2", "a:1,2+", "a:1,2+a:3,4"):
+        with pytest.raises(UsageError, match=r"is no point of a photograph; .*IMG_1.jpg:412,310"):
+            KnownLength.of_words(wrong, "a:1,2", 1.0)
+
+
+def test_gps_of_photographs_that_lie_near_together_gives_no_scale():
+    rng = np.random.default_rng(9)
+    poses = walk(rng)
+    positions = {
+        f"{i:03d}.jpg": tuple(spot)
+        for i, spot in enumerate((poses[:, :3, 3] + rng.normal(0, 4.0, (40, 3))).tolist())
+    }
+    options = AlignOptions(positions=positions, positions_up="+z")
+    alignment = align(capture(room(rng), poses), None, options=options)
+    assert not alignment.is_to_scale
+    assert any("the photographs lie too near together" in line for line in alignment.warnings)
 
 
 def test_a_phones_positions_give_scale_and_up_whatever_a_few_of_them_say():

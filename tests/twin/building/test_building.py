@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians
-from nw_eval.twin.align.alignment import Alignment, read_alignment, write_alignment
+from nw_eval.twin.align.alignment import Alignment, ScaleCue, read_alignment, write_alignment
 from nw_eval.twin.building.build import Build, BuildSettings
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
 from nw_eval.twin.capture import Capture, PlacedShot, read_capture, write_capture
@@ -129,7 +130,10 @@ def test_a_place_is_checked_and_its_suite_named(tmp_path, z, said):
     assert any("error waypoint_below_surface" in line for line in lines) == (said != "ready")
 
 
-def walked(folder, mesh, height):
+METRES = (ScaleCue(name="poses", scale=1.0, difference=0.0, used=True, reason="they are metres"),)
+
+
+def walked(folder, mesh, height, scales=METRES):
     """Leave in a build what its first stages would, for a walk along x with the camera ahead."""
     ahead = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     shots = []
@@ -154,7 +158,12 @@ def walked(folder, mesh, height):
     write_mesh(grey, folder.mesh / "mesh.ply")
     (folder.splat / "splat.ply").write_bytes(b"ply")
     aligned = Alignment(
-        T_metric_capture=np.eye(4), scale=1.0, gravity=(), scales=(), floor_share=1.0, warnings=()
+        T_metric_capture=np.eye(4),
+        scale=1.0,
+        gravity=(),
+        scales=scales,
+        floor_share=1.0,
+        warnings=(),
     )
     write_alignment(aligned, folder.align)
     for stage in ("calibrate", "reconstruct", "align", "splat"):
@@ -228,6 +237,72 @@ def test_a_place_without_room_for_a_trail_says_why_and_names_the_label_page(tmp_
     (why,) = [line for line in lines if line.startswith("place: no trail: ")]
     assert "too little for a waypoint 0.6 m from the start" in why
     assert any(line.endswith(f"nw-eval twin label {tmp_path}") for line in lines)
+
+
+def test_a_place_without_a_scale_is_written_marked_and_runs_nowhere(tmp_path, capsys):
+    floor = quad_mesh((-5, -5, 0), (15, 0, 0), (0, 10, 0), "ground")
+    lines = []
+    build = Build(tmp_path / "room", BuildSettings(), lines.append)
+    walked(build.folder, floor, 1.5, scales=())
+    build.place()
+    (said,) = [line for line in lines if "not to scale" in line]
+    assert f"nw-eval twin place {tmp_path / 'room'} --length A B METRES" in said
+    assert not build.check()
+    assert any("error not_to_scale" in line for line in lines)
+    assert load_folder(tmp_path / "room", needs_scale=False).trail.shape[1] == 3
+    for words in (
+        ["run", str(tmp_path / "room" / "suite.yaml")],
+        ["scenes", "check", str(tmp_path / "room")],
+    ):
+        with pytest.raises(SystemExit) as left:
+            cli.main(words)
+        assert left.value.code == 2
+        printed = capsys.readouterr()
+        assert "nw-eval twin label" in printed.out + printed.err
+
+
+def seen_from(build, rng):
+    """Leave a capture of a floor whose points are seen by all shots of a walk."""
+    capture = read_capture(build.folder.capture)
+    points = rng.uniform((-2, -2, 0), (6, 2, 0), (400, 3))
+    seen = np.arange(len(points), dtype=np.int32)
+    capture = Capture(
+        shots=tuple(replace(shot, seen=seen) for shot in capture.shots),
+        points=points,
+        colours=np.zeros((400, 3), np.uint8),
+        errors=np.zeros(400, np.float32),
+    )
+    write_capture(capture, build.folder.capture)
+
+
+def test_a_length_scales_a_place_that_is_built_and_no_other_stage_runs_again(tmp_path, capsys):
+    room = tmp_path / "room"
+    floor = quad_mesh((-5, -5, 0), (15, 0, 0), (0, 10, 0), "ground")
+    build = Build(room, BuildSettings(), lambda _: None)
+    walked(build.folder, floor, 1.5, scales=())
+    seen_from(build, np.random.default_rng(0))
+    build.place()
+    before = (room / "build" / "stamps.json").read_text()
+    # 30 pixels below the middle of a picture that is 36 high is far below its lower edge.
+    for ends, code, said in (
+        (["003.png:20,1", "003.png:44,30"], 2, "the point 003.png:20,1 does not meet the surface"),
+        (["003.png:20,30", "03.png:44,30"], 2, "'03.png', which is no shot of the capture"),
+        (["003.png:20,30", "003.png:44,30"], 0, "scale by length"),
+    ):
+        with pytest.raises(SystemExit) as left:
+            cli.main(["twin", "place", str(room), "--length", *ends, "6.0"])
+        printed = capsys.readouterr()
+        assert (left.value.code or 0) == code
+        assert said in printed.out + printed.err
+        if code:  # What was there before still holds.
+            assert (room / "build" / "stamps.json").read_text() == before
+    # The two pixels were 24 of 64 apart, on ground that the picture shows 30 - 18 pixels down.
+    camera = read_capture(room / "build" / "capture").shots[0].camera
+    units = 24 / camera.fx * (1.5 * camera.fx / 12.5)
+    assert load_folder(room).T_world_splat[:3, :3] == pytest.approx(
+        6.0 / units * np.eye(3), abs=1e-6
+    )
+    build.folder.needs("splat")
 
 
 @pytest.mark.nightly

@@ -13,7 +13,6 @@ import synthetic_room
 from PIL import Image
 
 from nw_eval import cli
-from nw_eval.errors import UsageError
 from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions
@@ -155,10 +154,8 @@ def test_over_a_floor_that_mirrors_the_cameras_height_gives_no_scale(tmp_path):
     shown = [synthetic_room.render(without_floor + below, one) for one in synthetic_room.cameras()]
     save(tmp_path / "in", shown)
     calibrate(tmp_path / "in", tmp_path / "out", CalibrateOptions())
-    with pytest.raises(UsageError, match="no level floor was found") as refused:
-        align(
-            read_capture(tmp_path / "out"),
-            tmp_path / "out",
-            options=AlignOptions(camera_height=1.2),
-        )
-    assert "tag36h11" in str(refused.value)
+    alignment = align(
+        read_capture(tmp_path / "out"), tmp_path / "out", options=AlignOptions(camera_height=1.2)
+    )
+    assert not alignment.is_to_scale
+    assert any("no level floor was found" in line for line in alignment.warnings)

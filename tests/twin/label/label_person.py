@@ -98,7 +98,7 @@ class Browser:
         self.view = self._browser.new_page(viewport={"width": _WIDTH, "height": _HEIGHT})
         self.view.set_default_timeout(120_000)
         self.view.goto(self._page.url)
-        self.view.get_by_text("add 1 m on").wait_for()
+        self.view.get_by_text("Save (Ctrl+S)").wait_for()
         self.view.wait_for_timeout(8_000)
         return self
 

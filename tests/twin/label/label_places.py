@@ -6,8 +6,8 @@ import trimesh
 from nw_eval.scenes.capture_file import write_captures
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians
+from nw_eval.twin.label.files import open_place
 from nw_eval.twin.label.labelling import Labelling, open_labelling
-from nw_eval.twin.label.opening import open_place
 from nw_eval.twin.trail import propose_trail
 
 SCENE = """\

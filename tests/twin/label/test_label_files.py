@@ -12,7 +12,7 @@ from label_places import SCENE, WALK, block, floor, opened, photographed, writte
 from nw_eval.errors import SceneError, StoreError, UsageError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.neverwhere import load_published
-from nw_eval.twin.label import published, saving
+from nw_eval.twin.label import files, published
 from nw_eval.twin.label.labelling import open_labelling
 from nw_eval.twin.label.state import CropBox
 
@@ -179,7 +179,7 @@ def test_a_disk_that_fails_at_the_end_changes_nothing(tmp_path, monkeypatch):
     def full(path):
         raise StoreError(f"cannot write {path}: no space", fix="free disk space")
 
-    monkeypatch.setattr(saving, "atomic_path", full)
+    monkeypatch.setattr(files, "atomic_path", full)
     with pytest.raises(StoreError):
         labelling.save()
     assert files_of(labelling.place.folder) == before
@@ -253,3 +253,31 @@ def test_euler_angles_are_mujoco_s(angles):
     found = published.euler_angles(matrix.reshape(3, 3))
     mujoco.mju_euler2Quat(again, np.array(found), "xyz")
     assert abs(quat @ again) == pytest.approx(1.0, abs=1e-9)
+
+
+UNSCALED = SCENE.replace("licence:", "units: unknown\nlicence:")
+
+
+def test_a_place_that_is_not_to_scale_is_saved_in_metres_once_two_points_say_so(tmp_path):
+    folder = written_place(tmp_path / "place", scene=UNSCALED)
+    with pytest.raises(SceneError, match=r"is not to scale: .*nw-eval twin label"):
+        load_folder(folder)
+    labelling = open_labelling(folder)
+    labelling.nudge_waypoint(0, 0.1, 0.0)
+    labelling.save()
+    assert "units: unknown" in (folder / "scene.yaml").read_text()
+    assert labelling.words.endswith("not to scale")
+    with pytest.raises(UsageError, match="not to scale; put two markers"):
+        labelling.publish(tmp_path / "published")
+
+    again = open_labelling(folder)
+    again.mark((2.0, 0.0, 0.1))
+    again.mark((3.0, 0.0, 0.1))
+    assert again.distance_words == "1.000 units"
+    again.scale_to(0.25)
+    again.save()
+    assert "units: m\n" in (folder / "scene.yaml").read_text()
+    scene = load_folder(folder)
+    assert np.ptp(scene.static_mesh.vertices[:, 0]) == pytest.approx(9.0 / 4)
+    assert scene.trail[0] == pytest.approx((2.6 / 4, 0.0, 0.1 / 4), abs=1e-4)
+    assert np.linalg.det(scene.T_world_splat[:3, :3]) == pytest.approx(1 / 64)

@@ -7,12 +7,13 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from label_places import block, floor, gaussians, opened
+from label_places import SCENE, block, floor, gaussians, opened, written_place
 
 from nw_eval.errors import PrerequisiteError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.mesh import rotation_matrix
 from nw_eval.splat.gaussians import Gaussians
+from nw_eval.twin.label.labelling import open_labelling
 from nw_eval.twin.label.page.drawing import let_through
 from nw_eval.twin.label.page.label_page import LabelPage, profile_svg
 from nw_eval.viewing.browser import splat_points
@@ -71,7 +72,7 @@ def test_a_click_beside_the_place_does_nothing(page, labelling):
 
 
 def test_a_click_moves_the_chosen_waypoint_sets_the_start_or_puts_a_marker(page, labelling):
-    press(page, "key Clicks (1 2 3 4): chosen")
+    press(page, "key Clicks (1 2 3 4 5): chosen")
     press(page, "key Edit (N F X): next")
     click(page, 5.0, 1.0)
     assert labelling.state.waypoints[1] == pytest.approx((5.0, 1.0, 0.0))
@@ -311,3 +312,31 @@ def test_names_stand_over_their_waypoints_also_after_all_were_taken_away(page, l
         name = page.server.scene.get_handle_by_name(f"/trail_name/{i}")
         assert name.text == str(i + 1)
         np.testing.assert_allclose(name.position[:2], point[:2])
+
+
+def test_a_place_that_is_not_to_scale_asks_for_two_points_first(tmp_path):
+    folder = written_place(
+        tmp_path / "place", scene=SCENE.replace("licence:", "units: unknown\nlicence:")
+    )
+    labelling = open_labelling(folder)
+    with LabelPage(labelling) as page:
+        assert "Not to scale" in page.controls.hints.content
+        click(page, 2.2, 0.0)  # No key was pressed: clicks put markers.
+        click(page, 2.8, 0.0)
+        assert page.controls.place._distance.content == "The markers are **0.600 units** apart."
+        page.controls.place._metres.value = 1.2
+        press(page, "Scale the place")
+        assert labelling.state.placement.scale == pytest.approx(2.0)
+        assert "Not to scale" not in page.controls.hints.content
+
+
+def test_the_floor_is_clicked_and_flipped_and_a_unit_chosen(page, labelling):
+    press(page, "Tilt x: left")
+    press(page, "Three clicks on the floor (5)")
+    for x, y in ((-1.0, -1.5), (-1.0, 1.5), (1.5, 1.5)):
+        click(page, x, y)
+    assert np.unique(labelling.mesh.vertices[:, 2].round(6)) == pytest.approx((-0.2, 0.0, 0.1))
+    press(page, "Flip upside down")
+    assert labelling.mesh.vertices[:, 2].max() == pytest.approx(0.2)
+    press(page, "The scan's unit is: cm")
+    assert labelling.mesh.vertices[:, 2].max() == pytest.approx(0.002)

@@ -22,6 +22,9 @@ changes = st.one_of(
     ),
     st.tuples(st.just("mark"), points),
     st.tuples(st.just("clear_markers")),
+    st.tuples(st.just("set_unit"), st.sampled_from(["m", "cm", "feet"])),
+    st.tuples(st.just("flip")),
+    st.tuples(st.just("click_floor"), points),
     st.tuples(st.just("add_waypoint"), points),
     st.tuples(st.just("add_waypoint")),
     st.tuples(st.just("move_waypoint"), st.integers(-1, 3), points),
@@ -291,3 +294,45 @@ def test_numbers_that_are_none_change_nothing(tmp_path, number):
         with pytest.raises((UsageError, SceneError)):
             change()
     assert not labelling.can_undo
+
+
+def test_three_clicks_on_the_floor_lay_it_level_at_zero_in_one_step(tmp_path):
+    labelling = opened(tmp_path)
+    labelling.turn("x", 0.2)
+    labelling.turn("y", -0.3)
+    labelling.shift(0.0, 0.0, 1.7)
+    tilted = labelling.state.placement.matrix
+    corners = [(tilted @ [*spot, 1.0])[:3] for spot in ((0, 2, 0), (6, 2, 0), (5, -2, 0))]
+    for corner in corners[:2]:
+        labelling.click_floor(tuple(corner.tolist()))
+    assert len(labelling.state.floor) == 2
+    with pytest.raises(UsageError, match="lie along a line"):
+        labelling.click_floor(tuple((0.7 * corners[0] + 0.3 * corners[1]).tolist()))
+    labelling.click_floor(tuple(corners[2].tolist()))
+    heights = labelling.mesh.vertices[:, 2]
+    np.testing.assert_allclose(np.unique(heights.round(9)), [-0.2, 0.0, 0.1], atol=1e-6)
+    assert labelling.state.floor == ()
+    labelling.undo()
+    np.testing.assert_allclose(labelling.state.placement.matrix, tilted)
+
+
+def test_a_place_that_is_flipped_stands_on_the_same_plane(tmp_path):
+    labelling = opened(tmp_path)
+    before = labelling.mesh.vertices
+    labelling.flip()
+    after = labelling.mesh.vertices
+    np.testing.assert_allclose(after[:, 2], -before[:, 2], atol=1e-9)
+    np.testing.assert_allclose(after[:, 0], before[:, 0], atol=1e-9)  # A turn, no mirror.
+    np.testing.assert_allclose(after[:, 1], -before[:, 1], atol=1e-9)
+    labelling.flip()
+    np.testing.assert_allclose(labelling.mesh.vertices, before, atol=1e-9)
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("inch", 0.0254), ("feet", 0.3048), ("m", 1.0)])
+def test_the_unit_of_a_scan_counts_from_the_file_however_often_it_is_chosen(tmp_path, unit, metres):
+    labelling = opened(tmp_path)
+    for each in ("mm", "cm", unit, unit):
+        labelling.set_unit(each)
+    size = np.ptp(labelling.mesh.vertices[:, 0])
+    assert size == pytest.approx(9.0 * metres)
+    assert labelling.state.waypoints[0] == pytest.approx((2.5 * metres, 0.0, 0.1 * metres))

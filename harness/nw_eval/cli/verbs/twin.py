@@ -38,12 +38,19 @@ class ReconstructFlags:
 
 @dataclass(frozen=True, kw_only=True)
 class AlignFlags:
-    """Of gravity and scale. With a printed tag in view nothing else is wanted."""
+    """Of gravity and scale. With a printed tag in view nothing else is wanted.
+
+    Without any scale the scene is in a unit of its own, until `label` or one of these gives one.
+    """
 
     tag_edge: float | None = None
     """Outer edge of the black border of the AprilTags (36h11) that lie about, m."""
     camera_height: float | None = None
     """Height at which the camera was held above the floor, the median, m."""
+    length: tyro.conf.UseAppendAction[tuple[tuple[str, str, float], ...]] = ()
+    """A distance that you measured, between two points of photographs, m: IMG_1.jpg:412,310
+    IMG_1.jpg:590,322 0.90. The pixel of one photograph is where it meets the mesh; that of two,
+    IMG_1.jpg:412,310+IMG_2.jpg:97,305, is where their rays meet."""
     metric: bool = False
     """The cameras that were taken as they are (ARKit, Polycam) are in metres already."""
 
@@ -168,8 +175,11 @@ class TrainSplat(SplatFlags):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlaceScene(PlaceFlags):
-    """Write the scene: mesh and splat in metres, and the trail that the place suggests."""
+class PlaceScene(PlaceFlags, AlignFlags):
+    """Write the scene: mesh and splat in metres, and the trail that the place suggests.
+
+    An option of `align` aligns it again first; nothing else is built again.
+    """
 
     scene: tyro.conf.Positional[Path]
     """The scene's folder."""
@@ -177,7 +187,10 @@ class PlaceScene(PlaceFlags):
     def __call__(self) -> int:
         from nw_eval.twin.building.build import Build
 
-        Build(self.scene, settings_of(self, None), _say).place()
+        build = Build(self.scene, settings_of(self, None), _say)
+        if any(vars(self)[name] != value for name, value in vars(AlignFlags()).items()):
+            build.align()
+        build.place()
         return 0
 
 
@@ -209,7 +222,7 @@ class AblateSplat(SplatFlags):
 class LabelScene:
     """Lay the trail through a place in the browser, till Ctrl-C: start, waypoints, task.
 
-    The page scales, turns and crops the place too, shows heights along the trail and what
+    The page scales, levels, flips and crops the place too, shows heights along the trail and what
     go1-parkour, a policy of a go1, can reach, and proposes a trail. Saving writes scene.yaml.
     """
 
@@ -227,7 +240,7 @@ class LabelScene:
     def __call__(self) -> int:
         from nw_eval.splat.files import read_splat
         from nw_eval.twin.label.copying import own_folder
-        from nw_eval.twin.label.labelling import open_labelling
+        from nw_eval.twin.label.labelling import NEEDS_SCALE, open_labelling
         from nw_eval.twin.label.page.label_page import LabelPage
         from nw_eval.viewing.browser import check_server
 
@@ -248,6 +261,8 @@ class LabelScene:
             for number in (signal.SIGINT, signal.SIGTERM):
                 # Said outright: a shell starts its background jobs with SIGINT ignored.
                 signal.signal(number, lambda *_: stop.set())
+            if not labelling.state.to_scale:
+                _say_label(f"{folder} is not to scale: {NEEDS_SCALE}")
             _say_label(f"{folder} is at {page.url}: open that in a browser; Ctrl-C ends it")
             if self.open:
                 from nw_eval.cli.terminal.last_words import show_address
@@ -284,7 +299,7 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
         UsageError: a number makes no sense.
     """
     from nw_eval.results.machine import usable_cores
-    from nw_eval.twin.align.alignment import AlignOptions
+    from nw_eval.twin.align.alignment import AlignOptions, KnownLength
     from nw_eval.twin.building.appearance import AppearanceOptions
     from nw_eval.twin.building.build import BuildSettings
     from nw_eval.twin.calibrate.options import CalibrateOptions
@@ -296,7 +311,10 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
         calibrate=CalibrateOptions(matching=has["matching"], frames=has["frames"], threads=cores),
         reconstruct=ReconstructOptions(engine=has["mesher"], faces=has["faces"]),
         align=AlignOptions(
-            tag_edge=has["tag_edge"], camera_height=has["camera_height"], metric=has["metric"]
+            tag_edge=has["tag_edge"],
+            camera_height=has["camera_height"],
+            metric=has["metric"],
+            lengths=tuple(KnownLength.of_words(*one) for one in has["length"]),
         ),
         splat=AppearanceOptions(
             iterations=has["iterations"],
@@ -323,6 +341,8 @@ def _ending(labelling: Labelling, *, is_saved: bool) -> str:
     suite = folder / "suite.yaml"
     follows = f"nw-eval run {suite}" if suite.is_file() else f"nw-eval scenes check {folder}"
     changed = "" if labelling.is_saved else "what was changed after the last save is not saved; "
+    if not labelling.state.to_scale:
+        return f"{changed}{folder} is not to scale yet, and does not run"
     return f"{changed}next: {follows}"
 
 

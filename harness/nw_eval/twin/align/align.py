@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import UsageError, nearest
+from nw_eval.scenes.rays import RayScene
 from nw_eval.twin.align.alignment import (
     MOST_DEGREES,
     MOST_DIFFERENCE,
@@ -22,6 +23,7 @@ from nw_eval.twin.align.gravity import KnownUp, Mesh, find_gravity
 from nw_eval.twin.align.positions import PositionFit, fit_positions
 from nw_eval.twin.align.scale import find_scale
 from nw_eval.twin.capture import Capture
+from nw_eval.twin.moved import moved_mesh
 from nw_eval.words import UpAxis
 
 Values = NDArray[np.float64]
@@ -34,7 +36,7 @@ _MOST_TURNED = math.radians(3.0)
 
 def align(
     capture: Capture,
-    capture_folder: Path,
+    capture_folder: Path | None,
     mesh: Mesh | None = None,
     options: AlignOptions | None = None,
     say: Callable[[str], None] = lambda _: None,
@@ -45,28 +47,38 @@ def align(
 
     Args:
         capture: as calibrated.
-        capture_folder: with its pictures, which are read where tags are looked for.
+        capture_folder: with its pictures, in which upright edges and tags are looked for; None =
+            they are not looked at.
         mesh: vertices (V, 3) in the capture's frame and faces (F, 3); it makes the floor exact.
-        options: what no photograph tells; None = nothing is known, which gives no scale.
+        options: what no photograph tells; None = nothing is known, which gives no scale: the frame
+            is then in a unit of its own, see `Alignment.is_to_scale`.
         say: hears how far it has come.
 
     Raises:
-        UsageError: nothing gives a scale, and what to give; or an option makes no sense.
+        UsageError: an option makes no sense.
         SceneError: the capture has too few points, or a picture cannot be read.
         PrerequisiteError: what finds tags is not installed.
     """
     options = AlignOptions() if options is None else options
     rng = np.random.default_rng(options.seed)
     positions = _positions(capture, options, rng)
-    gravity = find_gravity(capture, mesh, _known(options, positions), rng, say)
+    gravity = find_gravity(capture, mesh, _known(options, positions), rng, say, capture_folder)
     for cue in gravity.cues:
-        say(f"up by {cue.name}: {cue.degrees:.2f} degrees from the chosen one; {cue.reason}")
+        say(
+            f"up by {cue.name}: {cue.degrees:.2f} degrees from the chosen one, uncertain by "
+            f"{cue.uncertain:.1f}; {cue.reason}"
+        )
+    say(f"up is known to {gravity.uncertain:.1f} degrees")
     scale = find_scale(
         capture,
         capture_folder,
         options,
         up=gravity.up,
-        floor=gravity.floor if gravity.has_floor else None,
+        heights=gravity.heights,
+        has_floor=gravity.has_floor,
+        surface=None
+        if mesh is None or not options.lengths
+        else RayScene(moved_mesh(np.eye(4), *mesh)),
         positions=positions,
         say=say,
     )
@@ -92,6 +104,7 @@ def align(
         scales=scale.cues,
         floor_share=gravity.floor_share,
         warnings=warnings,
+        up_uncertain=gravity.uncertain,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,8 +33,8 @@ MOST_DEGREES = 2.0
 MOST_DIFFERENCE = 0.03
 """A cue for scale that differs by more is warned of."""
 
-ALIGN_FILE = "align.json"
-
+_POINT = re.compile(r"(.+?):([0-9]+(?:\.[0-9]+)?),([0-9]+(?:\.[0-9]+)?)(?:\+|$)")
+"""A photograph's name and a pixel of it; `+` before the next."""
 _MOST_BYTES = 2**20
 _FIX = "align again: `nw-eval twin align`"
 
@@ -46,7 +47,9 @@ class KnownLength:
 
     Attributes:
         first, second: (x, y, z) in the capture's frame; or pixels by the name of the shot in which
-            the point was picked, two shots at least.
+            the point was picked. In one shot it is where the pixel's ray meets the mesh, in two or
+            more where the rays meet. Pixels are of the photograph as it was taken, or of the
+            capture's picture where the capture does not know the lens.
         metres: between them.
         vertical: whether `metres` is a height, so that only the way up between them counts.
     """
@@ -63,6 +66,42 @@ class KnownLength:
             UsageError: it is no positive number.
         """
         _positive("a known length", self.metres)
+
+    @classmethod
+    def of_words(cls, first: str, second: str, metres: float) -> KnownLength:
+        """Return the length between two points that are written as `IMG_1.jpg:412,310`.
+
+        A point that two photographs show is written as `IMG_1.jpg:412,310+IMG_2.jpg:97,305`. The
+        first pixel of a photograph is 0,0, as in image viewers.
+
+        Raises:
+            UsageError: a point is written otherwise, or the length is no positive number.
+        """
+        return cls(first=_picked(first), second=_picked(second), metres=metres)
+
+
+def _picked(words: str) -> dict[str, Pixel]:
+    picked: dict[str, Pixel] = {}
+    end = 0
+    for found in _POINT.finditer(words):
+        name, x, y = found.groups()
+        if found.start() != end or name in picked:
+            break
+        picked[name], end = (float(x) + 0.5, float(y) + 0.5), found.end()
+    if not picked or end != len(words) or words.endswith("+"):
+        raise UsageError(
+            f"{words!r} is no point of a photograph",
+            fix="write the photograph's name and the pixel, IMG_1.jpg:412,310; or two photographs "
+            "that show the point, IMG_1.jpg:412,310+IMG_2.jpg:97,305",
+        )
+    return picked
+
+
+def words_of(point: Vector | Mapping[str, Pixel]) -> str:
+    """Return a point of a known length as `KnownLength.of_words` reads it."""
+    if not isinstance(point, Mapping):
+        return str(tuple(point))
+    return "+".join(f"{name}:{x - 0.5:g},{y - 0.5:g}" for name, (x, y) in point.items())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,11 +198,14 @@ class Alignment:
 
     Attributes:
         T_metric_capture: (4, 4) float64, a scale times a rotation, and a translation.
-        scale: metres in a unit of the capture.
+        scale: metres in a unit of the capture; where nothing gives a scale, such that the cameras
+            are as high above the floor as people hold them.
         gravity: each cue's answer.
-        scales: each cue's answer, the chosen one first.
+        scales: each cue's answer, the chosen one first; none where nothing gives a scale.
         floor_share: of the sparse points, which lies on the floor.
         warnings: what somebody should look at.
+        up_uncertain: standard deviation of up by all cues that agree, along the direction that is
+            known least, degrees; None in a file that does not say.
     """
 
     T_metric_capture: NDArray[np.float64]
@@ -172,6 +214,12 @@ class Alignment:
     scales: tuple[ScaleCue, ...]
     floor_share: float
     warnings: tuple[str, ...]
+    up_uncertain: float | None = None
+
+    @property
+    def is_to_scale(self) -> bool:
+        """Whether the metric frame is in metres, not in a unit that nobody knows."""
+        return bool(self.scales)
 
 
 class _AlignModel(BaseModel):
@@ -202,6 +250,7 @@ class _AlignFile(_AlignModel):
     gravity: tuple[_GravityEntry, ...]
     scales: tuple[_ScaleEntry, ...]
     warnings: tuple[str, ...]
+    up_uncertain: Annotated[float, Field(ge=0, le=180)] | None = None
 
 
 def write_alignment(alignment: Alignment, path: Path) -> None:
@@ -218,6 +267,7 @@ def write_alignment(alignment: Alignment, path: Path) -> None:
         "gravity": [vars(cue) for cue in alignment.gravity],
         "scales": [vars(cue) for cue in alignment.scales],
         "warnings": alignment.warnings,
+        "up_uncertain": alignment.up_uncertain,
     }
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -254,4 +304,5 @@ def read_alignment(path: Path) -> Alignment:
         scales=tuple(ScaleCue(**cue.model_dump()) for cue in file.scales),
         floor_share=file.floor_share,
         warnings=file.warnings,
+        up_uncertain=file.up_uncertain,
     )

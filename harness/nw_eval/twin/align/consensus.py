@@ -194,17 +194,22 @@ def horizon(rotations: Values, rng: np.random.Generator) -> Horizon:
         form = form + level_form(mean / np.linalg.norm(mean), _PITCH)
     # A tilt that they have in common is beyond what their own scatter shows.
     form = np.linalg.inv(np.linalg.inv(form + 1e-3 * np.eye(3)) + _TILT**2 * np.eye(3))
-    values, vectors = np.linalg.eigh(form)
-    up = vectors[:, 0]
+    up = np.linalg.eigh(form)[1][:, 0]
     # Cameras stand upright and look down; only what lies on its side has but the second.
     sense = -forward.mean(axis=0) if sideways else -(down + forward).mean(axis=0)
     return Horizon(
         up=up if up @ sense >= 0 else -up,
         form=form,
-        degrees=math.degrees(1.0 / math.sqrt(max(values[1] - values[0], 1e-3))),
+        degrees=known_to(form),
         roll=math.degrees(roll),
         sideways=sideways,
     )
+
+
+def known_to(form: Values) -> float:
+    """Return the standard deviation of a form's direction where it is known least, degrees."""
+    values = np.linalg.eigvalsh(form)
+    return math.degrees(1.0 / math.sqrt(max(float(values[1] - values[0]), 1e-3)))
 
 
 def level_form(normal: Values, sigma: float) -> Values:

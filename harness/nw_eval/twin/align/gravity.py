@@ -1,4 +1,4 @@
-"""Which way is up and where the floor is: cameras are held level, floors are level, walls upright.
+"""Which way is up and where the floor is: cameras are held level, floors level, walls upright.
 
 What each cue says is one quadratic form A, in units of its own uncertainty: a direction u is the
 less likely the larger u' A u is. Forms add up, and their smallest eigenvector is what all of them
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +25,12 @@ from nw_eval.twin.align.consensus import (
     Horizon,
     consensus,
     horizon,
+    known_to,
     level_form,
     smallest,
     upright_form,
 )
+from nw_eval.twin.align.edges import upright_edges
 from nw_eval.twin.align.planes import FittedPlane, find_planes, fit_plane
 from nw_eval.twin.capture import Capture
 
@@ -42,6 +45,8 @@ _MESH = LEVEL / 4
 _LEAST_POINTS = 12
 _SURE = 5.0
 """Degrees: cameras that know up worse than this are worth a word where no plane helps."""
+_STEEPEST = 15.0
+"""Degrees by which a floor may slope against upright edges and still be the floor."""
 _RAMP = 0.1
 """Share of points of a slope that is worth a word."""
 
@@ -79,6 +84,8 @@ class GravityAnswer:
         floor: height of the floor along it below the first camera, in the capture's unit.
         floor_share: of the points, which lies on it.
         has_floor: whether a level plane was found there; else it is as high as the lowest points.
+        heights: (V,) of the cameras above the floor, along `up`, in the capture's unit.
+        uncertain: standard deviation of up along the direction that is known least, degrees.
         cues: what each says.
         warnings: what somebody should look at, disagreements aside.
     """
@@ -87,6 +94,8 @@ class GravityAnswer:
     floor: float
     floor_share: float
     has_floor: bool
+    heights: Values
+    uncertain: float
     cues: tuple[GravityCue, ...]
     warnings: tuple[str, ...]
 
@@ -97,11 +106,23 @@ def find_gravity(
     known: Sequence[KnownUp],
     rng: np.random.Generator,
     say: Callable[[str], None],
+    folder: Path | None = None,
 ) -> GravityAnswer:
     """Return up and the floor of a capture.
 
+    Where upright edges of houses say that the floor slopes, by more than both may err, up is by
+    the edges.
+
+    Args:
+        capture: as calibrated.
+        mesh: in its frame; None without.
+        known: up as sources of poses have it.
+        rng: of the draws.
+        say: hears of slopes.
+        folder: of the capture, with its pictures; None = edges are not looked for.
+
     Raises:
-        SceneError: it has no shots, or too few points to find a floor in.
+        SceneError: it has no shots, or too few points to find a floor in; or a picture is damaged.
     """
     if not capture.shots or len(capture.points) < _LEAST_POINTS:
         raise SceneError(
@@ -118,26 +139,50 @@ def find_gravity(
     found = consensus(level, planes, doubts, [(one.up, one.sigma) for one in known])
     floor = find_floor(points, centres, found.up, found.level, tolerance)
     by_mesh = None
-    up = found.up
+    up, form = found.up, found.form
     if mesh is not None:
         begin = floor.plane or FittedPlane(normal=up, offset=floor.height, share=0.0, sigma=0.0)
         vertices, faces = mesh
         by_mesh = floor_of_mesh(vertices.astype(np.float64), faces, begin, tolerance)
         if by_mesh is not None:
             sigma = math.hypot(_MESH, by_mesh.sigma)
-            up = smallest(found.form + level_form(by_mesh.normal, sigma), up)
+            form = form + level_form(by_mesh.normal, sigma)
+            up = smallest(form, up)
+    uncertain = max(known_to(form), math.degrees(LEVEL))
+    extra: list[KnownUp] = []
+    edges = None if folder is None else upright_edges(capture, folder, up, rng)
+    if edges is not None:
+        upright, sigma, reason = edges
+        extra.append(KnownUp(name="edges", up=upright, sigma=sigma, reason=reason))
+        apart = math.degrees(math.acos(min(1.0, float(upright @ up))))
+        if apart <= 2.0 * math.hypot(uncertain, math.degrees(sigma)) or not (
+            floor.plane or by_mesh
+        ):
+            form = form + level_form(upright, sigma)
+            up = smallest(form, up)
+            uncertain = max(known_to(form), math.degrees(min(sigma, LEVEL)))
+        elif apart <= _STEEPEST:
+            say(
+                f"the floor slopes by {apart:.1f} degrees against upright edges: up is by the edges"
+            )
+            up, uncertain = upright, max(math.degrees(sigma), min(apart / 2.0, 1.0))
     for plane in planes:
         slope = math.degrees(math.acos(min(1.0, abs(float(plane.normal @ up)))))
         if plane.share > _RAMP and math.degrees(LEVEL) * 12 < slope < 40:
             say(f"a plane with {plane.share:.0%} of the points slopes by {slope:.1f} degrees")
     plane = by_mesh or floor.plane
+    heights = np.einsum("ni,i->n", capture.centres, up) - floor.height
+    if plane is not None:
+        heights = plane.distances(capture.centres) / float(plane.normal @ up)
     return GravityAnswer(
         up=up,
-        floor=floor.height if plane is None else _below(centres[0], up, plane),
+        floor=float(centres[0] @ up - heights[0]),
+        heights=heights,
         floor_share=floor.share,
         has_floor=plane is not None,
-        cues=_cues(up, level, found, floor, by_mesh, known),
-        warnings=_warnings(level, floor, known),
+        uncertain=uncertain,
+        cues=_cues(up, level, found, floor, by_mesh, [*extra, *known]),
+        warnings=_warnings(level, floor, uncertain),
     )
 
 
@@ -153,12 +198,6 @@ def _distance(capture: Capture) -> float:
         away = np.linalg.norm(capture.points - centres.mean(axis=0), axis=1)
         return float(np.median(away))
     return float(np.median(seen))
-
-
-def _below(centre: Values, up: Values, plane: FittedPlane) -> float:
-    """Return the height of a plane along `up`, on the line below a camera."""
-    drop = (float(plane.normal @ centre) - plane.offset) / float(plane.normal @ up)
-    return float(centre @ up) - drop
 
 
 def _cues(
@@ -206,7 +245,7 @@ def _cue(name: str, own: Values, up: Values, sigma: float, reason: str) -> Gravi
     )
 
 
-def _warnings(level: Horizon, floor: FloorLevel, known: Sequence[KnownUp]) -> tuple[str, ...]:
+def _warnings(level: Horizon, floor: FloorLevel, uncertain: float) -> tuple[str, ...]:
     warnings: list[str] = []
     if floor.plane is None:
         warnings.append(
@@ -214,9 +253,10 @@ def _warnings(level: Horizon, floor: FloorLevel, known: Sequence[KnownUp]) -> tu
             "that of the lowest points. Does the floor mirror, or has it no texture? Lay something "
             "matt with a pattern on it, and photograph again"
         )
-        if level.degrees > _SURE and not known:
+        if uncertain > _SURE:
             warnings.append(
-                f"up is known to {level.degrees:.0f} degrees only: all cameras look one way"
+                f"up is known to {uncertain:.0f} degrees only: all cameras look one way. Three "
+                "clicks on the floor in `nw-eval twin label` set it"
             )
     if level.sideways:
         warnings.append("the pictures seem to lie on their sides: check which way is up")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,21 +15,31 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import PrerequisiteError, UsageError, nearest
 from nw_eval.plural import plural
+from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Vector
-from nw_eval.twin.align.alignment import MOST_DIFFERENCE, AlignOptions, KnownLength, Pixel, ScaleCue
+from nw_eval.twin.align.alignment import (
+    MOST_DIFFERENCE,
+    AlignOptions,
+    KnownLength,
+    Pixel,
+    ScaleCue,
+    words_of,
+)
 from nw_eval.twin.align.positions import PositionFit
 from nw_eval.twin.align.tags import PlacedTag, find_tags, place_tags
 from nw_eval.twin.align.triangulate import triangulate
-from nw_eval.twin.capture import Capture
+from nw_eval.twin.capture import Capture, PlacedShot
 
 Values = NDArray[np.float64]
 
 _VAGUE = 0.02
 """A scale by positions that is known worse is worth a word."""
-_GIVE = (
-    "lay a printed tag36h11 tag into view and give its edge (tag_edge), or give camera_height, a "
-    "known height or length, the shots' positions, or say that the poses are metric"
-)
+_ROUGH = 0.03
+"""A scale by a length that a pixel changes by more is worth a word."""
+_USELESS = 0.15
+"""A scale by positions that is known worse is none."""
+CARRIED = 1.5
+"""Metres above the floor at which people carry a camera: the unit where nothing gives a scale."""
 
 _TOLERANCE = 8.0
 """Pixels that a picked point may be off: hands are less exact than detectors."""
@@ -37,7 +47,11 @@ _TOLERANCE = 8.0
 
 @dataclass(frozen=True, kw_only=True)
 class ScaleAnswer:
-    """Metres in a unit, each cue's answer, and what somebody should look at."""
+    """Metres in a unit, each cue's answer, and what somebody should look at.
+
+    Without cues nothing gives a scale: `scale` is such that the cameras are `CARRIED` above the
+    floor.
+    """
 
     scale: float
     cues: tuple[ScaleCue, ...]
@@ -53,40 +67,45 @@ class _ScaleBy:
 
 def find_scale(
     capture: Capture,
-    folder: Path,
+    folder: Path | None,
     options: AlignOptions,
     *,
     up: Values,
-    floor: float | None,
+    heights: Values,
+    has_floor: bool,
+    surface: RayScene | None,
     positions: PositionFit | None,
     say: Callable[[str], None],
 ) -> ScaleAnswer:
-    """Return the scale by tags, else by a height, else by poses, else by a length.
+    """Return the scale by tags, else by a length, a height, poses, or positions.
 
     Args:
         capture: with its pictures in `folder`.
-        folder: of the capture.
+        folder: of the capture; None = its pictures are not looked at.
         options: what somebody knows.
         up: (3,) unit vector in the capture's frame.
-        floor: height of the floor along it, in the capture's unit; None = none was found.
+        heights: (V,) of the cameras above the floor, in the capture's unit.
+        has_floor: whether a plane was found for a floor.
+        surface: mesh on which points lie that were picked in one photograph; None without.
         positions: the fit to known positions; None without.
         say: hears of the tags that are found.
 
     Raises:
-        UsageError: nothing gives a scale; or what gives it makes no sense.
+        UsageError: a point of a length is in no photograph, or does not meet the surface.
         PrerequisiteError: what finds tags is not installed.
         SceneError: a picture cannot be read.
     """
     warnings: list[str] = []
     answers = [
         *_by_tags(capture, folder, options, warnings, say),
-        *_by_camera_height(capture, options, up, floor, warnings),
-        *_by_lengths(capture, options, up, vertical=True),
+        *_by_lengths(capture, options, up, surface, warnings),
+        *_by_camera_height(options, heights if has_floor else None, warnings),
         *_by_poses(options, positions, warnings),
-        *_by_lengths(capture, options, up, vertical=False),
     ]
     if not answers:
-        raise UsageError(_nothing(capture, folder, options, warnings), fix=_GIVE)
+        warnings.append(_nothing(capture, folder, options))
+        own = _own_unit(capture, heights)
+        return ScaleAnswer(scale=own, cues=(), warnings=tuple(warnings))
     chosen = answers[0].scale
     cues = tuple(
         ScaleCue(
@@ -103,12 +122,12 @@ def find_scale(
 
 def _by_tags(
     capture: Capture,
-    folder: Path,
+    folder: Path | None,
     options: AlignOptions,
     warnings: list[str],
     say: Callable[[str], None],
 ) -> list[_ScaleBy]:
-    if options.tag_edge is None and not options.tag_edges:
+    if folder is None or (options.tag_edge is None and not options.tag_edges):
         return []
     found = find_tags(capture, folder, options.tag_family, say)
     edges = {
@@ -149,37 +168,79 @@ def _tag_answer(tags: list[PlacedTag], edges: dict[int, float], warnings: list[s
 
 
 def _by_camera_height(
-    capture: Capture, options: AlignOptions, up: Values, floor: float | None, warnings: list[str]
+    options: AlignOptions, heights: Values | None, warnings: list[str]
 ) -> list[_ScaleBy]:
     if options.camera_height is None:
         return []
-    if floor is None:
+    if heights is None:
         warnings.append("no level floor was found, so that the cameras' height gives no scale")
         return []
-    heights = np.einsum("ni,i->n", capture.centres, up) - floor
     height = float(np.median(heights))
     if height <= 0:
-        raise UsageError(
-            "half of the cameras are below the floor that was found",
-            fix="give another cue for scale than camera_height",
+        warnings.append(
+            "half of the cameras are below the floor that was found, so that their height gives "
+            "no scale"
         )
+        return []
     low, high = np.quantile(heights, [0.1, 0.9]) / height * options.camera_height
     reason = f"median {options.camera_height:g} m; most cameras from {low:.2f} to {high:.2f} m"
     return [_ScaleBy(name="camera height", scale=options.camera_height / height, reason=reason)]
 
 
 def _by_lengths(
-    capture: Capture, options: AlignOptions, up: Values, *, vertical: bool
+    capture: Capture,
+    options: AlignOptions,
+    up: Values,
+    surface: RayScene | None,
+    warnings: list[str],
 ) -> list[_ScaleBy]:
-    return [
-        _ScaleBy(
-            name="height" if vertical else "length",
-            scale=length.metres / units_of(length, capture, up),
-            reason=f"{length.metres:g} m between two points",
+    answers: list[_ScaleBy] = []
+    for length in options.lengths:
+        units = units_of(length, capture, up, surface)
+        ends = f"{words_of(length.first)} and {words_of(length.second)}"
+        reason, off = (
+            f"{length.metres:g} m between {ends}",
+            _by_a_pixel(length, capture, up, surface),
         )
-        for length in options.lengths
-        if length.vertical == vertical
-    ]
+        if off is not None:
+            reason += f"; known to {off / units:.1%} where each pixel is off by one"
+            if off > _ROUGH * units:
+                warnings.append(
+                    f"the length between {ends} is known to {off / units:.0%} only: pick points "
+                    "nearer to the camera and farther apart, in photographs from places well apart"
+                )
+        name = "height" if length.vertical else "length"
+        answers.append(_ScaleBy(name=name, scale=length.metres / units, reason=reason))
+    return answers
+
+
+def _by_a_pixel(
+    length: KnownLength, capture: Capture, up: Values, surface: RayScene | None
+) -> float | None:
+    """Return by how much a length is off where each picked pixel is off by one; None without."""
+    units = units_of(length, capture, up, surface)
+    squares: list[float] = []
+    for which in ("first", "second"):
+        end = getattr(length, which)
+        if not isinstance(end, Mapping):
+            return None
+        for name, (x, y) in end.items():
+            for moved in ((x - 1.0, y), (x, y - 1.0)):
+                try:
+                    other = replace(length, **{which: {**end, name: moved}})
+                    squares.append((units_of(other, capture, up, surface) - units) ** 2)
+                except UsageError:  # Off the picture, or into a hole.
+                    continue
+    return math.sqrt(sum(squares))
+
+
+def _own_unit(capture: Capture, heights: Values) -> float:
+    """Return the scale at which cameras are as high above the floor as people carry them."""
+    height = float(np.median(heights))
+    if height <= 0:  # No floor either: what they look at is twice as far.
+        away = np.linalg.norm(capture.points - np.median(capture.centres, axis=0), axis=1)
+        height = float(np.median(away)) / 2.0
+    return CARRIED / height if height > 0 else 1.0
 
 
 def _by_poses(
@@ -188,7 +249,12 @@ def _by_poses(
     answers: list[_ScaleBy] = []
     if options.metric:
         answers.append(_ScaleBy(name="poses", scale=1.0, reason="they come in metres"))
-    if positions is not None:
+    if positions is not None and positions.uncertain > _USELESS:
+        warnings.append(
+            f"the positions (GPS) are off by {positions.off:.2g} m, so they know the scale to "
+            f"{positions.uncertain:.0%} only, which is none: the photographs lie too near together"
+        )
+    elif positions is not None:
         reason = (
             f"{plural(len(options.positions), 'shot')}, off by {positions.off:.3g} m; scale known "
             f"to {positions.uncertain:.1%}"
@@ -202,11 +268,14 @@ def _by_poses(
     return answers
 
 
-def _nothing(capture: Capture, folder: Path, options: AlignOptions, warnings: list[str]) -> str:
+def _nothing(capture: Capture, folder: Path | None, options: AlignOptions) -> str:
     """Return that there is no scale, and which tags one need only measure."""
-    text = "nothing says how long a unit of this capture is"
-    if warnings:
-        return f"{text}: {'; '.join(warnings)}"
+    text = (
+        "nothing gives a scale: the scene is in a unit of its own, in which the cameras are "
+        f"{CARRIED:g} above the floor"
+    )
+    if folder is None or options.tag_edge is not None or options.tag_edges:
+        return text
     try:
         found = find_tags(capture, folder, options.tag_family, lambda _: None)
     except PrerequisiteError:
@@ -219,18 +288,23 @@ def _listed(numbers: list[int]) -> str:
     return ", ".join(map(str, numbers))
 
 
-def units_of(length: KnownLength, capture: Capture, up: Values) -> float:
+def units_of(
+    length: KnownLength, capture: Capture, up: Values, surface: RayScene | None = None
+) -> float:
     """Return how many of the capture's units a known length has.
 
     Args:
         length: with its two points.
         capture: in whose frame, or in whose shots, they are.
         up: (3,) unit vector, for heights.
+        surface: mesh on which points lie that were picked in one shot; None without.
 
     Raises:
-        UsageError: a shot is not there, picks do not meet in a point, or the points coincide.
+        UsageError: a shot is not there, a pick does not meet the mesh, picks do not meet in a
+            point, or the points coincide.
     """
-    way = _point(length.second, capture) - _point(length.first, capture)
+    first, second = (_point(end, capture, surface) for end in (length.first, length.second))
+    way = second - first
     units = abs(float(way @ up)) if length.vertical else float(np.linalg.norm(way))
     if units < 1e-9 * max(1.0, float(np.abs(capture.points).max(initial=0.0))):
         raise UsageError(
@@ -240,7 +314,9 @@ def units_of(length: KnownLength, capture: Capture, up: Values) -> float:
     return units
 
 
-def _point(where: Vector | Mapping[str, Pixel], capture: Capture) -> Values:
+def _point(
+    where: Vector | Mapping[str, Pixel], capture: Capture, surface: RayScene | None
+) -> Values:
     if not isinstance(where, Mapping):
         return np.asarray(where, dtype=np.float64)
     shots = {shot.name: shot for shot in capture.shots}
@@ -250,12 +326,50 @@ def _point(where: Vector | Mapping[str, Pixel], capture: Capture) -> Values:
                 f"a point was picked in {name!r}, which is no shot of the capture",
                 fix=nearest(name, shots),
             )
-    cameras = [shots[name].camera for name in where]
-    pixels = np.array(list(where.values()), dtype=np.float64).reshape(-1, 1, 2)
-    found = triangulate(cameras, pixels, tolerance=_TOLERANCE)
+    chosen = [shots[name] for name in where]
+    pixels = np.array([_in_picture(shots[name], pixel) for name, pixel in where.items()])
+    if len(chosen) == 1:
+        return _on_mesh(chosen[0], pixels[0], words_of(where), surface)
+    found = triangulate([one.camera for one in chosen], pixels[:, None], tolerance=_TOLERANCE)
     if found is None:
         raise UsageError(
-            f"the picks in {', '.join(where) or 'no shot'} do not meet in a point",
+            f"the picks {words_of(where) or 'in no shot'} do not meet in a point",
             fix="pick the same point in two shots or more, from places well apart",
         )
     return found.points[0]
+
+
+def _in_picture(shot: PlacedShot, pixel: Pixel) -> Values:
+    """Return where the picture of a shot shows what its photograph does at a pixel, (2,)."""
+    camera, lens = shot.camera, shot.lens
+    width, height = (camera.width, camera.height) if lens is None else (lens.width, lens.height)
+    if not (0 <= pixel[0] <= width and 0 <= pixel[1] <= height):
+        raise UsageError(
+            f"{words_of({shot.name: pixel})} lies outside of the photograph, which has {width} x "
+            f"{height} pixels",
+            fix="count pixels from its top left corner, in the photograph as it was taken",
+        )
+    if lens is None:
+        return np.array(pixel)
+    x, y = np.asarray(lens.camera().cam_from_img(np.array([pixel], dtype=np.float64)))[0, :2]
+    return np.array([camera.fx * x + camera.cx, camera.fy * y + camera.cy])
+
+
+def _on_mesh(shot: PlacedShot, pixel: Values, words: str, surface: RayScene | None) -> Values:
+    """Return where the ray of a picture's pixel meets the mesh, in the capture's frame."""
+    two = "give the point in two photographs that show it, IMG_1.jpg:412,310+IMG_2.jpg:97,305"
+    if surface is None:
+        raise UsageError(f"{words} is in one photograph, and there is no mesh", fix=two)
+    camera = shot.camera
+    local = [(pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1.0]
+    direction = np.einsum("ij,j->i", camera.T_world_camera[:3, :3], np.array(local))
+    direction = direction / np.linalg.norm(direction)
+    origin = camera.T_world_camera[:3, 3]
+    distance, face = surface.cast(origin[None], direction[None])
+    if face[0] < 0:
+        raise UsageError(
+            f"the point {words} does not meet the surface: the mesh has a hole there, or the "
+            "pixel shows the sky",
+            fix=f"pick a pixel of ground or of a large object nearby, or {two}",
+        )
+    return origin + float(distance[0]) * direction

@@ -17,7 +17,7 @@ from nw_eval.twin.align.triangulate import triangulate
 from nw_eval.twin.capture import Capture, read_picture
 
 Values = NDArray[np.float64]
-_Detect = Callable[[NDArray[np.uint8]], list[tuple[int, Values]]]
+Detect = Callable[[NDArray[np.uint8]], list[tuple[int, Values]]]
 
 _ARUCO = {"aruco_4x4_50": "DICT_4X4_50", "aruco_5x5_100": "DICT_5X5_100"}
 _SURE = 25.0
@@ -56,7 +56,7 @@ def find_tags(
         PrerequisiteError: what finds tags is not installed.
         SceneError: a picture cannot be read.
     """
-    detect = _detector(family)
+    detect = detector(family)
     found: dict[int, list[tuple[int, Values]]] = {}
     for place, shot in enumerate(capture.shots):
         red, green, blue = np.moveaxis(read_picture(shot, folder).astype(np.float32), 2, 0)
@@ -103,11 +103,16 @@ def place_tags(
     return placed
 
 
-def _detector(family: TagFamily) -> _Detect:
+def detector(family: TagFamily) -> Detect:
+    """Return what finds tags in a grey picture (H, W) uint8: numbers and corners (4, 2), pixels.
+
+    Raises:
+        PrerequisiteError: what finds tags is not installed.
+    """
     return _aruco(_ARUCO[family]) if family in _ARUCO else _apriltag(family)
 
 
-def _apriltag(family: str) -> _Detect:
+def _apriltag(family: str) -> Detect:
     try:
         from pupil_apriltags import Detector
     except ImportError:
@@ -134,7 +139,7 @@ def _apriltag(family: str) -> _Detect:
     return detect
 
 
-def _aruco(name: str) -> _Detect:
+def _aruco(name: str) -> Detect:
     try:
         import cv2
     except ImportError:

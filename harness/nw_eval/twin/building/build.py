@@ -24,6 +24,14 @@ from nw_eval.scenes.finding import SceneFinding, has_errors
 from nw_eval.scenes.folder import load_folder
 from nw_eval.survey import Survey, footing_lines, survey_lines
 from nw_eval.survey.trail import stance_of
+from nw_eval.twin.align.ahead import (
+    check_names,
+    facts_of_source,
+    later,
+    read_facts,
+    scale_lines,
+    write_facts,
+)
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
 from nw_eval.twin.building.appearance import AppearanceOptions, train_splat
@@ -37,6 +45,7 @@ from nw_eval.twin.building.unlike import (
     unlike_photographs,
 )
 from nw_eval.twin.calibrate.calibrate import calibrate
+from nw_eval.twin.calibrate.footage import Footage
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import Capture, read_capture
 from nw_eval.twin.moved import moved_capture, moved_mesh
@@ -125,12 +134,26 @@ class Build:
         options = self._settings.calibrate
         if not photographs.exists():
             raise StoreError(f"there is nothing at {photographs}", fix="check the path")
-        self.folder.carry_out(
+        if not self.folder.carry_out(
             "calibrate",
             [facts_of(options), digest_of_files(photographs)],
-            lambda: calibrate(photographs, self.folder.capture, options, self._say),
+            lambda: calibrate(
+                photographs, self.folder.capture, options, self._say, self._look_for_scale
+            ),
             self._say,
-        )
+        ):
+            lengths = self._settings.align.lengths
+            check_names(lengths, [shot.name for shot in read_capture(self.folder.capture).shots])
+            facts = read_facts(self.folder.capture)
+            for line in scale_lines(facts, self._settings.align, self.folder.scene):
+                self._say(line)
+
+    def _look_for_scale(self, footage: Footage) -> None:
+        """Say what will give the scale, before the slow work, and keep what the source says."""
+        facts = facts_of_source(footage, self._settings.align)
+        for line in scale_lines(facts, self._settings.align, self.folder.scene):
+            self._say(line)
+        write_facts(facts, self.folder.capture)
 
     def reconstruct(self) -> None:
         """Measure depths and make the mesh; see `nw_eval.twin.reconstruct`."""
@@ -152,6 +175,10 @@ class Build:
         """Find gravity, scale and the floor; see `nw_eval.twin.align`."""
         self.folder.needs("reconstruct")
         options = self._settings.align
+        facts = read_facts(self.folder.capture)
+        if facts is not None:
+            shots = read_capture(self.folder.capture).shots
+            options = facts.completed(options, [shot.name for shot in shots])
         mesh_file = self.folder.mesh / "mesh.ply"
 
         def work() -> None:
@@ -163,8 +190,8 @@ class Build:
                 options,
                 self._say,
             )
-            for warning in found.warnings:
-                self._say(f"align: look at this: {warning}")
+            if not found.is_to_scale:
+                self._say(f"align: not to scale: {later(self.folder.scene)}")
             write_alignment(found, self.folder.align)
 
         of = [facts_of(options), digest_of_files(self.folder.capture, mesh_file)]
@@ -204,7 +231,8 @@ class Build:
 
     def _write(self, name: str) -> None:
         folder = self.folder
-        world = read_alignment(folder.align).T_metric_capture
+        aligned = read_alignment(folder.align)
+        world = aligned.T_metric_capture
         mesh = read_colour_mesh(folder.mesh / "mesh.ply")
         capture = read_capture(folder.capture)
         try:
@@ -228,7 +256,10 @@ class Build:
             capture=capture,
             course=route,
             robot=self._settings.robot,
+            to_scale=aligned.is_to_scale,
         )
+        if not aligned.is_to_scale:
+            self._say(f"place: not to scale: {later(self.folder.scene)}")
         self._say(f"place: {folder.scene} is a scene: nw-eval scenes check {folder.scene}")
 
     def check(self) -> bool:
@@ -262,7 +293,8 @@ class Build:
 
         Where the trail was surveyed, `trail.json` is written, and what depths differ by is said.
         """
-        scene, depths = load_folder(self.folder.scene), self.folder.mesh / "depth"
+        scene = load_folder(self.folder.scene, needs_scale=False)
+        depths = self.folder.mesh / "depth"
         captured = (self.folder.capture / "capture.json").is_file() and depths.is_dir()
         if scene.splat is None or not captured:
             return []  # A place from elsewhere, or whose build was cleared away: nobody knows.

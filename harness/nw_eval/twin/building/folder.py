@@ -8,18 +8,21 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Literal, get_args
 
-from nw_eval.errors import SceneError, StoreError
+from nw_eval.errors import SceneError, StoreError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import regular
 
 Stage = Literal["calibrate", "reconstruct", "align", "splat", "place"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
-"""In the order in which they run; each reads what those before it have left."""
+"""In the order in which they run."""
+_READ_BY: dict[Stage, tuple[Stage, ...]] = {"align": ("align", "place")}
+"""Which stages read what one has left, itself among them; all that come later where none are named.
+Another scale needs no other splat."""
 
 _FORMATS: dict[Stage, int] = {
-    "calibrate": 3,
+    "calibrate": 4,
     "reconstruct": 5,
-    "align": 3,
+    "align": 4,
     "splat": 4,
     "place": 7,
 }
@@ -77,7 +80,7 @@ class BuildFolder:
             Whether anything was done.
 
         Raises:
-            NwEvalError: as `work`.
+            NwEvalError: as `work`; after a UsageError the results of before still hold.
             StoreError: the stamps cannot be written.
         """
         content = json.dumps([_FORMATS[stage], stage, *depends_on])
@@ -87,9 +90,13 @@ class BuildFolder:
             say(f"{stage}: done before, of the same things")
             return False
         # What comes later is of another result from now on.
-        later = STAGES[STAGES.index(stage) :]
+        later = _READ_BY.get(stage, STAGES[STAGES.index(stage) :])
         self._write({name: old for name, old in stamps.items() if name not in later})
-        work()
+        try:
+            work()
+        except UsageError:  # It was refused, so that what was there before still holds.
+            self._write(stamps)
+            raise
         self._write(self._stamps() | {stage: stamp})
         return True
 

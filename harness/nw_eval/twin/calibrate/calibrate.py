@@ -6,7 +6,7 @@ words that help whoever took them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -72,6 +72,7 @@ def calibrate(
     out: Path,
     options: CalibrateOptions | None = None,
     say: Say = lambda _: None,
+    found: Callable[[Footage], object] = lambda _: None,
 ) -> CalibrationReport:
     """Turn photographs into a capture: find where each was taken from, and remove distortion.
 
@@ -84,6 +85,7 @@ def calibrate(
         out: folder that gets capture.json, points.npz, pictures/, masks/ and report.json.
         options: of the calibration; None = the defaults.
         say: is given lines of progress, with estimates of what is left.
+        found: is given the source in the first seconds, before anything is computed of it.
 
     Raises:
         SceneError: the source cannot be read, has fewer than 3 photographs, or fewer of them than
@@ -100,14 +102,20 @@ def calibrate(
     except OSError as error:
         raise StoreError(f"cannot write to {out}: {error}", fix="choose another folder") from None
     with working as name:
-        return _calibrate(source, out, Path(name), options, say)
+        return _calibrate(source, out, Path(name), options, say, found)
 
 
 def _calibrate(
-    path: Path, out: Path, working: Path, options: CalibrateOptions, say: Say
+    path: Path,
+    out: Path,
+    working: Path,
+    options: CalibrateOptions,
+    say: Say,
+    found: Callable[[Footage], object],
 ) -> CalibrationReport:
     source = find_source(path, working, frames=options.frames, say=say)
     say(f"{path}: {source.kind}, {plural(len(source.files), 'photograph')}")
+    found(source)
     photographs, unreadable = take_in(source.files, working, say, upright=source.cameras is None)
     if len(photographs) < _LEAST:
         raise SceneError(

@@ -198,6 +198,7 @@ def _shot(
         mask=None if mask is None else f"masks/{number:06d}.png",
         seen=placed.seen[_is_shown(points[placed.seen], camera)],
         camera=camera,
+        lens=placed.lens,
     )
 
 

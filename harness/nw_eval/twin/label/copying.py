@@ -88,7 +88,7 @@ def copy_place(reference: str, out: Path, *, robot: str = "go1") -> None:
                 for name, path in files.files.items():
                     (staged / name).parent.mkdir(parents=True, exist_ok=True)
                     shutil.copyfile(path, staged / name)
-            name, own = load_folder(staged).name, robot_from(out, robot)
+            name, own = load_folder(staged, needs_scale=False).name, robot_from(out, robot)
             write_ready_suite(staged / SUITE, name, ["."], robot=own)
             staged.rename(out)
     except OSError as error:

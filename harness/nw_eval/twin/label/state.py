@@ -26,6 +26,13 @@ Point = tuple[float, float, float]
 
 Axis = Literal["x", "y", "z"]
 
+Unit = Literal["m", "cm", "mm", "inch", "feet"]
+METRES: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "feet": 0.3048}
+"""In one of each unit that scans come in."""
+
+_LEAST_WIDTH = 0.05
+"""Of a triangle of points on a floor, of its longest side."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Placement:
@@ -82,6 +89,36 @@ def shift(offset: Point) -> NDArray[np.float64]:
 def stretch(factor: float) -> NDArray[np.float64]:
     """Return the (4, 4) scaling about the origin, which leaves a floor at z = 0 where it is."""
     return np.diag([factor, factor, factor, 1.0])
+
+
+def level_on(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (4, 4) motion that lays three points (3, 3) on z = 0, and turns nothing else.
+
+    What looks most upwards of their plane looks up afterwards.
+
+    Raises:
+        UsageError: they lie too much along a line.
+    """
+    ways = points[1:] - points[0]
+    normal = np.cross(ways[0], ways[1])
+    longest = max(float(np.linalg.norm(a - b)) for a in points for b in points)
+    if np.linalg.norm(normal) < _LEAST_WIDTH * longest * longest:
+        raise UsageError(
+            "the three points on the floor lie along a line",
+            fix="click the third one well to the side of the other two",
+        )
+    normal = normal / np.linalg.norm(normal) * (1.0 if normal[2] >= 0 else -1.0)
+    axis = np.cross(normal, [0.0, 0.0, 1.0])
+    sine, cosine = float(np.linalg.norm(axis)), float(normal[2])
+    quat = [1.0, 0.0, 0.0, 0.0]
+    if sine > 0:
+        half = math.atan2(sine, cosine) / 2
+        quat = [math.cos(half), *(math.sin(half) / sine * axis).tolist()]
+    T = np.eye(4)
+    T[:3, :3] = rotation_matrix(quat)
+    middle = points.mean(axis=0)
+    T[:3, 3] = middle - T[:3, :3] @ middle - np.array([0.0, 0.0, middle[2]])
+    return T
 
 
 def mapped(points: NDArray[np.float64], T: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -211,6 +248,8 @@ class LabelState:
         placement: of the files that were opened.
         crop: what is kept of the place, after it was placed; None = all.
         markers: two at most, for measuring; world, m.
+        floor: two at most of the three points that lay the floor; world, m.
+        to_scale: whether lengths are metres; else in a unit that nobody knows.
 
     Raises:
         UsageError: a point is no place for a waypoint, or there are too many.
@@ -222,11 +261,13 @@ class LabelState:
     placement: Placement = field(default_factory=Placement)
     crop: CropBox | None = None
     markers: tuple[Point, ...] = ()
+    floor: tuple[Point, ...] = ()
+    to_scale: bool = True
 
     def __post_init__(self) -> None:
         if len(self.waypoints) > WAYPOINTS:
             raise UsageError(f"{len(self.waypoints)} waypoints", fix=f"give {WAYPOINTS} at most")
-        points = [*self.waypoints, *self.markers]
+        points = [*self.waypoints, *self.markers, *self.floor]
         if self.start is not None:
             points.append(self.start.position)
         for point in points:
@@ -264,6 +305,7 @@ class LabelState:
             start=start,
             crop=crop,
             markers=_moved(self.markers, delta),
+            floor=_moved(self.floor, delta),
         )
 
 

@@ -11,15 +11,16 @@ from typing import Any, get_args
 
 from nw_eval.twin.label.labelling import Labelling
 from nw_eval.twin.label.page.drawing import Cutaway
-from nw_eval.twin.label.state import Axis, CropBox, Point
+from nw_eval.twin.label.state import Axis, CropBox, Point, Unit
 from nw_eval.words import Task
 
-CLICKS = ("waypoint", "chosen", "start", "marker")
+CLICKS = ("waypoint", "chosen", "start", "marker", "floor")
 _PUTS = {
     "waypoint": "adds a **waypoint**",
     "chosen": "moves the **chosen waypoint** (blue)",
     "start": "sets the **start**",
     "marker": "puts a **marker**, to measure",
+    "floor": "puts a point on the **floor**: three of them, well apart, lay it level at z = 0",
 }
 
 _HELP = """\
@@ -76,11 +77,12 @@ class Controls:
         self._panel = panel = ControlPanel(gui, run)
         self.by_name = panel.by_name
         self.chosen = 0
-        self.click = CLICKS[0]
+        # Where nobody knows the scale yet, two markers come first.
+        self.click = CLICKS[0] if labelling.state.to_scale else CLICKS[3]
         gui.add_markdown(_HELP)
         # Buttons, not lists and boxes: keys rest while the focus is in a field.
         panel.row(
-            "Clicks (1 2 3 4)",
+            "Clicks (1 2 3 4 5)",
             *(
                 (click, str(key), None, lambda click=click: self.set_click(click))
                 for key, click in enumerate(CLICKS, 1)
@@ -99,14 +101,26 @@ class Controls:
         self.status = gui.add_markdown("")
         self.chart = gui.add_html("")
         self.hints = gui.add_markdown("")
-        tabs = gui.add_tab_group()
-        with tabs.add_tab("Trail"):
-            self._add_trail()
-        with tabs.add_tab("Start"):
-            self._add_start()
         self.place = PlaceControls(
-            panel, labelling, tabs, level=level, has_splat=has_splat, look=look
+            panel,
+            labelling,
+            has_splat=has_splat,
+            cuts=level is not None,
+            click_floor=lambda: self.set_click(CLICKS[4]),
         )
+        parts = [
+            ("Trail", self._add_trail),
+            ("Start", self._add_start),
+            ("Scale", self.place.add_scale),
+            ("Place", self.place.add_place),
+            ("View", lambda: self.place.add_view(level, look)),
+        ]
+        if not labelling.state.to_scale:  # The first tab is the one that is open.
+            parts.insert(0, parts.pop(2))
+        tabs = gui.add_tab_group()
+        for name, add in parts:
+            with tabs.add_tab(name):
+                add()
 
     def set_click(self, click: str) -> None:
         """Choose what a click puts."""
@@ -196,10 +210,9 @@ class PlaceControls:
     Args:
         panel: what they are added to.
         labelling: what they act on.
-        tabs: viser's tab group.
-        level: height above which the view is cut at first, m; None = it is not.
         has_splat: whether there is one to show.
-        look: turns the browsers' views to the course.
+        cuts: whether the view is cut at a level at first.
+        click_floor: lets clicks put points on the floor.
 
     Attributes:
         shows_splat, shows_mesh: whether it is seen.
@@ -209,25 +222,19 @@ class PlaceControls:
         self,
         panel: ControlPanel,
         labelling: Labelling,
-        tabs: Any,
         *,
-        level: float | None,
         has_splat: bool,
-        look: Callable[[], object],
+        cuts: bool,
+        click_floor: Callable[[], object],
     ) -> None:
         self._panel = panel
         self._labelling = labelling
         self._lies: object = None
         self.shows_splat, self.shows_mesh = has_splat, not has_splat
-        self._cuts = level is not None
+        self._cuts = cuts
+        self._click_floor = click_floor
         self._measured: float | None = None
         self._bounds: tuple[Point, Point] | None = None
-        with tabs.add_tab("Scale"):
-            self._add_scale()
-        with tabs.add_tab("Place"):
-            self._add_place()
-        with tabs.add_tab("View"):
-            self._add_view(level, look)
 
     @property
     def preview(self) -> CropBox | None:
@@ -252,7 +259,7 @@ class PlaceControls:
                 "or M at two waypoints."
             )
         else:
-            self._distance.content = f"The markers are **{distance:.3f} m** apart."
+            self._distance.content = f"The markers are **{labelling.distance_words}** apart."
         if distance is not None and distance != self._measured:
             keep(self._metres, round(distance, 3))
         self._measured = distance
@@ -266,7 +273,8 @@ class PlaceControls:
             for field, corner in zip((self._low, self._high), self._bounds, strict=True):
                 keep(field, corner)
 
-    def _add_scale(self) -> None:
+    def add_scale(self) -> None:
+        """Add the fields and buttons of the scale to the tab that is open."""
         labelling, panel = self._labelling, self._panel
         self._distance = panel.gui.add_markdown("")
         self._metres = panel.gui.add_number(
@@ -274,9 +282,19 @@ class PlaceControls:
         )
         panel.button("Scale the place", lambda: labelling.scale_to(self._metres.value))
         panel.button("Clear markers", labelling.clear_markers)
+        panel.row(
+            "The scan's unit is",
+            *(
+                (unit, None, None, lambda unit=unit: labelling.set_unit(unit))
+                for unit in get_args(Unit)
+            ),
+        )
 
-    def _add_place(self) -> None:
+    def add_place(self) -> None:
+        """Add what turns, moves and crops the place to the tab that is open."""
         labelling, panel, gui = self._labelling, self._panel, self._panel.gui
+        panel.button("Three clicks on the floor (5)", self._click_floor)
+        panel.button("Flip upside down", labelling.flip)
         angle = gui.add_number("Turn by, degrees", 5.0, min=0.01, max=180.0, step=0.1)
         for label, axis in _TURNS:
 
@@ -301,7 +319,8 @@ class PlaceControls:
         )
         panel.button("Take the crop back", lambda: labelling.crop_to(None))
 
-    def _add_view(self, level: float | None, look: Callable[[], object]) -> None:
+    def add_view(self, level: float | None, look: Callable[[], object]) -> None:
+        """Add what is shown to the tab that is open."""
         panel, gui = self._panel, self._panel.gui
         panel.row(
             "Show, hide (V C R)",

@@ -151,6 +151,8 @@ class Drawing:
             self._lines("/trail_legs", legs, _ORANGE)
 
     def _draw_markers(self) -> None:
+        for i, point in enumerate(self._labelling.state.floor):
+            self._ball(f"/floor/{i}", point, _GREEN, 0.05)
         markers = self._labelling.state.markers
         for i, point in enumerate(markers):
             self._ball(f"/marker/{i}", point, _PINK, 0.05)
@@ -158,7 +160,7 @@ class Drawing:
         if distance is not None:
             self._lines("/marker_line", np.array([markers]), _PINK)
             middle = as_point(np.mean(markers, axis=0))
-            self._text("/marker_distance", f"{distance:.3f} m", middle, 0.1)
+            self._text("/marker_distance", self._labelling.distance_words, middle, 0.1)
 
     def _ball(self, name: str, point: Point, colour: tuple[int, int, int], radius: float) -> None:
         self._scene.add_icosphere(self._named(name), radius=radius, color=colour, position=point)

@@ -17,7 +17,7 @@ from nw_eval.errors import NwEvalError
 from nw_eval.scenes.folder import SCENE_FILE
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.twin.label.ground import HeightProfile
-from nw_eval.twin.label.labelling import Labelling
+from nw_eval.twin.label.labelling import NEEDS_SCALE, Labelling
 from nw_eval.twin.label.page.controls import CLICKS, Controls
 from nw_eval.twin.label.page.drawing import Drawing, first_level
 from nw_eval.twin.label.state import Point, as_point
@@ -139,8 +139,10 @@ class LabelPage:
             labelling.move_waypoint(controls.chosen, point)
         elif what == CLICKS[2]:
             labelling.set_start(point)
-        else:
+        elif what == CLICKS[3]:
             labelling.mark(point)
+        else:
+            labelling.click_floor(point)
 
     def save(self, publishes: bool) -> str:
         """Save, the published XML pair too where it is wanted; return what to tell people."""
@@ -171,9 +173,10 @@ class LabelPage:
             drawing.refresh(controls.chosen if labelling.state.waypoints else None, place.preview)
         controls.chart.content = profile_svg(labelling.profile())
         marks = {"warning": "⚠️", "note": "✓"}
-        controls.hints.content = "\n\n".join(
-            f"{marks[hint.severity]} {hint.text}" for hint in labelling.hints()
-        )
+        lines = [f"{marks[hint.severity]} {hint.text}" for hint in labelling.hints()]
+        if not labelling.state.to_scale:
+            lines = [f"{marks['warning']} **Not to scale, and runs nowhere yet**: {NEEDS_SCALE}."]
+        controls.hints.content = "\n\n".join(lines)
 
     def _show_error(self, text: str) -> None:
         self.controls.tell(f"**❌ {html.escape(text)}**")

@@ -1,7 +1,7 @@
-"""A labelling back into its scene folder: whole, or not at all.
+"""A scene folder opened for labelling, and a labelling back into it: whole, or not at all.
 
-Its scene.yaml stays as a person wrote it, with what a labelling decides changed in it and nothing
-else.
+Opening compiles no terrain. Its scene.yaml stays as a person wrote it, with what a labelling
+decides changed in it and nothing else.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import re
 import shutil
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,15 +26,90 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import what_is
-from nw_eval.scenes.capture_file import write_captures
+from nw_eval.files.yaml_file import YamlProblems, read_yaml
+from nw_eval.scenes.capture_file import CameraPose, read_poses, write_captures
 from nw_eval.scenes.folder import SCENE_FILE, folder_files, load_folder
 from nw_eval.scenes.mesh import TriangleMesh, rotation_matrix
+from nw_eval.scenes.mesh_file import MESH_SUFFIXES, read_mesh
 from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.splat.transform import quaternions
-from nw_eval.twin.label.opening import OpenedPlace
-from nw_eval.twin.label.state import Placement, mapped
+from nw_eval.twin.label.state import LabelState, Placement, StartPose, as_point, mapped
 from nw_eval.twin.moved import similarity_entry
 from nw_eval.twin.place import Route, rounded, write_collision
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OpenedPlace:
+    """A scene folder as it was opened.
+
+    Attributes:
+        folder: that holds scene.yaml.
+        name: of the scene.
+        collision: the collision file's name in the folder.
+        splat: of its looks; None = it has none.
+        mesh: what can be touched; world, m.
+        is_scan: whether the mesh is the collision file, not boxes: only then it can be moved.
+        T_world_splat: (4, 4) similarity.
+        captures: name of the file of the cameras that photographed it; None = nobody says.
+        cameras: those, in the order of the file; world.
+        state: what scene.yaml says of the course.
+    """
+
+    folder: Path
+    name: str
+    collision: str
+    splat: Path | None
+    mesh: TriangleMesh
+    is_scan: bool
+    T_world_splat: NDArray[np.float64]
+    captures: str | None
+    cameras: tuple[CameraPose, ...]
+    state: LabelState
+
+    @property
+    def walk(self) -> NDArray[np.float64]:
+        """Where the cameras stood, (N, 3), m, in order."""
+        return np.array([position for position, _ in self.cameras], dtype=float).reshape(-1, 3)
+
+
+def open_place(folder: Path) -> OpenedPlace:
+    """Read a scene folder.
+
+    Raises:
+        SceneError: a file is missing or wrong; every problem with file and line.
+    """
+    files = folder_files(folder)  # Checks all of scene.yaml.
+    try:
+        text = read_yaml(folder / SCENE_FILE).data
+    except YamlProblems as error:  # It was changed just now.
+        raise SceneError(error.problems) from None
+    collision = str(text.get("collision", "collision.yaml"))
+    splat, captures = text.get("splat"), text.get("captures")
+    is_scan = files[collision].suffix.lower() in MESH_SUFFIXES
+    spawn = text.get("spawn", {})
+    return OpenedPlace(
+        folder=folder,
+        name=str(text["name"]),
+        collision=collision,
+        splat=files[splat] if splat is not None else None,
+        mesh=read_mesh(files[collision])
+        if is_scan
+        else load_folder(folder, needs_scale=False).static_mesh,
+        is_scan=is_scan,
+        T_world_splat=Placement(**text.get("T_world_splat", {})).matrix,
+        captures=captures,
+        cameras=read_poses(files[captures]) if captures is not None else (),
+        state=LabelState(
+            to_scale=text.get("units", "m") == "m",
+            task=text["task"],
+            waypoints=tuple(as_point(np.array(point, dtype=float)) for point in text["trail"]),
+            start=StartPose(
+                position=as_point(np.array(spawn.get("position", (0.0, 0.0, 0.0)), dtype=float)),
+                yaw=float(spawn.get("yaw", 0.0)),
+            ),
+        ),
+    )
+
 
 _OURS = re.compile(r"collision-[0-9a-f]{12}\.ply|captures-[0-9a-f]{12}\.json")
 """Moved or cropped meshes, and moved cameras. Those that a build wrote stay as they are: a crop can
@@ -46,6 +122,7 @@ def save_label(
     course: Route,
     mesh: TriangleMesh | None,
     T_world_opened: NDArray[np.float64],
+    to_scale: bool = True,
 ) -> None:
     """Rewrite scene.yaml of a folder; its other keys and its comments stay where they can.
 
@@ -57,6 +134,7 @@ def save_label(
         course: task, trail and start.
         mesh: what can be touched now, world, m; None = it is still the one that was opened.
         T_world_opened: (4, 4) similarity by which splat and cameras are moved.
+        to_scale: whether all that is in metres now.
 
     Raises:
         SceneError: scene.yaml is wrong, or what would be saved cannot be loaded.
@@ -82,6 +160,7 @@ def save_label(
                 collision=collision,
                 captures=captures,
                 T_world_splat=T_world_opened @ place.T_world_splat,
+                to_scale=to_scale,
             )
             (staged / SCENE_FILE).write_text(written, encoding="utf-8")
             splat = text.splat
@@ -89,7 +168,7 @@ def save_label(
                 # It is large, and loading a scene only looks whether it is there.
                 (staged / splat).parent.mkdir(parents=True, exist_ok=True)
                 (staged / splat).touch()
-            load_folder(staged)
+            load_folder(staged, needs_scale=False)
             for old, new in ((place.collision, collision), (place.captures, captures)):
                 if new is not None and new != old:
                     moves.enter_context(_moved_in(staged / new, folder / new))
@@ -177,8 +256,11 @@ class SceneText:
         collision: str,
         captures: str | None,
         T_world_splat: NDArray[np.float64],
+        to_scale: bool = True,
     ) -> str:
         """Return the text with what a labelling decides; what is as it was keeps its spelling."""
+        if "units" in self._text or not to_scale:
+            _put(self._text, "units", "m" if to_scale else "unknown")
         _edit(self._text, course, collision, captures, T_world_splat)
         stream = StringIO()
         self._yaml.dump(self._text, stream)
