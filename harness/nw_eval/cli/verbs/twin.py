@@ -23,7 +23,10 @@ class CalibrateFlags:
     """Which photographs are compared: neighbours in the order of their names (sequential), all
     (exhaustive), or neighbours where names are numbers or a video's frames."""
     frames: int = 150
-    """Frames that are taken of a video, at most: sharp ones, some way apart."""
+    """Frames that are taken of a video, or of a film whose cameras an app knows, at most: sharp
+    ones, some way apart."""
+    per_second: float | None = None
+    """Frames that are taken of each second of a video; as many as the picture moves when absent."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +111,8 @@ class Calibrate(CalibrateFlags):
     """Find where each photograph was taken from, and take the lens's distortion out."""
 
     photographs: tyro.conf.Positional[Path]
-    """A folder of photographs, a video, or cameras of COLMAP, nerfstudio or Polycam."""
+    """A folder of photographs, a video, or cameras of COLMAP, nerfstudio, Polycam, Record3D or
+    another app of docs/twins.md."""
     out: Path
     """The scene's folder."""
     threads: int | None = None
@@ -293,7 +297,9 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
     has = vars(AllFlags()) | {k: v for k, v in vars(flags).items() if k in vars(AllFlags())}
     cores = threads or usable_cores()
     return BuildSettings(
-        calibrate=CalibrateOptions(matching=has["matching"], frames=has["frames"], threads=cores),
+        calibrate=CalibrateOptions(
+            threads=cores, **{key: has[key] for key in ("matching", "frames", "per_second")}
+        ),
         reconstruct=ReconstructOptions(engine=has["mesher"], faces=has["faces"]),
         align=AlignOptions(
             tag_edge=has["tag_edge"], camera_height=has["camera_height"], metric=has["metric"]

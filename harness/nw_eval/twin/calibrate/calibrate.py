@@ -80,7 +80,7 @@ def calibrate(
 
     Args:
         source: folder of photographs, with `masks/` beside them or not; a video; or a folder of
-            COLMAP, nerfstudio or Polycam, whose cameras are taken as they are.
+            COLMAP, nerfstudio or an app, whose cameras are taken as they are.
         out: folder that gets capture.json, points.npz, pictures/, masks/ and report.json.
         options: of the calibration; None = the defaults.
         say: is given lines of progress, with estimates of what is left.
@@ -106,9 +106,11 @@ def calibrate(
 def _calibrate(
     path: Path, out: Path, working: Path, options: CalibrateOptions, say: Say
 ) -> CalibrationReport:
-    source = find_source(path, working, frames=options.frames, say=say)
+    source = find_source(
+        path, working, frames=options.frames, say=say, per_second=options.per_second
+    )
     say(f"{path}: {source.kind}, {plural(len(source.files), 'photograph')}")
-    photographs, unreadable = take_in(source.files, working, say, upright=source.cameras is None)
+    photographs, unreadable = take_in(source.files, working, say, cameras=source.cameras)
     if len(photographs) < _LEAST:
         raise SceneError(
             [
@@ -129,6 +131,7 @@ def _calibrate(
             fix=_FIX,
         )
     capture = develop(photographs, solved.solution, out, side=options.side, say=say)
+    capture = replace(capture, metric=source.metric, up=source.up)
     write_capture(capture, out)
     masked = sum(shot.mask is not None for shot in capture.shots)
     report = replace(report, masked=masked, written=True)

@@ -26,12 +26,16 @@ class Footage:
         files: photographs in the order of their names.
         is_film: whether they are frames of a video, each beside the one before.
         cameras: as they are known, by the files' names; None where they are to be found.
+        metric: whether these cameras are in metres.
+        up: (3,) unit vector in the frame of these cameras; None where their source does not say.
     """
 
-    kind: Literal["photographs", "video", "colmap", "nerfstudio", "polycam"]
+    kind: Literal["photographs", "video", "colmap", "nerfstudio", "polycam", "record3d", "arkit"]
     files: tuple[Found, ...]
     is_film: bool = False
     cameras: Solution | None = None
+    metric: bool = False
+    up: tuple[float, float, float] | None = None
 
 
 def found_in(folder: Path, name: str, *, called: str | None = None) -> Found:
