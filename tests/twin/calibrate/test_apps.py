@@ -32,7 +32,7 @@ def put(path, value, size=(320, 180)):
         path.write_text(text, encoding="utf-8")
 
 
-def K_of(camera):
+def lens_matrix(camera):
     return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
 
 
@@ -40,7 +40,7 @@ def scanner_app(folder, cameras):
     """3D Scanner App has a JSON for each frame, and a picture for some."""
     for number, camera in enumerate(cameras):
         pose = Y_UP @ camera.T_world_camera @ OPENGL
-        values = {"intrinsics": K_of(camera).ravel().tolist(), "motionQuality": 0.9}
+        values = {"intrinsics": lens_matrix(camera).ravel().tolist(), "motionQuality": 0.9}
         values |= {"cameraPoseARFrame": pose.ravel().tolist(), "frame_index": number}
         put(folder / f"frame_{number:05d}.json", values)
         if number != 1:
@@ -61,7 +61,7 @@ def record3d(folder, cameras, *, K=None, **more):
         put(folder / "rgbd" / f"{number}.jpg", None)
         put(folder / "rgbd" / f"{number}.depth", "lzfse")
     one = cameras[0]
-    K = K_of(one).T.ravel().tolist() if K is None else K
+    K = lens_matrix(one).T.ravel().tolist() if K is None else K
     put(folder / "metadata", {"w": one.width, "h": one.height, "K": K, "poses": poses, **more})
     return first
 
@@ -126,7 +126,7 @@ def test_3d_scanner_apps_frames_are_read_and_its_other_pictures_are_not(tmp_path
 
 
 def row_major(cameras):
-    return K_of(cameras[0]).ravel().tolist()
+    return lens_matrix(cameras[0]).ravel().tolist()
 
 
 @pytest.mark.parametrize("variant", ["one lens", "rows", "a lens each", "EXR + JPG"])

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 import synthetic_room
-
 from PIL import Image
 
 from nw_eval.errors import SceneError, UsageError

@@ -27,6 +27,10 @@ class CalibrateFlags:
     ones, some way apart."""
     per_second: float | None = None
     """Frames that are taken of each second of a video; as many as the picture moves when absent."""
+    lens: Literal[
+        "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE"
+    ] = "SIMPLE_RADIAL"
+    """COLMAP's model of the lens, where the source knows none: OPENCV_FISHEYE for a fisheye."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +52,7 @@ class AlignFlags:
     camera_height: float | None = None
     """Height at which the camera was held above the floor, the median, m."""
     metric: bool = False
-    """The cameras that were taken as they are (ARKit, Polycam) are in metres already."""
+    """The cameras that were taken as they are (ARKit, Polycam, Record3D) are in metres already."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +91,7 @@ class AllFlags(CalibrateFlags, ReconstructFlags, AlignFlags, SplatFlags, PlaceFl
 class BuildTwin(AllFlags):
     """Photographs to a place, all stages one after another; what is done stays, and goes on.
 
-    A folder of photographs, a video, or cameras that COLMAP, nerfstudio or Polycam know. Ends with
+    A folder of photographs, a video, or cameras that COLMAP, nerfstudio or an app knows. Ends with
     what `scenes check` says of the place, and with 2 where that is an error; the place stays.
     """
 
@@ -298,7 +302,7 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
     cores = threads or usable_cores()
     return BuildSettings(
         calibrate=CalibrateOptions(
-            threads=cores, **{key: has[key] for key in ("matching", "frames", "per_second")}
+            threads=cores, **{key: has[key] for key in vars(CalibrateFlags())}
         ),
         reconstruct=ReconstructOptions(engine=has["mesher"], faces=has["faces"]),
         align=AlignOptions(
