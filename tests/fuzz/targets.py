@@ -475,7 +475,10 @@ def _read_cameras(folder):
     from nw_eval.twin.calibrate.sources import find_source
 
     footage = find_source(folder, folder / "work", frames=2, say=lambda _: None)
-    assert np.isfinite([one.lens.params for one in footage.cameras.placed[:1]]).all()
+    placed = (
+        footage.cameras.placed if footage.cameras else ()
+    )  # An app's JSON that is none any more.
+    assert np.isfinite([one.lens.params for one in placed[:1]]).all()
 
 
 def _read_splat(folder):

@@ -47,6 +47,7 @@ def scanner_app(folder, cameras):
             put(folder / f"frame_{number:05d}.jpg", None)
     for name in ("thumb_00000.jpg", "depth_00000.png", "conf_00000.png", "textured_output.jpg"):
         put(folder / name, None, (64, 48))
+    put(folder / "._frame_00000.jpg", "what macOS packs beside")
     put(folder / "info.json", {"numImages": len(cameras)})
 
 
@@ -233,6 +234,7 @@ def turned(T):
         (record3d, "metadata", {"poses": ["left"] * 4}, "pose of 0.jpg .* 7 finite numbers"),
         (arkit_scenes, "lowres_wide.traj", "1 2 3\n", "lowres_wide.traj is not rows of 7"),
         (arkit_scenes, "lowres_wide.traj", "1 2 3 4 nan 6 7\n", "lowres_wide.traj is not rows"),
+        (arkit_scenes, "lowres_wide.traj", "1 1e308 1e308 4 5 6 7\n", "traj is not rows"),
         (arkit_scenes, "lowres_wide.traj", "1 0 0 0 0 0 0\n", "no picture in .* of its time"),
         (arkit_scenes, "vga_wide_intrinsics/41069021_1234.602.pincam", "320 180 wide",
          "1234.602.pincam is not rows of 6"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -30,7 +30,7 @@ class CalibrateFlags:
     lens: Literal[
         "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE"
     ] = "SIMPLE_RADIAL"
-    """COLMAP's model of the lens, where the source knows none: OPENCV_FISHEYE for a fisheye."""
+    """COLMAP's name of the camera model, where nobody knows the cameras."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,7 +302,7 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
     cores = threads or usable_cores()
     return BuildSettings(
         calibrate=CalibrateOptions(
-            threads=cores, **{key: has[key] for key in vars(CalibrateFlags())}
+            **{one.name: has[one.name] for one in fields(CalibrateFlags)}, threads=cores
         ),
         reconstruct=ReconstructOptions(engine=has["mesher"], faces=has["faces"]),
         align=AlignOptions(

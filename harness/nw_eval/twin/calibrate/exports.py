@@ -35,9 +35,9 @@ from nw_eval.errors import SceneError
 from nw_eval.files.inside import OutsideError, bounded_bytes, inside
 from nw_eval.plural import plural
 from nw_eval.twin.calibrate.colmap import pose_of
-from nw_eval.twin.calibrate.footage import Footage, found_in, in_order, number, read_json
+from nw_eval.twin.calibrate.footage import Footage, found_in, in_order, names_in, number, read_json
 from nw_eval.twin.calibrate.pace import Say
-from nw_eval.twin.calibrate.photographs import MOST_PIXELS, SUFFIXES, Found, natural
+from nw_eval.twin.calibrate.photographs import SUFFIXES, Found, natural
 from nw_eval.twin.calibrate.solution import Lens, Placed, Solution, inverse, rigid
 from nw_eval.twin.calibrate.video import choose
 
@@ -53,6 +53,8 @@ _KINDS = _FISHEYES | {
 }  # fmt: skip
 _FIX = "export transforms.json again"
 _MOST_BYTES = 64 * 2**20
+_MOST = 1e15
+"""Of a number in an app's file: what is larger is damage, or not finite."""
 _AGAIN = "export it again, or give the photographs alone"
 
 
@@ -259,14 +261,15 @@ def keyframes_in(folder: Path, working: Path, size_of: SizeOf) -> Footage | None
             files = tuple(_without_margin(one, working, size_of) for one in footage.files)
             return replace(footage, files=files)
     frames = [path for path in _pictures(folder) if path.stem.startswith("frame_")]
-    first = frames[0].with_suffix(".json") if frames else folder
-    if not first.is_file() or "cameraPoseARFrame" not in read_json(first):
+    known = (path for one in frames if (path := one.with_suffix(".json")).is_file())
+    first = next(known, None)
+    if first is None or "cameraPoseARFrame" not in read_json(first):
         return None
 
     def scanner(values: dict[str, Any], one: Found, whose: str) -> tuple[Lens, NDArray[np.float64]]:
         K = _flat(values, "intrinsics", 9, whose)
         width, height = (one.path and size_of(one.path)) or (2 * K[2], 2 * K[5])
-        if not (0.3 < K[2] / width < 0.7 and 0.3 < K[5] / height < 0.7):
+        if not (0.3 * width < K[2] < 0.7 * width and 0.3 * height < K[5] < 0.7 * height):
             raise SceneError(
                 f"{whose} has its centre at ({K[2]:.0f}, {K[5]:.0f}), and the picture "
                 f"{width} x {height} pixels",
@@ -279,10 +282,7 @@ def keyframes_in(folder: Path, working: Path, size_of: SizeOf) -> Footage | None
 
 
 def _pictures(folder: Path) -> list[Path]:
-    if not folder.is_dir():
-        return []
-    found = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
-    return sorted(found, key=lambda path: natural(path.name))
+    return [folder / name for name in sorted(names_in(folder, SUFFIXES), key=natural)]
 
 
 def _beside(
@@ -332,7 +332,7 @@ def _flat(values: dict[str, Any], key: str, count: int, whose: str) -> NDArray[n
         array = np.array(values.get(key), dtype=np.float64).ravel()
     except (TypeError, ValueError):
         array = np.zeros(0)
-    if array.shape != (count,) or not np.isfinite(array).all():
+    if array.shape != (count,) or not (np.abs(array) < _MOST).all():
         raise SceneError(f"{key} of {whose} is not {count} finite numbers", fix=_AGAIN)
     return array
 
@@ -344,7 +344,7 @@ _MARGIN = 0.02
 def _without_margin(one: Found, working: Path, size_of: SizeOf) -> Found:
     """Return a photograph with a mask that leaves out what undistorting left black."""
     size = None if one.path is None else size_of(one.path)
-    if size is None or size[0] * size[1] > MOST_PIXELS:
+    if size is None:
         return one
     path = working / "margins" / f"{size[0]}x{size[1]}.png"
     if not path.is_file():
@@ -493,7 +493,8 @@ def _rows(path: Path, columns: int) -> NDArray[np.float64]:
     try:
         text = bounded_bytes(path, _MOST_BYTES).decode("ascii")
         rows = np.array([line.split() for line in text.splitlines() if line.strip()], np.float64)
-        fault = None if rows.shape[1:] == (columns,) and np.isfinite(rows).all() else "no such rows"
+        good = rows.shape[1:] == (columns,) and (np.abs(rows) < _MOST).all()
+        fault = None if good else "it has others"
     except (OSError, ValueError) as error:
         rows, fault = np.zeros((0, columns)), str(error)
     if fault is not None:

@@ -90,7 +90,7 @@ def number(value: Any, what: str) -> float:
 def photographs_in(folder: Path) -> Footage | None:
     """Return the photographs of a folder, or of `images` in it; None if there are none."""
     for place, beside in ((folder, ()), (folder / "images", (folder,))):
-        names = _names(place, SUFFIXES)
+        names = names_in(place, SUFFIXES)
         if names:
             files = [found_in(place, name) for name in names]
             files = with_masks(files, [place / "masks", *(b / "masks" for b in beside)])
@@ -98,7 +98,8 @@ def photographs_in(folder: Path) -> Footage | None:
     return None
 
 
-def _names(folder: Path, suffixes: frozenset[str]) -> list[str]:
+def names_in(folder: Path, suffixes: frozenset[str]) -> list[str]:
+    """Return names of the files in a folder with such suffixes; hidden ones are no photographs."""
     if not folder.is_dir():
         return []
     return [
@@ -117,8 +118,8 @@ def with_masks(files: list[Found], folders: list[Path]) -> list[Found]:
     folder = next((place for place in folders if place.is_dir()), None)
     if folder is None:
         return files
-    masks = {name.lower(): name for name in sorted(_names(folder, SUFFIXES))}
-    stems = {Path(name).stem.lower(): name for name in sorted(_names(folder, SUFFIXES))}
+    masks = {name.lower(): name for name in sorted(names_in(folder, SUFFIXES))}
+    stems = {Path(name).stem.lower(): name for name in sorted(names_in(folder, SUFFIXES))}
     found: list[Found] = []
     for one in files:
         name = one.name.lower()

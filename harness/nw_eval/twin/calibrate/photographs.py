@@ -27,8 +27,7 @@ _HEIC = frozenset({".heic", ".heif", ".hif"})
 SUFFIXES = _NOT_READ | _HEIC | {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".avif"}
 """What is meant as a photograph; those that Pillow does not read are named as unreadable."""
 UNREADABLE = "cannot be read"
-MOST_PIXELS = 100_000_000
-"""Of a photograph that is read."""
+_MOST_PIXELS = 100_000_000
 DAMAGE = (
     *(OSError, ValueError, SyntaxError, EOFError, MemoryError, TypeError, LookupError),
     *(Image.DecompressionBombError, RuntimeError),
@@ -154,10 +153,10 @@ def _take_in(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
         with open_picture(path) as image:
-            if image.width * image.height > MOST_PIXELS:
+            if image.width * image.height > _MOST_PIXELS:
                 raise ValueError(
                     f"{image.width * image.height / 1e6:.0f} million pixels, of "
-                    f"{MOST_PIXELS / 1e6:.0f} million at most: make it smaller"
+                    f"{_MOST_PIXELS / 1e6:.0f} million at most: make it smaller"
                 )
             if image.mode.startswith(("I", "F")):
                 raise ValueError(f"its grey values are {image.mode}; save it with 8 bits")
