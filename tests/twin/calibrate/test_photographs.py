@@ -82,6 +82,13 @@ def test_photographs_of_all_orientations_are_turned_and_keep_their_focal_length(
         assert one.focal == known
 
 
+def test_a_jpeg_with_a_depth_map_stays_the_file_that_it_is(folder, tmp_path):
+    noise().save(folder / "a.jpg", "MPO", save_all=True, append_images=[noise((20, 15))])
+    (one,), _ = taken(folder, tmp_path)
+    assert (one.file, one.path.is_symlink()) == ("000000.jpg", True)
+    assert (one.width, one.height) == (80, 60)
+
+
 @pytest.mark.parametrize(("size", "turned"), [((80, 60), False), ((60, 80), True)])
 def test_pictures_that_others_calibrated_have_their_cameras_shape(folder, tmp_path, size, turned):
     noise().save(folder / "a.jpg", exif=exif_of(6))

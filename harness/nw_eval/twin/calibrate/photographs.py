@@ -162,8 +162,9 @@ def _take_in(
                 raise ValueError(f"its grey values are {image.mode}; save it with 8 bits")
             image.load()
             turned = image.getexif().get(_EXIF_ORIENTATION, 1) != 1 and _is_to_turn(image, lens)
-            plain = image.format in {"JPEG", "PNG"} and image.mode in {"RGB", "L"} and not turned
-            suffix = ".jpg" if image.format in {"JPEG", "HEIF"} else ".png"
+            jpeg = image.format in {"JPEG", "MPO"}  # A phone's JPEG with a depth map is an MPO.
+            plain = (jpeg or image.format == "PNG") and image.mode in {"RGB", "L"} and not turned
+            suffix = ".jpg" if jpeg or image.format == "HEIF" else ".png"
             exif = (image.info.get("exif") or b"") if image.format == "HEIF" else b""
             transfer = (image.info.get("nclx_profile") or {}).get("transfer_characteristics")
             upright_image = (ImageOps.exif_transpose(image) if turned else image).convert("RGB")
