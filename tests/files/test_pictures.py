@@ -10,6 +10,7 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pillow_heif
 import pytest
 from PIL import Image, UnidentifiedImageError
 
@@ -28,6 +29,7 @@ showpage
 
 
 def written(kind: str) -> bytes:
+    pillow_heif.register_heif_opener()
     file = BytesIO()
     Image.fromarray(np.full((6, 8, 3), 99, np.uint8)).save(file, kind)
     return file.getvalue()
@@ -80,11 +82,11 @@ def build(photographs: Path, tmp_path: Path) -> tuple[str, Path]:
 def test_photographs_that_are_postscript_start_no_program_and_are_named(tmp_path: Path) -> None:
     photographs = tmp_path / "photographs"
     photographs.mkdir()
-    for number in range(4):
-        (photographs / f"IMG_{number}.jpg").write_bytes(EPS)
+    for name in ("IMG_0.jpg", "IMG_1.jpg", "IMG_2.heic", "IMG_3.HEIC"):
+        (photographs / name).write_bytes(EPS)
     said, note = build(photographs, tmp_path)
-    assert "cannot be read: IMG_0.jpg, IMG_1.jpg, IMG_2.jpg, IMG_3.jpg" in said
-    assert "no JPEG, PNG, TIFF, BMP, WebP or AVIF, or damaged" in said
+    assert "cannot be read: IMG_0.jpg, IMG_1.jpg, IMG_2.heic, IMG_3.HEIC" in said
+    assert "no JPEG, PNG, TIFF, BMP, WebP, AVIF or HEIC, or damaged" in said
     assert not note.exists()
 
 

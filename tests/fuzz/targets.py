@@ -458,14 +458,27 @@ def _camera_seeds(_):
     whole = {"fl_x": 50, "w": 64, "h": 48, "camera_angle_y": 1.0, "applied_scale": 2.0,
              "camera_model": "FULL_OPENCV", "applied_transform": np.eye(4).tolist(),
              "frames": [frame, frame, {**frame, "file_path": "images\\2.png"}]}  # fmt: skip
-    return [*found, {"transforms.json": json.dumps(whole).encode()}]
+    record = {"w": 64, "h": 48, "K": [50, 0, 0, 0, 50, 0, 32, 24, 1],
+              "poses": [[0, 0, 0, 1, 0, 0, 0], [0, 0.1, 0, 0.995, 0.1, 0, 0]]}  # fmt: skip
+    frame = {"intrinsics": [50, 0, 32, 0, 50, 24, 0, 0, 1],
+             "cameraPoseARFrame": np.eye(4).ravel().tolist()}  # fmt: skip
+    apps = [
+        {"metadata": json.dumps(record).encode(), "rgbd/0.jpg": b"", "rgbd/1.jpg": b""},
+        {"frame_00000.json": json.dumps(frame).encode(), "frame_00000.jpg": b""},
+        {"lowres_wide.traj": b"1.5 0 0.1 0 0 0 0\n", "wide/4_1.502.png": b"",
+         "wide_intrinsics/4_1.502.pincam": b"64 48 50 50 32 24\n"},
+    ]  # fmt: skip
+    return [*found, {"transforms.json": json.dumps(whole).encode()}, *apps]
 
 
 def _read_cameras(folder):
     from nw_eval.twin.calibrate.sources import find_source
 
     footage = find_source(folder, folder / "work", frames=2, say=lambda _: None)
-    assert np.isfinite([one.lens.params for one in footage.cameras.placed[:1]]).all()
+    placed = (
+        footage.cameras.placed if footage.cameras else ()
+    )  # An app's JSON that is none any more.
+    assert np.isfinite([one.lens.params for one in placed[:1]]).all()
 
 
 def _read_splat(folder):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
@@ -11,10 +12,10 @@ from nw_eval.files.inside import regular
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "AVIF")
+FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP", "AVIF", "HEIF")
 """Of photographs and masks, as Pillow names them."""
 
-KINDS = "JPEG, PNG, TIFF, BMP, WebP or AVIF"
+KINDS = "JPEG, PNG, TIFF, BMP, WebP, AVIF or HEIC"
 """The same for people."""
 
 
@@ -39,5 +40,10 @@ def open_picture(source: Path | IO[bytes], formats: Sequence[str] = FORMATS) -> 
     if isinstance(source, Path):
         regular(source)
     Image.init()
+    if "HEIF" in formats and "HEIF" not in Image.OPEN:
+        with suppress(ImportError):  # Of the extra `twin`; whoever lacks it reads no HEIC.
+            from pillow_heif import register_heif_opener
+
+            register_heif_opener(thumbnails=False, depth_images=False, aux_images=False)
     # Older Pillows know no AVIF, and raise KeyError at a name that they do not know.
     return Image.open(source, formats=[name for name in formats if name in Image.OPEN])

@@ -77,12 +77,16 @@ class Capture:
         points: (N, 3) float64.
         colours: (N, 3) uint8.
         errors: (N,) float32, mean reprojection error of each point, pixels.
+        metric: whether the frame's unit is the metre, as its source says.
+        up: (3,) unit vector in this frame, as its source says; None where it does not.
     """
 
     shots: tuple[PlacedShot, ...]
     points: NDArray[np.float64]
     colours: NDArray[np.uint8]
     errors: NDArray[np.float32]
+    metric: bool = False
+    up: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         """Check that all of it fits together.
@@ -98,6 +102,8 @@ class Capture:
                 "not finite",
                 fix="calibrate again",
             )
+        if self.up is not None and not 0.999 < np.linalg.norm(self.up) < 1.001:
+            raise SceneError(f"a capture's up is {self.up}, no unit vector", fix="calibrate again")
         names = [shot.name for shot in self.shots]
         if len(set(names)) < len(names):
             raise SceneError("two shots of a capture have one name", fix="calibrate again")
@@ -143,6 +149,8 @@ class _Shot(_Model):
 
 class _File(_Model):
     version: int = Field(alias="nw-capture", default=1, ge=1, le=1)
+    metric: bool = False
+    up: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     shots: tuple[_Shot, ...]
 
 
@@ -191,7 +199,8 @@ def write_capture(capture: Capture, folder: Path) -> None:
         for shot in capture.shots
     ]
     with atomic_path(folder / _JSON) as temporary:
-        text = json.dumps({"nw-capture": 1, "shots": shots}, indent=1)
+        frame = {"metric": capture.metric, "up": capture.up}
+        text = json.dumps({"nw-capture": 1, **frame, "shots": shots}, indent=1)
         temporary.write_text(text, encoding="utf-8")
 
 
@@ -214,7 +223,14 @@ def read_capture(folder: Path) -> Capture:
         if len(seen.firsts) != len(file.shots) + 1:
             raise ValueError(f"{len(file.shots)} shots, {len(seen.firsts) - 1} lists of points")
         shots = [_shot(one, seen[place], folder) for place, one in enumerate(file.shots)]
-        return Capture(shots=tuple(shots), points=points, colours=colours, errors=errors)
+        return Capture(
+            shots=tuple(shots),
+            points=points,
+            colours=colours,
+            errors=errors,
+            metric=file.metric,
+            up=file.up,
+        )
     except FileNotFoundError as error:
         raise SceneError(
             f"no capture in {folder}: {error.filename} is not there", fix=_FIX

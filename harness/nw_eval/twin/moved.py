@@ -65,7 +65,8 @@ def moved_capture(T: Values, capture: Capture) -> Capture:
         SceneError: T is no similarity.
     """
     shots = tuple(replace(s, camera=moved_camera(T, s.camera)) for s in capture.shots)
-    return replace(capture, shots=shots, points=moved_points(T, capture.points))
+    points = moved_points(T, capture.points)
+    return replace(capture, shots=shots, points=points, metric=True, up=(0.0, 0.0, 1.0))
 
 
 def moved_gaussians(T: Values, gaussians: Gaussians) -> Gaussians:

@@ -214,8 +214,22 @@ def test_cameras_that_cannot_be_used_are_refused_by_name(tmp_path, change, words
         found(tmp_path / "place", tmp_path)
 
 
-def test_blenders_split_is_named(tmp_path):
-    (tmp_path / "train").mkdir()
-    (tmp_path / "transforms_train.json").write_text("{}")
-    with pytest.raises(SceneError, match=r"transforms_train\.json, and no transforms\.json; copy"):
-        found(tmp_path, tmp_path / "other")
+@pytest.mark.parametrize(
+    "named", ["./data/phone/images/{}.jpg", "/home/somebody/place/images/{}.jpg", "../images/{}"]
+)
+def test_paths_from_another_folder_or_computer_are_found_by_their_ends(tmp_path, named):
+    transforms(tmp_path / "place", meta={}, names=[named.format(i) for i in (0, 1)])
+    footage, _ = found(tmp_path / "place", tmp_path)
+    assert [one.name for one in footage.files] == ["images/0.jpg", "images/1.jpg"]
+    assert all(one.path.is_file() for one in footage.files)
+
+
+def test_blenders_splits_are_read_together_or_one_alone(tmp_path):
+    for name, split in (("images/0", "train"), ("images/1", "test")):
+        transforms(tmp_path, meta={}, names=(name,))
+        (tmp_path / "transforms.json").rename(tmp_path / f"transforms_{split}.json")
+    footage, _ = found(tmp_path, tmp_path / "other")
+    assert [one.name for one in footage.files] == ["images/0.jpg", "images/1.jpg"]
+    assert len(footage.cameras.placed) == 2
+    footage, _ = found(tmp_path / "transforms_test.json", tmp_path / "other")
+    assert [one.name for one in footage.files] == ["images/1.jpg"]

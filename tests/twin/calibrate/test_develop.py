@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 import synthetic_room
 from PIL import Image
@@ -158,3 +159,71 @@ def test_a_lens_of_half_the_pictures_sees_the_same():
     ray = np.array([0.2, 0.1, 1.0])
     whole = np.asarray(lens.camera().img_from_cam(ray))
     assert np.asarray(half.camera().img_from_cam(ray)) == pytest.approx(whole / 2)
+
+
+WIDE = {  # What a lens of 640 x 480 shows, and how it bends at 50 degrees to the side.
+    "SIMPLE_FISHEYE": (160.0, 320.0, 240.0),
+    "OPENCV_FISHEYE": (200.0, 200.0, 320.0, 240.0, 0.02, -0.003, 0.0, 0.0),
+    "FOV": (300.0, 300.0, 320.0, 240.0, 0.9),
+    "EUCM": (200.0, 200.0, 320.0, 240.0, 0.6, 1.1),
+    "THIN_PRISM_FISHEYE": (180.0, 180.0, 320.0, 240.0, *[0.0] * 8),
+}
+
+
+@pytest.mark.parametrize("model", WIDE)
+def test_of_a_wide_lens_a_hundred_degrees_are_kept_and_the_share_is_known(model):
+    lens = Lens(model=model, width=640, height=480, params=WIDE[model])
+    flat = Flattening.of(lens)
+    sides = [2 * np.degrees(np.arctan(flat.size[i] / 2 / (flat.fx, flat.fy)[i])) for i in (0, 1)]
+    assert 99 < sides[0] <= 100
+    assert 70 < sides[1] <= 100
+    # Its middle has as many pixels as the photograph's.
+    near = np.asarray(lens.camera().img_from_cam(np.array([[0.01, 0, 1], [0, 0, 1.0]])))
+    assert flat.fx == pytest.approx((near[0, 0] - near[1, 0]) / 0.01, rel=2e-3)
+    row, column = flat.size[1] // 5, flat.size[0] // 6
+    ray = np.array([(column + 0.5 - flat.cx) / flat.fx, (row + 0.5 - flat.cy) / flat.fy, 1.0])
+    u, v = (m[row, column] + 0.5 for m in flat.maps)
+    assert np.asarray(lens.camera().img_from_cam(ray)) == pytest.approx([u, v], abs=0.01)
+    # How many of a photograph's pixels are in the flat picture, counted.
+    shown = np.zeros((480, 640), np.uint8)
+    columns, rows = (np.clip(m, 0, size - 1) for m, size in zip(flat.maps, (640, 480), strict=True))
+    shown[np.round(rows).astype(int), np.round(columns).astype(int)] = 1
+    shown = cv2.morphologyEx(shown, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    assert flat.used == pytest.approx(shown.mean(), abs=0.02)
+    assert flat.used < 0.97
+
+
+def test_opencvs_fisheye_is_flattened_as_opencv_does(tmp_path):
+    camera = synthetic_room.cameras()[2]
+    rng = np.random.default_rng(0)
+    picture = cv2.GaussianBlur(rng.integers(0, 256, (240, 320, 3), dtype=np.uint8), (0, 0), 3)
+    K, bend = np.array([[120.0, 0, 160], [0, 121, 118], [0, 0, 1]]), (0.03, -0.01, 0.002, 0.0)
+    lens = Lens(model="OPENCV_FISHEYE", width=320, height=240, params=(120, 121, 160, 118, *bend))
+    said = []
+    placed = Placed(name="a.png", lens=lens, T_world_camera=camera.T_world_camera)
+    one = photograph(tmp_path / "in", picture)
+    capture = develop(
+        [one], Solution(placed=(placed,)), tmp_path / "out", side=900, say=said.append
+    )
+    flat = capture.shots[0].camera
+    # OpenCV counts the centre of the first pixel as 0.
+    K[:2, 2] -= 0.5
+    pinhole = np.array([[flat.fx, 0, flat.cx - 0.5], [0, flat.fy, flat.cy - 0.5], [0, 0, 1]])
+    maps = cv2.fisheye.initUndistortRectifyMap(
+        K, np.array(bend), np.eye(3), pinhole, (flat.width, flat.height), cv2.CV_32FC1
+    )
+    wanted = cv2.remap(picture, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    found = read_picture(capture.shots[0], tmp_path / "out")
+    assert np.abs(found.astype(float) - wanted).mean() < 0.6
+    words = (
+        "OPENCV_FISHEYE is wide: of its pictures 100 x 100 degrees are kept, 53% of their pixels"
+    )
+    assert words in said
+
+
+def test_a_lens_of_a_phone_is_flattened_as_colmap_does():
+    lens = Lens(model="SIMPLE_RADIAL", width=640, height=480, params=(400.0, 320.0, 240.0, 0.05))
+    flat, camera = Flattening.of(lens), lens.camera()
+    theirs = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
+    assert (flat.size, flat.used) == ((theirs.width, theirs.height), 1.0)
+    assert flat.fx == theirs.focal_length_x

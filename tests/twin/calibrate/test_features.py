@@ -29,7 +29,7 @@ def silent(_):
 def matched(folder, working, *, lenses=None, options=QUICK):
     working.mkdir()
     source = find_source(folder, working, frames=9, say=silent)
-    photographs, _ = take_in(source.files, working, silent, upright=True)
+    photographs, _ = take_in(source.files, working, silent)
     lenses = lenses or [None] * len(photographs)
     pairs = pairs_of(len(photographs), in_sequence=False)
     return photographs, match(photographs, lenses, pairs, working, options, silent)

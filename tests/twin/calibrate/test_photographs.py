@@ -1,13 +1,22 @@
 """Photographs are taken in upright, with their focal length, and none that is damaged."""
 
 import shutil
+import struct
 
 import numpy as np
+import pillow_heif
 import pytest
 from PIL import Image
 
 from nw_eval.errors import SceneError
-from nw_eval.twin.calibrate.photographs import Found, are_numbered, natural, take_in
+from nw_eval.twin.calibrate.photographs import (
+    Found,
+    are_numbered,
+    natural,
+    take_in,
+    tone_mapped,
+)
+from nw_eval.twin.calibrate.solution import Lens, Placed, Solution
 from nw_eval.twin.calibrate.sources import find_source
 
 
@@ -16,11 +25,11 @@ def noise(size=(80, 60), seed=0):
     return Image.fromarray(rng.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8))
 
 
-def taken(folder, tmp_path, *, upright=True):
+def taken(folder, tmp_path, *, cameras=None, say=lambda _: None):
     source = find_source(folder, tmp_path, frames=50, say=lambda _: None)
     working = tmp_path / "working"
     working.mkdir()
-    return take_in(source.files, working, lambda _: None, upright=upright)
+    return take_in(source.files, working, say, cameras=cameras)
 
 
 @pytest.fixture
@@ -29,29 +38,94 @@ def folder(tmp_path):
     return tmp_path / "in"
 
 
-def test_a_sideways_phone_picture_is_turned_and_its_focal_length_kept(folder, tmp_path):
+# EXIF's orientations: where the first row and the first column of the file are to be seen.
+TURNS = {
+    1: lambda a: a,
+    2: np.fliplr,
+    3: lambda a: np.rot90(a, 2),
+    4: np.flipud,
+    5: lambda a: a.swapaxes(0, 1),
+    6: lambda a: np.rot90(a, -1),
+    7: lambda a: np.rot90(a, -1)[::-1],
+    8: np.rot90,
+}
+
+
+def exif_of(orientation):
     exif = Image.Exif()
-    exif[0x0112] = 6  # To be turned a quarter clockwise.
+    exif[0x0112] = orientation
     exif.get_ifd(0x8769)[0xA405] = 28  # Focal length as of 35 mm film.
+    return exif.tobytes()
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "heic"])
+def test_photographs_of_all_orientations_are_turned_and_keep_their_focal_length(
+    folder, tmp_path, suffix
+):
+    pillow_heif.register_heif_opener()
     picture = noise((10, 8)).resize((80, 60))
-    picture.save(folder / "a.jpg", exif=exif, quality=95)
-    picture.save(folder / "b.jpg", quality=95)
-    (turned, plain), _ = taken(folder, tmp_path)
-    assert (turned.width, turned.height) == (60, 80)
-    assert turned.focal == pytest.approx(28 / 36 * 80, rel=0.05)
-    assert (plain.width, plain.height, plain.focal) == (80, 60, None)
-    with Image.open(turned.path) as image:
-        found = np.asarray(image, dtype=float)
-    wanted = np.rot90(np.asarray(picture, dtype=float), -1)
-    assert np.corrcoef(found.ravel(), wanted.ravel())[0, 1] > 0.98
+    for orientation in TURNS:
+        name = folder / f"{orientation}.{suffix}"
+        picture.save(name, exif=exif_of(orientation), quality=95)
+    picture.save(folder / f"9.{suffix}", quality=95)
+    good, bad = taken(folder, tmp_path)
+    assert bad == []
+    for (orientation, turn), one in zip([*TURNS.items(), (9, TURNS[1])], good, strict=True):
+        wanted = turn(np.asarray(picture, dtype=float))
+        with Image.open(one.path) as image:
+            found = np.asarray(image.convert("RGB"), dtype=float)
+        assert one.name == f"{orientation}.{suffix}"
+        assert (one.height, one.width) == found.shape[:2] == wanted.shape[:2]
+        assert np.corrcoef(found.ravel(), wanted.ravel())[0, 1] > 0.98
+        # EXIF's focal length is of a diagonal of 43.27 mm.
+        known = None if orientation == 9 else pytest.approx(28 / 43.27 * 100, rel=1e-3)
+        assert one.focal == known
 
 
-def test_pictures_that_others_calibrated_are_not_turned(folder, tmp_path):
-    exif = Image.Exif()
-    exif[0x0112] = 6
-    noise().save(folder / "a.jpg", exif=exif)
-    (one,), _ = taken(folder, tmp_path, upright=False)
+def test_a_jpeg_with_a_depth_map_stays_the_file_that_it_is(folder, tmp_path):
+    noise().save(folder / "a.jpg", "MPO", save_all=True, append_images=[noise((20, 15))])
+    (one,), _ = taken(folder, tmp_path)
+    assert (one.file, one.path.is_symlink()) == ("000000.jpg", True)
     assert (one.width, one.height) == (80, 60)
+
+
+@pytest.mark.parametrize(("size", "turned"), [((80, 60), False), ((60, 80), True)])
+def test_pictures_that_others_calibrated_have_their_cameras_shape(folder, tmp_path, size, turned):
+    noise().save(folder / "a.jpg", exif=exif_of(6))
+    lens = Lens(model="PINHOLE", width=size[0] * 2, height=size[1] * 2, params=(90, 90, 80, 60))
+    cameras = Solution(placed=(Placed(name="a.jpg", lens=lens, T_world_camera=np.eye(4)),))
+    (one,), _ = taken(folder, tmp_path, cameras=cameras)
+    assert (one.width, one.height) == size
+    assert one.path.is_symlink() is not turned
+
+
+@pytest.mark.parametrize(("transfer", "signal"), [(16, [0.38, 0.58]), (18, [0.38, 0.75])])
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_grey_and_white_of_hdr_are_those_of_a_photograph(transfer, signal, kind):
+    # ITU-R BT.2408: a grey card and paper white are at these signals. sRGB's 18 % grey is 118.
+    most = np.iinfo(kind).max
+    levels = (np.array([0.0, *signal, 1.0]) * most).astype(kind)
+    black, grey, white, light = tone_mapped(np.repeat(levels, 3).reshape(1, 4, 3), transfer)[0]
+    assert black.tolist() == [0, 0, 0]
+    assert grey == pytest.approx(118, abs=4)
+    assert 235 < white.min() <= white.max() < light.min()
+    # Pure red of BT.2020 is outside of sRGB, and stays red.
+    red = tone_mapped(np.array([[[most, 0, 0]]], dtype=kind), transfer)[0, 0]
+    assert red.tolist() == [255, 0, 0]
+
+
+def test_an_hdr_photograph_is_tone_mapped_and_said(folder, tmp_path):
+    pillow_heif.register_heif_opener()
+    heif = pillow_heif.from_pillow(Image.new("RGB", (80, 60), (97, 97, 97)))
+    nclx = {"color_primaries": 9, "transfer_characteristics": 18, "matrix_coefficients": 9,
+            "full_range_flag": 1}  # fmt: skip
+    heif.info["nclx_profile"] = nclx
+    heif.save(folder / "a.heic", quality=95, **nclx)
+    said = []
+    (one,), _ = taken(folder, tmp_path, say=said.append)
+    with Image.open(one.path) as image:
+        assert np.asarray(image).mean() == pytest.approx(118, abs=5)
+    assert "1 photograph in HDR, as a.heic: tone-mapped to sRGB" in said
 
 
 def test_damaged_and_strange_files_are_named_and_the_rest_taken(folder, tmp_path):
@@ -62,6 +136,10 @@ def test_damaged_and_strange_files_are_named_and_the_rest_taken(folder, tmp_path
     (folder / "cut.png").write_bytes(whole[:3000])
     (folder / "empty.jpg").write_bytes(b"")
     (folder / "phone.heic").write_bytes(b"\0\0\0\x18ftypheic")
+    pillow_heif.from_pillow(noise()).save(folder / "bomb.heic")
+    heic = bytearray((folder / "bomb.heic").read_bytes())
+    heic[(place := heic.index(b"ispe") + 8) : place + 8] = struct.pack(">II", 60_000, 60_000)
+    (folder / "bomb.heic").write_bytes(heic)
     (folder / "huge.png").write_bytes(b"P6 60000 60000 255\n")
     Image.fromarray(np.full((60, 80), 40000, np.uint16)).save(folder / "16 bits.png")
     (folder / "notes.txt").write_text("none of these", encoding="utf-8")
@@ -72,7 +150,10 @@ def test_damaged_and_strange_files_are_named_and_the_rest_taken(folder, tmp_path
     names = {one.name for one in good}
     assert names == {"good é\n #1.png", "print.jpg", "few colours.png"}
     names = {one.name for one in bad}
-    assert names == {"cut.png", "empty.jpg", "phone.heic", "huge.png", "link.png", "16 bits.png"}
+    assert names == {
+        *("cut.png", "empty.jpg", "phone.heic", "huge.png", "link.png", "16 bits.png"),
+        "bomb.heic",
+    }
     assert {one.reason for one in bad} == {"cannot be read"}
     for one in good:
         with Image.open(one.path) as image:
@@ -151,5 +232,5 @@ def test_any_names_can_be_sorted():
 
 def test_a_source_that_says_why_it_cannot_be_read_is_believed(tmp_path):
     found = Found(name="x", path=None, fault="it has no camera")
-    _, bad = take_in([found], tmp_path, lambda _: None, upright=True)
+    _, bad = take_in([found], tmp_path, lambda _: None)
     assert bad[0].detail == "it has no camera"

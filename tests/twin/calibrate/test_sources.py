@@ -7,7 +7,6 @@ import struct
 import numpy as np
 import pycolmap
 import pytest
-import synthetic_room
 from PIL import Image
 
 from nw_eval.errors import NwEvalError, SceneError
@@ -211,28 +210,3 @@ def test_a_focal_angle_as_blender_writes_it_is_understood(tmp_path):
     assert source.files[0].name == "r_0.png"
     assert source.cameras.placed[0].lens.params == pytest.approx((100, 100, 100, 50))
     assert source.cameras.placed[0].T_world_camera == pytest.approx(OPENGL)
-
-
-def test_polycams_cameras_are_in_arkits_axes(tmp_path):
-    keyframes = tmp_path / "in" / "keyframes"
-    for kind in ("images", "cameras", "corrected_images", "corrected_cameras"):
-        (keyframes / kind).mkdir(parents=True)
-    true = synthetic_room.cameras(3)
-    for i, camera in enumerate(true):
-        T = camera.T_world_camera @ OPENGL
-        value = {f"t_{r}{c}": T[r, c] for r in range(3) for c in range(4)}
-        value |= {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
-        value |= {"width": camera.width, "height": camera.height, "blur_score": 90.0}
-        Image.new("RGB", (320, 180)).save(keyframes / "corrected_images" / f"10{i}.jpg")
-        text = json.dumps(value)
-        (keyframes / "corrected_cameras" / f"10{i}.json").write_text(text, encoding="utf-8")
-    Image.new("RGB", (320, 180)).save(keyframes / "corrected_images" / "109.jpg")
-    source = found(tmp_path / "in", tmp_path)
-    assert source.kind == "polycam"
-    for i, camera in enumerate(true):
-        one = source.cameras.by_name[f"10{i}.jpg"]
-        assert one.T_world_camera == pytest.approx(camera.T_world_camera)
-    assert [one.name for one in source.files if one.path is None] == ["109.jpg"]
-    (keyframes / "corrected_cameras" / "101.json").write_text("[]", encoding="utf-8")
-    with pytest.raises(SceneError, match="holds no JSON object"):
-        found(tmp_path / "in", tmp_path)

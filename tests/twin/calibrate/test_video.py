@@ -1,12 +1,17 @@
 """Of a film, the frames that are sharp and that lie as far apart as the picture moved."""
 
+import struct
+from fractions import Fraction
+
 import av
 import cv2
 import numpy as np
 import pytest
 import synthetic_room
+from PIL import Image
 
-from nw_eval.errors import SceneError
+from nw_eval.errors import SceneError, UsageError
+from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.calibrate.sources import find_source
 from nw_eval.twin.calibrate.video import choose
 
@@ -85,3 +90,98 @@ def test_two_frames_are_too_few(wall, tmp_path):
     film(tmp_path / "walk.mp4", [wall[:, :192]] * 2)
     with pytest.raises(SceneError, match="2 frames"):
         find_source(tmp_path / "walk.mp4", tmp_path, frames=60, say=lambda _: None)
+
+
+def opened(source):
+    with Image.open(source.files[0].path) as image:
+        return np.asarray(image)
+
+
+# 16.16 fixed point as in an MP4's track header, and what is then to be seen.
+MATRICES = {
+    "portrait": ((0, 1, -1, 0), lambda a: np.rot90(a, -1)),
+    "upside down": ((-1, 0, 0, -1), lambda a: np.rot90(a, 2)),
+    "portrait, turned the other way": ((0, -1, 1, 0), np.rot90),
+    "mirrored": ((-1, 0, 0, 1), np.fliplr),
+    "portrait of a selfie camera": ((0, 1, 1, 0), lambda a: a.swapaxes(0, 1)),
+}
+
+
+@pytest.mark.parametrize("kind", MATRICES)
+def test_a_film_is_turned_and_mirrored_as_its_track_says(tmp_path, kind):
+    (a, b, c, d), turn = MATRICES[kind]
+    shown = np.zeros((128, 192, 3), np.uint8)
+    shown[:40, :60], shown[:40, -60:], shown[-40:, :60] = (250, 0, 0), (0, 250, 0), (0, 0, 250)
+    path = tmp_path / "walk.mp4"
+    film(path, [shown] * 8)
+    data = bytearray(path.read_bytes())
+    place = data.index(b"tkhd") + 4 + 4 + 20 + 8 + 8  # Version 0: times, layer, volume.
+    one = 1 << 16
+    rows = (a * one, b * one, 0, c * one, d * one, 0, 0, 0, 1 << 30)
+    data[place : place + 36] = struct.pack(">9i", *rows)
+    path.write_bytes(data)
+    found = opened(find_source(path, tmp_path, frames=3, say=lambda _: None))
+    wanted = turn(shown.astype(float))
+    assert found.shape == wanted.shape
+    assert np.abs(found - wanted).mean() < 12
+
+
+@pytest.mark.parametrize(("transfer", "name"), [(16, "PQ"), (18, "HLG")])
+def test_an_hdr_film_is_tone_mapped_and_said(tmp_path, transfer, name):
+    grey = 64 + round(876 * 0.38)  # Of a grey card, by ITU-R BT.2408.
+    with av.open(str(tmp_path / "walk.mov"), "w") as container:
+        stream = container.add_stream("libx265", rate=15)
+        stream.height, stream.width, stream.pix_fmt = 64, 96, "yuv420p10le"
+        tags = f"log-level=none:pools=1:transfer={transfer}:colorprim=9:colormatrix=9"
+        stream.options = {"x265-params": tags, "crf": "5", "preset": "ultrafast"}
+        for _ in range(4):
+            frame = av.VideoFrame(96, 64, "yuv420p10le")
+            for plane, level in zip(frame.planes, (grey, 512, 512), strict=True):
+                row = np.full((plane.height, plane.line_size // 2), level, np.uint16)
+                plane.update(row.tobytes())
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    said = []
+    source = find_source(tmp_path / "walk.mov", tmp_path, frames=3, say=said.append)
+    assert opened(source).mean() == pytest.approx(118, abs=5)
+    assert f"walk.mov is HDR ({name}): its frames are tone-mapped to sRGB" in said
+
+
+def phone_film(path, wall, times):
+    """Write frames at times of milliseconds, every third of them sharp."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=30)
+        stream.height, stream.width, stream.pix_fmt = 120, 192, "yuv420p"
+        stream.codec_context.time_base = Fraction(1, 1000)
+        for number, time in enumerate(times):
+            picture = wall[:, number : number + 192]
+            picture = picture if number % 3 == 0 else cv2.GaussianBlur(picture, (0, 0), 3)
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+            frame.pts, frame.time_base = time, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+
+
+@pytest.mark.parametrize("most", [60, 3])
+def test_one_picture_a_second_is_taken_though_the_rate_varies(wall, tmp_path, most):
+    # Two seconds of 5 frames, then four of 15, where dark scenes have longer frames.
+    times = np.r_[np.arange(10) * 200, 2000 + np.arange(60) * 66]
+    phone_film(tmp_path / "walk.mp4", wall, times.tolist())
+    said = []
+    source = find_source(
+        tmp_path / "walk.mp4", tmp_path, frames=most, say=said.append, per_second=1.0
+    )
+    numbers = [int(one.name[6:12]) for one in source.files]
+    assert [n % 3 for n in numbers] == [0] * len(numbers)
+    seconds = (times[numbers] / 1000).astype(int).tolist()
+    if most == 60:
+        assert seconds == [0, 1, 2, 3, 4, 5]
+    else:
+        assert [s // 2 for s in seconds] == [0, 1, 2]
+        assert any("are 6: 3 are taken" in line and "--frames 6 takes all" in line for line in said)
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), float("inf")])
+def test_no_frames_a_second_are_refused(rate):
+    with pytest.raises(UsageError, match="frames a second"):
+        CalibrateOptions(per_second=rate)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -23,7 +23,14 @@ class CalibrateFlags:
     """Which photographs are compared: neighbours in the order of their names (sequential), all
     (exhaustive), or neighbours where names are numbers or a video's frames."""
     frames: int = 150
-    """Frames that are taken of a video, at most: sharp ones, some way apart."""
+    """Frames that are taken of a video, or of a film whose cameras an app knows, at most: sharp
+    ones, some way apart."""
+    per_second: float | None = None
+    """Frames that are taken of each second of a video; as many as the picture moves when absent."""
+    lens: Literal[
+        "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE"
+    ] = "SIMPLE_RADIAL"
+    """COLMAP's name of the camera model, where nobody knows the cameras."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +59,7 @@ class AlignFlags:
     IMG_1.jpg:590,322 0.90. The pixel of one photograph is where it meets the mesh; that of two,
     IMG_1.jpg:412,310+IMG_2.jpg:97,305, is where their rays meet."""
     metric: bool = False
-    """The cameras that were taken as they are (ARKit, Polycam) are in metres already."""
+    """The cameras that were taken as they are (ARKit, Polycam, Record3D) are in metres already."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +98,7 @@ class AllFlags(CalibrateFlags, ReconstructFlags, AlignFlags, SplatFlags, PlaceFl
 class BuildTwin(AllFlags):
     """Photographs to a place, all stages one after another; what is done stays, and goes on.
 
-    A folder of photographs, a video, or cameras that COLMAP, nerfstudio or Polycam know. Ends with
+    A folder of photographs, a video, or cameras that COLMAP, nerfstudio or an app knows. Ends with
     what `scenes check` says of the place, and with 2 where that is an error; the place stays.
     """
 
@@ -115,7 +122,8 @@ class Calibrate(CalibrateFlags):
     """Find where each photograph was taken from, and take the lens's distortion out."""
 
     photographs: tyro.conf.Positional[Path]
-    """A folder of photographs, a video, or cameras of COLMAP, nerfstudio or Polycam."""
+    """A folder of photographs, a video, or cameras of COLMAP, nerfstudio, Polycam, Record3D or
+    another app of docs/twins.md."""
     out: Path
     """The scene's folder."""
     threads: int | None = None
@@ -308,7 +316,9 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
     has = vars(AllFlags()) | {k: v for k, v in vars(flags).items() if k in vars(AllFlags())}
     cores = threads or usable_cores()
     return BuildSettings(
-        calibrate=CalibrateOptions(matching=has["matching"], frames=has["frames"], threads=cores),
+        calibrate=CalibrateOptions(
+            **{one.name: has[one.name] for one in fields(CalibrateFlags)}, threads=cores
+        ),
         reconstruct=ReconstructOptions(engine=has["mesher"], faces=has["faces"]),
         align=AlignOptions(
             tag_edge=has["tag_edge"],

@@ -32,8 +32,7 @@ from nw_eval.words import UpAxis
 FACTS_FILE = "known.json"
 _FIX = "calibrate again: `nw-eval twin calibrate`"
 _MOST_BYTES = 64 * 2**20
-_METRIC: Mapping[str, UpAxis] = {"polycam": "+y", "arkit": "+y", "record3d": "+y"}
-"""Sources whose cameras are in metres, as ARKit measures, and which way is up there."""
+_UPS: Mapping[tuple[float, ...], UpAxis] = {(0.0, 1.0, 0.0): "+y", (0.0, 0.0, 1.0): "+z"}
 _LOOKED_AT = 8
 """Photographs in which tags are looked for."""
 _SIDE = 1600
@@ -107,8 +106,8 @@ def facts_of_source(footage: Footage, options: AlignOptions) -> SourceFacts:
     return SourceFacts(
         kind=footage.kind,
         photographs=len(footage.files),
-        metric=footage.kind in _METRIC,
-        up=_METRIC.get(footage.kind),
+        metric=footage.metric,
+        up=None if footage.up is None else _UPS[footage.up],
         positions=positions,
         looked_at=looked_at,
         tags=tags,

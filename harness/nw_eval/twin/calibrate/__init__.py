@@ -3,7 +3,7 @@
 calibrate.py    all of it: find, take in, compare, map, develop
 options.py      what is asked; report.py what was found
 sources.py      what lies at a path: footage.py photographs and masks, video.py, colmap.py,
-                exports.py nerfstudio and Polycam
+                exports.py nerfstudio and apps of phones
 photographs.py  photographs taken in
 features.py     features and matches; mapping.py cameras and points out of them
 solution.py     where photographs were taken from, and through which lenses

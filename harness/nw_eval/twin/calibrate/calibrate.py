@@ -81,7 +81,7 @@ def calibrate(
 
     Args:
         source: folder of photographs, with `masks/` beside them or not; a video; or a folder of
-            COLMAP, nerfstudio or Polycam, whose cameras are taken as they are.
+            COLMAP, nerfstudio or an app, whose cameras are taken as they are.
         out: folder that gets capture.json, points.npz, pictures/, masks/ and report.json.
         options: of the calibration; None = the defaults.
         say: is given lines of progress, with estimates of what is left.
@@ -113,10 +113,12 @@ def _calibrate(
     say: Say,
     found: Callable[[Footage], object],
 ) -> CalibrationReport:
-    source = find_source(path, working, frames=options.frames, say=say)
+    source = find_source(
+        path, working, frames=options.frames, say=say, per_second=options.per_second
+    )
     say(f"{path}: {source.kind}, {plural(len(source.files), 'photograph')}")
     found(source)
-    photographs, unreadable = take_in(source.files, working, say, upright=source.cameras is None)
+    photographs, unreadable = take_in(source.files, working, say, cameras=source.cameras)
     if len(photographs) < _LEAST:
         raise SceneError(
             [
@@ -137,6 +139,7 @@ def _calibrate(
             fix=_FIX,
         )
     capture = develop(photographs, solved.solution, out, side=options.side, say=say)
+    capture = replace(capture, metric=source.metric, up=source.up)
     write_capture(capture, out)
     masked = sum(shot.mask is not None for shot in capture.shots)
     report = replace(report, masked=masked, written=True)

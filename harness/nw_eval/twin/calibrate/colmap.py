@@ -201,7 +201,7 @@ def _solution(
         known = rows < len(ids)
         known[known] = ids[rows[known]] == seen[known]
         whose = f"{clean(name, at_most=100)} of the COLMAP model in {folder}"
-        T = rigid(_matrix(np.asarray(quaternion), np.asarray(translation)), whose)
+        T = rigid(pose_of(np.asarray(quaternion), np.asarray(translation)), whose)
         placed.append(
             Placed(
                 name=name,
@@ -221,7 +221,12 @@ def _solution(
     )
 
 
-def _matrix(wxyz: np.ndarray, translation: np.ndarray) -> np.ndarray:
+def pose_of(wxyz: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """Return a pose (4, 4) of a quaternion (4,) and a translation (3,).
+
+    Raises:
+        ValueError: the quaternion is none.
+    """
     length = float(np.linalg.norm(wxyz))
     if not 0.9 < length < 1.1:
         raise ValueError(f"a quaternion has the length {length:.3g}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ from nw_eval.twin.calibrate.photographs import Photograph
 from nw_eval.twin.calibrate.solution import Lens, Placed, Solution
 from nw_eval.twin.capture import Capture, PlacedShot
 
+_MUCH = 0.97
+"""Share of a photograph's pixels below which it is said that some are cut off."""
 _OURS = re.compile(r"[0-9]{6}\.(?:png|jpg)")
 
 
@@ -34,6 +37,7 @@ class Flattening:
         maps: (H, W) each, float32: column and row of the photograph that each pixel shows, the
             first pixel's centre at 0 as OpenCV counts; None if there is nothing to bend.
         known: (H, W) bool, pixels that the photograph shows; None = all.
+        used: share of the photograph's pixels that they show, where much is cut off.
     """
 
     fx: float
@@ -43,10 +47,15 @@ class Flattening:
     size: tuple[int, int]
     maps: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
     known: NDArray[np.bool_] | None = None
+    used: float = 1.0
 
     @classmethod
     def of(cls, lens: Lens) -> Flattening:
         """Return the flattening of a lens to COLMAP's pinhole, all of which the photograph shows.
+
+        A lens that sees 95 degrees or more across or down becomes a pinhole with as many pixels a
+        degree in its middle, that sees 50 degrees to each side at most. COLMAP's would show 20 to
+        160 degrees of it, by the model.
 
         Raises:
             SceneError: no pinhole shows what this lens does.
@@ -54,11 +63,12 @@ class Flattening:
         pycolmap = package("pycolmap")
         camera = lens.camera()
         straight = lens.model in {"PINHOLE", "SIMPLE_PINHOLE"}
+        wide = None if straight else _wide(camera)
         try:
             flat = (
                 camera
                 if straight
-                else pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
+                else wide or pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
             )
         except (ValueError, RuntimeError) as error:
             raise SceneError(
@@ -75,6 +85,7 @@ class Flattening:
             size=(width, height),
             maps=None if bent is None else bent[:2],
             known=None if bent is None or bent[2].all() else bent[2],
+            used=1.0 if wide is None or bent is None else _used(camera, bent),
         )
 
     def develop(self, picture: NDArray[np.uint8], *, nearest: bool = False) -> NDArray[np.uint8]:
@@ -84,6 +95,46 @@ class Flattening:
         cv2 = package("cv2")
         how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
         return cv2.remap(picture, *self.maps, how, borderMode=cv2.BORDER_REPLICATE)
+
+
+_EDGE = 50.0
+"""Degrees from the axis that a flat picture shows, at most."""
+_WIDE = 95.0
+"""Degrees across or down at which a lens is a wide one."""
+
+
+def _wide(camera: Any) -> Any:
+    """Return the pinhole of a wide lens; None for another lens."""
+    pycolmap = package("pycolmap")
+    steps = np.arange(0.5, _EDGE + 0.5, 0.5)
+    reach: list[float] = []
+    scales: list[float] = []
+    for direction in ([1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]):
+        rays = np.c_[np.tan(np.radians(steps))[:, None] * direction, np.ones(len(steps))]
+        seen = np.asarray(camera.img_from_cam(np.r_[[[0.0, 0.0, 1.0]], rays]))
+        out = (seen - seen[0]) @ direction
+        inside = np.all((seen >= 0) & (seen <= [camera.width, camera.height]), axis=1)
+        good = inside[1:] & (np.diff(out) > 0)  # A model may turn back at its own edge.
+        reach.append(0.5 * float(np.logical_and.accumulate(good).sum()))
+        scales.append(float(out[1] / np.tan(np.radians(steps[0]))))
+    right, left, down, up = np.tan(np.radians(reach))
+    if max(reach[0] + reach[1], reach[2] + reach[3]) < _WIDE or min(reach) <= 0:
+        return None
+    fx, fy = (scales[0] + scales[1]) / 2, (scales[2] + scales[3]) / 2
+    width, height = int(fx * (left + right)), int(fy * (up + down))
+    return pycolmap.Camera(
+        model="PINHOLE", width=width, height=height, params=[fx, fy, fx * left, fy * up]
+    )
+
+
+def _used(
+    camera: Any, bent: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]
+) -> float:
+    """Return the share of a photograph that lies within the edge of its flat picture."""
+    u, v = np.clip(bent[0], 0, camera.width), np.clip(bent[1], 0, camera.height)
+    edge = np.stack([np.r_[m[0], m[1:, -1], m[-1, -2::-1], m[-2:0:-1, 0]] for m in (u, v)], axis=1)
+    area = package("cv2").contourArea(edge.astype(np.float32))
+    return float(area) / (camera.width * camera.height)
 
 
 def _bent(
@@ -133,7 +184,16 @@ def develop(
         for number, one in enumerate(left):
             lens = placed[one.name].lens
             if lens not in flattenings:
-                flattenings[lens] = Flattening.of(lens)
+                flattenings[lens] = flat = Flattening.of(lens)
+                if flat.used < _MUCH:
+                    across, down = (
+                        2 * math.degrees(math.atan(flat.size[i] / (2 * (flat.fx, flat.fy)[i])))
+                        for i in (0, 1)
+                    )
+                    say(
+                        f"{lens.model} is wide: of its pictures {across:.0f} x {down:.0f} degrees "
+                        f"are kept, {flat.used:.0%} of their pixels"
+                    )
             shots.append(
                 _shot(one, placed[one.name], solution.points, flattenings[lens], number, out, side)
             )

@@ -26,12 +26,16 @@ class Footage:
         files: photographs in the order of their names.
         is_film: whether they are frames of a video, each beside the one before.
         cameras: as they are known, by the files' names; None where they are to be found.
+        metric: whether these cameras are in metres.
+        up: (3,) unit vector in the frame of these cameras; None where their source does not say.
     """
 
-    kind: Literal["photographs", "video", "colmap", "nerfstudio", "polycam"]
+    kind: Literal["photographs", "video", "colmap", "nerfstudio", "polycam", "record3d", "arkit"]
     files: tuple[Found, ...]
     is_film: bool = False
     cameras: Solution | None = None
+    metric: bool = False
+    up: tuple[float, float, float] | None = None
 
 
 def found_in(folder: Path, name: str, *, called: str | None = None) -> Found:
@@ -86,7 +90,7 @@ def number(value: Any, what: str) -> float:
 def photographs_in(folder: Path) -> Footage | None:
     """Return the photographs of a folder, or of `images` in it; None if there are none."""
     for place, beside in ((folder, ()), (folder / "images", (folder,))):
-        names = _names(place, SUFFIXES)
+        names = names_in(place, SUFFIXES)
         if names:
             files = [found_in(place, name) for name in names]
             files = with_masks(files, [place / "masks", *(b / "masks" for b in beside)])
@@ -94,7 +98,8 @@ def photographs_in(folder: Path) -> Footage | None:
     return None
 
 
-def _names(folder: Path, suffixes: frozenset[str]) -> list[str]:
+def names_in(folder: Path, suffixes: frozenset[str]) -> list[str]:
+    """Return names of the files in a folder with such suffixes; hidden ones are no photographs."""
     if not folder.is_dir():
         return []
     return [
@@ -113,8 +118,8 @@ def with_masks(files: list[Found], folders: list[Path]) -> list[Found]:
     folder = next((place for place in folders if place.is_dir()), None)
     if folder is None:
         return files
-    masks = {name.lower(): name for name in sorted(_names(folder, SUFFIXES))}
-    stems = {Path(name).stem.lower(): name for name in sorted(_names(folder, SUFFIXES))}
+    masks = {name.lower(): name for name in sorted(names_in(folder, SUFFIXES))}
+    stems = {Path(name).stem.lower(): name for name in sorted(names_in(folder, SUFFIXES))}
     found: list[Found] = []
     for one in files:
         name = one.name.lower()

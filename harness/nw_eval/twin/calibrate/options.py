@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,6 +22,8 @@ class CalibrateOptions:
         lens: COLMAP's name of the camera model, where the source knows none. One for each size of
             picture and each focal length in EXIF.
         frames: that are taken of a video, at most.
+        per_second: frames that are taken of each second of a video, the sharpest of its stretch;
+            None = as many as the picture moves.
         features: of each photograph, at most.
         side: pixels of the longer side, at most: of what features are looked for in, and of the
             capture's pictures.
@@ -34,6 +37,7 @@ class CalibrateOptions:
         "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE"
     ] = "SIMPLE_RADIAL"
     frames: int = 150
+    per_second: float | None = None
     features: int = 8192
     side: int = 1600
     share: float = 0.7
@@ -52,6 +56,10 @@ class CalibrateOptions:
                 raise UsageError(
                     f"calibration with {name} = {getattr(self, name)}", fix=f"give {low} or more"
                 )
+        if self.per_second is not None and not 0 < self.per_second < math.inf:
+            raise UsageError(
+                f"calibration with {self.per_second} frames a second of video", fix="give 1 or so"
+            )
         if not 0 < self.share <= 1:
             raise UsageError(f"calibration with share = {self.share}", fix="give 0 to 1")
         if self.lens not in LENSES:

@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -15,21 +16,26 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import regular
 from nw_eval.files.pictures import KINDS, open_picture
+from nw_eval.plural import plural
 from nw_eval.twin.calibrate.pace import Pace, Say
 from nw_eval.twin.calibrate.packages import package, quiet
 from nw_eval.twin.calibrate.report import LeftOut
+from nw_eval.twin.calibrate.solution import Lens, Solution
 
-_NOT_READ = frozenset({".heic", ".heif", ".dng", ".cr2", ".nef", ".arw"})
-SUFFIXES = _NOT_READ | {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".avif"}
+_NOT_READ = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw"})
+_HEIC = frozenset({".heic", ".heif", ".hif"})
+SUFFIXES = _NOT_READ | _HEIC | {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".avif"}
 """What is meant as a photograph; those that Pillow does not read are named as unreadable."""
 UNREADABLE = "cannot be read"
 _MOST_PIXELS = 100_000_000
 DAMAGE = (
     *(OSError, ValueError, SyntaxError, EOFError, MemoryError, TypeError, LookupError),
-    Image.DecompressionBombError,
+    *(Image.DecompressionBombError, RuntimeError),
 )
-"""What Pillow raises at damaged files."""
+"""What Pillow raises at damaged files; RuntimeError at HEIC that is larger than libheif takes."""
 _EXIF_ORIENTATION = 0x0112
+_MOST_EXIF = 65_000
+"""Bytes of EXIF that a JPEG takes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +94,7 @@ def are_numbered(names: Sequence[str]) -> bool:
 
 
 def take_in(
-    files: Sequence[Found], working: Path, say: Say, *, upright: bool
+    files: Sequence[Found], working: Path, say: Say, *, cameras: Solution | None = None
 ) -> tuple[list[Photograph], list[LeftOut]]:
     """Decode all photographs once; bring them and their masks into the working folder.
 
@@ -96,7 +102,9 @@ def take_in(
         files: in their order, which is kept.
         working: gets `pictures/` and `masks/`.
         say: is given lines of progress.
-        upright: whether to turn them as EXIF says; not where cameras are known already.
+        cameras: as they are known; None where they are to be found. Without, photographs are turned
+            as EXIF says. With, only those that have the shape of their camera's pictures when they
+            are turned, and not as they are: COLMAP and nerfstudio read pixels as they are stored.
 
     Returns:
         Those that can be read, and those that cannot.
@@ -108,31 +116,40 @@ def take_in(
         (working / name).mkdir()
     good: list[Photograph] = []
     bad: list[LeftOut] = []
+    lenses = {} if cameras is None else {one.name: one.lens for one in cameras.placed}
     pace = Pace(say, "photographs read", len(files))
+    hdr: list[str] = []
     for number, one in enumerate(files):
         fault = one.fault
         if one.path is not None:
             try:
                 path = regular(one.path)
-                good.append(_take_in(one, path, number, working, upright=upright))
+                good.append(_take_in(one, path, number, working, lenses.get(one.name), hdr))
             except DAMAGE as error:
                 fault = _why(one.path, error)
         if fault is not None:
             bad.append(LeftOut(name=one.name, reason=UNREADABLE, detail=fault))
         pace.at(number + 1)
+    if hdr:
+        say(f"{plural(len(hdr), 'photograph')} in HDR, as {hdr[0]}: tone-mapped to sRGB")
     return good, bad
 
 
 def _why(path: Path, error: Exception) -> str:
     """Return why a file cannot be read, and what to do if its kind is known."""
+    kind = path.suffix[1:].upper()
     if path.suffix.lower() in _NOT_READ:
-        return f"{path.suffix[1:].upper()} is not read here: export as JPEG"
+        return f"{kind} is not read here: export as JPEG"
+    if path.suffix.lower() in _HEIC and find_spec("pillow_heif") is None:
+        return f"{kind} needs the package pillow-heif: pip install nw-eval[twin]"
     if isinstance(error, UnidentifiedImageError):
         return f"no {KINDS}, or damaged"
     return str(error)
 
 
-def _take_in(one: Found, path: Path, number: int, working: Path, *, upright: bool) -> Photograph:
+def _take_in(
+    one: Found, path: Path, number: int, working: Path, lens: Lens | None, hdr: list[str]
+) -> Photograph:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
         with open_picture(path) as image:
@@ -144,15 +161,22 @@ def _take_in(one: Found, path: Path, number: int, working: Path, *, upright: boo
             if image.mode.startswith(("I", "F")):
                 raise ValueError(f"its grey values are {image.mode}; save it with 8 bits")
             image.load()
-            turned = upright and image.getexif().get(_EXIF_ORIENTATION, 1) != 1
-            plain = image.format in {"JPEG", "PNG"} and image.mode in {"RGB", "L"} and not turned
-            suffix = ".jpg" if image.format == "JPEG" else ".png"
+            turned = image.getexif().get(_EXIF_ORIENTATION, 1) != 1 and _is_to_turn(image, lens)
+            jpeg = image.format in {"JPEG", "MPO"}  # A phone's JPEG with a depth map is an MPO.
+            plain = (jpeg or image.format == "PNG") and image.mode in {"RGB", "L"} and not turned
+            suffix = ".jpg" if jpeg or image.format == "HEIF" else ".png"
+            exif = (image.info.get("exif") or b"") if image.format == "HEIF" else b""
+            transfer = (image.info.get("nclx_profile") or {}).get("transfer_characteristics")
             upright_image = (ImageOps.exif_transpose(image) if turned else image).convert("RGB")
+    if transfer in HDR:
+        hdr.append(one.name)
+        upright_image = Image.fromarray(tone_mapped(np.asarray(upright_image), transfer))
     target = working / "pictures" / f"{number:06d}{suffix}"
     if plain:
         target.symlink_to(path.resolve())
     elif suffix == ".jpg":
-        upright_image.save(target, quality=98, subsampling=0)
+        exif = exif if len(exif) < _MOST_EXIF else b""
+        upright_image.save(target, quality=98, subsampling=0, exif=exif)
     else:
         upright_image.save(target, compress_level=1)
     grey = np.asarray(upright_image.convert("L"))
@@ -165,10 +189,58 @@ def _take_in(one: Found, path: Path, number: int, working: Path, *, upright: boo
         mask=_mask(one, target, (width, height), working),
         width=width,
         height=height,
-        focal=_focal(path, (width, height)),
+        # COLMAP opens no HEIC: EXIF was copied.
+        focal=_focal(target if exif else path, (width, height)),
         sharpness=sharpness,
         contrast=contrast,
     )
+
+
+def _is_to_turn(image: Image.Image, lens: Lens | None) -> bool:
+    if lens is None:
+        return True
+    (long, short), (w, h) = (lens.width, lens.height), image.size
+    as_it_is, turned = abs(long * h - short * w), abs(long * w - short * h)
+    return turned < as_it_is
+
+
+HDR = {16: "PQ", 18: "HLG"}
+"""Transfer characteristics of HDR by their numbers in ITU-T H.273."""
+_BT709 = np.array(
+    [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]], np.float32
+)
+"""Linear light of BT.2020's primaries to BT.709's: ITU-R BT.2087."""
+_KNEE = 0.75
+"""Of reference white: what is brighter is pressed into the rest."""
+
+
+def tone_mapped(signal: NDArray[np.integer], transfer: int) -> NDArray[np.uint8]:
+    """Return an HDR picture of BT.2020's colours as sRGB.
+
+    Light up to 3/4 of reference white stays as it is, brighter light is pressed into the rest
+    without a change of hue. PQ and HLG: ITU-R BT.2100; reference white: BT.2408.
+
+    Args:
+        signal: (H, W, 3) uint8 or uint16, over its whole range.
+        transfer: 16 for PQ, 18 for HLG.
+    """
+    x = np.linspace(0.0, 1.0, np.iinfo(signal.dtype).max + 1)
+    if HDR[transfer] == "PQ":
+        root = x ** (32 / 2523)
+        light = np.maximum(root - 107 / 128, 0) / (2413 / 128 - 2392 / 128 * root)
+        light = (10_000 / 203 * light ** (8192 / 1305)) ** (1 / 1.2)  # PQ is of the screen's light.
+    else:
+        light = np.where(
+            x <= 0.5, x * x / 3, (np.exp((x - 0.55991073) / 0.17883277) + 0.28466892) / 12
+        )
+        light /= np.interp(0.75, x, light)
+    rgb = np.maximum(light.astype(np.float32)[signal] @ _BT709.T, 0)
+    peak = np.maximum(rgb.max(axis=-1, keepdims=True), 1e-6)
+    rest = 1 - _KNEE
+    rgb *= np.where(peak > _KNEE, 1 - rest * np.exp((_KNEE - peak) / rest), peak) / peak
+    steps = np.linspace(0.0, 1.0, 4096)
+    srgb = np.where(steps <= 0.0031308, 12.92 * steps, 1.055 * steps ** (1 / 2.4) - 0.055)
+    return np.round(255 * srgb).astype(np.uint8)[np.round(4095 * rgb).astype(np.uint16)]
 
 
 def sharpness_of(grey: NDArray[np.uint8]) -> tuple[float, float]:

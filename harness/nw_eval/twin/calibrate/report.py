@@ -33,7 +33,7 @@ class CalibrationReport:
     """What a calibration read, did and found.
 
     Attributes:
-        source: what was read: `photographs`, `video`, `colmap`, `nerfstudio` or `polycam`.
+        source: what was read: the kind of Footage.
         photographs: that there were, the unreadable counted.
         placed: those whose cameras are known.
         left_out: the others, and why.

@@ -123,8 +123,9 @@ def rigid(matrix: NDArray[np.float64], whose: str) -> NDArray[np.float64]:
     R = u @ v
     if np.abs(R - matrix[:3, :3]).max() > 0.01 or np.linalg.det(R) < 0:
         raise SceneError(
-            f"the pose of {whose} is not a rotation: {matrix[:3, :3].tolist()}",
-            fix="export it again",
+            f"the pose of {whose} is not a rotation"
+            f"{': it mirrors' if np.linalg.det(R) < 0 else ''}: {matrix[:3, :3].tolist()}",
+            fix="export it again, in right-handed axes",
         )
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, matrix[:3, 3]

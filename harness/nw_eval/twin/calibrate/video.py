@@ -1,10 +1,11 @@
-"""Frames of a video: as far apart as the picture moved, and of those about there the sharpest."""
+"""Frames of a video: as far apart as the picture moved, or in time, and there the sharpest."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from nw_eval.errors import SceneError
 from nw_eval.twin.calibrate.footage import Footage
 from nw_eval.twin.calibrate.pace import Pace, Say
 from nw_eval.twin.calibrate.packages import package
-from nw_eval.twin.calibrate.photographs import Found, sharpness_of
+from nw_eval.twin.calibrate.photographs import HDR, Found, sharpness_of, tone_mapped
 
 VIDEOS = frozenset(
     (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".3gp")
@@ -28,7 +29,9 @@ _RATE = 15.0
 _FLOW_WIDTH = 160
 
 
-def frames_of(path: Path, working: Path, most: int, say: Say) -> Footage:
+def frames_of(
+    path: Path, working: Path, most: int, say: Say, *, per_second: float | None = None
+) -> Footage:
     """Return the chosen frames of a video, written into the working folder.
 
     Args:
@@ -36,24 +39,32 @@ def frames_of(path: Path, working: Path, most: int, say: Say) -> Footage:
         working: gets `frames/`.
         most: frames that are chosen.
         say: is given lines of progress.
+        per_second: frames of each second; None = as many as the picture moves.
 
     Raises:
         SceneError: it cannot be read, or holds fewer than 3 frames.
         PrerequisiteError: PyAV or OpenCV is not installed.
     """
-    moved, sharpness, numbers = _look(path, say)
-    if len(numbers) < 3:
-        raise SceneError(f"{path} holds {len(numbers)} frames", fix="film for some seconds")
-    chosen = [numbers[i] for i in choose(moved, sharpness, most)]
+    seen = _look(path, say, with_motion=per_second is None)
+    if len(seen.numbers) < 3:
+        raise SceneError(f"{path} holds {len(seen.numbers)} frames", fix="film for some seconds")
+    sharpness = np.array(seen.sharpness)
+    if per_second is None:
+        chosen = choose(np.array(seen.moved), sharpness, most)
+    else:
+        chosen = choose_by_time(np.array(seen.times), sharpness, per_second, most, say)
+    numbers = [seen.numbers[i] for i in chosen]
     say(f"{len(chosen)} frames of {path.name} chosen")
+    if seen.transfer in HDR:
+        say(f"{path.name} is HDR ({HDR[seen.transfer]}): its frames are tone-mapped to sRGB")
     folder = working / "frames"
     folder.mkdir()
     files: list[Found] = []
-    wanted = set(chosen)
+    wanted = set(numbers)
     for number, frame in _frames(path):
         if number in wanted:
             name = f"frame_{number:06d}.jpg"
-            Image.fromarray(_upright(frame, "rgb24")).save(folder / name, quality=97, subsampling=0)
+            Image.fromarray(_rgb(frame)).save(folder / name, quality=97, subsampling=0)
             files.append(Found(name=name, path=folder / name))
         if len(files) == len(chosen):
             break
@@ -73,8 +84,40 @@ def choose(moved: NDArray[np.float64], sharpness: NDArray[np.float64], most: int
     """
     way = np.cumsum(moved)
     stretches = int(np.clip(math.ceil(way[-1] / _STEP), min(3, len(moved)), most))
-    length = max(float(way[-1]), 1e-12)
-    stretch = np.minimum((way / length * stretches).astype(int), stretches - 1)
+    return _sharpest(way / max(float(way[-1]), 1e-12) * stretches, sharpness, stretches)
+
+
+def choose_by_time(
+    times: NDArray[np.float64],
+    sharpness: NDArray[np.float64],
+    per_second: float,
+    most: int,
+    say: Say,
+) -> list[int]:
+    """Return the sharpest frame of each stretch of time.
+
+    Args:
+        times: (N,) seconds, rising.
+        sharpness: (N,) of each.
+        per_second: stretches in a second.
+        most: that are taken; where there are more stretches, they are made longer.
+        say: is told of that.
+    """
+    stretches = max(1, math.ceil((times[-1] - times[0]) * per_second + 1e-6))
+    if stretches > most:
+        say(
+            f"{per_second:g} frames a second are {stretches}: {most} are taken, "
+            f"one every {(times[-1] - times[0]) / most:.2g} s (--frames {stretches} takes all)"
+        )
+        per_second *= most / stretches
+        stretches = most
+    return _sharpest((times - times[0]) * per_second, sharpness, stretches)
+
+
+def _sharpest(
+    along: NDArray[np.float64], sharpness: NDArray[np.float64], stretches: int
+) -> list[int]:
+    stretch = np.minimum(along.astype(int), stretches - 1)
     return [
         int(rows[np.argmax(sharpness[rows])])
         for rows in (np.flatnonzero(stretch == s) for s in range(stretches))
@@ -82,33 +125,46 @@ def choose(moved: NDArray[np.float64], sharpness: NDArray[np.float64], most: int
     ]
 
 
-def _look(path: Path, say: Say) -> tuple[NDArray[np.float64], NDArray[np.float64], list[int]]:
+@dataclass
+class _Seen:
+    """Frames that were looked at: their numbers, seconds, sharpness, and share of motion."""
+
+    transfer: int = 0
+    numbers: list[int] = field(default_factory=list[int])
+    times: list[float] = field(default_factory=list[float])
+    sharpness: list[float] = field(default_factory=list[float])
+    moved: list[float] = field(default_factory=list[float])
+
+
+def _look(path: Path, say: Say, *, with_motion: bool) -> _Seen:
     cv2 = package("cv2")
-    moved: list[float] = []
-    sharpness: list[float] = []
-    numbers: list[int] = []
-    before = None
+    seen = _Seen()
+    before, due = None, -math.inf
     with _opened(path) as (_, stream):
-        every = max(1, round(float(stream.average_rate or _RATE) / _RATE))
-        total = int(stream.frames or 0)
+        rate, total = float(stream.average_rate or _RATE), int(stream.frames or 0)
     pace = Pace(say, "frames looked at", total)
     for number, frame in _frames(path):
-        if number % every:
+        time = number / rate if frame.time is None else frame.time  # Phones vary their rate.
+        if time < due:
             continue
-        grey = _upright(frame, "gray")
-        scale = _FLOW_WIDTH / max(grey.shape)
-        small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        if before is not None and before.shape == small.shape:
-            flow = cv2.calcOpticalFlowFarneback(before, small, None, 0.5, 3, 15, 2, 5, 1.1, 0)
-            moved.append(float(np.linalg.norm(flow, axis=2).mean()) / _FLOW_WIDTH)
-        else:
-            moved.append(0.0)
-        before = small
-        sharpness.append(sharpness_of(grey)[0])
-        numbers.append(number)
+        due = time + 0.99 / _RATE
+        grey = _upright(frame, frame.to_ndarray(format="gray"))
+        moved = 0.0
+        if with_motion:
+            scale = _FLOW_WIDTH / max(grey.shape)
+            small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            if before is not None and before.shape == small.shape:
+                flow = cv2.calcOpticalFlowFarneback(before, small, None, 0.5, 3, 15, 2, 5, 1.1, 0)
+                moved = float(np.linalg.norm(flow, axis=2).mean()) / _FLOW_WIDTH
+            before = small
+        seen.transfer = int(frame.color_trc)
+        seen.numbers.append(number)
+        seen.times.append(time)
+        seen.sharpness.append(sharpness_of(grey)[0])
+        seen.moved.append(moved)
         if total:
             pace.at(min(number + 1, total - 1))
-    return np.array(moved), np.array(sharpness), numbers
+    return seen
 
 
 @contextmanager
@@ -116,9 +172,10 @@ def _opened(path: Path) -> Generator[tuple[Any, Any]]:
     av = package("av")
     try:
         with av.open(str(path)) as container:
-            if not container.streams.video:
+            stream = container.streams.best("video")  # None of the others is a cover.
+            if stream is None:
                 raise SceneError(f"{path} holds no pictures", fix="give a video")
-            yield container, container.streams.video[0]
+            yield container, stream
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise SceneError(
             f"the video {path} cannot be read: {error}", fix="save it again, as MP4"
@@ -130,7 +187,25 @@ def _frames(path: Path) -> Iterator[tuple[int, Any]]:
         yield from enumerate(container.decode(stream))
 
 
-def _upright(frame: Any, pixels: str) -> NDArray[np.uint8]:
-    """Return a frame as it is to be seen; phones film sideways and say so."""
-    array = frame.to_ndarray(format=pixels)
-    return np.ascontiguousarray(np.rot90(array, round(frame.rotation / 90) % 4))
+def _rgb(frame: Any) -> NDArray[np.uint8]:
+    """Return a frame as it is to be seen, (H, W, 3)."""
+    transfer = int(frame.color_trc)
+    if transfer not in HDR:
+        return _upright(frame, frame.to_ndarray(format="rgb24"))
+    return _upright(frame, tone_mapped(frame.to_ndarray(format="rgb48le"), transfer))
+
+
+def _upright(frame: Any, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a frame's pixels turned and mirrored as its display matrix says.
+
+    Phones film sideways and say so. The matrix maps a pixel (x, y) to (a x + c y, b x + d y).
+    """
+    matrices = (one for one in frame.side_data if one.type.name == "DISPLAYMATRIX")
+    found = next(matrices, None)
+    if found is None:
+        return pixels
+    (a, b, _), (c, d, _) = np.frombuffer(bytes(found), np.int32).reshape(3, 3)[:2].tolist()
+    across = abs(b) > abs(a)
+    pixels = pixels.swapaxes(0, 1) if across else pixels
+    right, down = (c, b) if across else (a, d)
+    return np.ascontiguousarray(pixels[:: -1 if down < 0 else 1, :: -1 if right < 0 else 1])
