@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -19,11 +19,24 @@ if TYPE_CHECKING:
 class CalibrateFlags:
     """Of the cameras."""
 
-    matching: Literal["auto", "sequential", "exhaustive"] = "auto"
-    """Which photographs are compared: neighbours in the order of their names (sequential), all
-    (exhaustive), or neighbours where names are numbers or a video's frames."""
+    matching: Literal["auto", "sequential", "retrieval", "exhaustive"] = "auto"
+    """Which of more than 30 photographs are compared: those that look similar (retrieval), those
+    and neighbours in the order of their names (sequential: auto, where names are numbers or a
+    video's frames), or all (exhaustive)."""
     frames: int = 150
     """Frames that are taken of a video, at most: sharp ones, some way apart."""
+    lens: Literal[
+        "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE"
+    ] = "SIMPLE_RADIAL"
+    """COLMAP's name of the camera model, where nobody knows the cameras."""
+    share: float = 0.7
+    """Of the photographs that must be placed, 0 to 1."""
+    features: int = 8192
+    """Of each photograph, at most."""
+    side: int = 1600
+    """Longer side of the pictures that features are looked for in and that are written, pixels."""
+    megapixels: int = 100
+    """Of a photograph, at most; larger ones are left out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -293,7 +306,9 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
     has = vars(AllFlags()) | {k: v for k, v in vars(flags).items() if k in vars(AllFlags())}
     cores = threads or usable_cores()
     return BuildSettings(
-        calibrate=CalibrateOptions(matching=has["matching"], frames=has["frames"], threads=cores),
+        calibrate=CalibrateOptions(
+            **{one.name: has[one.name] for one in fields(CalibrateFlags)}, threads=cores
+        ),
         reconstruct=ReconstructOptions(engine=has["mesher"], faces=has["faces"]),
         align=AlignOptions(
             tag_edge=has["tag_edge"], camera_height=has["camera_height"], metric=has["metric"]

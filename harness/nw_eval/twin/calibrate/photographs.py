@@ -15,6 +15,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import regular
 from nw_eval.files.pictures import KINDS, open_picture
+from nw_eval.twin.calibrate.options import MOST_MEGAPIXELS
 from nw_eval.twin.calibrate.pace import Pace, Say
 from nw_eval.twin.calibrate.packages import package, quiet
 from nw_eval.twin.calibrate.report import LeftOut
@@ -23,7 +24,6 @@ _NOT_READ = frozenset({".heic", ".heif", ".dng", ".cr2", ".nef", ".arw"})
 SUFFIXES = _NOT_READ | {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".avif"}
 """What is meant as a photograph; those that Pillow does not read are named as unreadable."""
 UNREADABLE = "cannot be read"
-_MOST_PIXELS = 100_000_000
 DAMAGE = (
     *(OSError, ValueError, SyntaxError, EOFError, MemoryError, TypeError, LookupError),
     Image.DecompressionBombError,
@@ -88,7 +88,7 @@ def are_numbered(names: Sequence[str]) -> bool:
 
 
 def take_in(
-    files: Sequence[Found], working: Path, say: Say, *, upright: bool
+    files: Sequence[Found], working: Path, say: Say, *, upright: bool, megapixels: int = 100
 ) -> tuple[list[Photograph], list[LeftOut]]:
     """Decode all photographs once; bring them and their masks into the working folder.
 
@@ -97,6 +97,7 @@ def take_in(
         working: gets `pictures/` and `masks/`.
         say: is given lines of progress.
         upright: whether to turn them as EXIF says; not where cameras are known already.
+        megapixels: of one, at most.
 
     Returns:
         Those that can be read, and those that cannot.
@@ -114,7 +115,7 @@ def take_in(
         if one.path is not None:
             try:
                 path = regular(one.path)
-                good.append(_take_in(one, path, number, working, upright=upright))
+                good.append(_take_in(one, path, number, working, megapixels, upright=upright))
             except DAMAGE as error:
                 fault = _why(one.path, error)
         if fault is not None:
@@ -127,19 +128,23 @@ def _why(path: Path, error: Exception) -> str:
     """Return why a file cannot be read, and what to do if its kind is known."""
     if path.suffix.lower() in _NOT_READ:
         return f"{path.suffix[1:].upper()} is not read here: export as JPEG"
+    if isinstance(error, Image.DecompressionBombError):
+        return f"over {MOST_MEGAPIXELS} million pixels, which none may have: make it smaller"
     if isinstance(error, UnidentifiedImageError):
         return f"no {KINDS}, or damaged"
     return str(error)
 
 
-def _take_in(one: Found, path: Path, number: int, working: Path, *, upright: bool) -> Photograph:
+def _take_in(
+    one: Found, path: Path, number: int, working: Path, megapixels: int, *, upright: bool
+) -> Photograph:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
         with open_picture(path) as image:
-            if image.width * image.height > _MOST_PIXELS:
+            if image.width * image.height > megapixels * 1e6:
                 raise ValueError(
-                    f"{image.width * image.height / 1e6:.0f} million pixels, of "
-                    f"{_MOST_PIXELS / 1e6:.0f} million at most: make it smaller"
+                    f"{image.width * image.height / 1e6:.3g} million pixels, of "
+                    f"{megapixels} million at most: make it smaller, or give --megapixels"
                 )
             if image.mode.startswith(("I", "F")):
                 raise ValueError(f"its grey values are {image.mode}; save it with 8 bits")
