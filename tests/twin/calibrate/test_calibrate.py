@@ -183,7 +183,7 @@ def test_an_earlier_capture_does_not_outlive_a_calibration_that_fails(tmp_path):
     "options",
     [
         *({"frames": 2}, {"side": 0}, {"share": 0}, {"lens": "FISH"}, {"threads": 0}),
-        *({"megapixels": 0}, {"megapixels": 999}),
+        *({"megapixels": 0}, {"megapixels": 999}, {"side": 10_001}),
     ],
 )
 def test_options_that_make_no_sense_are_refused(options):

@@ -137,6 +137,27 @@ def test_matches_are_those_that_colmap_finds():
     assert ours.tolist() == sorted(theirs.tolist())
 
 
+def test_the_best_two_are_found_in_whatever_block_they_lie():
+    rng = np.random.default_rng(0)
+    one, other = rng.exponential(size=(331, 128)), rng.exponential(size=(197, 128))
+    other[:90] = one[rng.permutation(331)[:90]] + rng.exponential(0.3, (90, 128))
+    one, other = (
+        np.round(512 * each / np.linalg.norm(each, axis=1, keepdims=True)).astype(np.float32)
+        for each in (one, other)
+    )
+    angles = np.arccos(np.clip((one.astype(int) @ other.T.astype(int)) / 512**2, 0, 1))
+    expected = []
+    for i, row in enumerate(angles):
+        j = int(row.argmin())
+        column = angles[:, j]
+        clear = [
+            line.min() <= 0.7 and line.min() < 0.8 * np.sort(line)[1] for line in (row, column)
+        ]
+        expected += [[i, j]] if all(clear) and column.argmin() == i else []
+    assert len(expected) > 40
+    assert nearest(one, other).tolist() == expected
+
+
 def test_of_two_alike_neither_is_a_match():
     far, near = np.zeros((2, 128), np.float32)
     far[0], near[1] = 512, 512

@@ -17,7 +17,7 @@ STAGES: tuple[Stage, ...] = get_args(Stage)
 """In the order in which they run; each reads what those before it have left."""
 
 _FORMATS: dict[Stage, int] = {
-    "calibrate": 3,
+    "calibrate": 4,
     "reconstruct": 5,
     "align": 3,
     "splat": 4,

@@ -17,33 +17,43 @@ from nw_eval.machine_code import inlined, kernel
 
 
 @kernel
-def two_best(products: Any, first_row: int, found: Any) -> None:
-    """Take a block of products into account: the largest two of each row and of each column.
+def two_best(products: Any, first_row: int, count: int, other: int, found: Any) -> None:
+    """Take blocks of products into account: the largest two of each row and of each column.
 
     Args:
-        products: (R, M) float32, of descriptors of one picture with all of the other.
-        first_row: number of the block's first row.
+        products: (A, B, R, C) float32: of A times R descriptors of one picture with B times C of
+            the other, in their order.
+        first_row: number of the first of them.
+        count: of the one picture's descriptors; what goes beyond is not there.
+        other: of the other's, likewise.
         found: in and out: (2, N) float32, the largest product of each row, then of each column;
             (2, N) float32, the second largest; (2, N) int32, the column, then the row of the
             largest, of equals the first.
     """
     best, second, place = found
-    for r in range(products.shape[0]):
-        row = first_row + r
-        high, low, at = np.float32(-1.0), np.float32(-1.0), np.int32(-1)
-        for c in range(products.shape[1]):
-            value = products[r, c]
-            if value > low:
-                if value > high:
-                    low, high, at = high, value, np.int32(c)
-                else:
-                    low = value
-            if value > second[1, c]:
-                if value > best[1, c]:
-                    second[1, c], best[1, c], place[1, c] = best[1, c], value, np.int32(row)
-                else:
-                    second[1, c] = value
-        best[0, row], second[0, row], place[0, row] = high, low, at
+    blocks, across, rows, columns = products.shape
+    for a in range(blocks):
+        for r in range(rows):
+            row = first_row + a * rows + r
+            if row >= count:
+                return
+            high, low, at = np.float32(-1.0), np.float32(-1.0), np.int32(-1)
+            for b in range(across):
+                for c in range(min(columns, other - b * columns)):
+                    column = b * columns + c
+                    value = products[a, b, r, c]
+                    if value > low:
+                        if value > high:
+                            low, high, at = high, value, np.int32(column)
+                        else:
+                            low = value
+                    if value > second[1, column]:
+                        if value > best[1, column]:
+                            second[1, column] = best[1, column]
+                            best[1, column], place[1, column] = value, np.int32(row)
+                        else:
+                            second[1, column] = value
+            best[0, row], second[0, row], place[0, row] = high, low, at
 
 
 @inlined

@@ -11,6 +11,8 @@ LENSES = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIM
 
 MOST_MEGAPIXELS = 178
 """Beyond which Pillow takes a picture for an attack."""
+_MOST_SIDE = 10_000
+"""So that no picture of a capture has more than the 100 million pixels that `read_capture` takes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,11 +60,11 @@ class CalibrateOptions:
                 raise UsageError(
                     f"calibration with {name} = {getattr(self, name)}", fix=f"give {low} or more"
                 )
-        if self.megapixels > MOST_MEGAPIXELS:
-            raise UsageError(
-                f"calibration with megapixels = {self.megapixels}",
-                fix=f"give {MOST_MEGAPIXELS} or fewer",
-            )
+        for name, high in {"side": _MOST_SIDE, "megapixels": MOST_MEGAPIXELS}.items():
+            if getattr(self, name) > high:
+                raise UsageError(
+                    f"calibration with {name} = {getattr(self, name)}", fix=f"give {high} or fewer"
+                )
         if not 0 < self.share <= 1:
             raise UsageError(f"calibration with share = {self.share}", fix="give 0 to 1")
         if self.lens not in LENSES:
