@@ -12,7 +12,7 @@ LENSES = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIM
 MOST_MEGAPIXELS = 178
 """Beyond which Pillow takes a picture for an attack."""
 _MOST_SIDE = 10_000
-"""So that no picture of a capture has more than the 100 million pixels that `read_capture` takes."""
+"""So that no picture of a capture has more than the 100 million pixels that can be read."""
 
 
 @dataclass(frozen=True, kw_only=True)
