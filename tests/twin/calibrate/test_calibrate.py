@@ -9,6 +9,7 @@ import pytest
 import synthetic_room
 from PIL import Image
 
+from nw_eval.cli.verbs.twin import CalibrateFlags, settings_of
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.splat.camera import Camera
 from nw_eval.twin.calibrate.calibrate import calibrate
@@ -103,13 +104,26 @@ def test_the_report_says_what_was_done(calibrated):
 
 
 @pytest.mark.nightly
-def test_neither_threads_nor_a_second_time_change_a_bit(photographed, tmp_path):
-    found = []
-    for threads in (1, 2):
-        options = CalibrateOptions(features=1200, threads=threads)
-        calibrate(photographed.folder, tmp_path / str(threads), options)
-        found.append([p.read_bytes() for p in sorted((tmp_path / str(threads)).rglob("*.*"))])
-    assert found[0] == found[1]
+def test_of_two_rooms_the_larger_is_taken_and_the_other_is_named(photographed, tmp_path):
+    source, other = tmp_path / "in", synthetic_room.room(seed=5)
+    source.mkdir()
+    for name in sorted(photographed.cameras)[2:10]:
+        shutil.copy(photographed.folder / name, source)
+    for number, camera in enumerate(synthetic_room.cameras()[4:9], 50):
+        picture = synthetic_room.render(other, camera, radial=-0.08)
+        Image.fromarray(picture).save(source / f"IMG_{number:04d}.png")
+    lines = []
+    options = CalibrateOptions(features=1200, share=0.5)
+    report = calibrate(source, tmp_path / "out", options, lines.append)
+    assert (report.placed, report.groups) == (8, (5,))
+    assert {one.name for one in report.left_out} == {
+        f"IMG_00{number}.png" for number in range(50, 55)
+    }
+    assert {one.reason for one in report.left_out} == {"in a group apart from the largest"}
+    assert "a group of 5, at most " in report.left_out[0].detail
+    assert any(line.startswith("1 other group with 5 of the photographs") for line in lines)
+    with pytest.raises(SceneError, match=r"8 of 13 placed, fewer than 70%(.|\n)*--share"):
+        calibrate(source, tmp_path / "out", CalibrateOptions(features=1200))
 
 
 def test_photographs_that_share_nothing_are_named_with_the_reason(photographed, tmp_path):
@@ -166,8 +180,20 @@ def test_an_earlier_capture_does_not_outlive_a_calibration_that_fails(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "options", [{"frames": 2}, {"side": 0}, {"share": 0}, {"lens": "FISH"}, {"threads": 0}]
+    "options",
+    [
+        *({"frames": 2}, {"side": 0}, {"share": 0}, {"lens": "FISH"}, {"threads": 0}),
+        *({"megapixels": 0}, {"megapixels": 999}, {"side": 10_001}),
+    ],
 )
 def test_options_that_make_no_sense_are_refused(options):
     with pytest.raises(UsageError, match=next(iter(options))):
         CalibrateOptions(**options)
+
+
+def test_each_option_of_calibration_that_a_verb_has_is_asked_for():
+    given = {"matching": "retrieval", "frames": 9, "lens": "OPENCV", "share": 0.4}
+    given |= {"features": 700, "side": 640, "megapixels": 150}
+    flags = CalibrateFlags(**given)
+    assert set(vars(flags)) == set(given)
+    assert settings_of(flags, 1).calibrate == CalibrateOptions(**given, threads=1)

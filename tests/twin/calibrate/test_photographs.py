@@ -234,3 +234,16 @@ def test_a_source_that_says_why_it_cannot_be_read_is_believed(tmp_path):
     found = Found(name="x", path=None, fault="it has no camera")
     _, bad = take_in([found], tmp_path, lambda _: None)
     assert bad[0].detail == "it has no camera"
+
+
+def test_a_photograph_larger_than_asked_for_is_left_out_and_the_option_is_named(tmp_path):
+    Image.fromarray(np.zeros((1000, 1300), np.uint8)).save(tmp_path / "large.png")
+    found = [Found(name="large.png", path=tmp_path / "large.png")]
+    taken_in = {}
+    for most in (1, 2):
+        (working := tmp_path / str(most)).mkdir()
+        taken_in[most] = take_in(found, working, lambda _: None, megapixels=most)
+    assert len(taken_in[2][0]) == 1
+    assert taken_in[1][1][0].detail == (
+        "1.3 million pixels, of 1 million at most: make it smaller, or give --megapixels"
+    )

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from nw_eval.twin.calibrate.calibrate import APART, BLURRED, PLAIN, UNFIT, why_not
+from nw_eval.twin.calibrate.calibrate import APART, BLURRED, GROUP, PLAIN, UNFIT, why_not
 from nw_eval.twin.calibrate.features import Matches
 from nw_eval.twin.calibrate.photographs import Photograph
 
@@ -62,3 +62,19 @@ def test_where_none_was_placed_matches_with_any_count():
         pairs=1,
     )
     assert {one.reason for one in why_not(pair, (), matches)} == {UNFIT}
+
+
+def test_a_group_apart_is_named_with_what_would_tie_it():
+    all_of_them = [photograph(name) for name in "abcdef"]
+    matches = Matches(
+        database=Path("db"),
+        pictures=Path(),
+        features={f"{name}.jpg": 2000 for name in "abcdef"},
+        inliers={("d.jpg", "e.jpg"): 400, ("c.jpg", "d.jpg"): 17},
+        pairs=15,
+    )
+    found = why_not(all_of_them, {"a", "b", "c"}, matches, [("d", "e")])
+    assert [one.reason for one in found] == [GROUP, GROUP, APART]
+    assert found[0].detail == found[1].detail
+    assert found[0].detail.startswith("a group of 2, at most 17 matches with one of the largest")
+    assert "photograph the way between them" in found[0].detail

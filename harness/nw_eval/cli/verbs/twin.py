@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 class CalibrateFlags:
     """Of the cameras."""
 
-    matching: Literal["auto", "sequential", "exhaustive"] = "auto"
-    """Which photographs are compared: neighbours in the order of their names (sequential), all
-    (exhaustive), or neighbours where names are numbers or a video's frames."""
+    matching: Literal["auto", "sequential", "retrieval", "exhaustive"] = "auto"
+    """Which of more than 30 photographs are compared: those that look similar (retrieval), those
+    and neighbours in the order of their names (sequential: auto, where names are numbers or a
+    video's frames), or all (exhaustive)."""
     frames: int = 150
     """Frames that are taken of a video, or of a film whose cameras an app knows, at most: sharp
     ones, some way apart."""
@@ -31,6 +32,14 @@ class CalibrateFlags:
         "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE"
     ] = "SIMPLE_RADIAL"
     """COLMAP's name of the camera model, where nobody knows the cameras."""
+    share: float = 0.7
+    """Of the photographs that must be placed, 0 to 1."""
+    features: int = 8192
+    """Of each photograph, at most."""
+    side: int = 1600
+    """Longer side of the pictures that features are looked for in and that are written, pixels."""
+    megapixels: int = 100
+    """Of a photograph, at most; larger ones are left out."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,18 +6,21 @@ words that help whoever took them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import shutil
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from nw_eval.errors import SceneError, StoreError
+from nw_eval.errors import NwEvalError, SceneError, StoreError
 from nw_eval.plural import plural
 from nw_eval.twin.calibrate.develop import develop
 from nw_eval.twin.calibrate.features import Matches, match
 from nw_eval.twin.calibrate.footage import Footage
+from nw_eval.twin.calibrate.kept import Kept
 from nw_eval.twin.calibrate.mapping import map_cameras, triangulate
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.calibrate.pace import Say
@@ -38,14 +41,14 @@ _FIX = (
     "before, and keep something with texture in view"
 )
 
-_OVERLAP = 10
-"""Neighbours on one side that each is compared with."""
-_LOOP = 60
-"""Photographs of a sequence, evenly spread, that are all compared with each other: what closes
-loops. A shorter sequence is compared wholly."""
-
 BLURRED, PLAIN = "blurred", "no texture"
 APART, UNFIT = "too far from the others", "does not fit the others"
+GROUP = "in a group apart from the largest"
+
+_WORKING = ".calibrate-"
+_KEPT = ".calibrate.sqlite"
+"""Features and matches, until the capture is written."""
+
 _FEW_FEATURES = 150
 _FEW_MATCHES = 30
 """COLMAP's own least number of points by which a camera is placed."""
@@ -65,6 +68,7 @@ class _Solved:
     mapping: str
     pairs: int = 0
     tries: dict[str, int] = field(default_factory=dict[str, int])
+    groups: tuple[int, ...] = ()
 
 
 def calibrate(
@@ -78,6 +82,9 @@ def calibrate(
 
     The capture's frame has any rotation and scale, except that cameras which the source knows stay
     where they are. Its pictures are at most `options.side` pixels long.
+
+    Features and matches that are found lie in the folder until the end: a calibration that a signal
+    cut off goes on from there, and ends with the same bytes.
 
     Args:
         source: folder of photographs, with `masks/` beside them or not; a video; or a folder of
@@ -95,20 +102,51 @@ def calibrate(
         PrerequisiteError: pycolmap, OpenCV or PyAV is not installed.
     """
     options = options or CalibrateOptions()
+    with _working_in(out, say) as (working, kept):
+        return _calibrate(source, out, working, kept, options, say, found)
+
+
+@contextmanager
+def _working_in(out: Path, say: Say) -> Generator[tuple[Path, Kept]]:
+    """Give a working folder that goes with the context, and what an earlier one has kept.
+
+    That is kept on where a signal ends the context, or the disk is full; else it goes too.
+
+    Raises:
+        StoreError: the folder cannot be written.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
         (out / "capture.json").unlink(missing_ok=True)
-        working = TemporaryDirectory(prefix=".calibrate-", dir=out)
+        for left in out.glob(f"{_WORKING}*"):  # By a process that was killed.
+            if left.is_dir() and not left.is_symlink():
+                shutil.rmtree(left)
+        working = TemporaryDirectory(prefix=_WORKING, dir=out)
     except OSError as error:
         raise StoreError(f"cannot write to {out}: {error}", fix="choose another folder") from None
+    path = out / _KEPT
     with working as name:
-        return _calibrate(source, out, Path(name), options, say, found)
+        kept, is_over = Kept(path), False
+        try:
+            yield Path(name), kept
+            is_over = True
+        except NwEvalError as error:
+            is_over = not isinstance(error, StoreError)
+            raise
+        except KeyboardInterrupt:
+            say(f"cut off: what was found is kept in {path}, and the same command goes on from it")
+            raise
+        finally:
+            kept.close()
+            if is_over:
+                path.unlink(missing_ok=True)
 
 
 def _calibrate(
     path: Path,
     out: Path,
     working: Path,
+    kept: Kept,
     options: CalibrateOptions,
     say: Say,
     found: Callable[[Footage], object],
@@ -118,7 +156,9 @@ def _calibrate(
     )
     say(f"{path}: {source.kind}, {plural(len(source.files), 'photograph')}")
     found(source)
-    photographs, unreadable = take_in(source.files, working, say, cameras=source.cameras)
+    photographs, unreadable = take_in(
+        source.files, working, say, cameras=source.cameras, megapixels=options.megapixels
+    )
     if len(photographs) < _LEAST:
         raise SceneError(
             [
@@ -127,7 +167,7 @@ def _calibrate(
             ],
             fix="give twenty or more",
         )
-    solved = _Solver(source, options, say).solve(photographs, working)
+    solved = _Solver(source, kept, options, say).solve(photographs, working)
     report = _report(source, [*unreadable, *solved.left_out], solved, options)
     if report.share < options.share:
         report.write(out)
@@ -136,7 +176,7 @@ def _calibrate(
                 f"{report.placed} of {report.photographs} placed, fewer than {options.share:.0%}",
                 *by_reason(report.left_out),
             ],
-            fix=_FIX,
+            fix=f"{_FIX}; or go on with a part of the place: --share",
         )
     capture = develop(photographs, solved.solution, out, side=options.side, say=say)
     capture = replace(capture, metric=source.metric, up=source.up)
@@ -154,6 +194,7 @@ class _Solver:
     """Cameras and points of a source's photographs, which lie in a working folder."""
 
     source: Footage
+    kept: Kept
     options: CalibrateOptions
     say: Say
 
@@ -172,11 +213,12 @@ class _Solver:
             return solved
         self.say("the source has no points that photographs share: they are looked for")
         some = [one for one in photographs if one.name in known.by_name]
-        pairs, matching = self._pairs(some)
+        matching = self._matching(some)
         lenses = [known.by_name[one.name].lens for one in some]
-        matches = match(some, lenses, pairs, working, self.options, self.say)
+        matches = match(some, lenses, matching, working, self.options, self.say, self.kept)
         files = {one.name: one.file for one in some}
-        solution = triangulate(matches, known, files, working, seed=self.options.seed)
+        seed = self.options.seed
+        solution = triangulate(matches, known, files, working, seed=seed, say=self.say)
         if len(solution.points) < _LEAST_POINTS:
             raise SceneError(
                 f"with the cameras of {self.source.kind} the photographs share "
@@ -184,7 +226,7 @@ class _Solver:
                 fix="check that cameras and photographs belong together, or give the photographs "
                 "alone",
             )
-        return replace(solved, solution=solution, matching=matching, pairs=len(pairs))
+        return replace(solved, solution=solution, matching=matching, pairs=matches.pairs)
 
     def _find(self, photographs: Sequence[Photograph], working: Path) -> _Solved:
         """Return cameras by the photographs alone; where EXIF's focal length misleads, without."""
@@ -200,24 +242,22 @@ class _Solver:
         return max(solved, other, key=lambda each: len(each.solution.placed))
 
     def _find_once(self, photographs: Sequence[Photograph], working: Path) -> _Solved:
-        pairs, matching = self._pairs(photographs)
-        nothing = [None] * len(photographs)
-        matches = match(photographs, nothing, pairs, working, self.options, self.say)
+        matching, nothing = self._matching(photographs), [None] * len(photographs)
+        matches = match(photographs, nothing, matching, working, self.options, self.say, self.kept)
         _check_motion(matches)
         names = {one.file: one.name for one in photographs}
-        solution, mapping, tries = map_cameras(
-            matches, names, working, seed=self.options.seed, say=self.say
-        )
-        left = why_not(photographs, solution.by_name, matches)
-        return _Solved(solution, left, matching, mapping, len(pairs), tries)
+        mapped = map_cameras(matches, names, working, seed=self.options.seed, say=self.say)
+        solution, groups = mapped.solution, mapped.others
+        left = why_not(photographs, solution.by_name, matches, groups)
+        sizes = tuple(len(group) for group in groups)
+        return _Solved(solution, left, matching, mapped.how, matches.pairs, mapped.tries, sizes)
 
-    def _pairs(self, photographs: Sequence[Photograph]) -> tuple[list[tuple[int, int]], str]:
-        """Return which photographs are compared, and what that is called."""
-        in_order = self.source.is_film or are_numbered([one.name for one in photographs])
-        matching = self.options.matching
-        if matching == "auto":
-            matching = "sequential" if in_order else "exhaustive"
-        return pairs_of(len(photographs), in_sequence=matching == "sequential"), matching
+    def _matching(self, photographs: Sequence[Photograph]) -> str:
+        """Return which photographs are compared, as a report calls it."""
+        if self.options.matching != "auto":
+            return self.options.matching
+        names = [one.name for one in photographs]
+        return "sequential" if self.source.is_film or are_numbered(names) else "retrieval"
 
 
 def _check_motion(matches: Matches) -> None:
@@ -284,35 +324,29 @@ def _report(
         ),
         points=len(solution.points),
         reprojection_error=float(errors.mean()) if len(errors) else None,
+        groups=solved.groups,
         seed=options.seed,
     )
 
 
-def pairs_of(count: int, *, in_sequence: bool) -> list[tuple[int, int]]:
-    """Return pairs (i, j), i < j, sorted.
-
-    Args:
-        count: of photographs.
-        in_sequence: whether neighbours in number are neighbours in space: then each is compared
-            with the next ten and those 16, 32, ... further, and sixty of all with each other.
-    """
-    if not in_sequence or count <= _LOOP:
-        return [(i, j) for i in range(count) for j in range(i + 1, count)]
-    steps = [*range(1, _OVERLAP + 1), *(2**k for k in range(4, count.bit_length()))]
-    spread = range(0, count, -(-count // _LOOP))
-    found = {(i, i + step) for i in range(count) for step in steps if i + step < count}
-    found |= {(i, j) for i in spread for j in spread if i < j}
-    return sorted(found)
-
-
 def why_not(
-    photographs: Sequence[Photograph], placed: Iterable[str], matches: Matches
+    photographs: Sequence[Photograph],
+    placed: Iterable[str],
+    matches: Matches,
+    groups: Sequence[Sequence[str]] = (),
 ) -> list[LeftOut]:
     """Return each photograph that is not among the placed, with the likeliest reason.
 
     Blurred: far less fine detail than the others, though not less contrast; or few features, and
     none of what there is has an edge. No texture: few features. Too far: few matches with any that
-    is placed, or with any at all if none is.
+    is placed, or with any at all if none is. In a group apart: placed among others that nothing
+    ties to the largest group.
+
+    Args:
+        photographs: all.
+        placed: names of those that are placed.
+        matches: of all.
+        groups: names of those that were placed among themselves.
     """
     known = set(placed)
     files = {one.file for one in photographs if one.name in known}
@@ -322,7 +356,24 @@ def why_not(
     sharp = float(np.median([one.sharpness for one in good]))
     contrast = float(np.median([one.contrast for one in good]))
     most = {one.file: _most(one.file, files, matches) for one in left}
-    return [_reason(one, sharp, contrast, most[one.file], matches) for one in left]
+    found = [_reason(one, sharp, contrast, most[one.file], matches) for one in left]
+    apart = {name: _of_group(group, photographs, most) for group in groups for name in group}
+    return [
+        LeftOut(name=one.name, reason=GROUP, detail=apart[one.name]) if one.name in apart else one
+        for one in found
+    ]
+
+
+def _of_group(group: Sequence[str], photographs: Sequence[Photograph], most: dict[str, int]) -> str:
+    """Return how large a group is, and why it likely is apart."""
+    bridge = max(most.get(one.file, 0) for one in photographs if one.name in group)
+    why = (
+        f"at most {bridge} matches with one of the largest: photograph the way between them"
+        if bridge < _FEW_MATCHES
+        else f"{bridge} matches with one of the largest, yet no common place: the same things may "
+        "stand in both"
+    )
+    return f"a group of {len(group)}, {why}"
 
 
 def _most(file: str, others: set[str], matches: Matches) -> int:

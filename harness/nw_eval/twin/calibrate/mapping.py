@@ -7,11 +7,12 @@ anywhere.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,15 +26,36 @@ from nw_eval.twin.calibrate.solution import Lens, Placed, Solution, inverse
 _ENOUGH = 0.9
 """Share of the photographs with which the first try is taken, without a second."""
 _FAILURES = (RuntimeError, ValueError, IndexError)
+_LOOKS = 1.0
+"""Seconds between two looks at a mapping that runs."""
+_Result = TypeVar("_Result")
 
 _SHARED = 25
 """Points that two cameras must both see to be tied. Of 240 cameras of six built-in courses the one
 that was placed wrongly, by metres, shared 17 with another one, the others 37 and more."""
 
 
+@dataclass(frozen=True)
+class Mapped:
+    """Cameras that were placed.
+
+    Attributes:
+        solution: cameras and points of the largest group.
+        how: what placed them: `incremental` or `global`.
+        tries: photographs that each mapping placed.
+        others: photographs, by name, of each other group: placed among themselves, with nothing
+            that ties them to the largest.
+    """
+
+    solution: Solution
+    how: str = "incremental"
+    tries: dict[str, int] = field(default_factory=dict[str, int])
+    others: tuple[tuple[str, ...], ...] = ()
+
+
 def map_cameras(
     matches: Matches, names: Mapping[str, str], working: Path, *, seed: int, say: Say
-) -> tuple[Solution, str, dict[str, int]]:
+) -> Mapped:
     """Place cameras one after the other; if many are left, all at once; the better of the two.
 
     With one thread, whose results are the same each time.
@@ -44,11 +66,8 @@ def map_cameras(
         working: gets `incremental` and `global`.
         seed: of random numbers.
         say: is given lines of progress.
-
-    Returns:
-        Cameras and points; which try they are of; photographs that each try placed.
     """
-    best, how, tries = Solution(placed=()), "incremental", dict[str, int]()
+    best, tries = Mapped(Solution(placed=())), dict[str, int]()
     for kind, mapper in (("incremental", _incremental), ("global", _global)):
         with quiet() as pycolmap:
             try:
@@ -56,21 +75,60 @@ def map_cameras(
             except _FAILURES as error:
                 say(f"{kind} mapping failed: {error}")
                 models = {}
-        largest = max(
-            models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), default=None
-        )
-        found = Solution(placed=()) if largest is None else solution_of(largest, names)
-        held = tied(found)
-        tries[kind] = len(held.placed)
+        found = _largest_of(models, names, kind)
+        tries[kind] = len(found.solution.placed)
         say(f"{kind} mapping placed {tries[kind]} of {len(names)} photographs")
-        if len(found.placed) > len(held.placed):
-            loose = len(found.placed) - len(held.placed)
-            say(f"{plural(loose, 'other')} it placed without a tie to these: left out")
-        if tries[kind] > len(best.placed):
-            best, how = held, kind
+        if tries[kind] > len(best.solution.placed):
+            best = found
         if tries[kind] >= _ENOUGH * len(names):
             break
-    return best, how, tries
+    if best.others:
+        sizes = " and ".join(str(len(group)) for group in best.others)
+        say(
+            f"{plural(len(best.others), 'other group')} with {sizes} of the photographs "
+            "placed without a tie to these: left out"
+        )
+    return replace(best, tries=tries)
+
+
+def _largest_of(models: Mapping[int, Any], names: Mapping[str, str], how: str) -> Mapped:
+    """Return the model with most photographs, and who is in the others alone."""
+    order = sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
+    if not order:
+        return Mapped(Solution(placed=()), how)
+    found = solution_of(order[0], names)
+    held = tied(found)
+    counted, others = set(held.by_name), list[tuple[str, ...]]()
+    groups = [list(found.by_name)]
+    groups += [[names[m.images[key].name] for key in m.reg_image_ids()] for m in order[1:]]
+    for group in groups:
+        more = tuple(sorted(set(group) - counted))
+        counted |= set(more)
+        others += [more] if more else []
+    return Mapped(held, how, others=tuple(sorted(others, key=lambda each: -len(each))))
+
+
+def _attended(
+    work: Callable[[], _Result], stop: Callable[[], None], at: Callable[[], None]
+) -> _Result:
+    """Return what work in a thread of its own returns: this one hears signals meanwhile.
+
+    Args:
+        work: that takes long, and lets other threads run.
+        stop: ends it soon, after a signal.
+        at: is called about each second.
+    """
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(work)
+        try:
+            while True:
+                try:
+                    return running.result(timeout=_LOOKS)
+                except TimeoutError:
+                    at()
+        except BaseException:
+            stop()
+            raise
 
 
 def _incremental(pycolmap: Any, matches: Matches, out: Path, seed: int, say: Say) -> dict[int, Any]:
@@ -78,33 +136,54 @@ def _incremental(pycolmap: Any, matches: Matches, out: Path, seed: int, say: Say
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed, options.num_threads, options.min_model_size = seed, 1, 3
     pace = Pace(say, "cameras placed", len(matches.features))
-    done = 2  # The first two come without a call.
+    token, done = pycolmap.CancellationToken(), 2  # The first two come without a call.
 
     def another() -> None:
         nonlocal done
         done += 1
-        pace.at(min(done, pace.total - 1))  # A second model counts them again.
 
-    return pycolmap.incremental_mapping(
-        matches.database, matches.pictures, out, options=options, next_image_callback=another
+    return _attended(
+        lambda: pycolmap.incremental_mapping(
+            matches.database,
+            matches.pictures,
+            out,
+            options=options,
+            next_image_callback=another,
+            cancellation_token=token,
+        ),
+        token.cancel,
+        lambda: pace.at(min(done, pace.total - 1)),  # A second model counts them again.
     )
 
 
 def _global(pycolmap: Any, matches: Matches, out: Path, seed: int, say: Say) -> dict[int, Any]:
-    say("global mapping begins")
     out.mkdir()
     view_graph = pycolmap.ViewGraphCalibrationOptions()
     view_graph.random_seed = seed
-    pycolmap.calibrate_view_graph(matches.database, options=view_graph)
     options = pycolmap.GlobalPipelineOptions()
     options.random_seed, options.num_threads = seed, 1
     options.mapper.global_positioning.use_gpu = False
     options.mapper.bundle_adjustment.ceres.use_gpu = False
-    return pycolmap.global_mapping(matches.database, matches.pictures, out, options=options)
+    pace = Pace(say, "global mapping of all photographs at once", 0)
+
+    def work() -> dict[int, Any]:
+        pycolmap.calibrate_view_graph(matches.database, options=view_graph)
+        return pycolmap.global_mapping(matches.database, matches.pictures, out, options=options)
+
+    def stop() -> None:
+        say("global mapping cannot be stopped (pycolmap 4.2): a second signal ends at once")
+
+    return _attended(work, stop, pace.goes_on)
 
 
 def triangulate(
-    matches: Matches, cameras: Solution, files: Mapping[str, str], working: Path, *, seed: int
+    matches: Matches,
+    cameras: Solution,
+    files: Mapping[str, str],
+    working: Path,
+    *,
+    seed: int,
+    say: Say,
 ) -> Solution:
     """Return points for cameras that are known; the cameras stay as they are.
 
@@ -114,6 +193,7 @@ def triangulate(
         files: of photographs by their names.
         working: gets `triangulated`.
         seed: of random numbers.
+        say: is given lines of progress.
 
     Raises:
         SceneError: COLMAP fails.
@@ -121,16 +201,22 @@ def triangulate(
     names = {file: name for name, file in files.items()}
     with quiet() as pycolmap:
         try:
-            model = _posed(pycolmap, matches, {n: cameras.by_name[m] for n, m in names.items()})
+            posed = _posed(pycolmap, matches, {n: cameras.by_name[m] for n, m in names.items()})
             options = pycolmap.IncrementalPipelineOptions()
             options.random_seed, options.num_threads = seed, 1
             (working / "triangulated").mkdir()
-            model = pycolmap.triangulate_points(
-                model,
-                matches.database,
-                matches.pictures,
-                working / "triangulated",
-                options=options,
+            token, pace = pycolmap.CancellationToken(), Pace(say, "points looked for", 0)
+            model = _attended(
+                lambda: pycolmap.triangulate_points(
+                    posed,
+                    matches.database,
+                    matches.pictures,
+                    working / "triangulated",
+                    options=options,
+                    cancellation_token=token,
+                ),
+                token.cancel,
+                pace.goes_on,
             )
         except _FAILURES as error:
             raise SceneError(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 Say = Callable[[str], None]
 
-_EVERY = 10.0
+_EVERY = 5.0
 """Seconds between two lines."""
 
 
@@ -19,14 +19,16 @@ class Pace:
     Attributes:
         say: is given each line.
         what: is done, e.g. `features of photographs`.
-        total: pieces of it.
+        total: pieces of it; 0 where they cannot be counted.
         clock: seconds, from any beginning.
+        begun_at: pieces that were done before: nobody knows how long they took.
     """
 
     say: Say
     what: str
     total: int
     clock: Callable[[], float] = time.monotonic
+    begun_at: int = 0
     _begin: float = field(init=False)
     _last: float = field(init=False)
 
@@ -40,9 +42,16 @@ class Pace:
         spent = now - self._begin
         if done >= self.total:
             self.say(f"{self.what}: {self.total} in {_duration(spent)}")
-        elif done > 0 and now - self._last >= _EVERY:
-            left = spent / done * (self.total - done)
+        elif done > self.begun_at and now - self._last >= _EVERY:
+            left = spent / (done - self.begun_at) * (self.total - done)
             self.say(f"{self.what}: {done} of {self.total}, about {_duration(left)} left")
+            self._last = now
+
+    def goes_on(self) -> None:
+        """Say for how long the work goes on, if the last line is some seconds old."""
+        now = self.clock()
+        if now - self._last >= _EVERY:
+            self.say(f"{self.what}: {_duration(now - self._begin)} so far")
             self._last = now
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import sys
+import threading
 from collections.abc import Generator
 from contextlib import contextmanager
 from importlib import import_module
@@ -17,11 +20,22 @@ def package(name: str) -> Any:
         PrerequisiteError: it is missing, or does not start.
     """
     try:
+        if name == "pycolmap" and name not in sys.modules:
+            return _pycolmap()
         return import_module(name)
     except ImportError as error:
         raise PrerequisiteError(
             f"calibration needs the package {name}: {error}", fix="pip install nw-eval[twin]"
         ) from error
+
+
+def _pycolmap() -> Any:
+    """Return pycolmap, whose import takes SIGTERM away, to print where its C++ is: give it back."""
+    before = signal.getsignal(signal.SIGTERM)
+    pycolmap = import_module("pycolmap")
+    if threading.current_thread() is threading.main_thread() and before is not None:
+        signal.signal(signal.SIGTERM, before)
+    return pycolmap
 
 
 _FATAL = 3

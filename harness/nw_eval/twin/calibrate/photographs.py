@@ -17,6 +17,7 @@ from nw_eval.errors import SceneError
 from nw_eval.files.inside import regular
 from nw_eval.files.pictures import KINDS, open_picture
 from nw_eval.plural import plural
+from nw_eval.twin.calibrate.options import MOST_MEGAPIXELS
 from nw_eval.twin.calibrate.pace import Pace, Say
 from nw_eval.twin.calibrate.packages import package, quiet
 from nw_eval.twin.calibrate.report import LeftOut
@@ -27,7 +28,6 @@ _HEIC = frozenset({".heic", ".heif", ".hif"})
 SUFFIXES = _NOT_READ | _HEIC | {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".avif"}
 """What is meant as a photograph; those that Pillow does not read are named as unreadable."""
 UNREADABLE = "cannot be read"
-_MOST_PIXELS = 100_000_000
 DAMAGE = (
     *(OSError, ValueError, SyntaxError, EOFError, MemoryError, TypeError, LookupError),
     *(Image.DecompressionBombError, RuntimeError),
@@ -94,7 +94,12 @@ def are_numbered(names: Sequence[str]) -> bool:
 
 
 def take_in(
-    files: Sequence[Found], working: Path, say: Say, *, cameras: Solution | None = None
+    files: Sequence[Found],
+    working: Path,
+    say: Say,
+    *,
+    cameras: Solution | None = None,
+    megapixels: int = 100,
 ) -> tuple[list[Photograph], list[LeftOut]]:
     """Decode all photographs once; bring them and their masks into the working folder.
 
@@ -105,6 +110,7 @@ def take_in(
         cameras: as they are known; None where they are to be found. Without, photographs are turned
             as EXIF says. With, only those that have the shape of their camera's pictures when they
             are turned, and not as they are: COLMAP and nerfstudio read pixels as they are stored.
+        megapixels: of one, at most.
 
     Returns:
         Those that can be read, and those that cannot.
@@ -124,7 +130,8 @@ def take_in(
         if one.path is not None:
             try:
                 path = regular(one.path)
-                good.append(_take_in(one, path, number, working, lenses.get(one.name), hdr))
+                lens = lenses.get(one.name)
+                good.append(_take_in(one, path, number, working, megapixels, lens, hdr))
             except DAMAGE as error:
                 fault = _why(one.path, error)
         if fault is not None:
@@ -142,21 +149,29 @@ def _why(path: Path, error: Exception) -> str:
         return f"{kind} is not read here: export as JPEG"
     if path.suffix.lower() in _HEIC and find_spec("pillow_heif") is None:
         return f"{kind} needs the package pillow-heif: pip install nw-eval[twin]"
+    if isinstance(error, Image.DecompressionBombError):
+        return f"over {MOST_MEGAPIXELS} million pixels, which none may have: make it smaller"
     if isinstance(error, UnidentifiedImageError):
         return f"no {KINDS}, or damaged"
     return str(error)
 
 
 def _take_in(
-    one: Found, path: Path, number: int, working: Path, lens: Lens | None, hdr: list[str]
+    one: Found,
+    path: Path,
+    number: int,
+    working: Path,
+    megapixels: int,
+    lens: Lens | None,
+    hdr: list[str],
 ) -> Photograph:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
         with open_picture(path) as image:
-            if image.width * image.height > _MOST_PIXELS:
+            if image.width * image.height > megapixels * 1e6:
                 raise ValueError(
-                    f"{image.width * image.height / 1e6:.0f} million pixels, of "
-                    f"{_MOST_PIXELS / 1e6:.0f} million at most: make it smaller"
+                    f"{image.width * image.height / 1e6:.3g} million pixels, of "
+                    f"{megapixels} million at most: make it smaller, or give --megapixels"
                 )
             if image.mode.startswith(("I", "F")):
                 raise ValueError(f"its grey values are {image.mode}; save it with 8 bits")

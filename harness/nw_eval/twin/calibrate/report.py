@@ -37,7 +37,8 @@ class CalibrationReport:
         photographs: that there were, the unreadable counted.
         placed: those whose cameras are known.
         left_out: the others, and why.
-        matching: which were compared: `sequential`, `exhaustive`, or `none` where points are known.
+        matching: which were compared: `sequential`, `retrieval`, `exhaustive`, or `none` where
+            points are known.
         pairs: of photographs that were compared.
         mapping: what placed the cameras: `incremental`, `global`, or `known`.
         tries: photographs that each mapping placed.
@@ -45,6 +46,8 @@ class CalibrationReport:
         points: in the capture.
         reprojection_error: mean over points, pixels of the photographs; None without points.
         masked: pictures with a mask.
+        groups: photographs of each other group that was placed among itself, with nothing that ties
+            it to the largest; they count as left out.
         seed: of whatever was random.
         written: whether the capture was written.
     """
@@ -61,6 +64,7 @@ class CalibrationReport:
     points: int = 0
     reprojection_error: float | None = None
     masked: int = 0
+    groups: tuple[int, ...] = ()
     seed: int = 0
     written: bool = False
 
