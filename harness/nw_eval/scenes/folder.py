@@ -340,7 +340,9 @@ def _place_of(
     wide = float((high - low)[:2].max())
     whole = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
     far = float(np.abs(middle).max())
-    label = "or measure a length with `nw-eval twin label`"
+    label = (
+        "as `nw-eval scenes level SCENE --unit` does, or measure a length with `nw-eval twin label`"
+    )
     if whole < _LEAST_WIDE:
         raise SceneError(
             f"{path}: the mesh is {whole:.3g} m wide, less than a robot is long: its unit is not "

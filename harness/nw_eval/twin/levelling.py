@@ -45,8 +45,8 @@ def level_scene(
         folder: the scene's folder; its collision is a mesh.
         floor: three points x, y, z of the floor, in the scene as it lies now, which become z = 0;
             none = it is level.
-        flip: put up what would be down: by itself, the side of the floor that +z is on now, or
-            where the floor stands steeper than 60 degrees, the one that most of the mesh is on.
+        flip: put up what would be down. By itself up is the side of the floor that +z is on now,
+            or where the floor stands steeper than 60 degrees, the side that more of the mesh is on.
         unit: of the mesh's, the splat's and the floor's numbers now.
         trail: start, and waypoints x, y or x, y, z, in the scene as it lies afterwards; None =
             those that it has go with the mesh.
@@ -170,9 +170,11 @@ def _levelling(
         up = up if up[2] > 0 else -up
         why = "the side where +z was"
     else:
-        above = float(((mesh.vertices - points[0]) @ up > 0).mean())
-        up, above = (up, above) if above >= 0.5 else (-up, 1.0 - above)
-        why = f"the side with {100 * above:.0f} % of the mesh"
+        rise = float(((mesh.vertices - points[0]) @ up).mean())
+        up = up if rise >= 0.0 else -up
+        why = (
+            f"the side on which the mesh lies, {abs(rise) * scale:.2f} m off the floor in the mean,"
+        )
     if flip:
         up, why = -up, "the other side, as --flip says"
     R = np.eye(4)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError, UsageError
-from nw_eval.files.inside import what_is
+from nw_eval.files.inside import regular, what_is
 from nw_eval.files.pictures import open_picture
 from nw_eval.scenes.limits import TEXTURE_PIXELS
 from nw_eval.scenes.mesh_file import PaintedMesh
@@ -319,7 +319,7 @@ _TURNS = _turns()
 def _matrix(path: Path) -> Values:
     """Return the (4, 4) similarity that a text file holds, row after row."""
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
+        with regular(path).open(encoding="utf-8", errors="replace") as file:
             words = file.read(10_000).replace(",", " ").translate(_BRACKETS).split()
         values = np.array([float(word) for word in words])
     except OSError as error:

@@ -11,6 +11,7 @@ from nw_eval.catalogue import inspect_scene
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.scenes.elevation_file import elevation_mesh, read_elevation
 from nw_eval.scenes.folder import load_folder
+from nw_eval.scenes.rays import RayScene
 from nw_eval.twin.scan import ScanOptions, import_scan
 
 STAIRS = Path(__file__).parents[4] / "shared/assets/photographs/stairs/real_stairs_125cm.png"
@@ -53,8 +54,8 @@ def test_a_map_lies_with_north_above_and_a_metre_is_a_metre(tmp_path):
     scene = load_folder(tmp_path / "mine")
     assert np.allclose(np.ptp(scene.static_mesh.vertices[:, :2], axis=0), (5.9, 2.9), atol=1e-5)
     # The upper half of the picture is the far one along y, and 0.2 m higher.
-    (field,) = [one for one in scene.solids if hasattr(one, "heights")][-1:]
-    rise = field.height(np.array([[2.0, 2.2]])) - field.height(np.array([[2.0, 0.7]]))
+    below, above = RayScene(scene.static_mesh).height(np.array([[2.0, 0.7], [2.0, 2.2]]))
+    rise = above - below
     assert rise == pytest.approx(0.2, abs=0.01)
     assert scene.trail[:, 2] == pytest.approx([1.5 / 5.9 * 0.5, 3.5 / 5.9 * 0.5], abs=0.01)
     found = inspect_scene(str(tmp_path / "mine")).findings

@@ -70,8 +70,10 @@ def test_a_textured_glb_in_centimetres_becomes_a_scene_that_looks_like_it(tmp_pa
     scanned(100 * points @ Y_UP.T, texture=picture()).export(tmp_path / "scan.glb")
     with pytest.raises(SystemExit) as end:
         cli.main(
-            ["scenes", "import", str(tmp_path / "scan.glb"), "--out", str(tmp_path / "mine")]
-            + ["--unit", "cm", "--gaussians", "4000", "--trail", "0,0", "1.4,0", "2.7,0"]
+            [
+                *("scenes", "import", str(tmp_path / "scan.glb"), "--out", str(tmp_path / "mine")),
+                *("--unit", "cm", "--gaussians", "4000", "--trail", "0,0", "1.4,0", "2.7,0"),
+            ]
         )
     said = capsys.readouterr().out
     assert end.value.code == 0, said
@@ -165,7 +167,9 @@ def test_the_axis_that_the_floor_looks_along_is_up_whatever_the_format_says(tmp_
 
 def test_a_scan_on_a_map_is_moved_to_the_origin_and_one_of_another_unit_is_not_taken(tmp_path):
     points, _, _ = ground()
-    text = scanned(points + (448265.0, 5411933.0, 312.0)).export(file_type="obj", digits=9)
+    text = scanned(points + np.array([448265.0, 5411933.0, 312.0])).export(
+        file_type="obj", digits=9
+    )
     (tmp_path / "map.obj").write_text(text)
     written = import_scan(tmp_path / "map.obj", tmp_path / "mine")
     assert any(", 5411933, 312) m subtracted" in line for line in written.lines)
@@ -209,7 +213,7 @@ def splat_of(points, turn, path):
 def uneven():
     """Points on a mesh that lies otherwise after every turn by right angles but one."""
     points, _, _ = ground()
-    return points + (0.7, 0.4, 0.3)
+    return points + np.array([0.7, 0.4, 0.3])
 
 
 @pytest.mark.parametrize("name", ["app.ply", "app.spz"])

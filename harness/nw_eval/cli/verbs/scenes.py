@@ -118,7 +118,10 @@ class FetchScenes:
     """
 
     scenes: tyro.conf.Positional[tuple[str, ...]]
-    """hub:org/name, hub:org/name@revision, or neverwhere:NAME of the published release."""
+    """hub:org/name, hub:org/name@revision, neverwhere:NAME of the published release, or real:NAME,
+    which are real places."""
+    file: Path | None = None
+    """Of real:NAME: its file, fetched on another machine, which is compared with what is known."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -127,8 +130,10 @@ class FetchScenes:
 
         if not self.scenes:
             raise UsageError("no scene to fetch", fix="name one, such as hub:org/name")
+        if self.file is not None and len(self.scenes) > 1:
+            raise UsageError("--file is of one scene", fix="fetch the others without it")
         for scene in self.scenes:
-            print(fetched_lines(api.fetch_scene(scene)))
+            print(fetched_lines(api.fetch_scene(scene, file=self.file)))
         return 0
 
 
