@@ -117,7 +117,7 @@ NOT_RUN = MappingProxyType(
                 "nw-eval scenes import map.png --out my-stairs --cell 0.04 --white 1.25",
                 "nw-eval scenes import phone.glb --out my-room --splat phone.spz",
             ],
-            "scans of somebody; tests/twin/scan imports and levels some",
+            "scans of somebody; tests/twin/scans imports and levels some",
         ),
         "nw-eval policies fold policy.onnx --out one.onnx": "test_policies_page.py folds a graph",
         "nw-eval train student student-rgb-small": (

@@ -21,7 +21,7 @@ SHIPPED = {
     "stairs": ("2c741d3ce0c0ff6b", "de4bebba58e3d555"),
     "push": ("61204a8ea59dbe7f", "871e6020e5e9f4ff"),
     "stand": ("a49455c1ac6bd3bd", "f5c2b025797e71ae"),
-    "real": ("2c741d3ce0c0ff6b", "7ca70a5148a13416"),
+    "real": ("2c741d3ce0c0ff6b", "0a1ed3d9341961f1"),
     "velocity": ("4ce2cba03b039640", "f74f37d474146b61"),
 }
 

@@ -17,7 +17,7 @@ from nw_eval.plural import plural
 if TYPE_CHECKING:
     from nw_eval.api import CheckedScene, ListedScene, PushedScene
     from nw_eval.scenes.overview import SceneFigures
-    from nw_eval.twin.scan import WrittenScan
+    from nw_eval.twin.scans.scan import WrittenScan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,7 +204,7 @@ class ImportScan:
     """The robot of the scene's suite."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.scan import ScanOptions, import_scan
+        from nw_eval.twin.scans.scan import ScanOptions, import_scan
 
         options = ScanOptions(
             unit=self.unit,
@@ -251,7 +251,7 @@ class LevelScene:
     """Write a copy to this folder, which must not be there, and leave the scene as it is."""
 
     def __call__(self) -> int:
-        from nw_eval.twin.levelling import level_scene
+        from nw_eval.twin.scans.levelling import level_scene
 
         written = level_scene(
             self.scene,

@@ -21,7 +21,7 @@ from nw_eval.twin.label.opening import OpenedPlace, open_place
 from nw_eval.twin.label.saving import save_label
 from nw_eval.twin.moved import moved_points
 from nw_eval.twin.place import SUITE, Route
-from nw_eval.twin.scan import UNITS, Unit, WrittenScan, lay_course, shifted, turn_to_z
+from nw_eval.twin.scans.scan import UNITS, Unit, WrittenScan, lay_course, shifted, turn_to_z
 
 Values = NDArray[np.float64]
 

@@ -37,7 +37,7 @@ from nw_eval.twin.place import (
     write_collision,
     write_yaml,
 )
-from nw_eval.twin.scan_looks import write_looks
+from nw_eval.twin.scans.looks import write_looks
 from nw_eval.words import Task
 
 Values = NDArray[np.float64]
