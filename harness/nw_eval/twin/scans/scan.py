@@ -24,7 +24,8 @@ from nw_eval.scenes.elevation_file import ELEVATION_SUFFIXES, elevation_mesh, re
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
 from nw_eval.scenes.limits import checked_name, name_of
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
-from nw_eval.scenes.mesh_file import MESH_SUFFIXES, Material, PaintedMesh, read_painted
+from nw_eval.scenes.mesh_file import MESH_SUFFIXES, PaintedMesh, read_painted
+from nw_eval.scenes.mesh_parts import Material
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.surface import Surface
 from nw_eval.suite.written import robot_from, write_ready_suite
