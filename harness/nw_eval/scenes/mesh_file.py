@@ -346,7 +346,8 @@ class _PlyLooks:
 
     def add(self, faces: NDArray[np.int64], *, is_whole: bool = False) -> None:
         """Give triangles (F, 3) their colours; `is_whole`: they are all of the file's faces."""
-        if self.paint is None or (len(faces) and faces.max() >= len(self.ply.elements["vertex"])):
+        count = len(self.ply.elements["vertex"])
+        if self.paint is None or ((faces < 0) | (faces >= count)).any():  # `checked_mesh` names it.
             return
         uv = None if self.places is None else self.places[faces]
         material: NDArray[np.integer] | int = 0

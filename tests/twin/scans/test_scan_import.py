@@ -139,6 +139,19 @@ def test_colours_of_vertices_and_of_texcoord_come_through_a_ply(tmp_path):
         assert np.abs(colours[at[:, 0] < 1.3] - np.array(RED) / 255).max() < 0.05, name
 
 
+def test_a_face_of_a_coloured_ply_that_names_no_vertex_is_an_error(tmp_path):
+    head = (
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        "property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        "0 0 0 9 9 9\n1 0 0 9 9 9\n0 1 0 9 9 9\n"
+    )
+    for corner in (-7, 3):
+        (tmp_path / "wrong.ply").write_text(f"{head}3 0 1 {corner}\n")
+        with pytest.raises(SceneError, match=f"a face names vertex {corner} of 3"):
+            read_painted(tmp_path / "wrong.ply")
+
+
 def test_a_texture_that_is_no_picture_is_said_and_the_rest_is_made(tmp_path):
     points, _, _ = ground()
     scanned(points @ Y_UP.T, texture=picture()).export(tmp_path / "scan.glb")
