@@ -370,8 +370,8 @@ def _place_of(
                 code="mesh_wide",
                 severity="warning",
                 message=f"{path.name}: the mesh is {wide:.0f} m wide, its trail {course:.1f} m",
-                fix="multiply the mesh by 0.01 if it is in centimetres, or cut off what is far "
-                "from the trail",
+                fix="multiply the mesh by 0.01 if it is in centimetres, as `nw-eval scenes level "
+                "SCENE --unit cm` does, or cut off what is far from the trail",
                 value=wide,
             ),
         )

@@ -110,7 +110,10 @@ class Remarks:
                     severity="note",
                     message=f"{self.path.name}: +y is up in glTF; it is turned so that +z is: "
                     "(x, y, z) of the file is (x, -z, y) of the world",
-                    fix="if the file has +z up already, write it as .ply or .obj",
+                    fix=(
+                        "if the file has +z up already, `nw-eval scenes import` finds it, or write "
+                        "it as .ply or .obj"
+                    ),
                 )
             )
         if self.dropped:

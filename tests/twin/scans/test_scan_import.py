@@ -91,6 +91,29 @@ def test_a_textured_glb_in_centimetres_becomes_a_scene_that_looks_like_it(tmp_pa
     assert abs(at[:, 2] - np.where(at[:, 0] > 2.5, 0.1, 0.0)).max() < 0.1
 
 
+def test_gaussians_are_fine_near_the_trail_and_wide_far_from_it(tmp_path):
+    x, y = np.meshgrid(np.linspace(-2, 30, 81), np.linspace(-2, 2, 11))
+    corner = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = (
+        part.ravel()
+        for part in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1])
+    )
+    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], -1)
+    mesh = trimesh.Trimesh(points, faces, process=False)
+    mesh.visual.vertex_colors = np.tile(np.uint8(RED), (len(points), 1))
+    mesh.export(tmp_path / "long.ply")
+    options = ScanOptions(gaussians=6000, trail=((0.0, 0.0), (2.0, 0.0)))
+    import_scan(tmp_path / "long.ply", tmp_path / "mine", options)
+    gaussians = read_splat(tmp_path / "mine" / "splat.ply")
+    at, width = gaussians.means[:, 0], np.exp(gaussians.log_scales[:, 0])
+    near, far = (at > -1) & (at < 3), (at > 24) & (at < 28)
+    assert near.sum() / far.sum() == pytest.approx((24 / 3) ** 2, rel=0.3)
+    # As many lie over each other here as there.
+    covers = [np.square(width[part]).sum() for part in (near, far)]
+    assert covers[0] == pytest.approx(covers[1], rel=0.1)
+
+
 def test_a_texture_of_an_obj_is_read_from_inside_its_folder_only(tmp_path):
     folder = tmp_path / "scan"
     folder.mkdir()

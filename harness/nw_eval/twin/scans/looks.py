@@ -32,6 +32,9 @@ _KEPT = (".ply", ".spz", ".sog", ".splat")
 """Files of Gaussians that are copied as they are; others are written as PLY."""
 _SPACING = 0.02
 """Between Gaussians on a mesh at least, metres."""
+_NEAR, _COARSEST = 3.0, 8.0
+"""Metres from the trail up to which Gaussians lie finest; beyond, they are farther apart and larger
+in proportion to the distance, up to so many times."""
 _SIZE, _OPACITY = 0.85, 0.98
 """Standard deviation of one along the surface, as a share of their distance, and its opacity."""
 _TEXTURE = ("JPEG", "PNG", "WEBP")
@@ -48,6 +51,7 @@ def write_looks(
     splat: Path | None,
     splat_transform: Path | None,
     most: int,
+    way: Values,
 ) -> list[str]:
     """Write the splat of a scene and name it in scene.yaml.
 
@@ -59,6 +63,7 @@ def write_looks(
         splat: Gaussians of the same place; None = they are made of the mesh's colours.
         splat_transform: as `ScanOptions` has it.
         most: Gaussians that are made of colours.
+        way: (K, 3) start and waypoints, world, m, along which they lie finest.
 
     Returns:
         What is said of it, line by line.
@@ -83,7 +88,10 @@ def write_looks(
     if not painted.is_painted:
         return ["no colours in it, so no splat: policies with splat_rgb do not run there"]
     gaussians, spacing, remarks = painted_gaussians(
-        painted, most=most, unit=check_similarity(T, "the scan")
+        painted,
+        most=most,
+        unit=check_similarity(T, "the scan"),
+        way=moved_points(np.linalg.inv(T).astype(np.float64), way),
     )
     write_splat(staged / SPLAT, gaussians)
     text["splat"] = SPLAT
@@ -91,14 +99,14 @@ def write_looks(
     return [
         (
             f"splat of the mesh's colours: {len(gaussians.means):,} Gaussians, one every "
-            f"{1000 * spacing:.0f} mm; finer detail and gloss are lost"
+            f"{1000 * spacing:.0f} mm near the trail; finer detail and gloss are lost"
         ),
         *remarks,
     ]
 
 
 def painted_gaussians(
-    painted: PaintedMesh, *, most: int, unit: float = 1.0
+    painted: PaintedMesh, *, most: int, unit: float = 1.0, way: Values | None = None
 ) -> tuple[Gaussians, float, list[str]]:
     """Return flat Gaussians in the surface of a mesh, in its colours and its file's frame.
 
@@ -106,9 +114,10 @@ def painted_gaussians(
         painted: the mesh.
         most: Gaussians at most; they lie 2 cm apart if that takes fewer.
         unit: metres in one unit of the file.
+        way: (K, 3) points in the file's frame, around which they lie finest; None = everywhere.
 
     Returns:
-        Gaussians, how far they are apart in metres, and what could not be read.
+        Gaussians, how far the finest are apart in metres, and what could not be read.
 
     Raises:
         SceneError: a texture is no picture, or too large.
@@ -119,18 +128,24 @@ def painted_gaussians(
     corners = painted.vertices[painted.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     twice = np.linalg.norm(normal, axis=1)
-    total = float(twice.sum()) / 2
+    middles = corners.mean(axis=1)
+    coarse = np.ones(len(middles))
+    if way is not None:
+        along = np.linspace(way[:-1], way[1:], 20, axis=1).reshape(-1, 3)
+        coarse = np.clip(distances(middles, along) * unit / _NEAR, 1.0, _COARSEST)
+    shares = twice / coarse**2
+    total = float(shares.sum()) / 2
     count = int(min(max(total * unit**2 / _SPACING**2, 1000), most))
-    face, weights = _spread(corners.mean(axis=1), twice, count)
+    face, weights = _spread(middles, shares, count)
     spacing = math.sqrt(total / count)
     points = np.einsum("nk,nkd->nd", weights, corners[face])
     colours, remarks = _colours_at(painted, face, weights, twice, spacing)
     gaussians = gaussians_at(
         points, colours, normal[face] / twice[face, None], sh_degree=0, opacity=_OPACITY
     )
-    # Each stands for as much of the surface as any other.
-    sizes = np.log(_SIZE * spacing * np.array([1.0, 1.0, FLAT])).astype(np.float32)
-    return replace(gaussians, log_scales=np.tile(sizes, (count, 1))), spacing * unit, remarks
+    # Each is as wide as those of its face are apart.
+    sizes = np.log(_SIZE * spacing * coarse[face, None] * np.array([1.0, 1.0, FLAT]))
+    return replace(gaussians, log_scales=sizes.astype(np.float32)), spacing * unit, remarks
 
 
 def _spread(middles: Values, areas: Values, count: int) -> tuple[NDArray[np.int64], Values]:

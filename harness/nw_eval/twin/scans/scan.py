@@ -175,6 +175,7 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
                 splat=options.splat,
                 splat_transform=options.splat_transform,
                 most=options.gaussians,
+                way=np.vstack([course.spawn, course.trail]),
             )
             write_yaml(staged / SCENE_FILE, text)
             digest = _loaded(staged, out)
