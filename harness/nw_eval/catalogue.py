@@ -19,12 +19,13 @@ from typing import TYPE_CHECKING
 
 from nw_eval.built_in.entries import ENTRIES, has_variants, parted, variant
 from nw_eval.built_in.splits import SPLITS, Split, split_of
-from nw_eval.errors import SceneError, nearest
+from nw_eval.errors import SceneError, UsageError, nearest
 from nw_eval.files.inside import what_is
 from nw_eval.scenes.folder import SCENE_FILE, folder_files, inspect_folder, load_folder
 from nw_eval.scenes.neverwhere import PREFIX, inspect_published, load_published, reference_path
 from nw_eval.scenes.neverwhere.files import find_places
 from nw_eval.scenes.neverwhere.table import PUBLISHED
+from nw_eval.scenes.real import REAL, fetched_scan, scan_of
 from nw_eval.scenes.scene import Scene
 from nw_eval.words import Collision
 
@@ -242,8 +243,8 @@ def brought(reference: str, base: Path | None = None) -> str:
     """Return a reference to files on this machine, which are fetched if they are not here yet.
 
     Args:
-        reference: any; `hub:org/name[@revision]`, and `neverwhere:NAME` where NAME is a published
-            scene and no path, become folders, and all others stay as they are.
+        reference: any; `hub:org/name[@revision]`, `real:NAME`, and `neverwhere:NAME` where NAME is
+            a published scene and no path, become folders, and all others stay as they are.
         base: folder that relative paths start from; the working folder by default.
 
     Raises:
@@ -252,6 +253,8 @@ def brought(reference: str, base: Path | None = None) -> str:
         PrerequisiteError: it is not here, and the extra `hub` is not installed.
         StoreError: it cannot be kept.
     """
+    if reference.startswith(REAL):
+        return str(fetched_scan(reference, scan_of(reference)).folder)
     from_hub = elsewhere(reference, base)
     if from_hub is None:
         return reference
@@ -260,21 +263,31 @@ def brought(reference: str, base: Path | None = None) -> str:
     return _opened_by(located(from_hub))
 
 
-def fetch_scene(reference: str) -> Fetched:
+def fetch_scene(reference: str, *, file: Path | None = None) -> Fetched:
     """Return a place as its hub has it now, fetched if it is not here.
 
+    Args:
+        reference: `hub:org/name[@revision]`, `neverwhere:NAME` or `real:NAME`.
+        file: of `real:NAME`, the file itself, fetched on another machine.
+
     Raises:
+        UsageError: a file of a place that is not one file.
         SceneError: as `brought`; or a reference of nothing on a hub.
         FetchError, PrerequisiteError, StoreError: as `brought`.
     """
     from nw_eval.hub.fetch import fetch
 
+    if reference.startswith(REAL):
+        return fetched_scan(reference, scan_of(reference), file=file)
+    if file is not None:
+        raise UsageError(f"--file is of {REAL}NAME, not of {reference}", fix="leave it out")
     # A folder of that name in the working folder is no reason to fetch nothing.
     from_hub = elsewhere(reference, Path("/nowhere"))
     if from_hub is None:
         name = reference.removeprefix(PREFIX)
         raise SceneError(
-            f"{reference!r} is neither hub:org/name nor a scene of the Neverwhere release",
+            f"{reference!r} is neither hub:org/name nor real:NAME nor a scene of the Neverwhere "
+            "release",
             fix=nearest(name, PUBLISHED),
         )
     fetched = fetch(from_hub)

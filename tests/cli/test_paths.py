@@ -78,6 +78,8 @@ FOLDERS = {
     "twin build out": "twin build {folder} --out {out}",
     "twin calibrate out": "twin calibrate {folder} --out {out}",
     "twin label out": "twin label flat/carpet_room --out {out}",
+    "scenes import out": "scenes import {scan} --out {out}",
+    "scenes level out": "scenes level {mesh} --flip --out {out}",
 }
 """What writes a folder."""
 
@@ -186,6 +188,13 @@ READ = {
     "scenes check scenes": "scenes check {place}",
     "scenes check policy": "scenes check flat/carpet_room --suite {new}.yaml --policy {in}.yaml",
     "scenes render patterns": "scenes render {place} --out {new}",
+    "scenes fetch file": "scenes fetch real:stairs --file {in}",
+    "scenes import scan": "scenes import {in}.ply --out {new}",
+    "scenes import splat": "scenes import {scan} --out {new} --splat {in}.ply",
+    "scenes import splat_transform": (
+        "scenes import {scan} --out {new} --splat {splat} --splat-transform {in}"
+    ),
+    "scenes level scene": "scenes level {place} --flip",
     "scenes push scene": "scenes push {place} hub:some/place",
     "sensors policy": "sensors {in}.yaml --out {new}",
     "sensors scene": "sensors go1-parkour --scene {place} --out {new}",
@@ -201,7 +210,7 @@ WORDS = {
     *("scenes", "robot", "memory_limit", "shard", "address", "track", "json", "name", "note"),
     *("axis", "trial", "sample", "share", "root", "layout", "host", "to", "takeover", "suite"),
     *("score", "topic", "length"),
-    *("licence", "held_out", "pattern"),
+    *("licence", "held_out", "pattern", "floor", "trail"),
     *("policies fetch policy", "robots fetch robot", "scenes fetch scenes"),
 }
 """Options, or verbs and options, that are words and no paths."""
@@ -305,6 +314,7 @@ def things(regressed_run, tmp_path_factory):
     (folder / "place").mkdir()
     os.mkfifo(folder / "place" / "scene.yaml")
     (folder / "folder").mkdir()
+    _a_scene_of_a_mesh(folder / "mesh")
     (folder / "robot").mkdir()
     os.mkfifo(folder / "robot" / "robot.yaml")
     (folder / "table.xml").write_text("<mujoco><worldbody/></mujoco>")
@@ -318,12 +328,25 @@ def things(regressed_run, tmp_path_factory):
         "onnx": onnx,
         "splat": folder / "some.ply",
         "place": folder / "place",
+        "mesh": folder / "mesh",
+        "scan": folder / "mesh" / "collision.ply",
         "robot": f"{folder / 'robot'}/",
         "model": folder / "table.xml",
         "folder": folder / "folder",
         "bank": "hurdles/go1-act-rgb",
         "missing": "missing.yaml",
     }
+
+
+def _a_scene_of_a_mesh(folder):
+    import trimesh
+
+    folder.mkdir()
+    trimesh.creation.box((6.0, 3.0, 0.2)).export(folder / "collision.ply")
+    (folder / "scene.yaml").write_text(
+        "nw-scene: 1\nname: mesh\ntask: open\nlicence: MIT\ncollision: collision.ply\n"
+        "trail: [[1.5, 0, 0.1]]\n"
+    )
 
 
 def typed(command, things, folder, **paths):

@@ -102,6 +102,23 @@ NOT_RUN = MappingProxyType(
             ],
             "nobody's repositories; tests/hub fetches from a hub of its own, and pushes to it",
         ),
+        **dict.fromkeys(
+            ["nw-eval scenes fetch real:stairs", "nw-eval run real"],
+            "from the network; tests/scenes/test_real_scenes.py fetches from this machine",
+        ),
+        **dict.fromkeys(
+            [
+                "nw-eval scenes import scan.glb --out my-hall",
+                "nw-eval scenes import scan.obj --out my-yard --unit cm --trail 0,0 2,0 4,0.5",
+                (
+                    "nw-eval scenes level my-yard --floor 0.1,0,0.02 3.9,0.2,0.11 2,1.5,0.06 "
+                    "--trail 0,0 3,0"
+                ),
+                "nw-eval scenes import map.png --out my-stairs --cell 0.04 --white 1.25",
+                "nw-eval scenes import phone.glb --out my-room --splat phone.spz",
+            ],
+            "scans of somebody; tests/twin/scans imports and levels some",
+        ),
         "nw-eval policies fold policy.onnx --out one.onnx": "test_policies_page.py folds a graph",
         "nw-eval train student student-rgb-small": (
             "minutes; tests/learn/student trains smaller ones"

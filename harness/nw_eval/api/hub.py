@@ -27,13 +27,17 @@ class PushedScene:
     """Of all files together."""
 
 
-def fetch_scene(reference: str, *, listener: FetchListener | None = None) -> Fetched:
+def fetch_scene(
+    reference: str, *, file: Path | None = None, listener: FetchListener | None = None
+) -> Fetched:
     """Return a place as its hub has it now, fetched as far as it is not on this machine.
 
     Runs use it without a network from then on. What they find missing they fetch by themselves.
 
     Args:
-        reference: `hub:org/name[@revision]`, or `neverwhere:NAME` for a scene of the release.
+        reference: `hub:org/name[@revision]`, `neverwhere:NAME` for a scene of the release, or
+            `real:NAME`.
+        file: of `real:NAME`, the file itself, fetched on another machine; None = it is fetched.
         listener: hears how far it is.
 
     Raises:
@@ -45,7 +49,7 @@ def fetch_scene(reference: str, *, listener: FetchListener | None = None) -> Fet
     from nw_eval import catalogue
 
     with _heard(listener):
-        return catalogue.fetch_scene(reference)
+        return catalogue.fetch_scene(reference, file=file)
 
 
 def fetch_policy(reference: str, *, listener: FetchListener | None = None) -> Fetched:

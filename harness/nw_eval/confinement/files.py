@@ -103,6 +103,14 @@ FILES: tuple[StrangersFile, ...] = (
         refused="paths that leave its folder, numbers out of bounds, sizes over the limits",
     ),
     StrangersFile(
+        kind="scan, for `scenes import`: mesh with textures, elevation map (PNG, GeoTIFF)",
+        read_by="readers of our own, Pillow",
+        where="the main process",
+        may="shape and colour a place",
+        refused="textures outside of its folder, pictures but JPEG, PNG, WebP and TIFF, sizes over "
+        "the limits",
+    ),
+    StrangersFile(
         kind="robot: YAML, MJCF or URDF, meshes",
         read_by="readers of our own, trimesh; MuJoCo's compiler gets one text without paths",
         where="both",
@@ -111,8 +119,8 @@ FILES: tuple[StrangersFile, ...] = (
         "limits",
     ),
     StrangersFile(
-        kind="splat: PLY, SPZ, SPLAT, gsplat PT",
-        read_by="NumPy; torch with `weights_only` for PT",
+        kind="splat: PLY, SPZ, SOG, SPLAT, gsplat PT",
+        read_by="NumPy; Pillow for SOG; torch with `weights_only` for PT",
         where="the main process",
         may="colour a place",
         refused="counts that the file does not hold, pickles with anything but tensors",

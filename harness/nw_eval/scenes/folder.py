@@ -368,7 +368,9 @@ def _place_of(
     wide = float((high - low)[:2].max())
     whole = float(np.ptp(mesh.vertices[:, :2], axis=0).max())
     far = float(np.abs(middle).max())
-    label = "or measure a length with `nw-eval twin label`"
+    label = (
+        "as `nw-eval scenes level SCENE --unit` does, or measure a length with `nw-eval twin label`"
+    )
     if whole < _LEAST_WIDE:
         raise SceneError(
             f"{path}: the mesh is {whole:.3g} m wide, less than a robot is long: its unit is not "
@@ -396,8 +398,8 @@ def _place_of(
                 code="mesh_wide",
                 severity="warning",
                 message=f"{path.name}: the mesh is {wide:.0f} m wide, its trail {course:.1f} m",
-                fix="multiply the mesh by 0.01 if it is in centimetres, or cut off what is far "
-                "from the trail",
+                fix="multiply the mesh by 0.01 if it is in centimetres, as `nw-eval scenes level "
+                "SCENE --unit cm` does, or cut off what is far from the trail",
                 value=wide,
             ),
         )

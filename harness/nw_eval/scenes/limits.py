@@ -43,6 +43,15 @@ MESH_BYTES = 400_000_000
 MESH_FACES = 4_000_000
 """Of one file, vertices likewise. Simplified scans have 50,000, and a robot feels no more."""
 
+TEXTURES = 256
+TEXTURE_BYTES = 128_000_000
+TEXTURE_PIXELS = 16_384 * 8_192
+"""Pictures that colour one mesh, and bytes and pixels of each. Scans have one to a dozen of 8192
+by 8192."""
+
+CELLS = 2_000_000
+"""Of an elevation map: two triangles each."""
+
 CAPTURES = 20_000
 """Cameras that a place was photographed with. Frames of a long video are some thousands."""
 

@@ -43,7 +43,7 @@ def own_folder(reference: str, out: Path | None, *, robot: str = "go1") -> Path:
     folder = path.parent if path.name == SCENE_FILE else path
     if is_built_in(reference):
         what = "a built-in place, made from data"
-    elif reference.startswith(("hub:", "neverwhere:")):
+    elif reference.startswith(("hub:", "neverwhere:", "real:")):
         what = "not a scene folder of your own"
     elif what_is(folder) != "folder":
         raise SceneError(

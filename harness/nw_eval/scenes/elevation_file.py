@@ -1,0 +1,262 @@
+"""Reads elevation maps: pictures whose grey says how high the ground is, and GeoTIFF.
+
+Tags of GeoTIFF after OGC 19-008r4, https://docs.ogc.org/is/19-008r4/19-008r4.html; a height that
+means none after https://gdal.org/drivers/raster/gtiff.html (tag 42113).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.clean import clean
+from nw_eval.errors import SceneError, UsageError
+from nw_eval.files.pictures import open_picture
+from nw_eval.scenes.limits import CELLS
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+ELEVATION_SUFFIXES = (".png", ".tif", ".tiff")
+
+_PIXEL_SCALE, _TRANSFORMATION, _GEO_KEYS, _NO_DATA = 33550, 34264, 34735, 42113
+_MODEL, _PIXEL_IS, _LINEAR, _VERTICAL = 1024, 1025, 3076, 4099
+_GEOGRAPHIC = 2
+# Metres in a unit, by its EPSG code: metre, international foot, US survey foot.
+_UNITS = {9001: 1.0, 9002: 0.3048, 9003: 1200.0 / 3937.0}
+_ENOUGH_WHITE = (255.0, 65535.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ElevationMap:
+    """Heights of the ground on a regular grid.
+
+    Attributes:
+        heights: (R, C) float64, metres; nan where there is no ground. Row 0 is farthest along y,
+            as a map has north above.
+        cell: distance between columns and between rows, metres.
+        findings: remarks for people, one line each.
+    """
+
+    heights: NDArray[np.float64]
+    cell: tuple[float, float]
+    findings: tuple[str, ...] = ()
+
+
+def read_elevation(
+    path: Path,
+    *,
+    cell: float | None = None,
+    white: float | None = None,
+    black: float = 0.0,
+    no_data: float | None = None,
+) -> ElevationMap:
+    """Return the heights of an elevation map.
+
+    Args:
+        path: a PNG in grey (8 or 16 bits; transparent pixels are holes), or a TIFF whose numbers
+            are heights.
+        cell: width of a pixel, metres; None = what a GeoTIFF says.
+        white: height of white, metres; of pictures only. None = a TIFF, whose numbers are metres.
+        black: height of black, metres; of pictures only.
+        no_data: the value of a pixel that has no ground; of a TIFF None = what its tag says.
+
+    Raises:
+        UsageError: a number is missing, or none.
+        SceneError: the file cannot be read, is no elevation map, or is too large.
+    """
+    for name, value in (("--cell", cell), ("--white", white), ("--black", black)):
+        if value is not None and not math.isfinite(value):
+            raise UsageError(f"{name} {value}", fix="give metres")
+    if cell is not None and cell <= 0.0:
+        raise UsageError(f"--cell {cell}", fix="give the width of a pixel, metres, above 0")
+    try:
+        with open_picture(path, ("PNG", "TIFF")) as picture:
+            _check_size(path, *picture.size)
+            if picture.format == "TIFF":
+                return _tiff(path, picture, cell, white, no_data)
+            return _png(path, picture, cell, white, black, no_data)
+    except (UsageError, SceneError):
+        raise
+    except OSError as error:
+        raise SceneError(
+            f"{path}: no elevation map that can be read: {clean(error.strerror or str(error))}",
+            fix="give a PNG in grey, or a GeoTIFF",
+        ) from None
+    except Exception as error:  # noqa: BLE001 - Pillow raises of many kinds at damaged files.
+        raise SceneError(
+            f"{path}: the picture is damaged: {clean(str(error), at_most=200)}",
+            fix="export it again",
+        ) from None
+
+
+def _check_size(path: Path, columns: int, rows: int) -> None:
+    if columns * rows > CELLS:
+        raise SceneError(
+            f"{path}: {columns} x {rows} pixels, {columns * rows / 1e6:.1f} million",
+            fix=f"crop or thin it out to {CELLS / 1e6:g} million at most",
+        )
+    if min(columns, rows) < 2:
+        raise SceneError(f"{path}: {columns} x {rows} pixels", fix="give a map of an area")
+
+
+def _png(
+    path: Path,
+    picture: Image,
+    cell: float | None,
+    white: float | None,
+    black: float,
+    no_data: float | None,
+) -> ElevationMap:
+    if cell is None or white is None:
+        missing = [name for name, v in (("--cell", cell), ("--white", white)) if v is None]
+        raise UsageError(
+            f"{path}: a picture does not say how large it is, and {' and '.join(missing)} "
+            f"{'is' if len(missing) == 1 else 'are'} missing",
+            fix="give the width of a pixel and the height of white, metres: "
+            "--cell 0.04 --white 1.25",
+        )
+    holes = None
+    if picture.mode in {"P", "LA", "PA", "RGBA", "1"}:
+        picture = picture.convert("L" if picture.mode == "1" else "RGBA")
+    pixels = np.asarray(picture)
+    if pixels.ndim == 3:
+        if pixels.shape[2] == 4:
+            holes = pixels[..., 3] == 0
+        if (pixels[..., :3].max(axis=2) != pixels[..., :3].min(axis=2)).any():
+            raise SceneError(
+                f"{path}: a picture in colours, which say no height",
+                fix="give heights in grey, or the mesh that the colours belong to",
+            )
+        pixels = pixels[..., 0]
+    most = _ENOUGH_WHITE[0] if pixels.dtype == np.uint8 else _ENOUGH_WHITE[1]
+    grey = pixels.astype(np.float64)
+    heights = black + (white - black) * grey / most
+    missing_ground = np.zeros(grey.shape, np.bool_) if holes is None else holes
+    if no_data is not None:
+        missing_ground = missing_ground | (grey == no_data)
+    return _map(path, np.where(missing_ground, np.nan, heights), (cell, cell), ())
+
+
+def _tiff(
+    path: Path, picture: Image, cell: float | None, white: float | None, no_data: float | None
+) -> ElevationMap:
+    if white is not None:
+        raise UsageError(
+            f"{path}: the numbers of a TIFF are heights", fix="leave --white out, or give a PNG"
+        )
+    tags: Any = getattr(picture, "tag_v2", {})
+    remarks: list[str] = []
+    if len(picture.getbands()) != 1 or picture.mode in {"1", "P"}:
+        raise SceneError(
+            f"{path}: a TIFF of {len(picture.getbands())} bands ({picture.mode}) holds a picture, "
+            "no heights",
+            fix="give one band of numbers",
+        )
+    values = np.asarray(picture).astype(np.float64)
+    keys = _geo_keys(tags)
+    if keys.get(_MODEL) == _GEOGRAPHIC:
+        raise SceneError(
+            f"{path}: its cells are degrees, not metres",
+            fix="project it first, such as with `gdalwarp -t_srs EPSG:32632` of your UTM zone",
+        )
+    level = _unit(path, keys, _LINEAR, remarks)
+    sizes = _cell_of(path, tags, level) if cell is None else (cell, cell)
+    if sizes is None:
+        raise UsageError(
+            f"{path}: the file does not say how wide a pixel is",
+            fix="give it, metres: --cell 0.04",
+        )
+    if no_data is None and _NO_DATA in tags:
+        text = str(tags[_NO_DATA]).strip("\0 ")
+        try:
+            no_data = float(text)
+        except ValueError:
+            remarks.append(f"the value {clean(text, at_most=20)!r} for no ground is no number")
+    missing = ~np.isfinite(values)
+    if no_data is not None and math.isfinite(no_data):
+        # Written as decimal text, it need not be the float of the pixels to the last bit.
+        missing |= np.isclose(values, no_data, rtol=1e-6, atol=1e-9)
+    heights = np.where(missing, np.nan, values * _unit(path, keys, _VERTICAL, remarks))
+    return _map(path, heights, sizes, tuple(remarks))
+
+
+def _map(
+    path: Path, heights: NDArray[np.float64], cell: tuple[float, float], remarks: tuple[str, ...]
+) -> ElevationMap:
+    known = np.isfinite(heights)
+    if not known.any():
+        raise SceneError(f"{path}: no pixel has a height", fix="check --no-data")
+    if not known.all():
+        share = 100.0 * float((~known).mean())
+        remarks = (*remarks, f"{share:.1f} % of the pixels have no ground, and are holes")
+    return ElevationMap(heights=heights, cell=cell, findings=remarks)
+
+
+def _geo_keys(tags: Any) -> dict[int, int]:
+    """Return the keys of a GeoKeyDirectory whose values stand in it: rows of four numbers."""
+    numbers = [int(number) for number in tags.get(_GEO_KEYS, ())]
+    rows = [numbers[i : i + 4] for i in range(4, len(numbers) - 3, 4)]
+    return {key: value for key, where, _, value in rows if where == 0}
+
+
+def _unit(path: Path, keys: dict[int, int], key: int, remarks: list[str]) -> float:
+    code = keys.get(key, 9001)
+    if code not in _UNITS:
+        raise SceneError(
+            f"{path}: its unit has the EPSG code {code}, which is not known here",
+            fix="write it in metres",
+        )
+    if code != 9001:
+        what = "heights" if key == _VERTICAL else "cells"
+        remarks.append(f"its {what} are in feet of {_UNITS[code]:.7g} m")
+    return _UNITS[code]
+
+
+def _cell_of(path: Path, tags: Any, unit: float) -> tuple[float, float] | None:
+    """Return the width and the depth of a pixel, metres, as the tags say them."""
+    if _PIXEL_SCALE in tags:
+        x, y = (abs(float(number)) * unit for number in tags[_PIXEL_SCALE][:2])
+    elif _TRANSFORMATION in tags:
+        a, b, _, _, d, e = (float(number) for number in tags[_TRANSFORMATION][:6])
+        if abs(b) > 1e-9 * abs(a) or abs(d) > 1e-9 * abs(e):
+            raise SceneError(f"{path}: its rows are turned", fix="warp it so that north is up")
+        x, y = abs(a) * unit, abs(e) * unit
+    else:
+        return None
+    if not (0.0 < x < 1e6 and 0.0 < y < 1e6):
+        raise SceneError(f"{path}: pixels of {x:g} x {y:g} m", fix="give --cell")
+    return x, y
+
+
+def elevation_mesh(found: ElevationMap) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return vertices (V, 3), metres, and faces (F, 3) that look up, of an elevation map.
+
+    A vertex lies at the middle of each pixel: x goes with the columns, y against the rows, and the
+    lower left pixel is at (0, 0). A square without all four heights has no faces, or one of three.
+    """
+    rows, columns = found.heights.shape
+    x = np.arange(columns) * found.cell[0]
+    y = np.arange(rows)[::-1] * found.cell[1]
+    grid = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), found.heights], axis=-1)
+    number = np.arange(rows * columns).reshape(rows, columns)
+    upper_left, upper_right = number[:-1, :-1].ravel(), number[:-1, 1:].ravel()
+    left, right = number[1:, :-1].ravel(), number[1:, 1:].ravel()
+    known = np.isfinite(found.heights).ravel()
+    z = found.heights.ravel()
+    # The square is divided along the diagonal that bends less.
+    rising = np.abs(z[left] - z[upper_right]) <= np.abs(z[upper_left] - z[right])
+    rising |= ~(known[upper_left] & known[right])
+    one = np.where(rising[:, None], np.stack([left, right, upper_right], -1),
+                   np.stack([left, right, upper_left], -1))  # fmt: skip
+    two = np.where(rising[:, None], np.stack([left, upper_right, upper_left], -1),
+                   np.stack([right, upper_right, upper_left], -1))  # fmt: skip
+    faces = np.stack([one, two], axis=1).reshape(-1, 3)
+    faces = faces[known[faces].all(axis=1)]
+    needed, places = np.unique(faces, return_inverse=True)
+    return grid.reshape(-1, 3)[needed], places.reshape(-1, 3)

@@ -1,0 +1,486 @@
+"""Scans that others made, to scenes: meshes and elevation maps, upright and with a trail.
+
+What comes in is in the axes and the unit of its file. What comes out is a scene folder in metres
+with z up, its ground at z = 0 where the robot starts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.clean import clean
+from nw_eval.errors import SceneError, StoreError, UsageError
+from nw_eval.files.inside import what_is
+from nw_eval.scenes import limits
+from nw_eval.scenes.elevation_file import ELEVATION_SUFFIXES, elevation_mesh, read_elevation
+from nw_eval.scenes.folder import SCENE_FILE, load_folder
+from nw_eval.scenes.limits import checked_name, name_of
+from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
+from nw_eval.scenes.mesh_file import MESH_SUFFIXES, PaintedMesh, read_painted
+from nw_eval.scenes.mesh_parts import Material
+from nw_eval.scenes.rays import RayScene
+from nw_eval.scenes.surface import Surface
+from nw_eval.suite.written import robot_from, write_ready_suite
+from nw_eval.twin.moved import moved_points
+from nw_eval.twin.place import (
+    COLLISION,
+    SUITE,
+    Route,
+    rounded,
+    write_collision,
+    write_yaml,
+)
+from nw_eval.twin.scans.looks import write_looks
+from nw_eval.words import Task
+
+Values = NDArray[np.float64]
+Unit = Literal["m", "cm", "mm", "ft", "in"]
+Axis = Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"]
+
+UNITS: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
+"""Metres in each."""
+
+_FAR = 100.0
+"""A scan whose middle is farther from its origin, metres, is moved there: single precision."""
+_ODDLY_WIDE = 200.0
+"""Metres, from which on the unit is asked about."""
+_LEVEL = math.cos(math.radians(20.0))
+_CLEARLY = 1.5
+_FLOOR_SHARE = 0.2
+"""Times as much area must look along another axis as along the one that is up by the format, and as
+a share of all."""
+_STEP, _STRIDE, _ROOM = 0.25, 0.1, 0.2
+"""Of a proposed trail: highest step, distance of samples along it, and room to each side."""
+_LONGEST, _BEHIND = 4.0, 0.7
+"""Of a proposed trail, and of the ground behind its end and before its start; metres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanOptions:
+    """How a scan is to be understood.
+
+    Attributes:
+        unit: of the file's numbers.
+        up: which axis of the file is up; `auto` is the one that most of the ground looks along.
+        splat: Gaussians of the same place, such as the same app exports; None = they are made of
+            the mesh's colours, if it has some.
+        splat_transform: a text file of 16 numbers, the 4 x 4 matrix from the splat's numbers to
+            the mesh's; None = it is found among the turns by right angles.
+        gaussians: most that are made of a mesh's colours.
+        cell, white, black, no_data: of an elevation map, as `read_elevation` takes them.
+        trail: start, and waypoints x, y or x, y, z, metres in the scene; None = it is proposed.
+        name: of the scene; None = that of its folder.
+        licence: of the scan.
+        task: what the trail asks of the robot; None = `open`.
+        robot: of the scene's suite.
+    """
+
+    unit: Unit = "m"
+    up: Axis = "auto"
+    splat: Path | None = None
+    splat_transform: Path | None = None
+    gaussians: int = 200_000
+    cell: float | None = None
+    white: float | None = None
+    black: float = 0.0
+    no_data: float | None = None
+    trail: tuple[tuple[float, ...], ...] | None = None
+    name: str | None = None
+    licence: str = "not stated"
+    task: Task | None = None
+    robot: str = "go1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrittenScan:
+    """A scene that a scan became.
+
+    Attributes:
+        folder: where it lies.
+        digest: of the scene.
+        before: the digest that it had; None of a new one, or one that could not be loaded.
+        lines: what was done, one line for each thing.
+    """
+
+    folder: Path
+    digest: str
+    before: str | None
+    lines: tuple[str, ...]
+
+
+def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> WrittenScan:
+    """Write the scene folder of a scan, and a suite beside it; whole or not at all.
+
+    Args:
+        source: a mesh (GLB, OBJ, PLY, STL), or an elevation map (PNG, GeoTIFF).
+        out: the folder, which must not be there.
+        options: how it is to be understood.
+
+    Raises:
+        UsageError: an option makes no sense of this file, or `out` is in use.
+        SceneError: a file cannot be read, or the scene cannot be loaded.
+        StoreError: it cannot be written.
+    """
+    options = ScanOptions() if options is None else options
+    if what_is(out) != "nothing" or out.is_symlink():
+        raise UsageError(f"{out} is there already", fix="name another folder")
+    name = options.name or name_of(out.name)
+    try:
+        checked_name(name)
+    except ValueError as error:
+        raise SceneError(f"name {name!r}: {error}", fix="give another --name") from None
+    scan, lines = _read_scan(source, options)
+    mesh = _mesh_of(scan, scan.T_world_file)
+    course, words = lay_course(mesh, options.trail, options.task)
+    lines.append(words)
+    lift = np.eye(4)
+    lift[2, 3] = -course.spawn[2]
+    course = replace(
+        course,
+        trail=course.trail + lift[:3, 3],
+        spawn=(course.spawn[0], course.spawn[1], 0.0),
+    )
+    T = lift @ scan.T_world_file
+    text: dict[str, Any] = {
+        "nw-scene": 1,
+        "name": name,
+        "title": f"From {clean(source.name, at_most=80)}",
+        "task": course.task,
+        "licence": options.licence,
+        "collision": COLLISION,
+        "trail": [rounded(point) for point in course.trail],
+        "spawn": {"position": rounded(course.spawn), "yaw": round(course.yaw, 4)},
+    }
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(dir=out.parent, prefix=".scan-") as temporary:
+            staged = Path(temporary) / out.name
+            staged.mkdir()
+            write_collision(
+                staged / COLLISION, moved_points(T, scan.painted.vertices), scan.painted.faces
+            )
+            lines += write_looks(
+                staged,
+                text,
+                scan.painted,
+                T,
+                splat=options.splat,
+                splat_transform=options.splat_transform,
+                most=options.gaussians,
+                way=np.vstack([course.spawn, course.trail]),
+            )
+            write_yaml(staged / SCENE_FILE, text)
+            digest = _loaded(staged, out)
+            write_ready_suite(staged / SUITE, name, ["."], robot=robot_from(out, options.robot))
+            staged.rename(out)
+    except OSError as error:
+        raise StoreError(
+            f"cannot write {out}: {error.strerror or error}",
+            fix="free disk space, or choose another folder",
+        ) from error
+    return WrittenScan(folder=out, digest=digest, before=None, lines=tuple(lines))
+
+
+def _loaded(staged: Path, out: Path) -> str:
+    """Return the digest of a scene that is still being written; its errors name `out`."""
+    try:
+        return load_folder(staged).digest
+    except SceneError as error:
+        raise SceneError(error.message.replace(str(staged), str(out)), fix=error.fix) from None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Scan:
+    painted: PaintedMesh
+    T_world_file: Values
+    """(4, 4), but for the height of the floor."""
+
+
+def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
+    suffix = source.suffix.lower()
+    lines: list[str] = []
+    if suffix in ELEVATION_SUFFIXES:
+        if options.up != "auto" or options.unit != "m":
+            raise UsageError(
+                f"{source}: an elevation map has its height up and is in metres",
+                fix="leave --up and --unit out; --white, --black and --cell scale it",
+            )
+        found = read_elevation(
+            source,
+            cell=options.cell,
+            white=options.white,
+            black=options.black,
+            no_data=options.no_data,
+        )
+        rows, columns = found.heights.shape
+        low, high = np.nanmin(found.heights), np.nanmax(found.heights)
+        lines.append(
+            f"elevation map: {columns} x {rows} pixels of {found.cell[0]:.3g} x "
+            f"{found.cell[1]:.3g} m, heights {low:.3f} to {high:.3f} m"
+        )
+        lines += found.findings
+        vertices, faces = elevation_mesh(found)
+        if len(faces) == 0:
+            raise SceneError(f"{source}: nothing but holes", fix="check --no-data")
+        painted = PaintedMesh(
+            vertices=vertices,
+            faces=faces,
+            colours=None,
+            uv=None,
+            material=np.zeros(len(faces), np.int32),
+            materials=(Material(),),
+            findings=(),
+        )
+        T_file = np.eye(4)
+    elif suffix in MESH_SUFFIXES:
+        wrong = [
+            name
+            for name, value in (("--cell", options.cell), ("--white", options.white))
+            if value is not None
+        ]
+        if wrong:
+            raise UsageError(
+                f"{source}: {wrong[0]} is of elevation maps",
+                fix=f"leave it out, or give one of {', '.join(ELEVATION_SUFFIXES)}",
+            )
+        painted = read_painted(source)
+        lines += [f"{one.message}" for one in painted.findings]
+        T_file, words = _upright(painted, source, options)
+        lines.append(words)
+    else:
+        raise SceneError(
+            f"{source}: no scan that is read",
+            fix=f"give a mesh ({', '.join(MESH_SUFFIXES)}) or an elevation map "
+            f"({', '.join(ELEVATION_SUFFIXES)})",
+        )
+    points = moved_points(T_file, painted.vertices)
+    middle = np.median(points, axis=0)
+    shift = np.where(np.abs(middle) > _FAR, -np.round(middle), 0.0)
+    if shift.any():
+        back = ", ".join(f"{value:.0f}" for value in -shift)
+        lines.append(f"moved to the origin: ({back}) m subtracted")
+    T = shifted(shift) @ T_file
+    size = np.ptp(points, axis=0)
+    words = f"{size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m (x, y, z)"
+    wide = float(size[:2].max())
+    if wide > 2.0 * limits.REACH or wide < 0.3:
+        raise SceneError(
+            f"{source}: {words}: the unit of its numbers is not {options.unit}",
+            fix="give another --unit (m, cm, mm, ft, in)"
+            if suffix in MESH_SUFFIXES
+            else "give another --cell",
+        )
+    lines.insert(0, f"{source.name}: {len(painted.faces):,} triangles, {words}")
+    if wide > _ODDLY_WIDE:
+        lines.append(f"it is {wide:.0f} m wide: if its numbers are no {options.unit}, give --unit")
+    return _Scan(painted=painted, T_world_file=T), lines
+
+
+def shifted(offset: Values) -> Values:
+    """Return the (4, 4) shift by an offset (3,), m."""
+    T = np.eye(4)
+    T[:3, 3] = offset
+    return T
+
+
+def _upright(painted: PaintedMesh, source: Path, options: ScanOptions) -> tuple[Values, str]:
+    """Return (4, 4) from file to metres with z up, and which axis of the file is up by what."""
+    corners = painted.vertices[painted.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    lined = normal / area[:, None]
+    shares = {
+        axis: float(area[_axis(axis) @ lined.T > _LEVEL].sum() / area.sum())
+        for axis in get_args(Axis)
+        if axis != "auto"
+    }
+    is_gltf = source.suffix.lower() == ".glb"
+    usual: Axis = "+y" if is_gltf else "+z"
+    up = options.up
+    if up == "auto":
+        best = max(shares, key=lambda axis: shares[axis])
+        is_clear = shares[best] > max(_CLEARLY * shares[usual], _FLOOR_SHARE)
+        up = best if is_clear else usual
+    why = f"{100 * shares[up]:.0f} % of its area looks along it"
+    if options.up == "auto" and up == usual:
+        why += ", and it is up in glTF" if is_gltf else ""
+    scale = UNITS[options.unit]
+    T = np.eye(4)
+    T[:3, :3] = scale * turn_to_z(_axis(up))
+    return T, f"up is {up} of the file: {why}; one unit is {scale:g} m"
+
+
+def _axis(name: str) -> Values:
+    return (1.0 if name[0] == "+" else -1.0) * np.eye(3)["xyz".index(name[1])]
+
+
+def turn_to_z(up: Values) -> Values:
+    """Return the (3, 3) shortest turn of a unit vector to +z; of -z, the half turn about x."""
+    x, y, z = up.tolist()
+    if z < -1.0 + 1e-9:
+        return np.diag([1.0, -1.0, -1.0])
+    k = 1.0 / (1.0 + z)
+    return np.array(
+        [[1.0 - k * x * x, -k * x * y, -x], [-k * x * y, 1.0 - k * y * y, -y], [x, y, z]]
+    )
+
+
+def _mesh_of(scan: _Scan, T: Values) -> TriangleMesh:
+    return TriangleMesh(
+        vertices=moved_points(T, scan.painted.vertices),
+        faces=np.ascontiguousarray(scan.painted.faces, dtype=np.int32),
+        kinds=np.full(len(scan.painted.faces), FACE_KINDS.index("ground"), np.uint8),
+    )
+
+
+# --- The trail ---------------------------------------------------------------------------------
+
+
+def lay_course(
+    mesh: TriangleMesh, trail: Sequence[tuple[float, ...]] | None, task: Task | None
+) -> tuple[Route, str]:
+    """Return start and waypoints on the ground of a mesh, and what is said of them."""
+    if trail is not None:
+        return _given(mesh, trail, task or "open")
+    found = _proposed(mesh)
+    if found is None:
+        return _placeholder(mesh, task or "open")
+    points, yaw = found
+    far = float(np.linalg.norm(points[-1, :2] - points[0, :2]))
+    course = Route(
+        task=task or "open",
+        trail=points[1:],
+        spawn=(float(points[0, 0]), float(points[0, 1]), float(points[0, 2])),
+        yaw=yaw,
+    )
+    x, y, _ = course.spawn
+    return course, (
+        f"trail proposed: {far:.1f} m straight over even ground from ({x:.2f}, {y:.2f}), heading "
+        f"{math.degrees(yaw):.0f} degrees; `--trail` or `nw-eval twin label` lays another"
+    )
+
+
+def _placeholder(mesh: TriangleMesh, task: Task) -> tuple[Route, str]:
+    """Return a start at the middle of a mesh that shows no floor yet, and one waypoint ahead."""
+    middle = np.median(mesh.vertices, axis=0)
+    x, y, z = mesh.vertices[np.linalg.norm(mesh.vertices - middle, axis=1).argmin()].tolist()
+    course = Route(task=task, trail=np.array([[x + 1.0, y, z]]), spawn=(x, y, z))
+    return course, (
+        "no two metres of even ground, so the trail is one waypoint a metre ahead: level the "
+        "floor, `nw-eval scenes level SCENE --floor X,Y,Z X,Y,Z X,Y,Z --propose`, or give another "
+        "--up or --unit"
+    )
+
+
+def _given(mesh: TriangleMesh, trail: Sequence[tuple[float, ...]], task: Task) -> tuple[Route, str]:
+    if len(trail) < 2 or len(trail) > limits.WAYPOINTS + 1:
+        raise UsageError(
+            f"a trail of {len(trail)} points",
+            fix="give the start and then the waypoints: --trail 0,0 1.5,0 3,0",
+        )
+    rays = RayScene(mesh)
+    reference = _floor_height(mesh)
+    points: list[Values] = []
+    for i, point in enumerate(trail):
+        z = reference if len(point) == 2 else point[2]
+        ground = float(_ground(mesh, rays, np.array([point[:2]]), z)[0])
+        if not math.isfinite(ground):
+            ground = float(rays.height(np.array([point[:2]]))[0])
+        if not math.isfinite(ground):
+            low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+            raise SceneError(
+                f"{'the start' if i == 0 else f'waypoint {i - 1}'} at "
+                f"({point[0]:g}, {point[1]:g}) has no ground under it",
+                fix=f"the mesh reaches from ({low[0]:.2f}, {low[1]:.2f}) to "
+                f"({high[0]:.2f}, {high[1]:.2f})",
+            )
+        points.append(np.array([*point[:2], ground]))
+        reference = ground
+    first, second = points[0], points[1]
+    if np.linalg.norm(second[:2] - first[:2]) < 1e-6:
+        raise UsageError("the first waypoint is the start", fix="give one ahead of it")
+    course = Route(
+        task=task,
+        trail=np.array(points[1:]),
+        spawn=(float(first[0]), float(first[1]), float(first[2])),
+        yaw=math.atan2(second[1] - first[1], second[0] - first[0]),
+    )
+    return course, f"trail of {len(points) - 1} waypoints, laid on the ground as given"
+
+
+def _floor_height(mesh: TriangleMesh) -> float:
+    """Return the height at which most of the ground lies, metres."""
+    corners = mesh.triangles
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    is_floor = normal[:, 2] > _LEVEL * area
+    if not is_floor.any():
+        is_floor = normal[:, 2] > 0.0
+    if not is_floor.any():
+        return float(np.median(mesh.vertices[:, 2]))
+    z = corners[is_floor, :, 2].mean(axis=1)
+    bins = np.round(z / 0.1).astype(np.int64)
+    low = int(bins.min())
+    if int(bins.max()) - low > 1_000_000:
+        return float(np.median(z))
+    most = int(np.bincount(bins - low, weights=area[is_floor]).argmax())
+    return float(np.median(z[bins - low == most]))
+
+
+def _ground(mesh: TriangleMesh, rays: RayScene, xy: Values, z: float) -> Values:
+    """Return the ground (N,) that a robot at height z walks on, as terrain has it; nan for none."""
+    from nw_eval.scenes.grid import TerrainOptions
+
+    trail = np.array([[xy[0, 0], xy[0, 1], z]])
+    return Surface(mesh, trail, TerrainOptions(), rays).ground(xy)
+
+
+def _proposed(mesh: TriangleMesh) -> tuple[Values, float] | None:
+    """Return start and waypoints (K, 3) of the longest straight way over even ground, and its yaw.
+
+    Of equally long ones, that along x or y which leads over the middle of the mesh.
+    """
+    rays = RayScene(mesh)
+    floor = _floor_height(mesh)
+    low, high = np.percentile(mesh.vertices[:, :2], [2, 98], axis=0)
+    spread = max(float((high - low).max()) / 24.0, 0.25)
+    axes = [np.arange(a + spread / 2, b, spread) for a, b in zip(low, high, strict=True)]
+    if any(len(axis) == 0 for axis in axes):
+        return None
+    starts = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    along = np.arange(-_BEHIND, _LONGEST + _BEHIND + _STRIDE / 2, _STRIDE)
+    aside = np.array([-_ROOM, 0.0, _ROOM])
+    first = round(_BEHIND / _STRIDE)
+    best: tuple[float, float, Values, float] | None = None
+    middle = (low + high) / 2
+    for turn in range(16):
+        yaw = 2.0 * math.pi * turn / 16
+        ahead = np.array([math.cos(yaw), math.sin(yaw)])
+        left = np.array([-ahead[1], ahead[0]])
+        steps = along[:, None, None] * ahead + aside[None, :, None] * left
+        xy = starts[:, None, None] + steps[None]
+        z = _ground(mesh, rays, xy.reshape(-1, 2), floor).reshape(xy.shape[:3])
+        even = np.abs(np.diff(z, axis=1)) < _STEP  # False beside what is not there.
+        even &= np.isfinite(z[:, 1:]) & np.isfinite(z[:, :-1])
+        whole = np.logical_and.accumulate(even.all(axis=2), axis=1)
+        reach = whole.sum(axis=1) * _STRIDE - 2 * _BEHIND
+        away = np.linalg.norm(starts + _LONGEST / 2 * ahead - middle, axis=1)
+        score = np.floor(reach / 0.5) - 1e-3 * away - 1e-2 * (turn % 4 != 0)
+        i = int(score.argmax())
+        if reach[i] < 1.0 or (best is not None and score[i] <= best[0]):
+            continue
+        length = min(float(reach[i]), _LONGEST)
+        count = max(int(length // 1.0), 1)
+        places = np.concatenate([[0.0], np.linspace(length / count, length, count)])
+        rows = first + np.round(places / _STRIDE).astype(np.int64)
+        points = np.column_stack([xy[i, rows, 1], z[i, rows, 1]])
+        best = (float(score[i]), float(reach[i]), points, yaw)
+    return None if best is None else (best[2], best[3])

@@ -1,0 +1,316 @@
+"""A scan in its file's axes and unit becomes a scene in metres, with its colours and a trail."""
+
+import io
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from nw_eval import cli
+from nw_eval.catalogue import inspect_scene
+from nw_eval.errors import SceneError, UsageError
+from nw_eval.scenes.folder import load_folder
+from nw_eval.scenes.mesh_file import read_painted
+from nw_eval.splat.files import read_splat, write_splat
+from nw_eval.splat.gaussians import SH0
+from nw_eval.twin.moved import moved_points
+from nw_eval.twin.scans.scan import ScanOptions, import_scan
+
+Y_UP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+RED, BLUE = (200, 40, 30), (30, 60, 210)
+
+
+def picture():
+    """A texture, red on its left half and blue on its right."""
+    image = Image.new("RGB", (64, 32), RED)
+    image.paste(BLUE, (32, 0, 64, 32))
+    return image
+
+
+def ground(*, step=0.1):
+    """A sheet of 4 x 2 m as a scan has it, with a step from x = 2.5 m on; z up, metres."""
+    x, y = np.meshgrid(np.linspace(-0.5, 3.5, 41), np.linspace(-1, 1, 21))
+    z = np.where(x > 2.49, step, 0.0)
+    corner = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = (
+        part.ravel()
+        for part in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1])
+    )
+    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+    points = np.stack([x.ravel(), y.ravel(), z.ravel()], -1)
+    uv = np.stack([(points[:, 0] + 0.5) / 4, (points[:, 1] + 1) / 2], -1)
+    return points, faces, uv
+
+
+def scanned(points, *, texture=None):
+    _, faces, uv = ground()
+    visual = None
+    if texture is not None:
+        material = trimesh.visual.material.PBRMaterial(baseColorTexture=texture)
+        visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    return trimesh.Trimesh(points, faces, process=False, visual=visual)
+
+
+def colours_of(folder):
+    """World points (N, 3) of a scene's Gaussians, and their colours (N, 3), 0 to 1."""
+    scene = load_folder(folder)
+    gaussians = read_splat(scene.splat.path)
+    return moved_points(scene.T_world_splat, gaussians.means), 0.5 + SH0 * gaussians.sh[:, 0]
+
+
+def errors_of(folder):
+    found = inspect_scene(str(folder)).findings
+    return [each.code for each in found if each.severity == "error"]
+
+
+def test_a_textured_glb_in_centimetres_becomes_a_scene_that_looks_like_it(tmp_path, capsys):
+    points, _, _ = ground()
+    scanned(100 * points @ Y_UP.T, texture=picture()).export(tmp_path / "scan.glb")
+    with pytest.raises(SystemExit) as end:
+        cli.main(
+            [
+                *("scenes", "import", str(tmp_path / "scan.glb"), "--out", str(tmp_path / "mine")),
+                *("--unit", "cm", "--gaussians", "4000", "--trail", "0,0", "1.4,0", "2.7,0"),
+            ]
+        )
+    said = capsys.readouterr().out
+    assert end.value.code == 0, said
+    assert "1,600 triangles, 4 x 2 x 0.1 m" in said
+    assert "up is +y of the file" in said
+    assert f"ready: nw-eval scenes check {tmp_path / 'mine'}" in said
+    scene = load_folder(tmp_path / "mine")
+    assert np.allclose(scene.static_mesh.vertices.min(axis=0), (-0.5, -1, 0), atol=1e-4)
+    assert np.allclose(scene.trail, [[1.4, 0, 0], [2.7, 0, 0.1]], atol=2e-3)
+    assert errors_of(tmp_path / "mine") == []
+    at, colours = colours_of(tmp_path / "mine")
+    left, right = at[:, 0] < 1.4, at[:, 0] > 1.6
+    assert np.abs(colours[left] - np.array(RED) / 255).max() < 0.05
+    assert np.abs(colours[right] - np.array(BLUE) / 255).max() < 0.05
+    assert abs(at[:, 2] - np.where(at[:, 0] > 2.5, 0.1, 0.0)).max() < 0.1
+
+
+def test_gaussians_are_fine_near_the_trail_and_wide_far_from_it(tmp_path):
+    x, y = np.meshgrid(np.linspace(-2, 30, 81), np.linspace(-2, 2, 11))
+    corner = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = (
+        part.ravel()
+        for part in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1])
+    )
+    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], -1)
+    mesh = trimesh.Trimesh(points, faces, process=False)
+    mesh.visual.vertex_colors = np.tile(np.uint8(RED), (len(points), 1))
+    mesh.export(tmp_path / "long.ply")
+    options = ScanOptions(gaussians=6000, trail=((0.0, 0.0), (2.0, 0.0)))
+    import_scan(tmp_path / "long.ply", tmp_path / "mine", options)
+    gaussians = read_splat(tmp_path / "mine" / "splat.ply")
+    at, width = gaussians.means[:, 0], np.exp(gaussians.log_scales[:, 0])
+    near, far = (at > -1) & (at < 3), (at > 24) & (at < 28)
+    assert near.sum() / far.sum() == pytest.approx((24 / 3) ** 2, rel=0.3)
+    # As many lie over each other here as there.
+    covers = [np.square(width[part]).sum() for part in (near, far)]
+    assert covers[0] == pytest.approx(covers[1], rel=0.1)
+
+
+def test_a_texture_of_an_obj_is_read_from_inside_its_folder_only(tmp_path):
+    folder = tmp_path / "scan"
+    folder.mkdir()
+    picture().save(tmp_path / "outside.png")
+    picture().save(folder / "own.png")
+    points, _, _ = ground()
+    plain = scanned(points, texture=picture()).export(file_type="obj").replace("mtllib ", "#")
+    for name, texture in (("in", "own.png"), ("out", "../outside.png"), ("gone", "/etc/none.png")):
+        (folder / f"{name}.mtl").write_text(f"newmtl material_0\nKd 1 1 1\nmap_Kd {texture}\n")
+        (folder / f"{name}.obj").write_text(f"mtllib {name}.mtl\n{plain}")
+    inside = read_painted(folder / "in.obj")
+    assert inside.findings == ()
+    assert any(one.texture is not None for one in inside.materials)
+    for name, why in (("out", r"`\.\.`"), ("gone", "absolute")):
+        read = read_painted(folder / f"{name}.obj")
+        assert all(one.texture is None for one in read.materials)
+        (found,) = read.findings
+        assert why.replace("\\", "") in found.message
+    import_scan(folder / "in.obj", tmp_path / "mine", ScanOptions(gaussians=2000))
+    at, colours = colours_of(tmp_path / "mine")
+    assert np.abs(colours[at[:, 0] > 1.7] - np.array(BLUE) / 255).max() < 0.05
+
+
+def test_colours_of_vertices_and_of_texcoord_come_through_a_ply(tmp_path):
+    points, faces, uv = ground()
+    mesh = scanned(points)
+    mesh.visual.vertex_colors = np.where(points[:, :1] > 1.5, BLUE, RED).astype(np.uint8)
+    mesh.export(tmp_path / "shaded.ply")
+    picture().save(tmp_path / "own.png")
+    rows = [f"{x} {y} {z}" for x, y, z in points]
+    rows += [
+        f"3 {a} {b} {c} 6 " + " ".join(str(part) for part in uv[[a, b, c]].ravel())
+        for a, b, c in faces
+    ]
+    head = (
+        "ply\nformat ascii 1.0\ncomment TextureFile own.png\n"
+        f"element vertex {len(points)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\n"
+        "property list uchar float texcoord\nend_header\n"
+    )
+    (tmp_path / "laid.ply").write_text(head + "\n".join(rows) + "\n")
+    for name in ("shaded", "laid"):
+        import_scan(tmp_path / f"{name}.ply", tmp_path / name, ScanOptions(gaussians=2000))
+        at, colours = colours_of(tmp_path / name)
+        assert np.abs(colours[at[:, 0] > 1.7] - np.array(BLUE) / 255).max() < 0.05, name
+        assert np.abs(colours[at[:, 0] < 1.3] - np.array(RED) / 255).max() < 0.05, name
+
+
+def test_a_face_of_a_coloured_ply_that_names_no_vertex_is_an_error(tmp_path):
+    head = (
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        "property float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        "0 0 0 9 9 9\n1 0 0 9 9 9\n0 1 0 9 9 9\n"
+    )
+    for corner in (-7, 3):
+        (tmp_path / "wrong.ply").write_text(f"{head}3 0 1 {corner}\n")
+        with pytest.raises(SceneError, match=f"a face names vertex {corner} of 3"):
+            read_painted(tmp_path / "wrong.ply")
+
+
+def test_a_texture_that_is_no_picture_is_said_and_the_rest_is_made(tmp_path):
+    points, _, _ = ground()
+    scanned(points @ Y_UP.T, texture=picture()).export(tmp_path / "scan.glb")
+    stream = io.BytesIO()
+    picture().save(stream, "PNG")
+    whole = (tmp_path / "scan.glb").read_bytes()
+    place = whole.index(b"\x89PNG")
+    (tmp_path / "scan.glb").write_bytes(whole[:place] + b"%!PS" + whole[place + 4 :])
+    written = import_scan(tmp_path / "scan.glb", tmp_path / "mine", ScanOptions(gaussians=1000))
+    assert any("texture 1 left out: no picture" in line for line in written.lines)
+    _, colours = colours_of(tmp_path / "mine")
+    assert np.abs(colours - 1.0).max() < 0.05
+
+
+def test_the_axis_that_the_floor_looks_along_is_up_whatever_the_format_says(tmp_path):
+    points, _, _ = ground()
+    scanned(points).export(tmp_path / "z-up.glb")
+    scanned(points @ Y_UP.T).export(tmp_path / "y-up.stl")
+    for name in ("z-up.glb", "y-up.stl"):
+        written = import_scan(tmp_path / name, tmp_path / name.partition(".")[0])
+        assert f"up is +{name[0]} of the file" in "\n".join(written.lines)
+        assert errors_of(written.folder) == []
+    written = import_scan(tmp_path / "z-up.glb", tmp_path / "wall", ScanOptions(up="+y"))
+    assert "no two metres of even ground" in "\n".join(written.lines)
+
+
+def test_a_scan_on_a_map_is_moved_to_the_origin_and_one_of_another_unit_is_not_taken(tmp_path):
+    points, _, _ = ground()
+    text = scanned(points + np.array([448265.0, 5411933.0, 312.0])).export(
+        file_type="obj", digits=9
+    )
+    (tmp_path / "map.obj").write_text(text)
+    written = import_scan(tmp_path / "map.obj", tmp_path / "mine")
+    assert any(", 5411933, 312) m subtracted" in line for line in written.lines)
+    assert errors_of(tmp_path / "mine") == []
+    scanned(1000 * points).export(tmp_path / "mm.ply")
+    with pytest.raises(SceneError, match=r"mm\.ply: 4e\+03 x 2e\+03 x 100 m .* is not m"):
+        import_scan(tmp_path / "mm.ply", tmp_path / "large")
+    assert not (tmp_path / "large").exists()
+    import_scan(tmp_path / "mm.ply", tmp_path / "large", ScanOptions(unit="mm"))
+    assert errors_of(tmp_path / "large") == []
+
+
+def test_a_proposed_trail_is_on_even_ground_away_from_the_rim(tmp_path):
+    points, _, _ = ground(step=0.6)
+    scanned(points).export(tmp_path / "wall.ply")
+    import_scan(tmp_path / "wall.ply", tmp_path / "mine")
+    scene = load_folder(tmp_path / "mine")
+    way = np.vstack([scene.spawn.position, scene.trail])
+    assert np.abs(way[:, 2]).max() < 1e-3
+    assert way[:, 0].max() <= 2.5 - 0.5
+    assert errors_of(tmp_path / "mine") == []
+
+
+def splat_of(points, turn, path):
+    """Write Gaussians at points as another program has them."""
+    from nw_eval.splat.gaussians import Gaussians
+
+    n = len(points)
+    write_splat(
+        path,
+        Gaussians(
+            means=(points @ turn.T).astype(np.float32),
+            quats=np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
+            log_scales=np.full((n, 3), -4, np.float32),
+            opacity_logits=np.full(n, 3, np.float32),
+            sh=np.zeros((n, 1, 3), np.float32),
+        ),
+    )
+
+
+def uneven():
+    """Points on a mesh that lies otherwise after every turn by right angles but one."""
+    points, _, _ = ground()
+    return points + np.array([0.7, 0.4, 0.3])
+
+
+@pytest.mark.parametrize("name", ["app.ply", "app.spz"])
+def test_a_splat_of_the_same_app_is_laid_on_its_mesh_by_one_transform(tmp_path, name):
+    points = uneven()
+    scanned(points @ Y_UP.T).export(tmp_path / "app.glb")
+    # The mesh has +y up; the Gaussians, in the axes of a PLY, have it down.
+    splat_of(points @ Y_UP.T, np.diag([1.0, -1.0, -1.0]), tmp_path / name)
+    written = import_scan(
+        tmp_path / "app.glb", tmp_path / "mine", ScanOptions(splat=tmp_path / name)
+    )
+    assert "splat: (x, y, z) of it is (x, -y, -z) of the mesh" in "\n".join(written.lines)
+    scene = load_folder(tmp_path / "mine")
+    at = moved_points(scene.T_world_splat, read_splat(scene.splat.path).means)
+    mesh = np.sort(scene.static_mesh.vertices, axis=0)
+    assert np.abs(np.sort(at, axis=0) - mesh).max() < 2e-3
+
+
+def test_a_splat_of_another_place_is_refused_and_a_matrix_lays_it(tmp_path):
+    points = uneven()
+    scanned(points).export(tmp_path / "app.ply")
+    splat_of(2.0 * points + 5.0, np.eye(3), tmp_path / "far.ply")
+    with pytest.raises(SceneError, match=r"no turn by right angles .*; give the 4 x 4 matrix"):
+        import_scan(
+            tmp_path / "app.ply", tmp_path / "mine", ScanOptions(splat=tmp_path / "far.ply")
+        )
+    matrix = tmp_path / "T.txt"
+    matrix.write_text("[[0.5, 0, 0, -2.5], [0, 0.5, 0, -2.5], [0, 0, 0.5, -2.5], [0, 0, 0, 1]]")
+    options = ScanOptions(splat=tmp_path / "far.ply", splat_transform=matrix)
+    written = import_scan(tmp_path / "app.ply", tmp_path / "mine", options)
+    assert "splat laid by T.txt: half of its Gaussians lie within 0.0" in "\n".join(written.lines)
+    matrix.write_text("1 0 0 0 0 1 0 0 0 0 2 0 0 0 0 1")
+    with pytest.raises(SceneError, match=r"T\.txt"):
+        import_scan(tmp_path / "app.ply", tmp_path / "other", options)
+
+
+def test_what_cannot_be_is_refused_by_name_and_nothing_is_left(tmp_path):
+    points, _, _ = ground()
+    scanned(points).export(tmp_path / "scan.ply")
+    (tmp_path / "there").mkdir()
+    for source, out, options, why in (
+        ("scan.ply", "there", {}, "is there already"),
+        ("scan.ply", "new", {"cell": 0.1}, "--cell is of elevation maps"),
+        ("scan.ply", "new", {"trail": ((0.0, 0.0),)}, "a trail of 1 points"),
+        ("scan.ply", "new", {"trail": ((0.0, 0.0), (9.0, 0.0))}, "waypoint 0 at .* no ground"),
+        ("scan.ply", "new", {"name": "a b"}, "name 'a b'"),
+        ("scan.usdz", "new", {}, "no scan that is read"),
+    ):
+        with pytest.raises((SceneError, UsageError), match=why):
+            import_scan(tmp_path / source, tmp_path / out, ScanOptions(**options))
+    assert {path.name for path in tmp_path.iterdir()} == {"scan.ply", "there"}
+
+
+def test_a_glb_whose_texture_points_outside_of_its_bytes_is_an_error(tmp_path):
+    points, _, _ = ground()
+    scanned(points @ Y_UP.T, texture=picture()).export(tmp_path / "scan.glb")
+    whole = (tmp_path / "scan.glb").read_bytes()
+    (length,) = struct.unpack_from("<I", whole, 12)
+    text = whole[20 : 20 + length]
+    wrong = text.replace(b'"source":0', b'"source":7')
+    assert wrong != text
+    (tmp_path / "scan.glb").write_bytes(whole.replace(text, wrong))
+    with pytest.raises(SceneError, match="no readable GLB mesh: IndexError"):
+        read_painted(tmp_path / "scan.glb")
