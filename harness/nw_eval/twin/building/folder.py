@@ -20,7 +20,7 @@ _FORMATS: dict[Stage, int] = {
     "calibrate": 3,
     "reconstruct": 5,
     "align": 3,
-    "splat": 4,
+    "splat": 5,
     "place": 6,
 }
 """Each changes with what its stage makes of the same inputs."""
