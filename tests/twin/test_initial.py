@@ -85,14 +85,14 @@ def outdoors(turn, *, dark=1.0, depth=True):
 
 
 def test_what_photographs_look_past_everything_at_is_sky_and_infinitely_far():
-    photos, free = zip(*map(outdoors, (0.0, 0.3, 3.0, 3.3)), strict=True)
+    photos, free = zip(*map(outdoors, (0.0, 0.1, 3.0, 3.1)), strict=True)
     known, sky, share = with_sky(photos, free, UP, most=800)
-    assert share == pytest.approx(np.mean(free), abs=0.05)
+    assert share == pytest.approx(np.mean(free), rel=0.2)
     assert 600 < len(sky) < 1000
     for photo, before, above in zip(known, photos, free, strict=True):
         far = (photo.inverse_depth == 0.0) & (photo.confidence == 1.0)
         assert (far <= above).all()
-        assert far.sum() > 0.9 * above.sum()
+        assert far.sum() > 0.75 * above.sum()  # What one photograph alone shows may be near.
         assert (photo.confidence[~far] == before.confidence[~far]).all()
     middle = np.mean([photo.camera.T_world_camera[:3, 3] for photo in photos], axis=0)
     away = sky.means - middle
@@ -124,6 +124,13 @@ def test_a_place_without_sky_gets_none_and_without_depths_photographs_stay_as_th
     (same,), sky, share = with_sky([photo], [np.zeros_like(free)], UP, most=800)
     assert (same is photo, sky, share) == (True, None, 0.0)
     bare, free = outdoors(0.0, depth=False)
-    (same,), sky, _ = with_sky([bare], [free], UP, most=800)
+    (same, _), sky, _ = with_sky([bare, bare], [free, free], UP, most=800)
     assert same is bare
     assert len(sky) > 600
+
+
+@pytest.mark.parametrize(("dark", "is_sky"), [(0.8, True), (0.4, False)])
+def test_what_has_another_colour_in_each_photograph_is_near(dark, is_sky):
+    photos, free = zip(outdoors(0.0), outdoors(0.05, dark=dark), strict=True)
+    _, sky, _ = with_sky(photos, free, UP, most=800)
+    assert (sky is not None) == is_sky

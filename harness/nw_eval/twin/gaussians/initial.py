@@ -33,6 +33,10 @@ _LEAST_SKY = 0.01
 _BLUR = math.radians(10.0)
 """Over which the sky's colours are spread to where no photograph shows it."""
 _OPAQUE = 0.9
+_AGREE, _ALIKE = 2, 0.1
+"""Photographs that must show a direction of the sky, at least, and how far their colours there may
+differ, as a standard deviation: a room behind a table shows each photograph something else, by 0.12
+and more; exposures differ by half of that."""
 
 Values = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -151,10 +155,10 @@ def with_sky(
 ) -> tuple[tuple[Photo, ...], Gaussians | None, float]:
     """Find the sky, and return photographs that know of it and Gaussians that show it.
 
-    A direction is sky where most of the photographs that look there have nothing in the way. Then
-    their pixels without anything in the way are infinitely far, as far as they have depths at all,
-    which keeps what shows them from hanging in the air. Where no photograph shows the sky, it has
-    the colours of the sky beside.
+    A direction is sky where most of the photographs that look there have nothing in the way, and
+    show the same colour: what is nearer differs. Then their pixels without anything in the way are
+    infinitely far, as far as they have depths at all, which keeps what shows them from hanging in
+    the air. Where no photograph shows the sky, it has the colours of the sky beside.
 
     Args:
         photos: of a place.
@@ -168,23 +172,27 @@ def with_sky(
     """
     dome = _Dome(up, most)
     n = len(dome.directions)
-    seen, open_to, weight, colours = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, 3))
+    seen, open_to, total, squares = np.zeros((n, 1)), np.zeros((n, 1)), np.zeros((n, 3)), 0.0
     cells: list[NDArray[np.int64]] = []
     for photo, nothing in zip(photos, free, strict=True):
         cell = dome.cells(photo.rays())
-        cells.append(np.where(nothing, cell, n))  # What has something in the way is no sky.
         shown = cell if photo.mask is None else np.where(photo.mask, cell, n)
-        pixels = np.bincount(shown.ravel(), minlength=n + 1)[:n]
-        seen += pixels > 0
-        there = np.where(shown == cell, cells[-1], n)
-        inside = np.bincount(there.ravel(), minlength=n + 1)[:n]
+        cells.append(np.where(nothing, cell, n))  # What has something in the way is no sky.
+        there = np.where(nothing, shown, n).ravel()
+        pixels = np.bincount(shown.ravel(), minlength=n + 1)[:n, None]
+        inside = np.bincount(there, minlength=n + 1)[:n, None]
+        bands = photo.rgb.reshape(-1, 3).T / 255.0
+        sums = [np.bincount(there, band, minlength=n + 1)[:n] for band in bands]
+        colour = np.stack(sums, axis=1) / np.maximum(inside, 1)
         mostly = 2 * inside > pixels
+        seen += pixels > 0
         open_to += mostly
-        weight += inside * mostly
-        for k in range(3):
-            sums = np.bincount(there.ravel(), photo.rgb[..., k].ravel() / 255.0, minlength=n + 1)
-            colours[:, k] += sums[:n] * mostly
-    is_sky = np.append(2 * open_to > seen, False)
+        total += colour * mostly
+        squares += colour**2 * mostly
+    colours = total / np.maximum(open_to, 1)
+    differ = np.sqrt(np.maximum(squares / np.maximum(open_to, 1) - colours**2, 0.0).mean(axis=1))
+    many = (open_to >= _AGREE) & (2 * open_to > seen)
+    is_sky = np.append(many[:, 0] & (differ <= _ALIKE), False)
     masks = [is_sky[cell] for cell in cells]
     share = sum(int(mask.sum()) for mask in masks) / sum(mask.size for mask in masks)
     if share < _LEAST_SKY:
@@ -192,13 +200,12 @@ def with_sky(
     known = is_sky[:n]
     apart = 1.0 - np.einsum("ik,jk->ij", dome.directions, dome.directions[known])
     apart -= apart.min(axis=1, keepdims=True)
-    spread = np.exp(-2.0 * apart / _BLUR**2) * weight[known]
-    middle = np.einsum("ij,jk->ik", spread, colours[known] / weight[known, None])
-    middle /= spread.sum(axis=1, keepdims=True)
-    middle[known] = colours[known] / weight[known, None]
+    near = np.exp(-2.0 * apart / _BLUR**2) * open_to[known, 0]
+    beside = np.einsum("ij,jk->ik", near, colours[known]) / near.sum(axis=1, keepdims=True)
+    colours = np.where(known[:, None], colours, beside)
     eyes = np.array([photo.camera.T_world_camera[:3, 3] for photo in photos])
     places = eyes.mean(axis=0) + SKY_AWAY * extent_of(photos) * dome.directions
-    sky = gaussians_at(places, middle, dome.directions, opacity=_OPAQUE)
+    sky = gaussians_at(places, colours, dome.directions, opacity=_OPAQUE)
     return tuple(map(_far, photos, masks)), sky, share
 
 
