@@ -52,7 +52,7 @@ _SURFACE = 0.7
 _KEEP_EVERY, _SAY_EVERY = 60.0, 15.0
 """Seconds between two states on disk, and between two lines; the result depends on neither."""
 
-_SKY, _SKY_SHARE = 4000, 0.1
+_SKY, _SKY_SHARE = 4000, 0.05
 """Gaussians that the sky begins with, and their share of all that there may be, at most."""
 _FEWEST = 4
 """Photographs of which one is held out."""

@@ -32,6 +32,8 @@ _LEAST_SKY = 0.01
 """Share of the pixels that must be sky for a place to have one: meshes have small holes."""
 _BLUR = math.radians(10.0)
 """Over which the sky's colours are spread to where no photograph shows it."""
+_LOW = 0.02
+"""Sine of an elevation below which all counts alike there: far trees are low, the sky is above."""
 _OPAQUE = 0.9
 _AGREE, _ALIKE = 2, 0.1
 """Photographs that must show a direction of the sky, at least, and how far their colours there may
@@ -200,7 +202,8 @@ def with_sky(
     known = is_sky[:n]
     apart = 1.0 - np.einsum("ik,jk->ij", dome.directions, dome.directions[known])
     apart -= apart.min(axis=1, keepdims=True)
-    near = np.exp(-2.0 * apart / _BLUR**2) * open_to[known, 0]
+    height = np.maximum(np.einsum("ik,k->i", dome.directions[known], up), _LOW)
+    near = np.exp(-2.0 * apart / _BLUR**2) * height**2
     beside = np.einsum("ij,jk->ik", near, colours[known]) / near.sum(axis=1, keepdims=True)
     colours = np.where(known[:, None], colours, beside)
     eyes = np.array([photo.camera.T_world_camera[:3, 3] for photo in photos])
