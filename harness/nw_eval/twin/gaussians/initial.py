@@ -30,7 +30,7 @@ _HORIZON = math.radians(5.0)
 """How far below the horizon the sky reaches: ground beyond the mesh ends there."""
 _LEAST_SKY = 0.01
 """Share of the pixels that must be sky for a place to have one: meshes have small holes."""
-_BLUR = math.radians(10.0)
+_BLUR = math.radians(20.0)
 """Over which the sky's colours are spread to where no photograph shows it."""
 _LOW = 0.02
 """Sine of an elevation below which all counts alike there: far trees are low, the sky is above."""
