@@ -10,7 +10,7 @@ from splat_rooms import cloud
 from nw_eval.cli.verbs.splat import splat_page
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.gaussians import describe
+from nw_eval.splat.gaussians import concatenate, describe
 from nw_eval.splat.portrait import framing_camera, orbit, save_gif, save_png
 from nw_eval.splat.render import CpuRenderer
 from nw_eval.splat.store import memory_store
@@ -52,6 +52,17 @@ def test_a_framing_camera_has_the_bulk_in_view_and_up_upwards(up):
     assert inside.mean() > 0.95
     upward = np.eye(3)["xyz".index(up[1])] * (1 if up[0] == "+" else -1)
     assert (camera.T_camera_world[:3, :3] @ upward)[1] < -0.9
+
+
+def test_a_sky_far_around_a_scene_is_not_framed():
+    gaussians = cloud(2000)
+    bare = framing_camera(gaussians, width=90, height=120)
+    sky = gaussians.take(np.arange(200))
+    sky.means[:] = np.random.default_rng(0).normal(size=(200, 3))
+    sky.means[:] *= 300.0 / np.linalg.norm(sky.means, axis=1, keepdims=True)
+    around = framing_camera(concatenate(gaussians, sky), width=90, height=120)
+    far = np.linalg.norm(around.T_world_camera[:3, 3] - bare.T_world_camera[:3, 3])
+    assert far < 0.1 * np.linalg.norm(bare.T_world_camera[:3, 3])
 
 
 def test_an_orbit_turns_and_becomes_a_gif(tmp_path):

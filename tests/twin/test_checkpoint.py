@@ -10,26 +10,36 @@ from test_trainer import BUSY
 from nw_eval.arrays import pack
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import sealed_path
-from nw_eval.splat.gaussians import ARRAYS
+from nw_eval.splat.gaussians import ARRAYS, concatenate
+from nw_eval.twin.gaussians.initial import gaussians_at
 from nw_eval.twin.gaussians.trainer import Trainer, resume_training, save_training
 
 
 @pytest.mark.parametrize("strategy", ["default", "mcmc"])
 def test_a_training_that_was_left_goes_on_with_the_same_bits(tmp_path, strategy):
-    taken, config = photos(), replace(BUSY, strategy=strategy)
-    whole = Trainer(taken, beginning(degree=1), config)
+    taken, config = photos(depth=True), replace(BUSY, strategy=strategy)
+    start = with_floaters(taken)
+    whole = Trainer(taken, start, config)
     whole.run()
-    trainer = Trainer(taken, beginning(degree=1), config)
+    trainer = Trainer(taken, start, config)
     for until in (13, 44):  # Between two times at which some come and go.
         trainer.run(until)
         save_training(tmp_path / "state", trainer)
-        trainer = resume_training(tmp_path / "state", taken, beginning(degree=1), config, threads=2)
+        trainer = resume_training(tmp_path / "state", taken, start, config, threads=2)
         assert trainer.iteration == until
     trainer.run()
     assert trainer.is_done
     for name in ARRAYS:
         assert (getattr(trainer.gaussians, name) == getattr(whole.gaussians, name)).all()
     assert (trainer.exposures.maps == whole.exposures.maps).all()
+    assert trainer.floaters == whole.floaters >= len(taken)
+
+
+def with_floaters(taken):
+    """Return Gaussians to begin with, a few of them before each camera."""
+    ahead = [p.camera.T_world_camera @ (0.0, 0.0, z, 1.0) for p in taken for z in (0.8, 1.0, 1.2)]
+    air = gaussians_at(np.array(ahead)[:, :3], np.full((3 * len(taken), 3), 0.5), opacity=0.5)
+    return concatenate(beginning(degree=1), air)
 
 
 @pytest.fixture

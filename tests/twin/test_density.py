@@ -10,8 +10,8 @@ from splat_rooms import cloud
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import ARRAYS, Gaussians
 from nw_eval.twin.gaussians.config import Default, Mcmc
-from nw_eval.twin.gaussians.density import DefaultDensity, McmcDensity, relocated, split
-from nw_eval.twin.gaussians.images import Gradients
+from nw_eval.twin.gaussians.density import DefaultDensity, McmcDensity, floaters, relocated, split
+from nw_eval.twin.gaussians.images import Gradients, Photo
 from nw_eval.twin.gaussians.kernels.rows import perturb
 from nw_eval.twin.gaussians.population import Population
 
@@ -104,6 +104,68 @@ def test_the_faint_are_removed_and_the_large_after_the_first_reset(iteration, le
     population = Population(row)
     _density(3).after(population, iteration, 0.0, _generator())
     assert len(population) == left
+
+
+def test_what_is_far_beyond_the_cameras_is_large_by_its_distance_from_them():
+    row = _row(3)
+    row.log_scales[:] = math.log(3.0)  # 1 m is large near the cameras, 10 m at a hundred metres.
+    row.means[0] += (100.0, 0.0, 0.0)
+    middle = row.means[1].astype(float)
+    density = DefaultDensity(Default(), extent=10.0, most=100, count=3, middle=middle)
+    population = Population(row)
+    density.after(population, 3100, 0.0, _generator())
+    assert (population.gaussians.means == row.means[:1]).all()
+
+
+def of_a_wall(depth=3.0, confidence=1.0):
+    """Return three photographs, side by side, of a wall."""
+    size = {"width": 40, "height": 30, "fx": 30.0, "fy": 30.0, "cx": 20.0, "cy": 15.0}
+    found = []
+    for x in (-0.2, 0.0, 0.2):
+        pose = np.eye(4)
+        pose[0, 3] = x
+        found.append(
+            Photo(
+                name=f"{x}.png",
+                camera=Camera(**size, T_world_camera=pose),
+                rgb=np.zeros((30, 40, 3), np.uint8),
+                inverse_depth=np.full((30, 40), 1.0 / depth, np.float32),
+                confidence=np.full((30, 40), confidence, np.float32),
+            )
+        )
+    return found
+
+
+def test_what_photographs_look_through_floats_and_what_they_see_or_cannot_see_does_not():
+    places = np.float32([[0, 0, 1], [0, 0, 2], [0, 0, 2.9], [0, 0, 3.1], [0, 0, 9], [0, 0, -1]])
+    photos = of_a_wall()
+    assert floaters(places, photos, 10.0).tolist() == [True, True, False, False, False, False]
+    assert floaters(places, photos, 1.5).tolist() == [True, False, False, False, False, False]
+    assert not floaters(places, of_a_wall(confidence=0.1), 10.0).any()
+    assert not floaters(places, [replace(p, inverse_depth=None) for p in photos], 10.0).any()
+    # Two that see a surface there are worth more than one that looks through.
+    seen = [replace(p, inverse_depth=np.full((30, 40), 0.5, np.float32)) for p in photos[:2]]
+    assert not floaters(places[1:2], [*seen, photos[2]], 10.0).any()
+
+
+def test_nothing_floats_before_the_edge_of_something_near():
+    photo = of_a_wall()[1]
+    photo.inverse_depth[:, 21:] = 1.0  # A post one metre ahead, whose edge may be a pixel off.
+    beside = np.float32([[0.02, 0, 1.0], [-0.1, 0, 1.0]])  # In columns 20 and 17.
+    assert floaters(beside, [photo], 10.0).tolist() == [False, True]
+
+
+def test_what_is_in_front_of_the_sky_floats_but_not_the_sky():
+    photos = of_a_wall()
+    for photo in photos:
+        photo.inverse_depth[:] = 0.0
+    assert floaters(np.float32([[0, 0, 2], [0, 0, 200]]), photos, 10.0).tolist() == [True, False]
+
+
+def test_what_one_photograph_alone_shows_much_nearer_than_all_it_knows_floats():
+    photos = of_a_wall(confidence=0.1)  # Too unsure to look through anything.
+    places = np.float32([[0.75, 0, 1.0], [0.75, 0, 2.0], [0.0, 0.0, 1.0]])
+    assert floaters(places, photos, 10.0).tolist() == [True, False, False]
 
 
 def test_opacities_are_reset_to_a_hundredth():

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 import twin_reference as reference
+from skimage.metrics import structural_similarity
 
 from nw_eval.twin.gaussians.loss import depth_loss, photo_loss, psnr
 from nw_eval.twin.gaussians.rasteriser import Threads
@@ -31,6 +32,19 @@ def test_loss_and_gradient_are_torchs(width, height):
     assert mine.ssim == pytest.approx(reference.ssim(x, y).item(), abs=1e-5)
     gradient = x.grad.numpy()
     assert np.linalg.norm(mine.gradient - gradient) < 1e-4 * np.linalg.norm(gradient)
+
+
+def test_similarity_is_scikit_images():
+    picture, photo = _pictures(90, 70)
+    inner = np.zeros((70, 90), dtype=bool)
+    inner[12:-12, 12:-12] = True  # At the edges windows are cut off in one way or another.
+    picture = np.where(inner, picture, photo)
+    options = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    _, truth = structural_similarity(
+        picture, photo, data_range=1.0, channel_axis=0, full=True, **options
+    )
+    assert 0.5 < truth.mean() < 0.95
+    assert photo_loss(picture, photo).ssim == pytest.approx(truth.mean(), abs=1e-5)
 
 
 def test_equal_pictures_have_no_loss_and_no_gradient():

@@ -39,6 +39,9 @@ _FOVY = math.radians(60.0)
 
 _FRAMING_FOVY = math.radians(50.0)
 
+_BACKDROP = 5.0
+"""Median distances from the middle, beyond which Gaussians are a sky, and not framed."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
@@ -194,6 +197,8 @@ def _bulk(gaussians: Gaussians) -> tuple[NDArray[np.float64], float]:
     centres = gaussians.means[np.isfinite(gaussians.means).all(axis=1)].astype(np.float64)
     if len(centres) == 0:
         raise SceneError("no Gaussian has a finite centre", fix="check the file")
+    away = np.linalg.norm(centres - np.median(centres, axis=0), axis=1)
+    centres = centres[away <= _BACKDROP * np.median(away)]
     low, high = np.percentile(centres, [1, 99], axis=0)
     middle = (low + high) / 2
     distance = np.linalg.norm(centres - middle, axis=1)

@@ -12,12 +12,14 @@ from small_capture import PLACE
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.splat.files import read_splat
+from nw_eval.splat.gaussians import SH0
 from nw_eval.twin.building import appearance as the_stage
 from nw_eval.twin.building.appearance import (
     AppearanceOptions,
     photos_of,
     points_of,
     points_on,
+    split_photos,
     train_splat,
 )
 from nw_eval.twin.capture import read_capture
@@ -42,6 +44,11 @@ def test_a_splat_of_a_capture_shows_photographs_that_it_never_saw(build, tmp_pat
     assert report.psnr > few.psnr + 2.0
     splat = read_splat(tmp_path / "out" / "splat.ply")
     assert 700 < len(splat) == report.gaussians < 933  # The balls' tops lie off the mesh.
+    # What photographs see above the floor's horizon is far away, and white as the background is.
+    sky = splat.take(np.linalg.norm(splat.means, axis=1) > 50.0)
+    assert 30 < len(sky) < 75
+    assert 0.5 + SH0 * sky.sh[:, 0] == pytest.approx(1.0, abs=0.15)
+    assert 0.01 < report.sky < 0.1
     facts = json.loads((tmp_path / "out" / "report.json").read_text())
     assert facts["psnr"] == pytest.approx(report.psnr)
     assert facts["options"]["iterations"] == 120
@@ -68,16 +75,51 @@ def test_a_training_that_was_cut_off_ends_in_the_same_bytes(build, tmp_path, mon
     monkeypatch.setattr(the_stage.Trainer, "step", step)
     assert not (tmp_path / "cut" / "splat.ply").exists()
     _, lines = trained(build, tmp_path / "cut")
-    assert lines[0] == "splat: goes on after step 40 of 120"
+    assert lines[1] == "splat: goes on after step 40 of 120"
     whole, again = (tmp_path / n / "splat.ply" for n in ("whole", "cut"))
     assert whole.read_bytes() == again.read_bytes()
+
+
+def test_of_few_photographs_some_are_held_out_until_the_figures_are_taken(build, tmp_path):
+    options = replace(QUICK, held_out_every=8)
+    report, lines = trained(build, tmp_path, options)
+    assert [view.name for view in report.views] == ["04.png"]
+    assert (report.photos, report.learnt_after) == (8, True)
+    facts = json.loads((tmp_path / "report.json").read_text())
+    assert facts["learnt_after"] is True
+    assert facts["ssim"] == pytest.approx(report.ssim)
+    assert lines[-1].endswith(f"{report.psnr:.1f} dB on 1 photograph before it learnt from it")
+    # The figures are of the training without it, and the splat of all.
+    without, _ = trained(build, tmp_path / "named", replace(options, held_out="04.png"))
+    assert (without.views, without.photos, without.learnt_after) == (report.views, 7, False)
+    splat = (tmp_path / "splat.ply").read_bytes()
+    assert splat != (tmp_path / "named" / "splat.ply").read_bytes()
+    _, lines = trained(build, tmp_path, options)
+    assert [line for line in lines if "goes on" in line] == [
+        "splat: goes on after step 120 of 120",
+        "splat: goes on after step 24 of 24",
+    ]
+    assert (tmp_path / "splat.ply").read_bytes() == splat
+
+
+@pytest.mark.parametrize(
+    ("count", "held"),
+    [(3, []), (4, [2]), (8, [4]), (12, [3, 9]), (14, [3, 10]), (16, [4, 12]), (24, [4, 12, 20])],
+)
+def test_about_every_eighth_photograph_is_held_out(build, count, held):
+    capture = read_capture(build / "capture")
+    photo = photos_of(capture, build / "capture", None, longest=36)[0]
+    photos = tuple(replace(photo, name=str(number)) for number in range(count))
+    learnt, out = split_photos(photos, AppearanceOptions())
+    assert [int(each.name) for each in out] == held
+    assert len(learnt) == count - len(held)
 
 
 def test_a_state_of_other_options_is_begun_anew(build, tmp_path):
     options = replace(QUICK, iterations=5)
     trained(build, tmp_path, options)
     _, lines = trained(build, tmp_path, replace(options, seed=3))
-    assert "from the beginning" in lines[0]
+    assert "from the beginning" in lines[1]
 
 
 def test_without_a_mesh_it_begins_at_the_points_of_the_calibration(build, tmp_path):

@@ -83,7 +83,7 @@ class SplatFlags:
     """Longest side of the pictures that are learnt from, pixels."""
     held_out: str = ""
     """Photographs that are kept from training to compare with, such as 'low_*'; every eighth when
-    absent."""
+    absent. Of fewer than 16 photographs, one or two are until the figures are taken."""
 
 
 @dataclass(frozen=True, kw_only=True)

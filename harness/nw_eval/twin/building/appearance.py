@@ -1,7 +1,11 @@
 """A capture and its depths in, Gaussians out: the stage of a build that makes the splat.
 
 Shots become photographs to train on, reduced, with depth where it is known. Gaussians begin on the
-mesh with its colours, or at the points that calibration found. The training is resumable.
+mesh with its colours, or at the points that calibration found; where photographs look past both,
+above the horizon, is the sky. The training is resumable.
+
+Photographs are held out to compare with. Of few photographs each is needed: once the figures are
+taken, the training goes on for a fifth of its steps with all of them.
 """
 
 from __future__ import annotations
@@ -22,12 +26,16 @@ from nw_eval.errors import SceneError, StoreError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import inside
 from nw_eval.files.pictures import open_picture
+from nw_eval.plural import plural
+from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
+from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians, concatenate
+from nw_eval.twin.align.gravity import find_gravity
 from nw_eval.twin.capture import Capture, PlacedShot, read_capture, read_picture
 from nw_eval.twin.gaussians.config import Strategy, TrainConfig
 from nw_eval.twin.gaussians.images import Photo
-from nw_eval.twin.gaussians.initial import distances, gaussians_at
+from nw_eval.twin.gaussians.initial import distances, gaussians_at, with_sky
 from nw_eval.twin.gaussians.kernels.rows import NEIGHBOURS
 from nw_eval.twin.gaussians.loss import ViewFigures, view_figures
 from nw_eval.twin.gaussians.rasteriser import Rasteriser
@@ -35,7 +43,7 @@ from nw_eval.twin.gaussians.trainer import Trainer, resume_training, save_traini
 from nw_eval.twin.reconstruct.depth import read_depth
 
 SPLAT, REPORT = "splat.ply", "report.json"
-_STATE = "training.state"
+_STATE, _LAST_STATE = "training.state", "last.state"
 _WIDEST = 1.2
 """Of a Gaussian near the cameras, as a share of what they have between them on the mesh. Large ones
 show plain ground as well to photographs, but a robot is nearer, and sees them stand out of it."""
@@ -43,6 +51,13 @@ _SURFACE = 0.7
 """Opacity of Gaussians that begin on a mesh: it is where something was seen."""
 _KEEP_EVERY, _SAY_EVERY = 60.0, 15.0
 """Seconds between two states on disk, and between two lines; the result depends on neither."""
+
+_SKY, _SKY_SHARE = 4000, 0.05
+"""Gaussians that the sky begins with, and their share of all that there may be, at most."""
+_FEWEST = 4
+"""Photographs of which one is held out."""
+_LAST = 5
+"""One step with the photographs that were held out follows so many without them."""
 
 _T = TypeVar("_T", bound=np.generic)
 _DAMAGE = (OSError, ValueError, LookupError, TypeError, EOFError, SyntaxError)
@@ -69,6 +84,7 @@ class AppearanceOptions:
         mesh: whether they begin on the mesh; else at the points that calibration found.
         depth: whether the depths of the reconstruction count.
         held_out_every: every so many-th picture is kept from training, to compare with; 0 = none.
+            Of fewer than twice as many, about that share is, until the figures are taken.
         held_out: a glob of names that are kept from training instead; empty = none are named.
         seed: of all that is drawn.
     """
@@ -109,11 +125,18 @@ class AppearanceReport:
         gaussians: how many there are.
         photos: learnt from.
         views: figures of the photographs that were held out.
+        floaters: Gaussians that were removed because they hung in the air near cameras.
+        sky: share of the pixels that show the sky.
+        learnt_after: whether the training went on with the photographs that were held out, after
+            their figures were taken.
     """
 
     gaussians: int
     photos: int
     views: tuple[ViewFigures, ...]
+    floaters: int = 0
+    sky: float = 0.0
+    learnt_after: bool = False
 
     @property
     def psnr(self) -> float | None:
@@ -153,46 +176,109 @@ def train_splat(
     capture = read_capture(capture_folder)
     depths = None if mesh_folder is None or not options.depth else mesh_folder / "depth"
     photos = photos_of(capture, capture_folder, depths, longest=options.longest)
+    sky, share, widest = None, 0.0, 0.0
+    if options.mesh and mesh_folder is not None:
+        photos, sky, share = _with_sky(capture, mesh_folder / "mesh.ply", photos, options, say)
+        start, widest = _on_mesh(capture, mesh_folder / "mesh.ply", options, sky)
+    else:
+        start = gaussians_at(*points_of(capture))
     learnt, held = split_photos(photos, options)
-    trainer = _trainer(capture, mesh_folder, learnt, out, options, threads, say)
-    _train(trainer, out, say)
-    gaussians = trainer.gaussians
+    config = TrainConfig.short(options.iterations, seed=options.seed, strategy=options.strategy)
+    config = replace(config, most=options.most, widest=widest)
+    trainer = _trained(out / _STATE, learnt, start, config, threads, say)
     rasteriser = Rasteriser(
-        preset=trainer.config.preset,
-        antialiased=trainer.config.antialiased,
-        background=trainer.config.background,
+        preset=config.preset, antialiased=config.antialiased, background=config.background
     )
-    views = tuple(view_figures(gaussians, photo, rasteriser) for photo in held)
-    report = AppearanceReport(gaussians=len(gaussians), photos=len(learnt), views=views)
+    views = tuple(view_figures(trainer.gaussians, photo, rasteriser) for photo in held)
+    removed = trainer.floaters
+    again = len(held) > 0 and not options.held_out and _are_few(photos, options)
+    if again:
+        everything = (*learnt, *held)
+        trainer = _trained(out / _LAST_STATE, everything, trainer, _last(config), threads, say)
+        removed += trainer.floaters
+    report = AppearanceReport(
+        gaussians=len(trainer.gaussians),
+        photos=len(trainer.photos),
+        views=views,
+        floaters=removed,
+        sky=share,
+        learnt_after=again,
+    )
     with atomic_path(out / SPLAT) as temporary:
-        write_splat(temporary, gaussians)
+        write_splat(temporary, trainer.gaussians)
     with atomic_path(out / REPORT) as temporary:
         facts = {"options": asdict(options), **asdict(report)}
         figures = {"psnr": report.psnr, "ssim": report.ssim}
         temporary.write_text(json.dumps(facts | figures, indent=1), encoding="utf-8")
-    seen = "" if not views else f", {report.psnr:.1f} dB on {len(views)} photographs kept from it"
-    say(f"splat: {len(gaussians):,} Gaussians of {len(learnt)} photographs{seen}")
+    seen = ""
+    if views:
+        kept = (
+            "kept from it"
+            if not again
+            else f"before it learnt from {'it' if len(views) == 1 else 'them'}"
+        )
+        seen = f", {report.psnr:.1f} dB on {plural(len(views), 'photograph')} {kept}"
+    if removed:
+        say(f"splat: {removed:,} Gaussians hung in the air near cameras and were removed")
+    say(f"splat: {report.gaussians:,} Gaussians of {report.photos} photographs{seen}")
     return report
 
 
-def _trainer(
+def _with_sky(
     capture: Capture,
-    mesh_folder: Path | None,
+    mesh: Path,
     photos: tuple[Photo, ...],
-    out: Path,
     options: AppearanceOptions,
+    say: Callable[[str], None],
+) -> tuple[tuple[Photo, ...], Gaussians | None, float]:
+    """Return what `with_sky` does, and the share of the pixels that are sky."""
+    try:
+        up = find_gravity(capture, None, (), np.random.default_rng(options.seed), lambda _: None).up
+    except SceneError:  # Too few points to tell up by.
+        return photos, None, 0.0
+    vertices, faces, *_ = _read_mesh(mesh)
+    kinds = np.full(len(faces), FACE_KINDS.index("ground"), np.uint8)
+    rays = RayScene(TriangleMesh(vertices=vertices, faces=faces.astype(np.int32), kinds=kinds))
+    free: list[NDArray[np.bool_]] = []
+    for photo in photos:
+        ways = photo.rays().reshape(-1, 3)
+        eye = photo.camera.T_world_camera[:3, 3]
+        _, face = rays.cast(np.broadcast_to(eye, ways.shape), ways)
+        past = (face < 0).reshape(photo.rgb.shape[:2])
+        free.append(past if photo.inverse_depth is None else past & (photo.inverse_depth == 0.0))
+    most = min(_SKY, int(options.most * _SKY_SHARE))
+    photos, sky, share = with_sky(photos, free, up, most=most)
+    if sky is not None:
+        say(f"splat: {share:.0%} of the photographs is sky, {len(sky):,} Gaussians to begin with")
+    return photos, sky, share
+
+
+def _last(config: TrainConfig) -> TrainConfig:
+    """Return the config of the steps with all photographs, which goes on where another ended."""
+    rates = config.rates
+    return replace(
+        config,
+        iterations=max(1, config.iterations // _LAST),
+        strategy="fixed",
+        sh_every=1,
+        depth_weight=config.depth_weight_last,
+        rates=replace(rates, means=rates.means_last),
+    )
+
+
+def _trained(
+    state: Path,
+    photos: tuple[Photo, ...],
+    begin: Gaussians | Trainer,
+    config: TrainConfig,
     threads: int,
     say: Callable[[str], None],
 ) -> Trainer:
-    """Return the training as it was left, or at its beginning."""
-    config = TrainConfig.short(options.iterations, seed=options.seed, strategy=options.strategy)
-    config = replace(config, most=options.most)
-    if options.mesh and mesh_folder is not None:
-        start, widest = _on_mesh(capture, mesh_folder / "mesh.ply", options)
-        config = replace(config, widest=widest)
-    else:
-        start = gaussians_at(*points_of(capture))
-    state = out / _STATE
+    """Return a training with all its steps done, from its beginning or as it was left.
+
+    One that goes on from another takes over the exposures of the photographs that both have.
+    """
+    trainer, start = None, begin.gaussians if isinstance(begin, Trainer) else begin
     if state.is_file():
         try:
             trainer = resume_training(state, photos, start, config, threads=threads)
@@ -200,18 +286,25 @@ def _trainer(
             say(f"splat: {error}: from the beginning")
         else:
             say(f"splat: goes on after step {trainer.iteration:,} of {config.iterations:,}")
-            return trainer
-    say(f"splat: {len(photos)} photographs, begins with {len(start):,} Gaussians")
-    return Trainer(photos, start, config, threads=threads)
+    if trainer is None:
+        say(f"splat: {len(photos)} photographs, begins with {len(start):,} Gaussians")
+        trainer = Trainer(photos, start, config, threads=threads)
+        if isinstance(begin, Trainer):
+            trainer.exposures.maps[: len(begin.photos)] = begin.exposures.maps
+    _train(trainer, state, say)
+    return trainer
 
 
-def _on_mesh(capture: Capture, mesh: Path, options: AppearanceOptions) -> tuple[Gaussians, float]:
-    """Return flat Gaussians on the mesh with round ones at points that it lacks, and `widest`."""
+def _on_mesh(
+    capture: Capture, mesh: Path, options: AppearanceOptions, sky: Gaussians | None
+) -> tuple[Gaussians, float]:
+    """Return flat Gaussians on the mesh, the sky's, round ones at other points, and `widest`."""
     count = min(options.begin, options.most * 3 // 4)  # The rest is for what the mesh lacks.
     on = points_on(mesh, count, capture.centres, seed=options.seed)
     start = gaussians_at(*on, opacity=_SURFACE)
     sizes = np.exp(start.log_scales[:, 0]) / distances(on[0], capture.centres)
     widest = min(0.5, _WIDEST * float(np.median(sizes)))
+    start = start if sky is None else concatenate(start, sky)
     points, colours = points_of(capture, off=on[0])
     room = max(0, options.most - len(start))
     kept = np.unique(np.linspace(0, len(points) - 1, min(room, len(points))).astype(np.int64))
@@ -220,7 +313,7 @@ def _on_mesh(capture: Capture, mesh: Path, options: AppearanceOptions) -> tuple[
     return concatenate(start, gaussians_at(points[kept], colours[kept])), widest
 
 
-def _train(trainer: Trainer, out: Path, say: Callable[[str], None]) -> None:
+def _train(trainer: Trainer, state: Path, say: Callable[[str], None]) -> None:
     """Take all steps that are left, keep the state now and then, and say how far it is."""
     first, began = trainer.iteration, monotonic()
     kept = told_last = began
@@ -238,7 +331,7 @@ def _train(trainer: Trainer, out: Path, say: Callable[[str], None]) -> None:
             )
         if now - kept >= _KEEP_EVERY or trainer.is_done:
             kept = now
-            save_training(out / _STATE, trainer)
+            save_training(state, trainer)
 
 
 def photos_of(
@@ -263,6 +356,8 @@ def split_photos(
 ) -> tuple[tuple[Photo, ...], tuple[Photo, ...]]:
     """Return what is learnt from, and what is held out: by name, or every 8th as the field does it.
 
+    Of few photographs about an eighth is held out too, at least one of four.
+
     Raises:
         UsageError: no photograph has such a name, or all have.
     """
@@ -276,10 +371,18 @@ def split_photos(
         names = {photo.name for photo in held}
         return tuple(photo for photo in photos if photo.name not in names), held
     every = options.held_out_every
-    if not every or len(photos) < 2 * every:
+    if not every or len(photos) < _FEWEST:
         return photos, ()
-    held = photos[every // 2 :: every]
-    return tuple(p for n, p in enumerate(photos) if n % every != every // 2), held
+    chosen = set(range(every // 2, len(photos), every))
+    if _are_few(photos, options):
+        count = max(1, round(len(photos) / every))
+        chosen = {(2 * n + 1) * len(photos) // (2 * count) for n in range(count)}
+    held = tuple(photo for n, photo in enumerate(photos) if n in chosen)
+    return tuple(photo for n, photo in enumerate(photos) if n not in chosen), held
+
+
+def _are_few(photos: tuple[Photo, ...], options: AppearanceOptions) -> bool:
+    return len(photos) < 2 * options.held_out_every
 
 
 def _photo(shot: PlacedShot, folder: Path, depths: Path | None, longest: int) -> Photo:
@@ -362,15 +465,7 @@ def points_on(path: Path, count: int, eyes: Rows, *, seed: int) -> tuple[Rows, R
     Raises:
         SceneError: the mesh cannot be read, or has no faces.
     """
-    import trimesh
-
-    try:
-        mesh = trimesh.load_mesh(path, process=False)
-        faces = np.asarray(mesh.faces, np.int64)
-        tints = np.asarray(getattr(mesh.visual, "vertex_colors"), np.float64)[:, :3] / 255.0  # noqa: B009 - of one of the two kinds.
-        corners, tints = np.asarray(mesh.vertices, np.float64)[faces], tints[faces]
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
-        raise SceneError(f"{path} is no mesh with colours: {error}", fix=_FIX) from None
+    _, _, corners, tints = _read_mesh(path)
     sides = corners[:, 1:] - corners[:, :1]
     normals = np.cross(sides[:, 0], sides[:, 1])
     areas = 0.5 * np.linalg.norm(normals, axis=1)
@@ -385,6 +480,20 @@ def points_on(path: Path, count: int, eyes: Rows, *, seed: int) -> tuple[Rows, R
     weights = np.stack([1.0 - root, root * (1.0 - other), root * other], axis=1)[..., None]
     points, colours = (weights * corners[chosen]).sum(1), (weights * tints[chosen]).sum(1)
     return points, colours, normals[chosen] / (2.0 * areas[chosen, None])
+
+
+def _read_mesh(path: Path) -> tuple[Rows, NDArray[np.int64], Rows, Rows]:
+    """Return vertices (V, 3), faces (F, 3), their corners (F, 3, 3), and the corners' colours."""
+    import trimesh
+
+    try:
+        mesh = trimesh.load_mesh(path, process=False)
+        faces = np.asarray(mesh.faces, np.int64)
+        tints = np.asarray(getattr(mesh.visual, "vertex_colors"), np.float64)[:, :3] / 255.0  # noqa: B009 - of one of the two kinds.
+        vertices = np.asarray(mesh.vertices, np.float64)
+        return vertices, faces, vertices[faces], tints[faces]
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        raise SceneError(f"{path} is no mesh with colours: {error}", fix=_FIX) from None
 
 
 def _nearness(places: Rows, eyes: Rows) -> Rows:

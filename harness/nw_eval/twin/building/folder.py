@@ -23,7 +23,7 @@ _FORMATS: dict[Stage, int] = {
     "calibrate": 4,
     "reconstruct": 5,
     "align": 4,
-    "splat": 4,
+    "splat": 5,
     "place": 7,
 }
 """Each changes with what its stage makes of the same inputs."""

@@ -11,9 +11,9 @@
 
 config.py      what a training is asked to do
 trainer.py     the loop, and a training on disk
-initial.py     Gaussians at points, such as those of a mesh
+initial.py     Gaussians to begin with: at points, such as those of a mesh, and of the sky
 images.py      a photograph, what is known of its depth, and what is rendered
 rasteriser.py  pictures and gradients; kernels/ its compiled half
 loss.py        what training minimises; PSNR and SSIM of views that no step saw
-population.py  Gaussians with their moments; density.py how they come and go
+population.py  Gaussians with their moments; density.py how they come and go; floaters
 """

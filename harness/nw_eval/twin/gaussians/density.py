@@ -11,12 +11,16 @@ number of Gaussians is given, and where they are is sampled: noise moves faint o
 move to where living ones are, and new ones come there too. N Gaussians in the place of one of
 opacity o have opacity 1 - (1 - o)^(1/N) each and another size, so that the picture stays what it
 was (equation 9 of the paper; its double sum is one, since sum_i C(i - 1, k) = C(N, k + 1)).
+
+Whatever the strategy, floaters are removed: Gaussians in the air near cameras, which help one
+photograph and stand in the way of a robot.
 """
 
 # ruff: noqa: ARG002 - what strategies are told; this one needs none of it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,7 +30,7 @@ from numpy.typing import NDArray
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import ARRAYS, Gaussians
 from nw_eval.twin.gaussians.config import Default, Mcmc
-from nw_eval.twin.gaussians.images import Gradients
+from nw_eval.twin.gaussians.images import Gradients, Photo
 from nw_eval.twin.gaussians.kernels.rows import perturb
 from nw_eval.twin.gaussians.population import Population
 
@@ -34,6 +38,13 @@ MOST_IN_PLACE = 50
 """Gaussians that one is replaced by at most; more count as so many, as in the paper's code."""
 
 _BELOW_ONE = 1.0 - 2.0**-23
+
+_IN_FRONT = 0.25
+"""Share of a depth by which a Gaussian is well in front of it."""
+_LOOKS = 0.5
+"""Confidence, summed over photographs, that must look through a floater."""
+_CLOSE = 0.5
+"""Share of the nearest depth of a photograph, before which what it alone shows is a floater."""
 
 
 class Density:
@@ -65,6 +76,11 @@ class Density:
             generator: of this step.
         """
 
+    def keep(self, rows: NDArray[np.bool_]) -> None:
+        """Forget what is remembered of all other rows, which are removed."""
+        for name, array in self.arrays().items():
+            setattr(self, name, array[rows])
+
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what is remembered, by name."""
         return {name: getattr(self, name) for name in self.remembered}
@@ -78,12 +94,23 @@ class DefaultDensity(Density):
         extent: size of the capture.
         most: Gaussians that there may be.
         count: Gaussians that there are.
+        middle: (3,) of the cameras. What is farther from it than `extent` is small and large in
+            relation to that distance, so that a sky stays.
     """
 
     remembered = ("pull", "views")
 
-    def __init__(self, settings: Default, *, extent: float, most: int, count: int) -> None:
+    def __init__(
+        self,
+        settings: Default,
+        *,
+        extent: float,
+        most: int,
+        count: int,
+        middle: NDArray[np.float64] | None = None,
+    ) -> None:
         self._settings, self._extent, self._most = settings, extent, most
+        self._middle = np.zeros(3) if middle is None else middle
         self.pull = np.zeros(count, dtype=np.float32)
         self.views = np.zeros(count, dtype=np.int32)
 
@@ -108,7 +135,7 @@ class DefaultDensity(Density):
             self._grow(population, generator)
             gone = population.opacities() < settings.faint
             if iteration > settings.reset_every:
-                gone |= population.largest() > settings.large * self._extent
+                gone |= population.largest() > settings.large * self._reach(population)
             if not gone.all():
                 population.keep(~gone)
             self.pull = np.zeros(len(population), dtype=np.float32)
@@ -116,19 +143,72 @@ class DefaultDensity(Density):
         if iteration % settings.reset_every == 0:
             population.limit_opacity(2.0 * settings.faint)
 
+    def _reach(self, population: Population) -> NDArray[np.float64]:
+        """Return (N,) distances from the cameras' middle, at least the size of the capture."""
+        away = population.gaussians.means - self._middle
+        return np.maximum(np.linalg.norm(away, axis=1), self._extent)
+
     def _grow(self, population: Population, generator: np.random.Generator) -> None:
         mean = self.pull / np.maximum(self.views, 1)
         growing = mean > self._settings.gradient
         room = max(0, self._most - len(population))
         if growing.sum() > room:  # Each adds one: those that are pulled most.
             growing[np.argsort(-mean, kind="stable")[room:]] = False
-        is_small = population.largest() <= self._settings.small * self._extent
+        is_small = population.largest() <= self._settings.small * self._reach(population)
         cloned = population.gaussians.take(growing & is_small)
         splitting = growing & ~is_small
         parts = split(population.gaussians.take(splitting), self._settings.shrink, generator)
         population.keep(~splitting)
         population.append(cloned)
         population.append(parts)
+
+
+def floaters(
+    means: NDArray[np.float32], photos: Sequence[Photo], reach: float
+) -> NDArray[np.bool_]:
+    """Return which Gaussians hang in the air near cameras.
+
+    One does where photographs look through it, to a depth well behind, with more confidence than
+    others see a surface there; and where one photograph alone shows it, much nearer than whatever
+    that photograph knows the depth of.
+
+    Args:
+        means: (N, 3) of the Gaussians.
+        photos: those without depths say nothing.
+        reach: distance from a camera up to which it may look through one.
+    """
+    through, on = np.zeros((2, len(means)))
+    close, views = np.zeros(len(means), dtype=bool), np.zeros(len(means), dtype=np.int64)
+    for photo in photos:
+        camera, inverse = photo.camera, photo.inverse_depth
+        T = np.linalg.inv(camera.T_world_camera)
+        x, y, z = np.einsum("ij,nj->in", T[:3, :3], means.astype(np.float64)) + T[:3, 3:]
+        rows = np.flatnonzero(z > camera.near)
+        column = np.floor(x[rows] / z[rows] * camera.fx + camera.cx)
+        row = np.floor(y[rows] / z[rows] * camera.fy + camera.cy)
+        inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+        rows, at = rows[inside], (row[inside].astype(int), column[inside].astype(int))
+        views[rows] += 1
+        if inverse is None:
+            continue
+        sure = (inverse > 0.0).astype(np.float32) if photo.confidence is None else photo.confidence
+        nearest = _nearest_beside(np.where(sure > 0.0, inverse, np.float32(0.0)))[at]
+        own, sure_there = 1.0 / z[rows], sure[at]
+        is_front = (1.0 - _IN_FRONT) * own > nearest
+        through[rows] += sure_there * (is_front & (z[rows] < reach))
+        on[rows] += sure_there * (~is_front & ((1.0 + _IN_FRONT) * own > inverse[at]))
+        known = inverse[(sure > 0.0) & (inverse > 0.0)]
+        if len(known):
+            close[rows] |= _CLOSE * own > np.quantile(known, 0.99)
+    return ((through >= _LOOKS) & (through > on)) | (close & (views == 1))
+
+
+def _nearest_beside(inverse: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the largest of each pixel (H, W) and its eight neighbours: edges are uncertain."""
+    for axis in (0, 1):
+        edged = np.pad(inverse, [(1, 1) if k == axis else (0, 0) for k in (0, 1)], mode="edge")
+        inverse = np.lib.stride_tricks.sliding_window_view(edged, 3, axis=axis).max(axis=-1)
+    return inverse
 
 
 def split(gaussians: Gaussians, shrink: float, generator: np.random.Generator) -> Gaussians:

@@ -71,6 +71,14 @@ class Photo:
                 content.update(array.tobytes())
         return content.hexdigest()
 
+    def rays(self) -> NDArray[np.float64]:
+        """Return (H, W, 3) unit vectors from the camera through the pixels, in the world."""
+        camera = self.camera
+        y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+        own = [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)]
+        rays = np.einsum("ij,jyx->yxi", camera.T_world_camera[:3, :3], np.stack(own))
+        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
     def planes(self) -> F32:
         """Return the picture as (3, H, W) float32, 0 to 1."""
         planes = self.rgb.transpose(2, 0, 1).astype(np.float32, order="C")

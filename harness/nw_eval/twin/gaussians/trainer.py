@@ -21,7 +21,7 @@ from nw_eval.files.cache import DamagedError, read_sealed, sealed_path
 from nw_eval.splat.gaussians import ARRAYS, Gaussians
 from nw_eval.splat.store import digest
 from nw_eval.twin.gaussians.config import TrainConfig, falling
-from nw_eval.twin.gaussians.density import DefaultDensity, Density, McmcDensity
+from nw_eval.twin.gaussians.density import DefaultDensity, Density, McmcDensity, floaters
 from nw_eval.twin.gaussians.images import Photo, extent_of
 from nw_eval.twin.gaussians.initial import distances
 from nw_eval.twin.gaussians.loss import Exposures, compare
@@ -32,11 +32,14 @@ _ORDER, _SAMPLE = 0, 1
 """What a generator is for: with seed and step, all that its numbers depend on."""
 _LIMIT_EVERY = 10
 """Steps from one time that sizes are limited to the next."""
+_PRUNED = frozenset({5, 6, 7, 8, 9})
+"""Tenths of a training after which floaters are removed; what is left learns on."""
 
-FORMAT = 2
+FORMAT = 3
 """Changes with the arrays of a checkpoint, and with what a step does to them."""
 
 _PARTS = ("values", "mean", "square")
+_COUNTS = ("iteration", "floaters")
 _EXPOSURES = ("maps", "mean", "square", "steps")
 
 
@@ -75,6 +78,9 @@ class Trainer:
         config: what is asked.
         threads: that share each step.
 
+    Attributes:
+        floaters: Gaussians that were removed because they hung in the air near cameras.
+
     Raises:
         UsageError: no photographs, or no Gaussians.
     """
@@ -98,8 +104,9 @@ class Trainer:
         self.extent = extent_of(photos)
         self.population = Population(start)
         self.exposures = Exposures(len(photos))
-        self.density = _density(config, self.extent, len(start))
         self._eyes = np.array([photo.camera.T_world_camera[:3, 3] for photo in photos])
+        self.density = _density(config, self.extent, self._eyes.mean(axis=0), len(start))
+        self.floaters = 0
         self._workers = Threads(threads)
         self._rasteriser = Rasteriser(
             preset=config.preset,
@@ -169,6 +176,9 @@ class Trainer:
         self.density.observe(gradients, photo.camera)
         generator = self._generator(_SAMPLE, self.iteration)
         self.density.after(population, self.iteration, means_rate, generator)
+        tenth, rest = divmod(10 * self.iteration, config.iterations)
+        if tenth in _PRUNED and rest < 10:
+            self._prune()
         if config.widest > 0.0 and self.iteration % _LIMIT_EVERY == 0:
             away = distances(population.gaussians.means, self._eyes)
             limits = np.where(away < self.extent, config.widest * away, np.inf)
@@ -183,6 +193,14 @@ class Trainer:
             count=len(population),
         )
 
+    def _prune(self) -> None:
+        """Remove floaters, and count them."""
+        gone = floaters(self.population.gaussians.means, self.photos, self.extent)
+        if gone.any() and not gone.all():
+            self.population.keep(~gone)
+            self.density.keep(~gone)
+            self.floaters += int(gone.sum())
+
     def _next_photo(self) -> int:
         """Return the photograph of the next step: all in turn, in another order each time."""
         count = len(self.photos)
@@ -193,9 +211,13 @@ class Trainer:
         return np.random.default_rng([self.config.seed, purpose, step])
 
 
-def _density(config: TrainConfig, extent: float, count: int) -> Density:
+def _density(
+    config: TrainConfig, extent: float, middle: NDArray[np.float64], count: int
+) -> Density:
     if config.strategy == "default":
-        return DefaultDensity(config.default, extent=extent, most=config.most, count=count)
+        return DefaultDensity(
+            config.default, extent=extent, most=config.most, count=count, middle=middle
+        )
     return McmcDensity(config.mcmc, most=config.most) if config.strategy == "mcmc" else Density()
 
 
@@ -212,7 +234,8 @@ def save_training(path: Path, trainer: Trainer) -> None:
     }
     arrays |= {f"exposure.{name}": getattr(trainer.exposures, name) for name in _EXPOSURES}
     arrays |= {f"density.{name}": array for name, array in trainer.density.arrays().items()}
-    arrays["iteration"] = np.array(trainer.iteration, dtype=np.int64)
+    for name in _COUNTS:
+        arrays[name] = np.array(getattr(trainer, name), dtype=np.int64)
     arrays["about"] = np.frombuffer(
         _about(trainer.photos, trainer.began, trainer.config), dtype=np.uint8
     )
@@ -285,11 +308,11 @@ def _restored(
             array = arrays[f"{kind}.{name}"]
             _check(array, getattr(owner, name))
             setattr(owner, name, array)
-    iteration = arrays["iteration"]
-    _check(iteration, np.array(0, dtype=np.int64))
-    if not 0 <= iteration <= config.iterations:
-        raise ValueError(f"{iteration} steps of {config.iterations}")
-    trainer.iteration = int(iteration)
+    for name in _COUNTS:
+        _check(arrays[name], np.array(0, dtype=np.int64))
+        setattr(trainer, name, int(arrays[name]))
+    if not 0 <= trainer.iteration <= config.iterations:
+        raise ValueError(f"{trainer.iteration} steps of {config.iterations}")
     return trainer
 
 
