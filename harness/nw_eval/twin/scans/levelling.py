@@ -17,8 +17,7 @@ from nw_eval.files.inside import what_is
 from nw_eval.scenes.folder import folder_files, load_folder
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.suite.written import write_ready_suite
-from nw_eval.twin.label.opening import OpenedPlace, open_place
-from nw_eval.twin.label.saving import save_label
+from nw_eval.twin.label.files import OpenedPlace, open_place, save_label
 from nw_eval.twin.moved import moved_points
 from nw_eval.twin.place import SUITE, Route
 from nw_eval.twin.scans.scan import UNITS, Unit, WrittenScan, lay_course, shifted, turn_to_z
