@@ -6,7 +6,7 @@ from PIL import Image
 from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.capture import Capture, PlacedShot, write_capture
 
-WIDTH, HEIGHT = 192, 144
+WIDTH, HEIGHT = 144, 112
 EYE = 1.5
 """Height of the camera above the ground, metres."""
 WALL_Y, WALL_X, WALL_Z = 7.0, (-1.2, 2.4), 2.6

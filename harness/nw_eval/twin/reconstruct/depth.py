@@ -43,8 +43,10 @@ _NEARER, _FARTHER = 0.7, 1.5
 """Times the nearest and the farthest depth of the calibration's points, that are matched."""
 _ISLE = 1.0 / 1300.0
 """Share of a picture below which pixels that hang together are an accident."""
-_FAR_PLANE = 1.1
+_BY_POINTS = 1.2
 """Cost of a pixel at most that lies on a plane of the calibration's points."""
+_TEXTURE = 16.0
+"""Variance about such a pixel at least, grey levels squared: a sky changes less."""
 
 _ALIKE = float(np.cos(np.deg2rad(15.0)))
 """Cosine of the angle by which a plain pixel's normal may be off the plane around it."""
@@ -211,7 +213,9 @@ def _known(
     off = np.abs(own.planes[..., 0] - prior[..., 0])
     alike = (own.planes[..., 1:] * prior[..., 1:]).sum(axis=-1) > _ALIKE
     known |= (count >= least) & alike & (off <= _PLAIN_OFF * prior[..., 0])
-    one = (count > 0) & (own.costs <= _FAR_PLANE) & ~known
+    grey, side = view.grey, (11, 11)
+    texture = cv2.blur(grey * grey, side) - cv2.blur(grey, side) ** 2
+    one = (count > 0) & (own.costs <= _BY_POINTS) & (texture > _TEXTURE) & ~known
     known[one] = ground.near(view, own.planes, one)
     _, label, facts, _ = cv2.connectedComponentsWithStats(known.astype(np.uint8), connectivity=8)
     known &= facts[label, cv2.CC_STAT_AREA] >= _ISLE * known.size

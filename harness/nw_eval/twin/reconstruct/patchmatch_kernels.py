@@ -242,41 +242,90 @@ def draw(planes: Any, costs: Any, lens: Any, picture: Any, near: Any, far: Any) 
 
 
 @fast_part
-def _neighbours(
-    x: Any, y: Any, rx: Any, ry: Any, lens: Any, near: Any, far: Any, planes: Any, costs: Any,
-    found: Any, count: Any,
-) -> Any:  # fmt: skip
-    """Add the best plane of each of eight regions to `found`; return how many there are."""
+def _turned(dx: Any, dy: Any, side: Any) -> Any:
+    """Return an offset turned by `side` quarters."""
+    if side == 0:
+        return dx, dy
+    if side == 1:
+        return -dx, -dy
+    if side == 2:
+        return dy, dx
+    return -dy, -dx
+
+
+@fast_part
+def _best_of(x: Any, y: Any, side: Any, offsets: Any, costs: Any) -> Any:
+    """Return column and row of the pixel with the least cost of a region; -1 outside."""
     height, width = costs.shape
-    for side in range(4):
-        for away in range(2):
-            offsets = _NEAR if away == 0 else _FAR
-            least, best_x, best_y = _NONE, -1, -1
-            for k in range(len(offsets)):
-                dx, dy = offsets[k, 0], offsets[k, 1]
-                if side == 1:
-                    dx, dy = -dx, -dy
-                elif side == 2:
-                    dx, dy = dy, dx
-                elif side == 3:
-                    dx, dy = -dy, -dx
-                column, row = x + dx, y + dy
-                inside = 0 <= column < width and 0 <= row < height
-                if inside and costs[row, column] < least:
-                    least, best_x, best_y = costs[row, column], column, row
-            if best_x < 0:
-                continue
-            nx, ny = planes[best_y, best_x, 1], planes[best_y, best_x, 2]
-            nz = planes[best_y, best_x, 3]
-            across = nx * (F(best_x) - lens[2]) / lens[0] + ny * (F(best_y) - lens[3]) / lens[1]
-            along = nx * rx + ny * ry + nz
-            if along < F(-0.03):
-                z = planes[best_y, best_x, 0] * (across + nz) / along
-                if near < z < far:
-                    found[count, 0], found[count, 1] = z, nx
-                    found[count, 2], found[count, 3] = ny, nz
-                    count += 1
+    least, column, row = _NONE, -1, -1
+    for k in range(len(offsets)):
+        dx, dy = _turned(offsets[k, 0], offsets[k, 1], side)
+        i, j = x + dx, y + dy
+        if 0 <= i < width and 0 <= j < height and costs[j, i] < least:
+            least, column, row = costs[j, i], i, j
+    return column, row
+
+
+@fast_part
+def _neighbours(
+    x: Any, y: Any, lens: Any, near: Any, far: Any, planes: Any, costs: Any, found: Any
+) -> Any:
+    """Write a pixel's plane and the best of each of eight regions to `found`; return how many."""
+    rx, ry, count = (F(x) - lens[2]) / lens[0], (F(y) - lens[3]) / lens[1], 1
+    found[0] = planes[y, x]
+    for region in range(8):
+        i, j = _best_of(x, y, region // 2, _NEAR if region % 2 == 0 else _FAR, costs)
+        if i < 0:
+            continue
+        nx, ny, nz = planes[j, i, 1], planes[j, i, 2], planes[j, i, 3]
+        along = nx * rx + ny * ry + nz
+        if along < F(-0.03):
+            there = nx * (F(i) - lens[2]) / lens[0] + ny * (F(j) - lens[3]) / lens[1] + nz
+            z = planes[j, i, 0] * there / along
+            if near < z < far:
+                found[count, 0], found[count, 1] = z, nx
+                found[count, 2], found[count, 3] = ny, nz
+                count += 1
     return count
+
+
+@fast_part
+def _worth(costs: Any, count: Any, good: Any, s: Any) -> Any:
+    """Return what picture `s` counts at a pixel, by the planes that match in it."""
+    matching, failing, worth = 0, 0, _ZERO
+    for h in range(count):
+        if costs[h, s] < good:
+            matching += 1
+            worth += np.exp(-costs[h, s] * costs[h, s] / F(0.18))
+        elif costs[h, s] > F(1.2):
+            failing += 1
+    worth /= F(max(matching, 1))
+    return worth if matching > 1 and failing < 4 else F(0.2) * worth
+
+
+@fast_part
+def _keep_best(trust: Any, most: Any) -> None:
+    """Leave the largest `most` weights."""
+    left = 0
+    for s in range(len(trust)):
+        left += trust[s] > _ZERO
+    while left > most:
+        least = -1
+        for s in range(len(trust)):
+            if trust[s] > _ZERO and (least < 0 or trust[s] < trust[least]):
+                least = s
+        trust[least] = _ZERO
+        left -= 1
+
+
+@fast_part
+def _two_best(costs: Any, h: Any) -> Any:
+    """Return the sum of the two least costs of a plane."""
+    first, second = WORST, WORST
+    for s in range(costs.shape[1]):
+        second = min(second, max(first, costs[h, s]))
+        first = min(first, costs[h, s])
+    return first + second
 
 
 @fast_part
@@ -290,51 +339,88 @@ def _trust(costs: Any, count: Any, good: Any, most: Any, trust: Any) -> Any:
         most: pictures that have any weight.
         trust: (S,), out.
     """
-    pictures, left = len(trust), 0
-    for s in range(pictures):
-        matching, failing, worth = 0, 0, _ZERO
-        for h in range(count):
-            if costs[h, s] < good:
-                matching += 1
-                worth += np.exp(-costs[h, s] * costs[h, s] / F(0.18))
-            elif costs[h, s] > F(1.2):
-                failing += 1
-        trust[s] = worth / F(max(matching, 1))
-        if matching < 2 or failing > 3:
-            trust[s] *= F(0.2)
-        if trust[s] > _ZERO:
-            left += 1
-    while left > most:
-        least = -1
-        for s in range(pictures):
-            if trust[s] > _ZERO and (least < 0 or trust[s] < trust[least]):
-                least = s
-        trust[least] = _ZERO
-        left -= 1
-    total = _ZERO
-    for s in range(pictures):
-        total += trust[s]
+    for s in range(len(trust)):
+        trust[s] = _worth(costs, count, good, s)
+    _keep_best(trust, most)
+    total = trust.sum()
     if total > _TINY:
         return total
     # Nothing matches yet: the pictures in which the plane with the best two of them does.
-    best, chosen = _NONE, 0
-    for h in range(count):
-        first, second = _TWO, _TWO
-        for s in range(pictures):
-            if costs[h, s] < first:
-                first, second = costs[h, s], first
-            elif costs[h, s] < second:
-                second = costs[h, s]
-        if first + second < best:
-            best, chosen = first + second, h
-    total = _ZERO
-    for s in range(pictures):
+    chosen = 0
+    for h in range(1, count):
+        if _two_best(costs, h) < _two_best(costs, chosen):
+            chosen = h
+    for s in range(len(trust)):
         trust[s] = _ONE if costs[chosen, s] < F(1.3) else _ZERO
-        total += trust[s]
-    if total <= _TINY:
+    if trust.sum() <= _TINY:
         trust[:] = _ONE
-        total = F(pictures)
-    return total
+    return trust.sum()
+
+
+@fast_part
+def _cost(
+    px: Any, py: Any, z: Any, nx: Any, ny: Any, nz: Any, s: Any, window: Any, seen: Any
+) -> Any:
+    """Return the cost of a plane in picture `s`: of its looks, and of its own plane there."""
+    values, weights, mean, var = window
+    lens, links, sizes, packed, others = seen
+    cost = _unlike(px, py, z, nx, ny, nz, lens, values, weights, mean, var, s, links, sizes, packed)
+    if len(others) > 0 and cost < WORST:
+        cost += _AGREE * _apart(px, py, z, s, links, sizes, others)[0]
+    return cost
+
+
+@fast_part
+def _perturbed(
+    plane: Any, trial: Any, pixel: Any, turn: Any, picture: Any, near: Any, far: Any
+) -> Any:
+    """Return another plane to try: at random by the first three trials, nearby by the others."""
+    z, nx, ny, nz = plane
+    r0 = _random(pixel, turn * 8 + trial, picture, 1)
+    r1 = _random(pixel, turn * 8 + trial, picture, 2)
+    r2 = _random(pixel, turn * 8 + trial, picture, 3)
+    r3 = _random(pixel, turn * 8 + trial, picture, 4)
+    if trial > 2:
+        lean, step = F(0.35) / F(1 + turn), F(0.04) / F(1 + turn)
+        if trial > 3:
+            step *= F(0.15)
+        z *= _ONE + step * (_TWO * r0 - _ONE)
+        return z, nx + lean * (r1 - _HALF), ny + lean * (r2 - _HALF), nz + lean * (r3 - _HALF)
+    if trial < 2:
+        z = _ONE / (_ONE / far + r0 * (_ONE / near - _ONE / far))
+    if trial > 0:
+        nx, ny, nz = _TWO * r1 - _ONE, _TWO * r2 - _ONE, -r3
+    return z, nx, ny, nz
+
+
+@fast_part
+def _improved(
+    x: Any, y: Any, plane: Any, best: Any, number: Any, near: Any, far: Any, trust: Any,
+    total: Any, dull: Any, prior: Any, window: Any, seen: Any,
+) -> Any:  # fmt: skip
+    """Return the best of a plane and five others, and its cost; each ends as soon as it is worse.
+
+    Args: as of `spread`, but for
+        number: of the pixel, the round and the picture.
+        dull: cost of being off the prior.
+    """
+    lens, (pixel, turn, picture) = seen[0], number
+    px, py = F(x), F(y)
+    rx, ry = (px - lens[2]) / lens[0], (py - lens[3]) / lens[1]
+    for trial in range(5):
+        z, nx, ny, nz = _perturbed(plane, trial, pixel, turn, picture, near, far)
+        nx, ny, nz, shown = _facing(nx, ny, nz, rx, ry)
+        if not shown or z <= near or z >= far:
+            continue
+        cost = _ZERO
+        if dull > _ZERO:
+            cost = dull * total * _off_prior(z, nx, ny, nz, prior, y, x)
+        for s in range(len(trust)):
+            if trust[s] > _ZERO and cost < best * total:
+                cost += trust[s] * _cost(px, py, z, nx, ny, nz, s, window, seen)
+        if cost < best * total:
+            best, plane = cost / total, (z, nx, ny, nz)
+    return plane, best
 
 
 @fast_kernel
@@ -363,88 +449,41 @@ def spread(
         costs: (H, W) float32, in and out.
     """
     height, width = costs.shape
-    count, agree, expect = len(links), len(others) > 0, len(prior) > 0
+    count = len(links)
     values, weights = np.zeros(_LANES, np.float32), np.zeros(_LANES, np.float32)
-    found, each = np.zeros((16, 4), np.float32), np.zeros((16, count), np.float32)
-    trust = np.zeros(count, np.float32)
+    found, each = np.zeros((10, 4), np.float32), np.zeros((10, count), np.float32)
+    trust, seen = np.zeros(count, np.float32), (lens, links, sizes, packed, others)
     good = F(0.8) * F(np.exp(-turn * turn / 90.0))
-    reach, lean = F(0.04) / F(1 + turn), F(0.35) / F(1 + turn)
     for y in range(height):
         for x in range((y + colour) % 2, width, 2):
-            px, py, pixel = F(x), F(y), x + y * width
-            rx, ry = (px - lens[2]) / lens[0], (py - lens[3]) / lens[1]
             mean, var = _window(x, y, grey, values, weights)
-            dull = _ZERO
-            found[0] = planes[y, x]
-            n = _neighbours(x, y, rx, ry, lens, near, far, planes, costs, found, 1)
-            if expect and prior[y, x, 0] > _ZERO:
-                dull = _PRIOR * _TEXTURE / (_TEXTURE + var)
-                found[n] = prior[y, x]
+            window, dull = (values, weights, mean, var), _ZERO
+            n = _neighbours(x, y, lens, near, far, planes, costs, found)
+            if len(prior) > 0 and prior[y, x, 0] > _ZERO:
+                dull, found[n] = _PRIOR * _TEXTURE / (_TEXTURE + var), prior[y, x]
                 n += 1
-            regions = n
-            total, best, chosen = _ZERO, _NONE, 0
-            z, nx, ny, nz = found[0, 0], found[0, 1], found[0, 2], found[0, 3]
-            # First the planes of the regions, all in all pictures; then five new ones, of which
-            # each is given up as soon as it is no better.
-            for h in range(regions + 5):
-                if h < regions:
-                    z2, ax, ay, az = found[h, 0], found[h, 1], found[h, 2], found[h, 3]
-                else:
-                    trial = h - regions
-                    if trial == 0:
-                        total = _trust(each, regions, good, most, trust)
-                        for one in range(regions):
-                            value = _ZERO
-                            for s in range(count):
-                                value += trust[s] * each[one, s]
-                            value /= total
-                            if dull > _ZERO:
-                                value += dull * _off_prior(
-                                    found[one, 0], found[one, 1], found[one, 2], found[one, 3],
-                                    prior, y, x,
-                                )  # fmt: skip
-                            if value < best:
-                                best, chosen = value, one
-                        z, nx, ny = found[chosen, 0], found[chosen, 1], found[chosen, 2]
-                        nz = found[chosen, 3]
-                    r0 = _random(pixel, turn * 8 + trial, picture, 1)
-                    r1 = _random(pixel, turn * 8 + trial, picture, 2)
-                    r2 = _random(pixel, turn * 8 + trial, picture, 3)
-                    r3 = _random(pixel, turn * 8 + trial, picture, 4)
-                    z2, ax, ay, az = z, nx, ny, nz
-                    if trial < 2:  # A depth at random, with the normal or a new one.
-                        z2 = _ONE / (_ONE / far + r0 * (_ONE / near - _ONE / far))
-                    if trial == 1 or trial == 2:
-                        ax, ay, az = _TWO * r1 - _ONE, _TWO * r2 - _ONE, -r3
-                    if trial > 2:
-                        step = reach if trial == 3 else F(0.15) * reach
-                        z2 = z * (_ONE + step * (_TWO * r0 - _ONE))
-                        ax, ay = nx + lean * (r1 - _HALF), ny + lean * (r2 - _HALF)
-                        az = nz + lean * (r3 - _HALF)
-                    ax, ay, az, shown = _facing(ax, ay, az, rx, ry)
-                    if not shown or z2 <= near or z2 >= far:
-                        continue
-                value = _ZERO
-                if h >= regions and dull > _ZERO:
-                    value = dull * total * _off_prior(z2, ax, ay, az, prior, y, x)
+            for h in range(n):
+                z, nx, ny, nz = found[h, 0], found[h, 1], found[h, 2], found[h, 3]
                 for s in range(count):
-                    if h >= regions and trust[s] <= _ZERO:
-                        continue
-                    cost = _unlike(
-                        px, py, z2, ax, ay, az, lens, values, weights, mean, var, s, links, sizes,
-                        packed,
-                    )  # fmt: skip
-                    if agree and cost < WORST:
-                        cost += _AGREE * _apart(px, py, z2, s, links, sizes, others)[0]
-                    if h < regions:
-                        each[h, s] = cost
-                    else:
-                        value += trust[s] * cost
-                        if value >= best * total:
-                            break
-                if h >= regions and value < best * total:
-                    best, z, nx, ny, nz = value / total, z2, ax, ay, az
-            planes[y, x, 0], planes[y, x, 1], planes[y, x, 2], planes[y, x, 3] = z, nx, ny, nz
+                    each[h, s] = _cost(F(x), F(y), z, nx, ny, nz, s, window, seen)
+            total = _trust(each, n, good, most, trust)
+            best, chosen = _NONE, 0
+            for h in range(n):
+                cost = _ZERO
+                for s in range(count):
+                    cost += trust[s] * each[h, s]
+                cost /= total
+                if dull > _ZERO:
+                    z, nx, ny, nz = found[h, 0], found[h, 1], found[h, 2], found[h, 3]
+                    cost += dull * _off_prior(z, nx, ny, nz, prior, y, x)
+                if cost < best:
+                    best, chosen = cost, h
+            plane = (found[chosen, 0], found[chosen, 1], found[chosen, 2], found[chosen, 3])
+            number = (x + y * width, turn, picture)
+            plane, best = _improved(
+                x, y, plane, best, number, near, far, trust, total, dull, prior, window, seen
+            )
+            planes[y, x, 0], planes[y, x, 1], planes[y, x, 2], planes[y, x, 3] = plane
             costs[y, x] = best
 
 
@@ -461,8 +500,9 @@ def _step(px: Any, py: Any, z: Any, s: Any, links: Any) -> Any:
 
 
 @fast_part
-def _angle_is(z: Any, rx: Any, ry: Any, sine: Any, lens: Any, s: Any, links: Any) -> Any:
+def _angle_is(px: Any, py: Any, z: Any, sine: Any, lens: Any, s: Any, links: Any) -> Any:
     """Return whether picture `s` sees a point from another side, by an angle of that sine."""
+    rx, ry = (px - lens[2]) / lens[0], (py - lens[3]) / lens[1]
     # The other camera's centre, and the cross product of it with the ray.
     tz = links[s, 23]
     tx, ty = (links[s, 21] - lens[2] * tz) / lens[0], (links[s, 22] - lens[3] * tz) / lens[1]
@@ -495,35 +535,23 @@ def count_confirming(
             or changes evenly, as a sky does, matches at any.
     """
     values, weights = np.zeros(_LANES, np.float32), np.zeros(_LANES, np.float32)
+    # Looks alone: `_cost` is to have no planes of others.
+    seen = (lens, links, sizes, packed, others[:0])
     for y in range(planes.shape[0]):
         for x in range(planes.shape[1]):
             count[y, x], distinct[y, x], z = 0, 0, planes[y, x, 0]
             if z <= _ZERO:
                 continue
             px, py = F(x), F(y)
-            rx, ry = (px - lens[2]) / lens[0], (py - lens[3]) / lens[1]
             nx, ny, nz = planes[y, x, 1], planes[y, x, 2], planes[y, x, 3]
-            mean, var = _ZERO, _ZERO
+            mean, var = _window(x, y, grey, values, weights)
+            window = (values, weights, mean, var)
             for s in range(len(links)):
                 beside, off = _apart(px, py, z, s, links, sizes, others)
-                if not (beside < pixels and off < share):
-                    continue
-                if not _angle_is(z, rx, ry, sine, lens, s, links):
-                    continue
-                if count[y, x] == 0:
-                    mean, var = _window(x, y, grey, values, weights)
-                count[y, x] += 1
-                step = _step(px, py, z, s, links)
-                here, least = WORST, WORST
-                for k in range(3):
-                    z2 = z if k == 0 else (z * (_ONE + step) if k == 1 else z / (_ONE + step))
-                    cost = _unlike(
-                        px, py, z2, nx, ny, nz, lens, values, weights, mean, var, s, links, sizes,
-                        packed,
-                    )  # fmt: skip
-                    if k == 0:
-                        here = cost
-                    else:
-                        least = min(least, cost)
-                if here + _WORSE < least:
-                    distinct[y, x] += 1
+                if beside < pixels and off < share and _angle_is(px, py, z, sine, lens, s, links):
+                    count[y, x] += 1
+                    step = _ONE + _step(px, py, z, s, links)
+                    here = _cost(px, py, z, nx, ny, nz, s, window, seen)
+                    before = _cost(px, py, z / step, nx, ny, nz, s, window, seen)
+                    behind = _cost(px, py, z * step, nx, ny, nz, s, window, seen)
+                    distinct[y, x] += here + _WORSE < min(before, behind)

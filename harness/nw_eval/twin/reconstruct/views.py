@@ -32,11 +32,11 @@ _ABOUT = 12
 """Points that a plane is fitted to, the nearest."""
 _FLAT = 0.25
 """Spread across a plane's points, a share of that along it, up to which they lie on one."""
-_GOES_ON = 4.0
+_GOES_ON = 8.0
 """Times the radius of its points that a plane goes on."""
-_ASKED = 30
+_ASKED = 60
 """Points about a pixel's whose planes are tried."""
-_ALIKE = float(np.cos(np.deg2rad(20.0)))
+_ALIKE = float(np.cos(np.deg2rad(30.0)))
 """Cosine of the angle by which a pixel's normal may be off such a plane's."""
 _OFF = 0.02
 """Distance from such a plane, a share of the depth."""
