@@ -32,7 +32,7 @@ class ReconstructFlags:
 
     mesher: Literal["patchmatch", "openmvs"] = "patchmatch"
     """Our own PatchMatch stereo, or the programs of OpenMVS, which must be on PATH."""
-    depth_side: int = 410
+    depth_side: int = 328
     """Longer side of the pictures that depth is measured in, pixels: larger ones show finer edges,
     and less of ground that is seen at a slant."""
     faces: int = 200_000

@@ -25,7 +25,7 @@ class DepthOptions:
         least_angle: degrees between the two views of a point; less says nothing of its depth.
     """
 
-    side: int = 410
+    side: int = 328
     neighbours: int = 5
     rounds: int = 2
     worst: float = 0.7

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.machine_code import fast_kernel, fast_part
+from nw_eval.machine_code import kernel, part
 
 F = np.float32
 
@@ -67,7 +67,7 @@ _TINY = F(1e-6)
 _ZERO, _HALF, _ONE, _TWO = F(0.0), F(0.5), F(1.0), F(2.0)
 
 
-@fast_part
+@part
 def _random(pixel: Any, turn: Any, picture: Any, which: Any) -> Any:
     """Return a number of 0 to 1, a hash of four whole numbers."""
     h = (
@@ -82,7 +82,7 @@ def _random(pixel: Any, turn: Any, picture: Any, which: Any) -> Any:
     return F(h >> np.uint32(8)) * F(1.0 / 16777216.0)
 
 
-@fast_part
+@part
 def _facing(nx: Any, ny: Any, nz: Any, rx: Any, ry: Any) -> Any:
     """Return the unit normal turned to the camera, and whether 87 degrees or less off the ray."""
     scale = _ONE / np.sqrt(nx * nx + ny * ny + nz * nz + F(1e-12))
@@ -94,7 +94,7 @@ def _facing(nx: Any, ny: Any, nz: Any, rx: Any, ry: Any) -> Any:
     return nx * scale, ny * scale, nz * scale, shown
 
 
-@fast_part
+@part
 def _window(x: Any, y: Any, grey: Any, values: Any, weights: Any) -> Any:
     """Fill a window's grey levels and weights, whose sum is 1; return its mean and its variance."""
     height, width = grey.shape
@@ -116,10 +116,10 @@ def _window(x: Any, y: Any, grey: Any, values: Any, weights: Any) -> Any:
     return mean, max(square - mean * mean, _ZERO)
 
 
-@fast_part
+@part
 def _unlike(
     px: Any, py: Any, z: Any, nx: Any, ny: Any, nz: Any, lens: Any, values: Any, weights: Any,
-    mean: Any, spread: Any, s: Any, links: Any, sizes: Any, packed: Any,
+    mean: Any, spread: Any, there: Any, sums: Any, s: Any, links: Any, sizes: Any, packed: Any,
 ) -> Any:  # fmt: skip
     """Return 1 - NCC of a window with its image in picture `s` by a plane; WORST outside it."""
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
@@ -143,7 +143,6 @@ def _unlike(
         return WORST
     right -= F(0.01)
     low -= F(0.01)
-    total, square, product = _ZERO, _ZERO, _ZERO
     for k in range(_LANES):
         dx, dy = _DX[k], _DY[k]
         r = _ONE / (c + h20 * dx + h21 * dy)
@@ -157,17 +156,25 @@ def _unlike(
         p10 = F(np.int32((four >> np.uint32(16)) & np.uint32(255)))
         p11 = F(np.int32(four >> np.uint32(24)))
         above = p00 + right_of * (p01 - p00)
-        value = above + below * (p10 + right_of * (p11 - p10) - above)
-        w = weights[k]
-        total += w * value
-        square += w * value * value
-        product += w * value * values[k]
+        there[k] = above + below * (p10 + right_of * (p11 - p10) - above)
+    total, square, product = _ZERO, _ZERO, _ZERO
+    sums[:] = _ZERO
+    for first in range(0, _LANES, 8):  # In eight lanes: the order of the sum is written down.
+        for k in range(8):
+            w = weights[first + k] * there[first + k]
+            sums[0, k] += w
+            sums[1, k] += w * there[first + k]
+            sums[2, k] += w * values[first + k]
+    for k in range(8):
+        total += sums[0, k]
+        square += sums[1, k]
+        product += sums[2, k]
     other = max(square - total * total, _ZERO)
     ncc = (product - total * mean) / np.sqrt((spread + NOISE) * (other + NOISE))
     return min(max(_ONE - ncc, _ZERO), WORST)
 
 
-@fast_part
+@part
 def _apart(px: Any, py: Any, z: Any, s: Any, links: Any, sizes: Any, planes: Any) -> Any:
     """Return how far a point is off the plane that picture `s` has there.
 
@@ -204,7 +211,7 @@ def _apart(px: Any, py: Any, z: Any, s: Any, links: Any, sizes: Any, planes: Any
     return min(np.sqrt(x * x + y * y), CAP), off
 
 
-@fast_part
+@part
 def _off_prior(z: Any, nx: Any, ny: Any, nz: Any, prior: Any, y: Any, x: Any) -> Any:
     """Return how far a plane is off the one that is expected, 0 to 1."""
     deep = min(abs(z - prior[y, x, 0]) / (_PRIOR_DEPTH * prior[y, x, 0]), _ONE)
@@ -212,7 +219,7 @@ def _off_prior(z: Any, nx: Any, ny: Any, nz: Any, prior: Any, y: Any, x: Any) ->
     return max(deep, min(max(_TWO * (_ONE - alike), _ZERO), _ONE))
 
 
-@fast_kernel
+@kernel
 def draw(planes: Any, costs: Any, lens: Any, picture: Any, near: Any, far: Any) -> None:
     """Give each pixel a plane at random, even in inverse depth, that faces the camera.
 
@@ -241,7 +248,7 @@ def draw(planes: Any, costs: Any, lens: Any, picture: Any, near: Any, far: Any) 
             costs[y, x] = WORST
 
 
-@fast_part
+@part
 def _turned(dx: Any, dy: Any, side: Any) -> Any:
     """Return an offset turned by `side` quarters."""
     if side == 0:
@@ -253,7 +260,7 @@ def _turned(dx: Any, dy: Any, side: Any) -> Any:
     return -dy, -dx
 
 
-@fast_part
+@part
 def _best_of(x: Any, y: Any, side: Any, offsets: Any, costs: Any) -> Any:
     """Return column and row of the pixel with the least cost of a region; -1 outside."""
     height, width = costs.shape
@@ -266,7 +273,7 @@ def _best_of(x: Any, y: Any, side: Any, offsets: Any, costs: Any) -> Any:
     return column, row
 
 
-@fast_part
+@part
 def _neighbours(
     x: Any, y: Any, lens: Any, near: Any, far: Any, planes: Any, costs: Any, found: Any
 ) -> Any:
@@ -289,7 +296,7 @@ def _neighbours(
     return count
 
 
-@fast_part
+@part
 def _worth(costs: Any, count: Any, good: Any, s: Any) -> Any:
     """Return what picture `s` counts at a pixel, by the planes that match in it."""
     matching, failing, worth = 0, 0, _ZERO
@@ -303,7 +310,7 @@ def _worth(costs: Any, count: Any, good: Any, s: Any) -> Any:
     return worth if matching > 1 and failing < 4 else F(0.2) * worth
 
 
-@fast_part
+@part
 def _keep_best(trust: Any, most: Any) -> None:
     """Leave the largest `most` weights."""
     left = 0
@@ -318,7 +325,7 @@ def _keep_best(trust: Any, most: Any) -> None:
         left -= 1
 
 
-@fast_part
+@part
 def _two_best(costs: Any, h: Any) -> Any:
     """Return the sum of the two least costs of a plane."""
     first, second = WORST, WORST
@@ -328,7 +335,7 @@ def _two_best(costs: Any, h: Any) -> Any:
     return first + second
 
 
-@fast_part
+@part
 def _trust(costs: Any, count: Any, good: Any, most: Any, trust: Any) -> Any:
     """Weigh the pictures for one pixel by the planes that match in each; return the weights' sum.
 
@@ -357,20 +364,38 @@ def _trust(costs: Any, count: Any, good: Any, most: Any, trust: Any) -> Any:
     return trust.sum()
 
 
-@fast_part
+@part
 def _cost(
     px: Any, py: Any, z: Any, nx: Any, ny: Any, nz: Any, s: Any, window: Any, seen: Any
 ) -> Any:
     """Return the cost of a plane in picture `s`: of its looks, and of its own plane there."""
-    values, weights, mean, var = window
+    values, weights, there, sums, mean, var = window
     lens, links, sizes, packed, others = seen
-    cost = _unlike(px, py, z, nx, ny, nz, lens, values, weights, mean, var, s, links, sizes, packed)
+    cost = _unlike(
+        px,
+        py,
+        z,
+        nx,
+        ny,
+        nz,
+        lens,
+        values,
+        weights,
+        mean,
+        var,
+        there,
+        sums,
+        s,
+        links,
+        sizes,
+        packed,
+    )
     if len(others) > 0 and cost < WORST:
         cost += _AGREE * _apart(px, py, z, s, links, sizes, others)[0]
     return cost
 
 
-@fast_part
+@part
 def _perturbed(
     plane: Any, trial: Any, pixel: Any, turn: Any, picture: Any, near: Any, far: Any
 ) -> Any:
@@ -393,7 +418,7 @@ def _perturbed(
     return z, nx, ny, nz
 
 
-@fast_part
+@part
 def _improved(
     x: Any, y: Any, plane: Any, best: Any, number: Any, near: Any, far: Any, trust: Any,
     total: Any, dull: Any, prior: Any, window: Any, seen: Any,
@@ -423,7 +448,7 @@ def _improved(
     return plane, best
 
 
-@fast_kernel
+@kernel
 def spread(
     colour: Any, turn: Any, picture: Any, grey: Any, lens: Any, near: Any, far: Any, links: Any,
     sizes: Any, packed: Any, others: Any, prior: Any, most: Any, planes: Any, costs: Any,
@@ -451,13 +476,14 @@ def spread(
     height, width = costs.shape
     count = len(links)
     values, weights = np.zeros(_LANES, np.float32), np.zeros(_LANES, np.float32)
+    there, sums = np.zeros(_LANES, np.float32), np.zeros((3, 8), np.float32)
     found, each = np.zeros((10, 4), np.float32), np.zeros((10, count), np.float32)
     trust, seen = np.zeros(count, np.float32), (lens, links, sizes, packed, others)
     good = F(0.8) * F(np.exp(-turn * turn / 90.0))
     for y in range(height):
         for x in range((y + colour) % 2, width, 2):
             mean, var = _window(x, y, grey, values, weights)
-            window, dull = (values, weights, mean, var), _ZERO
+            window, dull = (values, weights, there, sums, mean, var), _ZERO
             n = _neighbours(x, y, lens, near, far, planes, costs, found)
             if len(prior) > 0 and prior[y, x, 0] > _ZERO:
                 dull, found[n] = _PRIOR * _TEXTURE / (_TEXTURE + var), prior[y, x]
@@ -487,7 +513,7 @@ def spread(
             costs[y, x] = best
 
 
-@fast_part
+@part
 def _step(px: Any, py: Any, z: Any, s: Any, links: Any) -> Any:
     """Return the share of a depth by which its point moves by `_SHIFT` pixels in picture `s`."""
     a = z * (links[s, 0] * px + links[s, 1] * py + links[s, 2])
@@ -499,7 +525,7 @@ def _step(px: Any, py: Any, z: Any, s: Any, links: Any) -> Any:
     return min(_SHIFT / max(np.sqrt(x * x + y * y), _TINY), _HALF)
 
 
-@fast_part
+@part
 def _angle_is(px: Any, py: Any, z: Any, sine: Any, lens: Any, s: Any, links: Any) -> Any:
     """Return whether picture `s` sees a point from another side, by an angle of that sine."""
     rx, ry = (px - lens[2]) / lens[0], (py - lens[3]) / lens[1]
@@ -512,7 +538,7 @@ def _angle_is(px: Any, py: Any, z: Any, sine: Any, lens: Any, s: Any, links: Any
     return a * a + b * b + c * c >= sine * sine * away
 
 
-@fast_kernel
+@kernel
 def count_confirming(
     planes: Any, grey: Any, lens: Any, links: Any, sizes: Any, packed: Any, others: Any, sine: Any,
     pixels: Any, share: Any, count: Any, distinct: Any,
@@ -535,6 +561,7 @@ def count_confirming(
             or changes evenly, as a sky does, matches at any.
     """
     values, weights = np.zeros(_LANES, np.float32), np.zeros(_LANES, np.float32)
+    there, sums = np.zeros(_LANES, np.float32), np.zeros((3, 8), np.float32)
     # Looks alone: `_cost` is to have no planes of others.
     seen = (lens, links, sizes, packed, others[:0])
     for y in range(planes.shape[0]):
@@ -545,7 +572,7 @@ def count_confirming(
             px, py = F(x), F(y)
             nx, ny, nz = planes[y, x, 1], planes[y, x, 2], planes[y, x, 3]
             mean, var = _window(x, y, grey, values, weights)
-            window = (values, weights, mean, var)
+            window = (values, weights, there, sums, mean, var)
             for s in range(len(links)):
                 beside, off = _apart(px, py, z, s, links, sizes, others)
                 if beside < pixels and off < share and _angle_is(px, py, z, sine, lens, s, links):
