@@ -90,6 +90,11 @@ def inlined(function: Function) -> Function:
     return _compile(function, inline="always")
 
 
+def part(function: Function) -> Function:
+    """Compile a large function that kernels call."""
+    return _compile(function, inline="never")
+
+
 def _cache_of(function: Callable[..., Any]) -> FunctionCache | None:
     return kept_code(function, _version(Path(function.__code__.co_filename).parent))
 

@@ -51,6 +51,7 @@ def look_down(depth, count=3):
             view=WorkingView(name=f"{n}", rgb=rgb, mask=None, K=K, T_camera_world=T),
             depth=np.full((100, 100), depth, np.float32),
             confidence=np.ones((100, 100), np.float32),
+            normal=np.zeros((100, 100, 3), np.float32),
         )
         for n in range(count)
     ]

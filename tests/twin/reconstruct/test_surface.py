@@ -36,7 +36,8 @@ def seen_from(eye, end=1.0):
         K=K,
         T_camera_world=camera.T_camera_world,
     )
-    return DepthMap(view=view, depth=depth, confidence=np.full(depth.shape, 0.5, np.float32))
+    sure, normal = np.full(depth.shape, 0.5, np.float32), np.zeros((*depth.shape, 3), np.float32)
+    return DepthMap(view=view, depth=depth, confidence=sure, normal=normal)
 
 
 def heights_of(maps):
