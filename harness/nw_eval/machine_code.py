@@ -43,6 +43,7 @@ from nw_eval.files.cache import DamagedError, check_private, private_dir, read_s
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _AS_WRITTEN: dict[str, Any] = {"boundscheck": False, "error_model": "numpy"}
+_FAST = frozenset({"nnan", "ninf", "nsz", "reassoc"})
 
 
 def hash_sources(folder: Path) -> str:
@@ -90,6 +91,25 @@ def inlined(function: Function) -> Function:
     return _compile(function, inline="always")
 
 
+def fast_kernel(function: Function) -> Function:
+    """Compile like `kernel`, but let sums be taken in any order: by as many lanes as there are.
+
+    The same machine gives the same bits for any number of threads, and for code that was just
+    compiled as for code from the cache. That needs products and sums to stay apart: with
+    fastmath's `contract` both kinds of code gave other bits. Another width of vectors may too.
+    """
+    compiled = _compile(function, inline="never", fastmath=_FAST)
+    kept = _cache_of(function)
+    if kept is not None:
+        compiled._cache = kept  # noqa: SLF001 - as in `kernel`.
+    return compiled
+
+
+def fast_part(function: Function) -> Function:
+    """Compile a function that a `fast_kernel` calls."""
+    return _compile(function, inline="never", fastmath=_FAST)
+
+
 def _cache_of(function: Callable[..., Any]) -> FunctionCache | None:
     return kept_code(function, _version(Path(function.__code__.co_filename).parent))
 
@@ -99,8 +119,14 @@ def _version(folder: Path) -> str:
     return hash_sources(folder)
 
 
-def _compile(function: Callable[..., Any], *, inline: Literal["always", "never"]) -> Any:
-    compiler: Any = numba.njit(nogil=True, inline=inline, **_AS_WRITTEN)
+def _compile(
+    function: Callable[..., Any],
+    *,
+    inline: Literal["always", "never"],
+    fastmath: frozenset[str] = frozenset(),
+) -> Any:
+    fast = set(fastmath) or False
+    compiler: Any = numba.njit(nogil=True, inline=inline, fastmath=fast, **_AS_WRITTEN)
     return compiler(function)
 
 

@@ -7,9 +7,9 @@ from PIL import Image
 
 from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.capture import Capture, PlacedShot, write_capture
-from nw_eval.twin.reconstruct.options import DepthOptions, ReconstructOptions
+from nw_eval.twin.reconstruct.options import ReconstructOptions
 
-SMALL = ReconstructOptions(depth=DepthOptions(planes=64), voxel=0.03, faces=20_000)
+SMALL = ReconstructOptions(voxel=0.03, faces=20_000)
 """For its small pictures."""
 
 FLOOR_X, FLOOR_Y, HIGH = 4.0, 3.0, 1.6

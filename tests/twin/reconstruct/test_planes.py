@@ -60,7 +60,8 @@ def walk():
         view, depth = photographed(eye)
         known = np.where(near_an_edge(view), depth, 0.0).astype(np.float32)
         sure = (known > 0).astype(np.float32)
-        maps.append(DepthMap(view=view, depth=known, confidence=sure))
+        none = np.zeros((*known.shape, 3), np.float32)
+        maps.append(DepthMap(view=view, depth=known, confidence=sure, normal=none))
         truth.append(depth)
     count = len(eyes)
     near = [[(n + step) % count for step in (1, count - 1, 2, count - 2)] for n in range(count)]

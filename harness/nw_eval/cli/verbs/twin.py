@@ -30,8 +30,11 @@ class CalibrateFlags:
 class ReconstructFlags:
     """Of the mesh."""
 
-    mesher: Literal["sweep", "openmvs"] = "sweep"
-    """Our own plane sweep, or the programs of OpenMVS, which must be on PATH."""
+    mesher: Literal["patchmatch", "openmvs"] = "patchmatch"
+    """Our own PatchMatch stereo, or the programs of OpenMVS, which must be on PATH."""
+    depth_side: int = 410
+    """Longer side of the pictures that depth is measured in, pixels: larger ones show finer edges,
+    and less of ground that is seen at a slant."""
     faces: int = 200_000
     """Faces of the mesh, at most."""
 
@@ -288,13 +291,17 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
     from nw_eval.twin.building.appearance import AppearanceOptions
     from nw_eval.twin.building.build import BuildSettings
     from nw_eval.twin.calibrate.options import CalibrateOptions
-    from nw_eval.twin.reconstruct.options import ReconstructOptions
+    from nw_eval.twin.reconstruct.options import DepthOptions, ReconstructOptions
 
     has = vars(AllFlags()) | {k: v for k, v in vars(flags).items() if k in vars(AllFlags())}
     cores = threads or usable_cores()
     return BuildSettings(
         calibrate=CalibrateOptions(matching=has["matching"], frames=has["frames"], threads=cores),
-        reconstruct=ReconstructOptions(engine=has["mesher"], faces=has["faces"]),
+        reconstruct=ReconstructOptions(
+            engine=has["mesher"],
+            depth=DepthOptions(side=has["depth_side"]),
+            faces=has["faces"],
+        ),
         align=AlignOptions(
             tag_edge=has["tag_edge"], camera_height=has["camera_height"], metric=has["metric"]
         ),

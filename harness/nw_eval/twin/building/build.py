@@ -37,12 +37,12 @@ from nw_eval.twin.trail import FLOOR, TrailProposal, propose_trail
 
 Say = Callable[[str], None]
 
-_SWEEP_S = 6.0 / (640 * 360 * 128 * 5)
-"""Seconds of one core for a pixel, a plane and a neighbour of the sweep, matching included."""
+_MATCH_S = 10e-6
+"""Seconds of one core for a pixel and a neighbour of matching, all rounds."""
 _PLANES_S = 3.0 / (640 * 360 * 5)
 """Seconds of one core for a pixel and a neighbour, of giving each pixel its plane."""
-_SWEEP_BYTES = 14
-"""Of a pixel and a plane: costs, their sums over four directions, and the best so far."""
+_MATCH_BYTES = (60, 40)
+"""Of a pixel of every picture in matching, and of one and a neighbour in each thread."""
 _STEP_S = (0.02, 0.7e-6, 0.9e-6)
 """Seconds of one core for a step of training: at least, for a Gaussian, and for a pixel."""
 _GAUSSIAN_BYTES = 1500
@@ -304,7 +304,7 @@ def say_ahead(
     """
     capture = read_capture(folder.capture)
     if stage == "reconstruct":
-        seconds, memory = _sweep(capture, settings)
+        seconds, memory = _matching(capture, settings)
     else:
         seconds, memory = _training(capture, settings)
     minutes = max(1, round(seconds / min(settings.threads, 2) / 60))
@@ -314,12 +314,13 @@ def say_ahead(
     )
 
 
-def _sweep(capture: Capture, settings: BuildSettings) -> tuple[float, float]:
-    depth = settings.reconstruct.depth
-    pixels = _pixels(capture, depth.side)
-    work = len(capture.shots) * pixels * depth.neighbours
-    each = depth.planes * _SWEEP_S + (_PLANES_S if settings.reconstruct.planes else 0.0)
-    return work * each, 0.4e9 + pixels * depth.planes * _SWEEP_BYTES * settings.threads
+def _matching(capture: Capture, settings: BuildSettings) -> tuple[float, float]:
+    depth, shots = settings.reconstruct.depth, len(capture.shots)
+    pixels, whole, each = _pixels(capture, depth.side), *_MATCH_BYTES
+    planes = _PLANES_S if settings.reconstruct.planes else 0.0
+    work = shots * pixels * depth.neighbours * (_MATCH_S + planes)
+    at_once = settings.threads * depth.neighbours * each
+    return work, 0.4e9 + pixels * (shots * whole + at_once)
 
 
 def _training(capture: Capture, settings: BuildSettings) -> tuple[float, float]:

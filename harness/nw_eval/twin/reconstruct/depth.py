@@ -1,4 +1,4 @@
-"""Depth maps of all shots: each is swept, and kept where neighbours see the same surface.
+"""Depth maps of all shots: each is matched, and kept where others see the same surface.
 
 Arrays on disk say what they are of, so that a second call takes up what the first left.
 """
@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -25,37 +25,55 @@ from nw_eval.files.inside import OutsideError, inside
 from nw_eval.twin.capture import Capture
 from nw_eval.twin.reconstruct.options import DepthOptions
 from nw_eval.twin.reconstruct.packages import package
-from nw_eval.twin.reconstruct.plane_kernels import count_agreeing
-from nw_eval.twin.reconstruct.sweep import Sweep, sweep
-from nw_eval.twin.reconstruct.views import F32, WorkingView, depth_range, neighbours_of, read_view
+from nw_eval.twin.reconstruct.patchmatch import Matched, agreed, confirming, expected, matched
+from nw_eval.twin.reconstruct.views import (
+    F32,
+    F64,
+    SparsePlanes,
+    WorkingView,
+    depth_range,
+    neighbours_of,
+    read_view,
+)
 
-_SURE = 0.9
-"""Correlation that needs no more."""
-_UNIQUE = 0.1
-"""Of all other depths being worse, likewise."""
+_SURE = 0.1
+"""Cost that needs no less."""
 _LEAST_CONFIDENCE = 0.05
+_NEARER, _FARTHER = 0.7, 1.5
+"""Times the nearest and the farthest depth of the calibration's points, that are matched."""
+_ISLE = 1.0 / 1300.0
+"""Share of a picture below which pixels that hang together are an accident."""
+_FAR_PLANE = 1.1
+"""Cost of a pixel at most that lies on a plane of the calibration's points."""
+
+_ALIKE = float(np.cos(np.deg2rad(15.0)))
+"""Cosine of the angle by which a plain pixel's normal may be off the plane around it."""
+_PLAIN_OFF = 0.01
+"""Share of its depth, likewise."""
 
 _FORMAT = 1
-"""Changes with what a sweep does."""
+"""Changes with what a round does."""
 
-_NAMES = ("depth", "likeness", "unique")
 _DAMAGE = (OSError, ValueError, LookupError, TypeError, EOFError, BadZipFile, zlib.error)
 """What NumPy raises at damaged files."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthMap:
-    """What is known of one view's depth, at the size that it was worked at.
+    """What is known of one view's surfaces, at the size that it was worked at.
 
     Attributes:
         view: of the capture.
         depth: (H, W) float32 along the optical axis, 0 where not known.
         confidence: (H, W) float32, 0 (not known) to 1.
+        normal: (H, W, 3) float32 unit normals of the surface, turned to the camera, in the view's
+            camera frame (x right, y down, z along the optical axis); 0 where depth is.
     """
 
     view: WorkingView
     depth: F32
     confidence: F32
+    normal: F32
 
 
 def depth_maps(
@@ -68,7 +86,8 @@ def depth_maps(
 ) -> list[DepthMap]:
     """Measure the depth of each shot.
 
-    A sweep is kept in `out/sweep/`; a second call with the same capture and options goes on.
+    What is matched is kept in `out/matched/`; a second call with the same capture and options goes
+    on.
 
     Args:
         capture: as read from its folder.
@@ -76,35 +95,89 @@ def depth_maps(
         out: of the mesh.
         options: see there.
         say: is told of each shot.
-        threads: shots at once, each with about 0.25 GB at 640 x 360; no result depends on them.
+        threads: shots at once; no result depends on them.
 
     Returns:
         One map for each shot that shows enough points, in the capture's order.
 
     Raises:
         SceneError: a picture cannot be read, or no shot has a neighbour.
-        PrerequisiteError: OpenCV is not installed.
+        PrerequisiteError: OpenCV or SciPy is not installed.
         StoreError: a file cannot be written.
     """
     pairs = neighbours_of(capture, options.neighbours)
     views = [read_view(shot, folder, options.side) for shot in capture.shots]
-    swept: dict[int, Sweep] = {}
-    places = [place for place, near in enumerate(pairs) if near and depth_range(capture, place)]
+    reaches = _reaches(capture, pairs)
+    places = list(reaches)
     if not places:
         raise SceneError(
             f"none of {len(views)} shots shares enough points with another",
             fix="take more photographs, each showing much of what the one before shows",
         )
+    near = {place: [other for other in pairs[place] if other in places] for place in places}
+    keys = {place: _key_of(views, place, near[place], reaches[place]) for place in places}
+    found: dict[int, Matched] = {}
+    with _single_threaded(), _pool(threads) as pool:
+        for turn in range(1 + options.rounds):
+            before, found = found, {}
+            if turn:
+                keys = {
+                    place: _joined(turn, options, keys[place], *(keys[j] for j in near[place]))
+                    for place in places
+                }
 
-    def one(place: int) -> Sweep:
-        return depth_of(capture, views, pairs[place], place, out, options)
+            def one(
+                place: int,
+                turn: int = turn,
+                before: dict[int, Matched] = before,
+                keys: dict[int, str] = keys,
+            ) -> Matched:
+                path = array_file(out / "matched" / str(turn), views[place].name)
+                kept = read_matched(path, keys[place], views[place].size)
+                if kept is not None:
+                    return kept
+                view, others, reach = views[place], [views[j] for j in near[place]], reaches[place]
+                if turn:
+                    theirs = [before[j] for j in near[place]]
+                    new = agreed(view, others, reach, before[place], theirs, turn, options)
+                else:
+                    new = matched(view, others, reach)
+                return write_matched(path, new, keys[place])
 
-    with _single_threaded(), ThreadPoolExecutor(threads) as pool:
-        for place, found in zip(places, pool.map(one, places), strict=True):
-            swept[place] = found
-            say(f"depth of {views[place].name}: {len(swept)} of {len(places)}")
-        kept = pool.map(lambda place: _agreed(views, swept, pairs[place], place, options), places)
-        return list(kept)
+            for place, each in zip(places, pool.map(one, places), strict=True):
+                found[place] = each
+                done = f"{len(found)} of {len(places)}"
+                what = "is compared with its neighbours" if turn else "is matched"
+                say(f"depth of {views[place].name} {what}: {done}")
+        ground = SparsePlanes.of(capture)
+        whole = pool.map(
+            lambda place: _known(views, found, near, place, reaches[place], ground, options),
+            places,
+        )
+        return list(whole)
+
+
+@contextmanager
+def _pool(threads: int) -> Generator[ThreadPoolExecutor]:
+    """Give threads; whoever is interrupted waits for what has begun, and for nothing else."""
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _reaches(capture: Capture, pairs: list[list[int]]) -> dict[int, tuple[float, float]]:
+    """Return the nearest and the farthest depth of each shot that can be matched.
+
+    Ground before a camera has few points or none, and another camera is held as high: the nearest
+    depth is that of all of them.
+    """
+    found = {place: depth_range(capture, place) for place, near in enumerate(pairs) if near}
+    whole = {place: reach for place, reach in found.items() if reach}
+    least = min((near for near, _ in whole.values()), default=0.0) * _NEARER
+    return {place: (least, far * _FARTHER) for place, (_, far) in whole.items()}
 
 
 def near_of(capture: Capture, maps: list[DepthMap], options: DepthOptions) -> list[list[int]]:
@@ -118,91 +191,75 @@ def near_of(capture: Capture, maps: list[DepthMap], options: DepthOptions) -> li
     ]
 
 
-def depth_of(
-    capture: Capture,
+def _known(
     views: list[WorkingView],
-    near: list[int],
+    found: dict[int, Matched],
+    near: dict[int, list[int]],
     place: int,
-    out: Path,
-    options: DepthOptions,
-) -> Sweep:
-    """Return one shot's depth as swept, from `out/sweep/` if it is there.
-
-    Args:
-        capture: of the shots.
-        views: all of them.
-        near: numbers of those that it is compared with.
-        place: its number; it shows enough points for `depth_range`.
-        out: of the mesh.
-        options: see there.
-    """
-    reach = depth_range(capture, place)
-    if reach is None:
-        raise ValueError(f"shot {place} shows too few points")
-    others, path = [views[j] for j in near], array_file(out / "sweep", views[place].name)
-    key = key_of(views[place], others, reach, options)
-    found = read_sweep(path, key)
-    if found is None or found.depth.shape != views[place].size:
-        write_sweep(path, sweep(views[place], others, reach, options), key)
-        found = read_sweep(path, key)  # As a second call reads it, to the same bits.
-    if found is None:
-        raise SceneError(f"{path} cannot be read again", fix="free disk space")
-    return found
-
-
-def _agreed(
-    views: list[WorkingView],
-    swept: dict[int, Sweep],
-    near: list[int],
-    place: int,
+    reach: tuple[float, float],
+    ground: SparsePlanes,
     options: DepthOptions,
 ) -> DepthMap:
-    view, found = views[place], swept[place]
-    count = np.zeros(view.size, np.uint8)
-    compared = [j for j in near if j in swept]
-    for j in compared:
-        move, shift = view.to(views[j])
-        count_agreeing(found.depth, swept[j].depth, move, shift, options.tolerance, count)
-    # What is plain looks like little; where one neighbour more agrees on its depth, that is enough.
-    least = np.where(count > options.least_agreeing, 0.0, options.least_likeness)
-    known = (found.likeness > least) & (count >= options.least_agreeing)
+    """Return what of a picture's planes is taken for right."""
+    cv2, view, own = package("cv2"), views[place], found[place]
+    others, theirs = [views[j] for j in near[place]], [found[j] for j in near[place]]
+    count, distinct = confirming(view, others, own, theirs, options)
+    least = options.least_agreeing
+    known = (distinct >= least) & (own.costs <= options.worst)
+    # What is plain lies as what is known around it does, and the others say so too.
+    prior = expected(view, own, known, reach)
+    off = np.abs(own.planes[..., 0] - prior[..., 0])
+    alike = (own.planes[..., 1:] * prior[..., 1:]).sum(axis=-1) > _ALIKE
+    known |= (count >= least) & alike & (off <= _PLAIN_OFF * prior[..., 0])
+    one = (count > 0) & (own.costs <= _FAR_PLANE) & ~known
+    known[one] = ground.near(view, own.planes, one)
+    _, label, facts, _ = cv2.connectedComponentsWithStats(known.astype(np.uint8), connectivity=8)
+    known &= facts[label, cv2.CC_STAT_AREA] >= _ISLE * known.size
     if view.mask is not None:
         known &= view.mask
-    alike = (found.likeness - least) / (_SURE - least)
-    sure = np.clip(alike, 0.0, 1.0) * np.clip(0.5 + 0.5 * found.unique / _UNIQUE, 0.0, 1.0)
-    sure *= np.minimum(count / min(4, max(len(compared), 1)), 1.0)
+    sure = np.clip((options.worst - own.costs) / (options.worst - _SURE), 0.0, 1.0)
+    sure *= np.minimum(count / min(4, max(len(others), 1)), 1.0)
     confidence = np.where(known, np.maximum(sure, _LEAST_CONFIDENCE), 0.0).astype(np.float32)
-    depth = np.where(known, found.depth, 0.0).astype(np.float32)
-    return DepthMap(view=view, depth=depth, confidence=confidence)
+    depth = np.where(known, own.planes[..., 0], np.float32(0.0))
+    normal = np.where(known[..., None], own.planes[..., 1:], np.float32(0.0))
+    return DepthMap(view=view, depth=depth, confidence=confidence, normal=normal)
 
 
 def write_map(capture: Capture, found: DepthMap, out: Path) -> None:
-    """Write `out/depth/<shot>.npz`: depth and confidence at the size of the shot's own picture.
+    """Write `out/depth/<shot>.npz`: depth, confidence, normal at the size of the shot's picture.
+
+    Normals are float16.
 
     Raises:
         StoreError: the file cannot be written.
     """
     (shot,) = (shot for shot in capture.shots if shot.name == found.view.name)
-    size = (shot.camera.height, shot.camera.width)
-    depth, confidence = found.depth, found.confidence
+    camera = shot.camera
+    depth, confidence, normal = found.depth, found.confidence, found.normal
+    size = (camera.height, camera.width)
     if depth.shape != size:
-        depth, confidence = _enlarged(depth, size), _nearest(confidence, size)
+        lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        depth, confidence, normal = _enlarged(found, lens, size)
     path = array_file(out / "depth", shot.name)
-    write_arrays(path, depth=depth, confidence=np.where(depth > 0, confidence, np.float32(0)))
+    write_arrays(path, depth=depth, confidence=confidence, normal=normal.astype(np.float16))
 
 
-def _nearest(picture: F32, size: tuple[int, int]) -> F32:
-    cv2 = package("cv2")
-    return cv2.resize(picture, size[::-1], interpolation=cv2.INTER_NEAREST)
-
-
-def _enlarged(depth: F32, size: tuple[int, int]) -> F32:
-    """Return depth at a larger size: between pixels of one surface, and not across an edge."""
-    cv2 = package("cv2")
-    nearest = _nearest(depth, size)
-    between = cv2.resize(depth, size[::-1], interpolation=cv2.INTER_LINEAR)
-    smooth = np.abs(between - nearest) <= np.float32(0.02) * nearest
-    return np.where(smooth, between, nearest).astype(np.float32)
+def _enlarged(found: DepthMap, lens: F64, size: tuple[int, int]) -> tuple[F32, F32, F32]:
+    """Return depth, confidence and normal at a larger size: each pixel on its nearest plane."""
+    K, (height, width) = found.view.K, found.view.size
+    rows = np.minimum(((np.arange(size[0]) + 0.5) * height / size[0]).astype(np.int64), height - 1)
+    columns = np.minimum(((np.arange(size[1]) + 0.5) * width / size[1]).astype(np.int64), width - 1)
+    depth, confidence, normal = (
+        each[rows][:, columns] for each in (found.depth, found.confidence, found.normal)
+    )
+    x = (columns + 0.5 - K[0, 2]) / K[0, 0]
+    y = (rows[:, None] + 0.5 - K[1, 2]) / K[1, 1]
+    there = normal[..., 0] * x + normal[..., 1] * y + normal[..., 2]
+    x = (np.arange(size[1]) + 0.5 - lens[2]) / lens[0]
+    y = (np.arange(size[0])[:, None] + 0.5 - lens[3]) / lens[1]
+    here = np.minimum(normal[..., 0] * x + normal[..., 1] * y + normal[..., 2], -1e-6)
+    depth = depth * np.clip(there / here, 0.9, 1.1)
+    return depth.astype(np.float32), confidence, normal
 
 
 @contextmanager
@@ -259,26 +316,43 @@ def read_depth(folder: Path, shot: str) -> tuple[NDArray[np.float32], NDArray[np
     return (np.where(known, depth, np.float32(0.0)), np.where(known, sure, np.float32(0.0)))
 
 
-def write_sweep(path: Path, found: Sweep, key: str) -> None:
-    """Keep a sweep under the key of what it is of.
+def write_matched(path: Path, found: Matched, key: str) -> Matched:
+    """Keep planes under the key of what they are of; return them as they are read again.
 
     Raises:
         StoreError: the file cannot be written.
     """
-    likeness, unique = (np.round(a * 255).astype(np.int16) for a in (found.likeness, found.unique))
-    write_arrays(path, depth=found.depth, likeness=likeness, unique=unique, key=np.array(key))
+    normals = np.round(found.planes[..., 1:] * _NORMAL).astype(np.int16)
+    costs = np.round(found.costs * _COST).astype(np.uint16)
+    depth = found.planes[..., 0]
+    write_arrays(path, depth=depth, normals=normals, costs=costs, key=np.array(key))
+    return _matched(depth, normals, costs)
 
 
-def read_sweep(path: Path, key: str) -> Sweep | None:
-    """Return what `write_sweep` kept; None if there is nothing, or of something else."""
+def read_matched(path: Path, key: str, size: tuple[int, int]) -> Matched | None:
+    """Return what `write_matched` kept; None if there is nothing, or of something else."""
     try:
-        found, depth, likeness, unique = _arrays(path, ("key", *_NAMES))
+        found, depth, normals, costs = _arrays(path, ("key", "depth", "normals", "costs"))
     except _DAMAGE:
         return None
-    if str(found) != key:
+    if str(found) != key or depth.shape != size or normals.shape != (*size, 3):
         return None
-    scale = np.float32(1.0 / 255.0)
-    return Sweep(depth=depth, likeness=likeness * scale, unique=unique * scale)
+    return _matched(depth, normals, costs)
+
+
+_NORMAL, _COST = 32767.0, 30000.0
+"""Steps of 1 in what is kept."""
+
+
+def _matched(
+    depth: NDArray[np.float32], normals: NDArray[np.int16], costs: NDArray[np.uint16]
+) -> Matched:
+    unit = normals.astype(np.float32)
+    unit /= np.maximum(np.linalg.norm(unit, axis=-1, keepdims=True), np.float32(1.0))
+    return Matched(
+        planes=np.concatenate([depth[..., None], unit], axis=-1),
+        costs=costs.astype(np.float32) / np.float32(_COST),
+    )
 
 
 def _arrays(path: Path, names: Sequence[str]) -> list[NDArray[Any]]:
@@ -287,15 +361,19 @@ def _arrays(path: Path, names: Sequence[str]) -> list[NDArray[Any]]:
         return [np.asarray(arrays[name]) for name in names]
 
 
-def key_of(
-    view: WorkingView, others: list[WorkingView], reach: tuple[float, float], options: DepthOptions
+def _key_of(
+    views: list[WorkingView], place: int, near: list[int], reach: tuple[float, float]
 ) -> str:
-    """Return the hex SHA-256 of all that a sweep depends on."""
-    # What is done with a sweep afterwards makes no other one.
-    chosen = {k: v for k, v in asdict(options).items() if k not in {"least_agreeing", "tolerance"}}
-    content = hashlib.sha256(json.dumps([_FORMAT, chosen, reach], sort_keys=True).encode())
-    for each in (view, *others):
+    """Return the hex SHA-256 of all that matching a picture alone depends on."""
+    content = hashlib.sha256(json.dumps([_FORMAT, views[place].name, reach]).encode())
+    for each in (views[place], *(views[j] for j in near)):
         content.update(repr(each.size).encode())
         for array in (each.K, each.T_camera_world, each.rgb):
             content.update(np.ascontiguousarray(array).tobytes())
     return content.hexdigest()
+
+
+def _joined(turn: int, options: DepthOptions, *keys: str) -> str:
+    """Return the key of a later round by those of what it begins with."""
+    facts = [turn, options.beside, options.tolerance, options.least_angle, *keys]
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()

@@ -55,7 +55,7 @@ def openmvs_mesh(
     if missing:
         raise PrerequisiteError(
             f"not on PATH: {', '.join(missing)}",
-            fix="install OpenMVS, or reconstruct with the engine sweep",
+            fix="install OpenMVS, or reconstruct with the engine patchmatch",
         )
     work = work.resolve()
     write_colmap_model(capture, folder, work / "colmap")
@@ -185,7 +185,8 @@ def maps_of(
         depth = _depth(view, rays)
         if view.mask is not None:
             depth = np.where(view.mask, depth, np.float32(0.0))
-        found.append(DepthMap(view=view, depth=depth, confidence=(depth > 0).astype(np.float32)))
+        sure, normal = (depth > 0).astype(np.float32), normals_of(depth, view)
+        found.append(DepthMap(view=view, depth=depth, confidence=sure, normal=normal))
         say(f"depth of {view.name}: {len(found)} of {len(capture.shots)}")
     return found
 
@@ -203,6 +204,24 @@ def _depth(view: WorkingView, rays: RayScene) -> F32:
     distance = rays.distance(np.broadcast_to(T[:3, 3], directions.shape), directions)
     depth = np.where(np.isfinite(distance), distance, 0.0) / length
     return depth.reshape(height, width).astype(np.float32)
+
+
+def normals_of(depth: F32, view: WorkingView) -> F32:
+    """Return the normals of a map's surface by what lies beside each pixel, (H, W, 3) float32.
+
+    They are in the camera's frame and turned to it; 0 where depth is not known.
+    """
+    height, width = depth.shape
+    x, y = np.meshgrid(
+        (np.arange(width) + 0.5 - view.K[0, 2]) / view.K[0, 0],
+        (np.arange(height) + 0.5 - view.K[1, 2]) / view.K[1, 1],
+    )
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1)
+    down, across = np.gradient(rays * depth[..., None], axis=(0, 1))
+    normal = np.cross(across, down)
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-300)
+    normal *= np.where((normal * rays).sum(axis=-1) > 0.0, -1.0, 1.0)[..., None]
+    return np.where(depth[..., None] > 0, normal, 0.0).astype(np.float32)
 
 
 def coloured(mesh: ColourMesh, maps: list[DepthMap]) -> ColourMesh:

@@ -7,37 +7,32 @@ from typing import Literal
 
 from nw_eval.errors import UsageError
 
-Engine = Literal["sweep", "openmvs"]
+Engine = Literal["patchmatch", "openmvs"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthOptions:
-    """How depth is measured. The defaults are those that were measured; see the report's figures.
+    """How depth is measured. The defaults are those that were measured.
 
     Attributes:
-        side: pixels of a picture's longer side while it is compared; larger ones are shrunk.
-        planes: that are swept through each picture, evenly in inverse depth.
-        neighbours: pictures that each one is compared with.
-        best: of those count at each pixel: the others may look at something that hides it.
-        window: side of the square that is compared, pixels, odd.
-        step: cost of a change by one plane between neighbouring pixels; a match costs 0 to 1.
-        jump: cost of a larger change.
-        least_likeness: normalised cross correlation below which nothing is known, unless one
-            neighbour more than `least_agreeing` sees the same surface.
+        side: pixels of a picture's longer side while it is matched; larger ones are shrunk.
+        neighbours: pictures that each one is matched with.
+        rounds: in which a picture's planes are compared with those of its neighbours.
+        worst: cost up to which a pixel is known: 1 less the normalised cross correlation.
         least_agreeing: neighbours that must see the same surface.
-        tolerance: largest difference of what two pictures say, a share of the depth.
+        tolerance: largest distance of a pixel's point from a neighbour's plane, a share of depth.
+        beside: pixels by which the point may come back from that plane beside its pixel.
+        least_angle: degrees between the two views of a point; less says nothing of its depth.
     """
 
-    side: int = 640
-    planes: int = 128
+    side: int = 410
     neighbours: int = 5
-    best: int = 2
-    window: int = 7
-    step: float = 0.04
-    jump: float = 0.3
-    least_likeness: float = 0.3
+    rounds: int = 2
+    worst: float = 0.7
     least_agreeing: int = 2
-    tolerance: float = 0.01
+    tolerance: float = 0.005
+    beside: float = 2.0
+    least_angle: float = 1.0
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -47,17 +42,15 @@ class DepthOptions:
         """
         for name, least, most in (
             ("side", 32, 4096),
-            ("planes", 8, 512),
             ("neighbours", 1, 32),
-            ("best", 1, 2),
-            ("window", 3, 31),
+            ("rounds", 1, 8),
+            ("worst", 0.2, 2.0),
             ("least_agreeing", 1, 32),
+            ("tolerance", 0.0, 1.0),
+            ("beside", 0.0, 3.0),
+            ("least_angle", 0.0, 45.0),
         ):
             _check(f"depth's {name}", getattr(self, name), least, most)
-        for name in ("step", "jump", "least_likeness", "tolerance"):
-            _check(f"depth's {name}", getattr(self, name), 0.0, 1.0)
-        if self.window % 2 == 0:
-            raise UsageError(f"depth's window is {self.window}", fix="give an odd number")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,17 +58,17 @@ class ReconstructOptions:
     """A reconstruction. With the same capture and options the result has the same bits.
 
     Attributes:
-        engine: `sweep`, which needs nothing else, or `openmvs`, whose programs must be on PATH.
+        engine: `patchmatch`, which needs nothing else; `openmvs`, whose programs must be on PATH.
         depth: how depth is measured.
         voxel: edge of a voxel in the capture's unit; None for about two pixels of a typical depth.
         least_part: share of the largest part's area that a part must have to be kept.
-        planes: whether what is plain is measured by planes, which end at edges; of `sweep` alone.
+        planes: whether what is plain is measured by planes, which end at edges; not of `openmvs`.
         flatten: whether planes are made flat where the evidence agrees.
         faces: that the mesh has at most.
         samples: points of the surface that there may be; each takes about 1 kB.
     """
 
-    engine: Engine = "sweep"
+    engine: Engine = "patchmatch"
     depth: DepthOptions = field(default_factory=DepthOptions)
     voxel: float | None = None
     least_part: float = 0.05
@@ -90,8 +83,8 @@ class ReconstructOptions:
         Raises:
             UsageError: naming the field, its value and what it must be.
         """
-        if self.engine not in {"sweep", "openmvs"}:
-            raise UsageError(f"the engine is {self.engine!r}", fix="give sweep or openmvs")
+        if self.engine not in {"patchmatch", "openmvs"}:
+            raise UsageError(f"the engine is {self.engine!r}", fix="give patchmatch or openmvs")
         if self.voxel is not None and not self.voxel > 0.0:
             raise UsageError(f"the voxel is {self.voxel}", fix="give more than 0")
         _check("least_part", self.least_part, 0.0, 1.0)

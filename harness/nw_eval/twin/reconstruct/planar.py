@@ -19,10 +19,16 @@ from numpy.typing import NDArray
 from nw_eval.twin.reconstruct.depth import DepthMap
 from nw_eval.twin.reconstruct.options import DepthOptions
 from nw_eval.twin.reconstruct.packages import package
-from nw_eval.twin.reconstruct.plane_kernels import agree, count_agreeing, count_seen, keep_least
+from nw_eval.twin.reconstruct.plane_kernels import (
+    COST,
+    NOISE,
+    agree,
+    count_agreeing,
+    count_seen,
+    keep_best,
+    keep_least,
+)
 from nw_eval.twin.reconstruct.planes import SupposedPlane
-from nw_eval.twin.reconstruct.sweep import HALF_PIXEL, PixelWindow
-from nw_eval.twin.reconstruct.sweep_kernels import COST, NOISE, keep_best
 from nw_eval.twin.reconstruct.views import F32, F64, WorkingView
 
 _FARTHEST = 3.0
@@ -54,6 +60,11 @@ _CHANGE = 1.0
 """Cost of another label than the neighbour's."""
 _LEAST_SHARED = 100
 """Pixels by which two exposures are compared."""
+_TOLERANCE = 0.01
+"""Largest difference of what two pictures say of a plane's depth, a share of it."""
+
+HALF_PIXEL = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+"""From OpenCV's pixels, where the first one's centre is (0, 0), to ours."""
 
 
 def planar_maps(
@@ -86,7 +97,8 @@ def planar_maps(
         others = [maps[other] for other in near[number]]
         if not others:
             own = maps[number]
-            return Labels(depth=own.depth, planar=np.zeros(own.view.size, dtype=bool))
+            none = np.zeros(own.view.size, dtype=bool)
+            return Labels(depth=own.depth, normal=own.normal, planar=none)
         return labelled(maps[number], others, planes, farthest)
 
     found: list[Labels] = []
@@ -116,16 +128,18 @@ def _agreed(
         move, shift = own.view.to(each.view)
         if other in near:
             depth = found[other].depth
-            count_agreeing(labels.depth, depth, move, shift, options.tolerance, count)
+            count_agreeing(labels.depth, depth, move, shift, _TOLERANCE, count)
         count_seen(labels.depth, found[other].depth, move, shift, seen, through)
     few = through <= np.maximum(1.0, _CARVED * seen)
     planar = labels.planar & (count >= options.least_agreeing) & few
     depth = np.where(planar, labels.depth, np.where(labels.planar, 0.0, own.depth))
     confidence = np.where(planar, np.maximum(own.confidence, _CONFIDENCE), own.confidence)
+    normal = np.where(planar[..., None], labels.normal, own.normal)
     return DepthMap(
         view=own.view,
         depth=depth.astype(np.float32),
         confidence=np.where(depth > 0, confidence, 0.0).astype(np.float32),
+        normal=np.where(depth[..., None] > 0, normal, 0.0).astype(np.float32),
     )
 
 
@@ -135,10 +149,12 @@ class Labels:
 
     Attributes:
         depth: (H, W) float32: of the plane, or as it was known without one.
+        normal: (H, W, 3) float32, likewise, in the view's camera frame.
         planar: (H, W) whether a plane is shown.
     """
 
     depth: F32
+    normal: F32
     planar: NDArray[np.bool_]
 
 
@@ -173,7 +189,16 @@ def labelled(
     planar = label < len(shown)
     if view.mask is not None:
         planar &= view.mask
-    return Labels(depth=np.where(planar, found, own.depth), planar=planar)
+    normals = np.zeros((len(shown) + 1, 3), np.float32)
+    for label_of, (plane, _, row) in enumerate(shown):
+        # Of the row n' K^-1 / d only the sign of d counts: turned to the camera.
+        normal = view.T_camera_world[:3, :3] @ plane.normal
+        normals[label_of] = normal * (-1.0 if normal @ (row @ view.K) > 0.0 else 1.0)
+    return Labels(
+        depth=np.where(planar, found, own.depth),
+        normal=np.where(planar[..., None], normals[label], own.normal),
+        planar=planar,
+    )
 
 
 def _shown(
@@ -284,3 +309,20 @@ def _gain(own: DepthMap, other: DepthMap) -> F32:
     here = own.view.rgb[rows[same], columns[same]].astype(np.float64) + 1.0
     there = other.view.rgb[y[same], x[same]].astype(np.float64) + 1.0
     return np.median(there / here, axis=0).astype(np.float32)
+
+
+class PixelWindow:
+    """OpenCV's warps and means of windows, into arrays that are there already."""
+
+    def __init__(self, side: int) -> None:
+        self._cv2, self._side = package("cv2"), (side, side)
+
+    def warp(self, picture: F32, H: F64, out: F32) -> F32:
+        """Return the picture as its homography shows it; what is outside is grey, 0."""
+        cv2 = self._cv2
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        return cv2.warpPerspective(picture, H, out.shape[::-1], out, flags)
+
+    def mean(self, picture: F32, out: F32 | None = None) -> F32:
+        """Return the mean of the window about each pixel."""
+        return self._cv2.boxFilter(picture, -1, self._side, out)

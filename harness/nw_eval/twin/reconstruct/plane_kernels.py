@@ -5,11 +5,18 @@ What speaks for each plane is counted, and labels seldom change. None of it know
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from nw_eval.machine_code import inlined, kernel
+
+COST = 1000.0
+"""Cost of 1 in a volume of costs, which holds whole numbers."""
+
+NOISE = 2.0
+"""Variance of a photograph's noise, grey levels squared: what varies less is not compared."""
 
 _NEAR = 0.03
 """Share of its depth within which a surface is the one that is seen there."""
@@ -82,6 +89,33 @@ def count_seen(depth: Any, other: Any, move: Any, shift: Any, seen: Any, through
 
 
 @kernel
+def keep_best(
+    own: Any, own_mean: Any, product: Any, square: Any, mean: Any, first: Any, second: Any
+) -> None:
+    """Compare a picture with a warped neighbour and keep each pixel's two best scores.
+
+    Args:
+        own: (H, W) float32, 1 / standard deviation of the picture's windows.
+        own_mean: (H, W) float32, their mean.
+        product: (H, W) float32, mean of picture times neighbour.
+        square: (H, W) float32, mean of the neighbour's square.
+        mean: (H, W) float32, mean of the neighbour.
+        first: (H, W) float32, in and out: the best normalised cross correlation so far.
+        second: (H, W) float32, in and out: the second best.
+    """
+    noise = np.float32(NOISE)
+    for y in range(own.shape[0]):
+        for x in range(own.shape[1]):
+            m = mean[y, x]
+            spread = max(square[y, x] - m * m, np.float32(0.0))
+            share = product[y, x] - own_mean[y, x] * m
+            score = share * own[y, x] / np.float32(math.sqrt(spread + noise))
+            low = min(score, first[y, x])
+            first[y, x] = max(score, first[y, x])
+            second[y, x] = max(low, second[y, x])
+
+
+@kernel
 def keep_least(values: Any, first: Any, second: Any) -> None:
     """Keep each pixel's two least values.
 
@@ -99,7 +133,7 @@ def keep_least(values: Any, first: Any, second: Any) -> None:
 
 @kernel
 def agree(volume: Any, grey: Any, jump: Any, total: Any) -> None:
-    """Sum costs along eight paths on which labels seldom change, as in `smooth.smooth`.
+    """Sum costs along eight paths on which labels seldom change, (Hirschmueller, 2008).
 
     Costs are whole numbers in single precision: their sums are exact.
 

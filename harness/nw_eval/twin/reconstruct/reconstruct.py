@@ -113,7 +113,8 @@ def reconstruct(
     """Reconstruct what a capture shows.
 
     Writes `out/depth/<shot>.npz` (depth along the optical axis, 0 where not known, and confidence,
-    both (H, W) float32 of the picture's size), `out/mesh.ply` and, last, `out/report.json`. A call
+    both (H, W) float32 of the picture's size, and normals (H, W, 3) float16 in the camera's frame),
+    `out/mesh.ply` and, last, `out/report.json`. A call
     that was cut short is taken up by the next one with the same capture and options.
 
     Args:
@@ -137,7 +138,7 @@ def reconstruct(
         maps, whole, voxel = _by_openmvs(capture, capture_folder, out, options, say, threads)
         supposed: list[SupposedPlane] = []
     else:
-        maps, supposed, voxel = _by_sweep(capture, capture_folder, out, options, say, threads)
+        maps, supposed, voxel = _by_patchmatch(capture, capture_folder, out, options, say, threads)
         whole = surface(maps, voxel, options.samples, say)
     for each in maps:
         write_map(capture, each, out)
@@ -174,7 +175,7 @@ def reconstruct(
     return report
 
 
-def _by_sweep(
+def _by_patchmatch(
     capture: Capture, folder: Path, out: Path, options: ReconstructOptions, say: Say, threads: int
 ) -> tuple[list[DepthMap], list[SupposedPlane], float]:
     """Return the depth maps, the planes that they may show, and the edge of a voxel."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,19 @@ BEST_ANGLE = np.deg2rad(12.0)
 """Between two views of a point: less measures depth badly, more changes how things look."""
 _LEAST_POINTS = 8
 _MARGIN = 1.15
+
+_ABOUT = 12
+"""Points that a plane is fitted to, the nearest."""
+_FLAT = 0.25
+"""Spread across a plane's points, a share of that along it, up to which they lie on one."""
+_GOES_ON = 4.0
+"""Times the radius of its points that a plane goes on."""
+_ASKED = 30
+"""Points about a pixel's whose planes are tried."""
+_ALIKE = float(np.cos(np.deg2rad(20.0)))
+"""Cosine of the angle by which a pixel's normal may be off such a plane's."""
+_OFF = 0.02
+"""Distance from such a plane, a share of the depth."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,3 +164,64 @@ def depth_range(capture: Capture, place: int) -> tuple[float, float] | None:
     if len(shown) >= _LEAST_POINTS:
         near = min(near, np.percentile(shown, 1.0))
     return float(near) / _MARGIN, float(far) * _MARGIN
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SparsePlanes:
+    """Planes through the calibration's points, each fitted to a point and those around it.
+
+    Attributes:
+        tree: of the points that have a plane.
+        normals: (N, 3) unit vectors, either way.
+        offsets: (N,) along them.
+        reach: (N,) distance from its point up to which a plane is one.
+        rough: (N,) how far the points that it is fitted to are off it.
+    """
+
+    tree: Any
+    normals: F64
+    offsets: F64
+    reach: F64
+    rough: F64
+
+    @classmethod
+    def of(cls, capture: Capture) -> SparsePlanes:
+        """Fit a plane about each point that lies on one with its neighbours."""
+        spatial, points = package("scipy.spatial"), capture.points
+        count = min(_ABOUT, len(points))
+        away, near = spatial.cKDTree(points).query(points, k=count)
+        around = points[near] - points[near].mean(axis=1, keepdims=True)
+        _, spread, axes = np.linalg.svd(around, full_matrices=False)
+        rough = spread[:, -1] / np.sqrt(count)
+        flat = (rough < _FLAT * spread[:, 1] / np.sqrt(count)) & (away[:, -1] > 0.0)
+        normals = axes[flat, -1]
+        return cls(
+            tree=spatial.cKDTree(points[flat]) if flat.any() else None,
+            normals=normals,
+            offsets=(normals * points[near].mean(axis=1)[flat]).sum(axis=1),
+            reach=_GOES_ON * away[flat, -1],
+            rough=rough[flat],
+        )
+
+    def near(self, view: WorkingView, planes: F32, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which of the asked pixels' planes are those of points near them, (asked,).
+
+        Args:
+            view: of which the pixels are.
+            planes: (H, W, 4) depth and normal in the camera's frame.
+            asked: (H, W).
+        """
+        rows, columns = np.nonzero(asked)
+        if self.tree is None or len(rows) == 0:
+            return np.zeros(len(rows), np.bool_)
+        K, T = view.K, np.linalg.inv(view.T_camera_world)
+        depth = planes[asked, 0].astype(np.float64)
+        rays = np.stack([(columns + 0.5 - K[0, 2]) / K[0, 0], (rows + 0.5 - K[1, 2]) / K[1, 1]])
+        local = np.column_stack([rays.T, np.ones(len(rows))]) * depth[:, None]
+        points, normals = local @ T[:3, :3].T + T[:3, 3], planes[asked, 1:] @ T[:3, :3].T
+        away, which = self.tree.query(points, k=min(_ASKED, len(self.offsets)))
+        away, which = away.reshape(len(rows), -1), which.reshape(len(rows), -1)
+        off = np.abs((self.normals[which] * points[:, None]).sum(axis=-1) - self.offsets[which])
+        alike = np.abs((self.normals[which] * normals[:, None]).sum(axis=-1)) > _ALIKE
+        on = off < 2.0 * self.rough[which] + _OFF * depth[:, None]
+        return (alike & on & (away < self.reach[which])).any(axis=1)
