@@ -153,6 +153,19 @@ def test_too_many_points_are_refused_with_what_to_give():
         surface(maps, 0.06, 100, lambda _: None)
 
 
+@pytest.mark.parametrize("side", [0.0, 0.02, 0.3])
+def test_depths_of_next_to_nothing_are_refused_or_become_what_they_show(side):
+    def elsewhere(x, y, _z):
+        return (np.abs(x) > side) | (np.abs(y) > side)
+
+    maps = [seen_from(eye, (0, 0, 0), [FLOOR], hidden=elsewhere) for eye in EYES]
+    if side < 0.1:
+        with pytest.raises(SceneError, match=r"no depth is known|no surface in common"):
+            surface_of(maps)
+    else:
+        assert np.abs(surface_of(maps).vertices).max() < side + 0.2
+
+
 def _digest():
     mesh = surface_of([seen_from(eye, (0, 0, 0), PLATFORM) for eye in EYES])
     parts = (mesh.vertices, mesh.faces, mesh.colours)

@@ -32,6 +32,8 @@ _STRAY = 0.05
 """Percent of points at each end of an axis that may lie far off."""
 _LEAST_PIXELS = 2
 """That a cell is known by."""
+_LEAST_SAMPLES = 32
+"""That a surface is made of."""
 _ONE_WAY = 0.5
 """Length of the mean of a cell's unit normals, below which its pixels show no one surface."""
 _GRAZED = 0.15
@@ -115,11 +117,12 @@ def surface(
     say(
         f"joins {len(maps)} depth maps in {len(found.points)} points of {found.finest:.3g} and more"
     )
-    whole, normals = _poisson(found)
-    kept = whole.keep(_supported(whole, normals, found, maps))
-    if len(kept.faces) == 0:
-        raise SceneError("the depth maps have no surface in common", fix="take more photographs")
-    return kept
+    if len(found.points) >= _LEAST_SAMPLES:
+        whole, normals = _poisson(found)
+        kept = whole.keep(_supported(whole, normals, found, maps)) if len(whole.faces) else whole
+        if len(kept.faces):
+            return kept
+    raise SceneError("the depth maps have no surface in common", fix="take more photographs")
 
 
 def samples(maps: Sequence[DepthMap], voxel: float) -> Samples:
