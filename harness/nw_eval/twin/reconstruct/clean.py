@@ -131,7 +131,8 @@ def _one_sheet(mesh: ColourMesh, voxel: float) -> ColourMesh:
                 if over.sum() > _TWICE * near.sum():
                     doubled |= over
         larger.append((normal, offset, near))
-    return mesh.keep(~doubled[mesh.faces].any(axis=1)) if doubled.any() else mesh
+    single = ~doubled[mesh.faces[:, 0]] & ~doubled[mesh.faces[:, 1]] & ~doubled[mesh.faces[:, 2]]
+    return mesh if single.all() else mesh.keep(single)
 
 
 def _above(

@@ -192,7 +192,7 @@ def _pixels(each: DepthMap) -> F64:
         [
             (rays * z[:, None]) @ T[:3, :3].T + T[:3, 3],
             normal @ T[:3, :3].T,
-            view.rgb[rows, columns],
+            view.rgb[rows, columns].astype(np.float64),
             weight,
             np.ones_like(z),
             2.0 * breadth / np.sqrt(facing),
@@ -200,9 +200,10 @@ def _pixels(each: DepthMap) -> F64:
     )
 
 
-def _rays(K: F64, u: F64, v: F64) -> F64:
+def _rays(K: F64, u: NDArray[np.floating], v: NDArray[np.floating]) -> F64:
     """Return the points (N, 3) at depth 1 that pixels show, in the camera's frame."""
-    return np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], axis=-1)
+    x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
+    return np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float64)
 
 
 def _cells_of(points: F64, low: F64, finest: float, level: int) -> NDArray[np.int64]:
@@ -215,8 +216,10 @@ def _cells_of(points: F64, low: F64, finest: float, level: int) -> NDArray[np.in
 def _summed(rows: F64, cells: NDArray[np.int64]) -> F64:
     """Return the sum of the rows of each cell, in the order of the cells' numbers."""
     _, whose = np.unique(cells, return_inverse=True)
-    count = int(whose.max()) + 1 if len(whose) else 0
-    return np.column_stack([np.bincount(whose, column, count) for column in rows.T])
+    sums = np.zeros((int(whose.max(initial=-1)) + 1, rows.shape[1]))
+    for number, column in enumerate(rows.T):
+        sums[:, number] = np.bincount(whose, column, len(sums))
+    return sums
 
 
 def _looks(
