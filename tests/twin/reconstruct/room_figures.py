@@ -6,6 +6,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 from small_room import STEPS, distance_to_room, is_seen, spread
 
+from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
+from nw_eval.scenes.rays import RayScene
+
 
 @dataclass(frozen=True)
 class Figures:
@@ -69,3 +72,30 @@ def edge_off(mesh):
     slices = np.arange(y0 + 0.05, y1 - 0.05, 0.05)
     outermost = [inside[(along >= y) & (along < y + 0.05)].min() for y in slices]
     return min(outermost), float(np.median(outermost))
+
+
+def heights(mesh, x, y):
+    """The heights of what lies below places x, y, top down: of the first three faces, -inf else."""
+    kinds = np.full(len(mesh.faces), FACE_KINDS.index("ground"), np.uint8)
+    rays = RayScene(TriangleMesh(vertices=mesh.vertices, faces=mesh.faces, kinds=kinds))
+    x, y = (each.ravel() for each in np.meshgrid(x, y))
+    top, found = np.full(len(x), mesh.vertices[:, 2].max() + 1.0), []
+    for _ in range(3):
+        down = np.tile([0.0, 0.0, -1.0], (len(x), 1))
+        top = top - rays.distance(np.column_stack([x, y, top]), down) - 1e-4
+        found.append(top)
+        top = np.maximum(top, mesh.vertices[:, 2].min() - 1.0)
+    return np.array(found)
+
+
+def stacked(mesh, up, step):
+    """Share of rays along -up that meet two or more faces that look up, of those that meet one."""
+    facing = mesh.normals @ up > 0.7 * np.linalg.norm(mesh.normals, axis=1)
+    along = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    along /= np.linalg.norm(along)
+    turned = mesh.vertices @ np.array([along, np.cross(up, along), up]).T
+    ground = type(mesh)(vertices=turned, faces=mesh.faces[facing], colours=mesh.colours)
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    found = heights(ground, *(np.arange(low[k], high[k], step) for k in range(2)))
+    met = np.isfinite(found)
+    return met[1].sum() / met[0].sum()

@@ -40,6 +40,23 @@ def test_a_noisy_floor_becomes_a_plane():
     assert np.abs(floor.vertices @ plane.normal - plane.offset).max() < 1e-3
 
 
+def test_two_sheets_that_are_nearly_parallel_become_one_and_a_step_beside_the_floor_stays():
+    floor = noisy(lambda x, _: 0 * x)
+    twice = sheet(lambda x, _: 0.05 + 0.01 * x, across=70)
+    both = ColourMesh(
+        vertices=np.concatenate([floor.vertices, twice.vertices + np.array([0.3, 0.3, 0.0])]),
+        faces=np.concatenate([floor.faces, twice.faces + len(floor.vertices)]),
+        colours=np.concatenate([floor.colours, twice.colours]),
+    )
+    one, planes = flatten(both, CELL)
+    assert len(planes) == 1
+    assert len(one.vertices) < len(floor.vertices) + 0.1 * len(twice.vertices)
+    step = noisy(lambda x, _: np.where(x < 0.8, 0.05, 0.0))
+    after, planes = flatten(step, CELL)
+    assert len(after.faces) == len(step.faces)
+    assert len(planes) == 2
+
+
 @pytest.mark.parametrize("high", [0.012, 0.04, 0.3])
 def test_a_step_stays_as_high_as_it_was(high):
     """A mat of half a voxel, a threshold and a step, each 0.5 m broad, on a floor."""

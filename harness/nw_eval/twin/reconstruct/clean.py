@@ -5,6 +5,9 @@ a plane is compared with it patch by patch: noise is mean-free in a patch, a thr
 step is not. Only patches whose mean is as near to the plane as a single vertex is to its patch are
 moved.
 
+A plane that is nearly parallel to a larger one and lies over it is that same surface, found twice:
+its faces that lie over those of the larger one go.
+
 Small planes are made flat too, where photographs or edges speak for them. A slope, a tread or the
 top of a box is a hundredth of all that photographs show: too little to be told from a rounded
 corner by its area alone. But pixels were given planes that views agree on; what lies on one of
@@ -16,14 +19,14 @@ coarse, edges stay fine (Garland and Heckbert 1997).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.twin.reconstruct.mesh import ColourMesh
+from nw_eval.twin.reconstruct.mesh import ColourMesh, parts_of
 from nw_eval.twin.reconstruct.packages import package
 from nw_eval.twin.reconstruct.planes import PlaneSearch, SupposedPlane
 
@@ -32,8 +35,19 @@ F64 = NDArray[np.float64]
 _PLANES = 12
 _LEAST_AREA = 0.03
 """Of all area, below which a plane is not looked for: what is small may be a rounded corner."""
+_PARALLEL = np.cos(np.deg2rad(1.0))
+_APART = 6.0
+"""Voxels between two parallel planes that may be one."""
+_CELL = 2.0
+"""Voxels: edge of a square of such a plane."""
+_TWICE = 0.1
+"""Share of its vertices that lie over the larger one, if it is that surface."""
+_AROUND = 8
+"""Of a square and the eight about it, those with vertices of the larger: at a step some lack."""
 _RINGS = 16
 """Steps of averaging with neighbours: a patch is about four edges in radius."""
+_BAND = 1.5
+"""Voxels from a plane within which a vertex of an island lies."""
 _LEAST_NOISE = 0.15
 """Voxels: agreement is not asked to be better than a voxel can show."""
 
@@ -73,25 +87,72 @@ def flatten(mesh: ColourMesh, voxel: float) -> tuple[ColourMesh, list[FlatPlane]
         mesh: of about one vertex to a voxel's face, not simplified.
         voxel: edge of a voxel.
     """
+    mesh = _one_sheet(mesh, voxel)
     search = PlaneSearch.of(mesh, voxel)
-    area = search.area
-    free = area > 0
-    vertices, planes = mesh.vertices.copy(), []
-    rng = np.random.default_rng(0)
-    for _ in range(_PLANES):
-        plane = search.best(free, rng)
-        if plane is None:
-            break
-        normal, offset = plane
-        near = free & search.near(normal, offset)
-        if area[near].sum() < _LEAST_AREA * area.sum():
-            break
+    vertices, planes = mesh.vertices.copy(), list[FlatPlane]()
+    for normal, offset, near in _large_planes(search):
         shift, flat = flattened(search, near, normal, offset)
         vertices += shift
-        free &= ~near
         planes.append(flat)
     planes.sort(key=lambda plane: -plane.area)
     return ColourMesh(vertices=vertices, faces=mesh.faces, colours=mesh.colours), planes
+
+
+def _large_planes(search: PlaneSearch) -> Iterator[tuple[F64, float, NDArray[np.bool_]]]:
+    """Yield normal, offset and vertices (V,) of the large planes, about the largest first."""
+    area, rng = search.area, np.random.default_rng(0)
+    free = area > 0
+    for _ in range(_PLANES):
+        plane = search.best(free, rng)
+        if plane is None:
+            return
+        normal, offset = plane
+        near = free & search.near(normal, offset)
+        if area[near].sum() < _LEAST_AREA * area.sum():
+            return
+        free &= ~near
+        yield normal, offset, near
+
+
+def _one_sheet(mesh: ColourMesh, voxel: float) -> ColourMesh:
+    """Return the mesh without faces of a plane that lie over or under a larger one, near to it.
+
+    What stands beside the larger one, as a step or a mat does, stays: nobody sees the floor below.
+    """
+    search = PlaneSearch.of(mesh, voxel)
+    larger: list[tuple[F64, float, NDArray[np.bool_]]] = []
+    doubled = np.zeros(len(mesh.vertices), np.bool_)
+    found = sorted(_large_planes(search), key=lambda plane: -float(search.area[plane[2]].sum()))
+    for normal, offset, near in found:
+        for other, place, whose in larger:
+            apart = abs(float(np.median(search.points[near] @ other)) - place)
+            if normal @ other > _PARALLEL and apart < _APART * voxel:
+                over = _above(search.points, near, whose, other, _CELL * voxel)
+                if over.sum() > _TWICE * near.sum():
+                    doubled |= over
+        larger.append((normal, offset, near))
+    single = ~doubled[mesh.faces[:, 0]] & ~doubled[mesh.faces[:, 1]] & ~doubled[mesh.faces[:, 2]]
+    return mesh if single.all() else mesh.keep(single)
+
+
+def _above(
+    points: F64, some: NDArray[np.bool_], others: NDArray[np.bool_], normal: F64, cell: float
+) -> NDArray[np.bool_]:
+    """Return which of some vertices (V,) have others above or below them, and all around there."""
+    along = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
+    along = along / np.linalg.norm(along)
+    flat = np.column_stack([points @ along, points @ np.cross(normal, along)])
+    places = np.floor((flat - flat.min(axis=0)) / cell).astype(np.int64) + 1
+    width = int(places[:, 1].max()) + 2
+    cells = places @ np.array([width, 1])
+    taken = np.unique(cells[others])
+    around = np.zeros(int(some.sum()), np.int64)
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            around += np.isin(cells[some] + down * width + right, taken)
+    found = np.zeros(len(points), np.bool_)
+    found[some] = around >= _AROUND
+    return found
 
 
 def flattened(
@@ -171,6 +232,16 @@ def flatten_small(
     return ColourMesh(vertices=vertices, faces=mesh.faces, colours=mesh.colours), small
 
 
+def on_planes(
+    mesh: ColourMesh, planes: Sequence[FlatPlane | SupposedPlane], voxel: float
+) -> NDArray[np.bool_]:
+    """Return whether each vertex (V,) lies on one of the planes and faces as it does."""
+    search, found = PlaneSearch.of(mesh, voxel), np.zeros(len(mesh.vertices), np.bool_)
+    for plane in planes:
+        found |= search.near(np.array(plane.normal), plane.offset, _BAND)
+    return found
+
+
 @dataclass(frozen=True, kw_only=True)
 class PartsKept:
     """What became of a mesh's parts.
@@ -213,21 +284,6 @@ def large_parts(
         dropped_area=float(area[~large].sum() / max(area.sum(), 1e-300)),
     )
     return mesh.keep(large[own]), facts
-
-
-def parts_of(links: NDArray[np.integer], count: int) -> tuple[int, NDArray[np.int32]]:
-    """Return how many parts `count` vertices are in, and the part of each.
-
-    Args:
-        links: (N, K), K >= 2: vertices in a row belong together.
-        count: of vertices.
-    """
-    sparse, graph = package("scipy.sparse"), package("scipy.sparse.csgraph")
-    one = np.repeat(links[:, 0], links.shape[1] - 1)
-    other = links[:, 1:].ravel()
-    ones = np.ones(len(one), np.int8)
-    matrix = sparse.coo_array((ones, (one, other)), shape=(count, count))
-    return graph.connected_components(matrix, directed=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -277,21 +333,22 @@ def holes(mesh: ColourMesh) -> list[Hole]:
 
 
 def simplify(mesh: ColourMesh, most: int) -> ColourMesh:
-    """Return the mesh with about `most` faces at most, coloured by the nearest of its vertices.
+    """Return the mesh with about `most` faces at most.
 
     Raises:
-        PrerequisiteError: fast-simplification or SciPy is not installed.
+        PrerequisiteError: Open3D is not installed.
     """
     if len(mesh.faces) <= most:
         return mesh
-    # About its middle, for it works in single precision.
-    middle = mesh.vertices.mean(axis=0)
-    points, faces = package("fast_simplification").simplify(
-        mesh.vertices - middle, mesh.faces, target_count=most, agg=5
+    o3d = package("open3d")
+    shape = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.faces)
     )
-    vertices = np.asarray(points, np.float64) + middle
-    _, nearest = package("scipy.spatial").cKDTree(mesh.vertices).query(vertices)
-    simple = ColourMesh(
-        vertices=vertices, faces=np.asarray(faces, np.int32), colours=mesh.colours[nearest]
+    shape.vertex_colors = o3d.utility.Vector3dVector(mesh.colours / 255.0)
+    simple = shape.simplify_quadric_decimation(most)
+    faces = ColourMesh(
+        vertices=np.asarray(simple.vertices).astype(np.float64),
+        faces=np.asarray(simple.triangles).astype(np.int32),
+        colours=np.round(np.asarray(simple.vertex_colors) * 255.0).astype(np.uint8),
     )
-    return simple.keep((simple.normals != 0.0).any(axis=1))
+    return faces.keep((faces.normals != 0.0).any(axis=1))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.ply import Ply
 from nw_eval.scenes.mesh_file import read_mesh
+from nw_eval.twin.reconstruct.packages import package
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,6 +42,21 @@ class ColourMesh:
             faces=renumbered.reshape(-1, 3).astype(np.int32),
             colours=self.colours[used],
         )
+
+
+def parts_of(links: NDArray[np.integer], count: int) -> tuple[int, NDArray[np.int32]]:
+    """Return how many parts `count` vertices are in, and the part of each.
+
+    Args:
+        links: (N, K), K >= 2: vertices in a row belong together.
+        count: of vertices.
+    """
+    sparse, graph = package("scipy.sparse"), package("scipy.sparse.csgraph")
+    one = np.repeat(links[:, 0], links.shape[1] - 1)
+    other = links[:, 1:].ravel()
+    ones = np.ones(len(one), np.int8)
+    matrix = sparse.coo_array((ones, (one, other)), shape=(count, count))
+    return graph.connected_components(matrix, directed=False)
 
 
 def write_mesh(mesh: ColourMesh, path: Path) -> None:

@@ -61,23 +61,21 @@ class ReconstructOptions:
         engine: `patchmatch`, which needs nothing else; `openmvs`, whose programs must be on PATH.
         depth: how depth is measured.
         voxel: edge of a voxel in the capture's unit; None for about two pixels of a typical depth.
-        least_weight: sum of confidences below which a voxel is not known.
         least_part: share of the largest part's area that a part must have to be kept.
         planes: whether what is plain is measured by planes, which end at edges; not of `openmvs`.
         flatten: whether planes are made flat where the evidence agrees.
         faces: that the mesh has at most.
-        blocks: of 8 x 8 x 8 voxels that there may be; each takes 12 kB.
+        samples: points of the surface that there may be; each takes about 1 kB.
     """
 
     engine: Engine = "patchmatch"
     depth: DepthOptions = field(default_factory=DepthOptions)
     voxel: float | None = None
-    least_weight: float = 0.5
     least_part: float = 0.05
     planes: bool = True
     flatten: bool = True
     faces: int = 200_000
-    blocks: int = 120_000
+    samples: int = 2_000_000
 
     def __post_init__(self) -> None:
         """Check the numbers.
@@ -89,10 +87,9 @@ class ReconstructOptions:
             raise UsageError(f"the engine is {self.engine!r}", fix="give patchmatch or openmvs")
         if self.voxel is not None and not self.voxel > 0.0:
             raise UsageError(f"the voxel is {self.voxel}", fix="give more than 0")
-        _check("least_weight", self.least_weight, 0.0, 1e6)
         _check("least_part", self.least_part, 0.0, 1.0)
         _check("faces", self.faces, 100, 4_000_000)
-        _check("blocks", self.blocks, 1, 2_000_000)
+        _check("samples", self.samples, 1, 20_000_000)
 
 
 def _check(name: str, value: float, least: float, most: float) -> None:

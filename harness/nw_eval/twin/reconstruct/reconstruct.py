@@ -21,16 +21,16 @@ from nw_eval.twin.reconstruct.clean import (
     flatten_small,
     holes,
     large_parts,
+    on_planes,
     simplify,
 )
-from nw_eval.twin.reconstruct.complete import complete, on_planes
 from nw_eval.twin.reconstruct.depth import DepthMap, depth_maps, near_of, write_map
 from nw_eval.twin.reconstruct.mesh import ColourMesh, write_mesh
 from nw_eval.twin.reconstruct.openmvs import coloured, maps_of, openmvs_mesh
 from nw_eval.twin.reconstruct.options import Engine, ReconstructOptions
 from nw_eval.twin.reconstruct.planar import planar_maps
 from nw_eval.twin.reconstruct.planes import SupposedPlane, hypotheses
-from nw_eval.twin.reconstruct.surface import extract, fuse, voxel_of
+from nw_eval.twin.reconstruct.surface import surface, voxel_of
 
 _LISTED_HOLES = 50
 
@@ -135,23 +135,20 @@ def reconstruct(
         raise UsageError(f"threads is {threads}", fix="give 1 or more")
     capture = read_capture(capture_folder)
     if options.engine == "openmvs":
-        maps, surface, voxel = _by_openmvs(capture, capture_folder, out, options, say, threads)
+        maps, whole, voxel = _by_openmvs(capture, capture_folder, out, options, say, threads)
         supposed: list[SupposedPlane] = []
     else:
         maps, supposed, voxel = _by_patchmatch(capture, capture_folder, out, options, say, threads)
-        surface = extract(fuse(maps, voxel, options.blocks, say, threads), options.least_weight)
+        whole = surface(maps, voxel, options.samples, say)
     for each in maps:
         write_map(capture, each, out)
-    say(f"cleans {len(surface.faces)} faces")
-    flat, planes = flatten(surface, voxel) if options.flatten else (surface, [])
+    say(f"cleans {len(whole.faces)} faces")
+    flat, planes = flatten(whole, voxel) if options.flatten else (whole, [])
     flat, small = flatten_small(flat, planes, supposed, voxel) if options.flatten else (flat, [])
     both = [turned for plane in supposed for turned in (plane, plane.turned())]
     islands = on_planes(flat, [*planes, *both], voxel)
     kept, parts = large_parts(flat, options.least_part, islands, ROOM * voxel**2)
-    whole, filled = complete(kept, planes, maps, voxel, small)
-    if filled > 0.0:
-        say(f"holes of an area of {filled:.4g} are filled where planes go on through them")
-    mesh = simplify(whole, options.faces)
+    mesh = simplify(kept, options.faces)
     borders = holes(mesh)
     write_mesh(mesh, out / "mesh.ply")
     known = [each.confidence[each.depth > 0] for each in maps]
@@ -165,7 +162,7 @@ def reconstruct(
         voxel=voxel,
         vertices=len(mesh.vertices),
         faces=len(mesh.faces),
-        faces_before=len(surface.faces),
+        faces_before=len(whole.faces),
         area=0.5 * float(np.linalg.norm(mesh.normals, axis=1).sum()),
         parts=parts,
         planes=(*planes, *small),
@@ -186,8 +183,7 @@ def _by_patchmatch(
     voxel = options.voxel or voxel_of(maps)
     if not options.planes:
         return maps, [], voxel
-    first = extract(fuse(maps, voxel, options.blocks, say, threads), options.least_weight)
-    planes = hypotheses(first, maps, voxel)
+    planes = hypotheses(surface(maps, voxel, options.samples, say), maps, voxel)
     say(f"{len(planes)} planes may be there")
     near = near_of(capture, maps, options.depth)
     return planar_maps(maps, near, planes, options.depth, say, threads), planes, voxel

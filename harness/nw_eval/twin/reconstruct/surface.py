@@ -1,12 +1,14 @@
-"""From depth maps to a surface: a truncated signed distance in sparse blocks, and its zero.
+"""From depth maps to a surface: points with normals, and the screened Poisson surface of them.
 
-The surface is cut where the distance is zero, by marching cubes (Lewiner et al. 2003).
+Points of many pixels become one in each cell of space. Cells are as large as what two pixels show
+there: fine near cameras and coarse far away. The surface (Kazhdan and Hoppe, "Screened Poisson
+surface reconstruction", 2013) is Open3D's. It is kept where points are near; farther than that, as
+in a hole, where it is flat, ends at what is kept all around, and no photograph looks through it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,51 +16,60 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.twin.reconstruct.depth import DepthMap
-from nw_eval.twin.reconstruct.mesh import ColourMesh
+from nw_eval.twin.reconstruct.mesh import ColourMesh, parts_of
 from nw_eval.twin.reconstruct.packages import package
-from nw_eval.twin.reconstruct.views import F32, F64, WorkingView
-from nw_eval.twin.reconstruct.voxel_kernels import (
-    SIDE,
-    VOXELS,
-    colours_at,
-    cut,
-    integrate,
-    mark,
-    slopes,
-)
+from nw_eval.twin.reconstruct.views import F64
 
-_TRUNCATION = 4.0
-"""Voxels on each side of a surface where its distance counts."""
-_LARGEST = 64_000_000
-"""Blocks of the box about all points, which costs 4 bytes each."""
+Flags = NDArray[np.bool_]
+
+_FINEST = 0.5
+"""Voxels: edge of the smallest cell."""
+_LEVELS = 4
+"""Sizes of cells, each twice as large as the one before; what is coarser is left out."""
+_DEEPEST = 12
+"""Times that the box about all points is halved at most."""
 _STRAY = 0.05
 """Percent of points at each end of an axis that may lie far off."""
-_AT_ONCE = 256
-"""Blocks of one job."""
+_LEAST_PIXELS = 2
+"""That a cell is known by."""
+_LEAST_SAMPLES = 32
+"""That a surface is made of."""
+_ONE_WAY = 0.5
+"""Length of the mean of a cell's unit normals, below which its pixels show no one surface."""
+_GRAZED = 0.15
+"""Cosine between ray and normal that no pixel is taken to fall below."""
 
-_BATCH = 8
-"""Blocks along the edge of a part of the volume that is cut at once."""
+_NEAR, _FAR = 1.5, 24.0
+"""Cells from a point: where the surface is kept, and where none is supposed in a hole."""
+_OFF = 0.02
+"""Share of its depth by which a place lies off the plane that a pixel shows, and is not on it."""
+_FLAT = 0.95
+"""Area of a patch as its mean normal sees it, a share of its area, if it is flat."""
+_NEAREST = 8
+"""Samples whose mean normal a place of the surface is compared with."""
+_LIKE = 0.85
+"""Cosine between a patch and the samples about it, in the mean: it goes on as they do."""
+_OPEN = 0.1
+"""Share of the vertices of a patch that photographs may look through."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Volume:
-    """Signed distances near surfaces.
+class Samples:
+    """Points of surfaces, one in each cell, in the capture's frame.
 
     Attributes:
-        origin: (3,) centre of the first voxel.
-        voxel: edge of a voxel.
-        grid: (X, Y, Z) int32: number of each block, -1 where there is none.
-        distance: (N, 512) float32: positive before a surface, in units of the truncation.
-        weight: (N, 512) float32: sum of confidences.
-        colour: (N, 512, 3) float32: 0 to 255.
+        points: (N, 3).
+        normals: (N, 3) of unit length, towards the cameras.
+        colours: (N, 3), 0 to 255.
+        cells: (N,) edge of the cell of each.
+        finest: edge of the smallest cell.
     """
 
-    origin: F64
-    voxel: float
-    grid: NDArray[np.int32]
-    distance: F32
-    weight: F32
-    colour: F32
+    points: F64
+    normals: F64
+    colours: F64
+    cells: F64
+    finest: float
 
 
 def voxel_of(maps: Sequence[DepthMap]) -> float:
@@ -80,160 +91,227 @@ def voxel_of(maps: Sequence[DepthMap]) -> float:
     return 2.0 * float(np.median(breadths))
 
 
-def fuse(
-    maps: Sequence[DepthMap],
-    voxel: float,
-    most: int,
-    say: Callable[[str], None],
-    threads: int = 2,
-) -> Volume:
-    """Join depth maps in a volume.
+def surface(
+    maps: Sequence[DepthMap], voxel: float, most: int, say: Callable[[str], None]
+) -> ColourMesh:
+    """Return the surface that depth maps show, counter-clockwise seen from where the cameras were.
 
-    Each block sees the maps in their order, whoever works at it: threads change no bit.
+    The same maps give the same bits: Open3D works on one thread.
+
+    Args:
+        maps: of the capture.
+        voxel: edge of a typical cell.
+        most: samples that there may be, each with about 1 kB.
+        say: is told of progress.
 
     Raises:
-        SceneError: no depth is known, or it takes more than `most` blocks.
+        SceneError: no depth is known, there are too many samples, or no surface comes of them.
+        PrerequisiteError: Open3D or SciPy is not installed.
     """
-    volume, blocks = _empty(maps, voxel, most)
-    say(f"fuses {len(maps)} depth maps in {len(blocks)} blocks of voxels of {voxel:.4g}")
-    lattice = np.array([*volume.origin, voxel, _TRUNCATION * voxel])
-    leaning = [np.zeros((*each.depth.shape, 2), np.float32) for each in maps]
-    for each, slope in zip(maps, leaning, strict=True):
-        slopes(each.depth, slope)
-
-    pull = np.zeros_like(volume.weight)
-
-    def job(first: int) -> None:
-        end = min(first + _AT_ONCE, len(blocks))
-        for each, slope in zip(maps, leaning, strict=True):
-            view, K = each.view, each.view.K
-            lens = (K[0, 0], K[1, 1], K[0, 2], K[1, 2])
-            integrate(
-                blocks, first, end, lattice, each.depth, slope, each.confidence, view.rgb, lens,
-                view.T_camera_world, volume.distance, volume.weight, volume.colour, pull,
-            )  # fmt: skip
-
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(job, range(0, len(blocks), _AT_ONCE)))
-    return volume
+    found = samples(maps, voxel)
+    if len(found.points) > most:
+        raise SceneError(
+            f"the surface takes {len(found.points)} points, {most} are allowed",
+            fix=f"give a larger voxel than {voxel:.4g}, or more points",
+        )
+    say(
+        f"joins {len(maps)} depth maps in {len(found.points)} points of {found.finest:.3g} and more"
+    )
+    if len(found.points) >= _LEAST_SAMPLES:
+        whole, normals = _poisson(found)
+        kept = whole.keep(_supported(whole, normals, found, maps)) if len(whole.faces) else whole
+        if len(kept.faces):
+            return kept
+    raise SceneError("the depth maps have no surface in common", fix="take more photographs")
 
 
-def _empty(maps: Sequence[DepthMap], voxel: float, most: int) -> tuple[Volume, NDArray[np.int32]]:
-    """Return a volume with a block wherever a surface is near, and the blocks' places."""
-    size, reach = SIDE * voxel, _TRUNCATION * voxel
-    clouds = [_cloud(each.view, each.depth) for each in maps]
-    sample = np.concatenate([cloud[::16] for cloud in clouds])
+def samples(maps: Sequence[DepthMap], voxel: float) -> Samples:
+    """Return the points of all maps, one in each cell; none that more photographs see through.
+
+    In a cell a pixel counts by its confidence and by how finely it shows its surface: many that
+    look from afar and at a slant do not outvote the few from near. No cell has a point that holds
+    a finer one.
+
+    Raises:
+        SceneError: no depth is known.
+    """
+    coarsest = _FINEST * voxel * 2 ** (_LEVELS - 1)
+    sample = np.concatenate(
+        [rows[rows[:, -1] <= coarsest, :3][::16] for rows in map(_pixels, maps)]
+    )
     if len(sample) == 0:
         raise SceneError("no depth is known", fix="photograph what has texture")
     low, high = np.percentile(sample, [_STRAY, 100.0 - _STRAY], axis=0)
-    origin = np.floor((low - size) / size) * size
-    shape = np.ceil((high + size - origin) / size).astype(np.int64)
-    if shape.prod() > _LARGEST:
-        raise SceneError(
-            f"the place is {shape.tolist()} blocks of {SIDE} voxels large",
-            fix=f"give a larger voxel than {voxel:.4g}",
-        )
-    grid = np.full(tuple(shape), -1, np.int32)
-    for cloud in clouds:
-        mark(cloud, origin, size, reach, grid)
-    blocks = np.argwhere(grid == 0).astype(np.int32)
-    if len(blocks) > most:
-        raise SceneError(
-            f"the surface takes {len(blocks)} blocks of voxels, {most} are allowed",
-            fix=f"give a larger voxel than {voxel:.4g}, or more blocks",
-        )
-    grid[tuple(blocks.T)] = np.arange(len(blocks))
-    n = len(blocks)
-    volume = Volume(
-        origin=origin,
-        voxel=voxel,
-        grid=grid,
-        distance=np.zeros((n, VOXELS), np.float32),
-        weight=np.zeros((n, VOXELS), np.float32),
-        colour=np.zeros((n, VOXELS, 3), np.float32),
+    finest = max(_FINEST * voxel, float((high - low).max()) * 1.1 / 2**_DEEPEST)
+    tables: list[list[F64]] = [[] for _ in range(_LEVELS)]
+    for each in maps:
+        rows = _pixels(each)
+        rows = rows[((rows[:, :3] >= low) & (rows[:, :3] <= high)).all(axis=1)]
+        level = np.ceil(np.log2(np.maximum(rows[:, -1] / finest, 1.0)))
+        for number, table in enumerate(tables):
+            own = rows[level == number, :-1]
+            own[:, :-2] *= own[:, -2:-1]  # Sums of what is weighted, of weights, and of pixels.
+            table.append(_summed(own, _cells_of(own[:, :3] / own[:, -2:-1], low, finest, number)))
+    kept: list[tuple[F64, F64]] = []
+    for number, table in enumerate(tables):
+        sums = np.concatenate(table)
+        sums = _summed(sums, _cells_of(sums[:, :3] / sums[:, 9:10], low, finest, number))
+        sums = sums[sums[:, 10] >= _LEAST_PIXELS]
+        means = sums[:, :9] / sums[:, 9:10]
+        known = np.linalg.norm(means[:, 3:6], axis=1) > _ONE_WAY
+        for finer, _ in kept:
+            taken = np.unique(_cells_of(finer[:, :3], low, finest, number))
+            known &= ~np.isin(_cells_of(means[:, :3], low, finest, number), taken)
+        kept.append((means[known], np.full(int(known.sum()), finest * 2**number)))
+    means, cells = (np.concatenate(part) for part in zip(*kept, strict=True))
+    views, through, on = _looks(means[:, :3], maps)
+    real = ~_open(views, through, on)
+    means, cells = means[real], cells[real]
+    length = np.linalg.norm(means[:, 3:6], axis=1, keepdims=True)
+    return Samples(
+        points=means[:, :3],
+        normals=means[:, 3:6] / np.maximum(length, 1e-300),
+        colours=means[:, 6:9],
+        cells=cells,
+        finest=finest,
     )
-    return volume, blocks
 
 
-def _cloud(view: WorkingView, depth: F32) -> F64:
-    """Return the points of a depth map, (N, 3), in the capture's frame."""
-    rows, columns = np.nonzero(depth > 0)
-    z = depth[rows, columns].astype(np.float64)
-    x = (columns + 0.5 - view.K[0, 2]) / view.K[0, 0] * z
-    y = (rows + 0.5 - view.K[1, 2]) / view.K[1, 1] * z
+def _pixels(each: DepthMap) -> F64:
+    """Return place (3), normal (3), colour (3), weight, 1, and edge of the cell of each pixel."""
+    view, (rows, columns) = each.view, np.nonzero(each.depth > 0)
+    rays = _rays(view.K, columns + 0.5, rows + 0.5)
+    z = each.depth[rows, columns].astype(np.float64)
+    normal = each.normal[rows, columns].astype(np.float64)
     T = np.linalg.inv(view.T_camera_world)
-    return np.column_stack([x, y, z]) @ T[:3, :3].T + T[:3, 3]
-
-
-def extract(volume: Volume, least_weight: float) -> ColourMesh:
-    """Return the volume's surface, its faces counter-clockwise seen from where the cameras were.
-
-    Only cells all of whose corners are known are cut. Parts of the volume share a layer of voxels,
-    where both find the same vertices to the last bit; those become one.
-
-    Raises:
-        SceneError: there is no surface.
-        PrerequisiteError: scikit-image is not installed.
-    """
-    span, shape = _BATCH * SIDE, np.array(volume.grid.shape)
-    vertices: list[NDArray[np.float64]] = []
-    faces: list[NDArray[np.int64]] = []
-    count = 0
-    for batch in np.ndindex(*(-(-shape // _BATCH))):
-        first = np.array(batch) * _BATCH
-        corner = volume.grid[tuple(slice(a, a + _BATCH + 1) for a in first)]
-        if (corner >= 0).any():
-            found = _cut(volume, first * SIDE, span + 1, least_weight)
-            if found is not None:
-                vertices.append(found[0] + first * SIDE)
-                faces.append(found[1] + count)
-                count += len(found[0])
-    if not faces:
-        raise SceneError("the depth maps have no surface in common", fix="take more photographs")
-    places, corners = _welded(np.concatenate(vertices), np.concatenate(faces), span)
-    colours = np.zeros((len(places), 3))
-    colours_at(places, volume.grid, volume.weight, volume.colour, colours)
-    return ColourMesh(
-        vertices=volume.origin + volume.voxel * places,
-        faces=corners.astype(np.int32),
-        colours=np.round(np.clip(colours, 0.0, 255.0)).astype(np.uint8),
+    length = np.linalg.norm(rays, axis=1)
+    breadth = z * length / view.K[0, 0]
+    facing = np.clip(-(normal * rays).sum(axis=1) / length, _GRAZED, 1.0)
+    weight = each.confidence[rows, columns] * facing / breadth**2
+    return np.column_stack(
+        [
+            (rays * z[:, None]) @ T[:3, :3].T + T[:3, 3],
+            normal @ T[:3, :3].T,
+            view.rgb[rows, columns].astype(np.float64),
+            weight,
+            np.ones_like(z),
+            2.0 * breadth / np.sqrt(facing),
+        ]
     )
 
 
-def _cut(
-    volume: Volume, first: NDArray[np.int64], side: int, least: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
-    dense = np.empty((side, side, side), np.float32)
-    known = np.empty(dense.shape, np.bool_)
-    cut(volume.grid, first, volume.distance, volume.weight, least, dense, known)
-    whole = known[1:, 1:, 1:].copy()
-    for i, j, k in np.ndindex(2, 2, 2):
-        whole &= known[i : side - 1 + i, j : side - 1 + j, k : side - 1 + k]
-    if not whole.any():
-        return None
-    inner = dense[known]
-    if not inner.min() < 0.0 < inner.max():
-        return None
-    # The mask's place i, j, k speaks for the cell that ends there.
-    mask = np.zeros(dense.shape, np.bool_)
-    mask[1:, 1:, 1:] = whole
-    cubes = package("skimage.measure").marching_cubes
-    try:
-        points, corners, _, _ = cubes(dense, 0.0, mask=mask)
-    except RuntimeError:  # What it raises where no cell that is known has a surface.
-        return None
-    return points.astype(np.float64), corners.astype(np.int64)
+def _rays(K: F64, u: NDArray[np.floating], v: NDArray[np.floating]) -> F64:
+    """Return the points (N, 3) at depth 1 that pixels show, in the camera's frame."""
+    x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
+    return np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float64)
 
 
-def _welded(
-    places: NDArray[np.float64], faces: NDArray[np.int64], span: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the mesh with one vertex for each place on the sides of the parts."""
-    shared = np.flatnonzero((places % span == 0.0).any(axis=1))
-    _, lead, group = np.unique(places[shared], axis=0, return_index=True, return_inverse=True)
-    one = np.arange(len(places))
-    one[shared] = shared[lead[group.ravel()]]
-    faces = one[faces]
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    used, renumbered = np.unique(faces, return_inverse=True)
-    return places[used], renumbered.reshape(-1, 3)
+def _cells_of(points: F64, low: F64, finest: float, level: int) -> NDArray[np.int64]:
+    """Return one number for the cell of each point."""
+    place = np.floor((points - low) / (finest * 2**level)).astype(np.int64) + 1
+    side = 2 ** (_DEEPEST + 2)
+    return (place[:, 0] * side + place[:, 1]) * side + place[:, 2]
+
+
+def _summed(rows: F64, cells: NDArray[np.int64]) -> F64:
+    """Return the sum of the rows of each cell, in the order of the cells' numbers."""
+    _, whose = np.unique(cells, return_inverse=True)
+    sums = np.zeros((int(whose.max(initial=-1)) + 1, rows.shape[1]))
+    for number, column in enumerate(rows.T):
+        sums[:, number] = np.bincount(whose, column, len(sums))
+    return sums
+
+
+def _looks(
+    points: F64, maps: Sequence[DepthMap]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return how many maps look at points or through them, how many through, and how many at.
+
+    A pixel shows a plane. A point lies on it, behind it, where the pixel says nothing of it, or
+    before it and nearer than the pixel is: then it is looked through.
+    """
+    views, through, on = (np.zeros(len(points), np.int64) for _ in range(3))
+    for each in maps:
+        view, T = each.view, each.view.T_camera_world
+        local = points @ T[:3, :3].T + T[:3, 3]
+        z = np.maximum(local[:, 2], 1e-9)
+        u = view.K[0, 0] * local[:, 0] / z + view.K[0, 2]
+        v = view.K[1, 1] * local[:, 1] / z + view.K[1, 2]
+        height, width = view.size
+        inside = (local[:, 2] > 0.0) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        rows = np.flatnonzero(inside)
+        x, y = u[rows].astype(np.int64), v[rows].astype(np.int64)
+        depth = each.depth[y, x].astype(np.float64)
+        shown = _rays(view.K, x + 0.5, y + 0.5) * depth[:, None]
+        off = ((local[rows] - shown) * each.normal[y, x]).sum(axis=1) / z[rows]
+        known = depth > 0.0
+        through[rows] += known & (off > _OFF) & (depth > z[rows] * (1.0 + _OFF))
+        on[rows] += known & (np.abs(off) <= _OFF)
+        views[rows] += ~known | (off >= -_OFF)
+    return views, through, on
+
+
+def _open(
+    views: NDArray[np.int64], through: NDArray[np.int64], on: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Return what is seen through; one wrong depth among many is none."""
+    return through > np.maximum(on, views // 8)
+
+
+def _poisson(found: Samples) -> tuple[ColourMesh, F64]:
+    """Return the surface through all samples, closed but where its box ends, and its normals."""
+    o3d = package("open3d")
+    as_vectors = o3d.utility.Vector3dVector
+    cloud = o3d.geometry.PointCloud(as_vectors(found.points))
+    cloud.normals = as_vectors(found.normals)
+    cloud.colors = as_vectors(found.colours / 255.0)
+    extent = max(float(np.ptp(found.points, axis=0).max()) * 1.1, found.finest)
+    depth = min(max(int(np.ceil(np.log2(extent / found.finest))), 1), _DEEPEST)
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
+            cloud, depth=depth, scale=1.1, linear_fit=True, n_threads=1
+        )
+    colours = np.round(np.clip(np.asarray(mesh.vertex_colors) * 255.0, 0.0, 255.0))
+    whole = ColourMesh(
+        vertices=np.asarray(mesh.vertices).astype(np.float64),
+        faces=np.asarray(mesh.triangles).astype(np.int32),
+        colours=colours.astype(np.uint8).reshape(-1, 3),
+    )
+    return whole, np.asarray(mesh.vertex_normals).astype(np.float64)
+
+
+def _supported(whole: ColourMesh, normals: F64, found: Samples, maps: Sequence[DepthMap]) -> Flags:
+    """Return the faces that samples lie near, or that close a hole of them."""
+    faces, count = whole.faces, len(whole.vertices)
+    count_near = min(_NEAREST, len(found.points))
+    tree = package("scipy.spatial").cKDTree(found.points)
+    off, nearest = tree.query(whole.vertices, range(1, count_near + 1))
+    off = off[:, 0] / found.cells[nearest[:, 0]]
+    about = found.normals[nearest].mean(axis=1)
+    about /= np.maximum(np.linalg.norm(about, axis=1, keepdims=True), 1e-300)
+    open_ = _open(*_looks(whole.vertices, maps))
+    like = (normals * about).sum(axis=1)
+    kept = ((off <= _NEAR) & (like > 0.0) & ~open_)[faces].all(axis=1)
+    rest = faces[~kept]
+    parts, part = parts_of(rest, count)
+    size = np.bincount(part, minlength=parts)
+    # A patch of a hole ends at what is kept: none of its vertices is at an end of the surface.
+    beyond = np.bincount(part, (off > _FAR) | _ends(faces, count), minlength=parts) > 0
+    looked_through = np.bincount(part, open_, minlength=parts) > _OPEN * size
+    unlike = np.bincount(part, like, minlength=parts) < _LIKE * size
+    areas, own = whole.normals[~kept], part[rest[:, 0]]
+    whole_area = np.bincount(own, np.linalg.norm(areas, axis=1), minlength=parts)
+    total = np.stack([np.bincount(own, axis, minlength=parts) for axis in areas.T])
+    flat = np.linalg.norm(total, axis=0) > _FLAT * whole_area
+    kept[~kept] = (~beyond & ~looked_through & ~unlike & flat)[own]
+    return kept
+
+
+def _ends(faces: NDArray[np.int32], count: int) -> Flags:
+    """Return which vertices (V,) are of an edge that one face alone has."""
+    edges = np.concatenate([faces[:, [k, (k + 1) % 3]] for k in range(3)]).astype(np.int64)
+    keys, uses = np.unique(np.sort(edges, axis=1) @ np.array([count, 1]), return_counts=True)
+    ends = np.zeros(count, np.bool_)
+    for corner in np.divmod(keys[uses == 1], count):
+        ends[corner] = True
+    return ends
