@@ -346,6 +346,10 @@ def simplify(mesh: ColourMesh, most: int) -> ColourMesh:
     )
     shape.vertex_colors = o3d.utility.Vector3dVector(mesh.colours / 255.0)
     simple = shape.simplify_quadric_decimation(most)
+    # As a file has them: what its single precision makes one vertex is one.
+    simple.vertices = o3d.utility.Vector3dVector(np.asarray(simple.vertices).astype(np.float32))
+    simple.remove_duplicated_vertices().remove_duplicated_triangles()
+    simple.remove_degenerate_triangles().remove_unreferenced_vertices()
     faces = ColourMesh(
         vertices=np.asarray(simple.vertices).astype(np.float64),
         faces=np.asarray(simple.triangles).astype(np.int32),
