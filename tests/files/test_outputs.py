@@ -58,6 +58,7 @@ ELSEWHERE = {
     "twin/calibrate/calibrate.py": "works in a temporary folder",
     "twin/calibrate/develop.py": "works in a temporary folder",
     "twin/calibrate/photographs.py": "works in a temporary folder",
+    "twin/calibrate/exports.py": "works in a temporary folder",
     "twin/calibrate/video.py": "works in a temporary folder",
     "twin/label/copying.py": "fills a temporary folder that appears by one rename",
     "twin/label/published.py": "fills a temporary folder that appears by one rename",

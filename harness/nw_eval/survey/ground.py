@@ -160,7 +160,7 @@ class Footing:
         along: (S,) m from the start, `FEET_SPACING` apart.
         places: (S, 3) on the trail's line, world, m.
         roughness: (S,) root mean square distance from the plane of a square of `PATCH`, m. Where
-            an edge crosses the square, of its smoother half. nan without ground.
+            an edge crosses the square, of its smoothest half or quarter. nan without ground.
         step: (S,) largest change of height over `FOOT`, m, of an edge that is wider than a foot;
             nan without ground.
         slope: (S,) of that plane in the corridor's middle, rad; nan without ground.
@@ -208,7 +208,7 @@ def _planes(patches: Values) -> tuple[Values, Values]:
     """Return the roughness, m, and the slope, rad, of squares of ground, (S, 3) each.
 
     Planes are fitted by least squares. A square that an edge crosses is judged by its smoothest
-    half: a step from plane to plane is not rough.
+    half or quarter: a step from plane to plane is not rough, nor is the corner of a board.
 
     Args:
         patches: (S, 3, N, N) heights `SPACING` apart, m; nan where there is none.
@@ -225,7 +225,9 @@ def _planes(patches: Values) -> tuple[Values, Values]:
         rises = np.abs(moved[:, :, foot:] - moved[:, :, :-foot])
         edged |= (rises > _EDGE).any(axis=(2, 3)).ravel()
     rough, slope = np.full((2, len(flat)), np.inf)
-    for number, piece in enumerate((u < 1.0, u <= 0.0, u >= 0.0, v <= 0.0, v >= 0.0)):
+    halves = (u <= 0.0, u >= 0.0, v <= 0.0, v >= 0.0)
+    quarters = [one & other for one in halves[:2] for other in halves[2:]]
+    for number, piece in enumerate((u < 1.0, *halves, *quarters)):
         weight = (np.isfinite(flat) & piece).astype(np.float64)
         count = weight.sum(axis=1)
         enough = count >= _LEAST_KNOWN * piece.sum()

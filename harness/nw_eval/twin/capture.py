@@ -23,7 +23,7 @@ from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import OutsideError, inside, regular
 from nw_eval.files.pictures import open_picture
 from nw_eval.splat.camera import Camera
-from nw_eval.twin.calibrate.solution import Lens
+from nw_eval.twin.lens import Lens
 
 _JSON, _POINTS = "capture.json", "points.npz"
 _MOST_BYTES = 64 * 2**20

@@ -17,7 +17,7 @@ from nw_eval.twin.align.alignment import AlignOptions, KnownLength, words_of
 from nw_eval.twin.align.positions import east_north_up, gps_positions
 from nw_eval.twin.align.tags import find_tags
 from nw_eval.twin.align.triangulate import triangulate
-from nw_eval.twin.calibrate.solution import Lens
+from nw_eval.twin.lens import Lens
 
 SIZE = (480, 360)
 

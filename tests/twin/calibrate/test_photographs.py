@@ -16,8 +16,9 @@ from nw_eval.twin.calibrate.photographs import (
     take_in,
     tone_mapped,
 )
-from nw_eval.twin.calibrate.solution import Lens, Placed, Solution
+from nw_eval.twin.calibrate.solution import Placed, Solution
 from nw_eval.twin.calibrate.sources import find_source
+from nw_eval.twin.lens import Lens
 
 
 def noise(size=(80, 60), seed=0):

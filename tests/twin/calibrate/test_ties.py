@@ -3,7 +3,8 @@
 import numpy as np
 
 from nw_eval.twin.calibrate.mapping import tied
-from nw_eval.twin.calibrate.solution import Lens, Placed, Solution
+from nw_eval.twin.calibrate.solution import Placed, Solution
+from nw_eval.twin.lens import Lens
 
 LENS = Lens(model="SIMPLE_PINHOLE", width=64, height=48, params=(50.0, 32.0, 24.0))
 

@@ -19,7 +19,8 @@ from nw_eval.errors import SceneError
 from nw_eval.files.inside import regular
 from nw_eval.twin.calibrate.footage import Footage, found_in, in_order, with_masks
 from nw_eval.twin.calibrate.pace import Say
-from nw_eval.twin.calibrate.solution import Lens, Placed, Solution, inverse, rigid
+from nw_eval.twin.calibrate.solution import Placed, Solution, inverse, rigid
+from nw_eval.twin.lens import Lens
 
 _PLACES = ("sparse", "colmap/sparse", "dense/sparse", ".")
 

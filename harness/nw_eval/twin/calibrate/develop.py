@@ -17,10 +17,11 @@ from nw_eval.errors import SceneError, StoreError
 from nw_eval.files.pictures import open_picture
 from nw_eval.splat.camera import Camera
 from nw_eval.twin.calibrate.pace import Pace, Say
-from nw_eval.twin.calibrate.packages import package
 from nw_eval.twin.calibrate.photographs import Photograph
-from nw_eval.twin.calibrate.solution import Lens, Placed, Solution
+from nw_eval.twin.calibrate.solution import Placed, Solution
 from nw_eval.twin.capture import Capture, PlacedShot
+from nw_eval.twin.lens import Lens
+from nw_eval.twin.packages import package
 
 _MUCH = 0.97
 """Share of a photograph's pixels below which it is said that some are cut off."""

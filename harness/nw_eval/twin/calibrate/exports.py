@@ -38,8 +38,9 @@ from nw_eval.twin.calibrate.colmap import pose_of
 from nw_eval.twin.calibrate.footage import Footage, found_in, in_order, names_in, number, read_json
 from nw_eval.twin.calibrate.pace import Say
 from nw_eval.twin.calibrate.photographs import SUFFIXES, Found, natural
-from nw_eval.twin.calibrate.solution import Lens, Placed, Solution, inverse, rigid
+from nw_eval.twin.calibrate.solution import Placed, Solution, inverse, rigid
 from nw_eval.twin.calibrate.video import choose
+from nw_eval.twin.lens import Lens
 
 SizeOf = Callable[[Path], tuple[int, int] | None]
 FILE = "transforms.json"

@@ -23,15 +23,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from nw_eval.errors import SceneError
+from nw_eval.files.pictures import open_picture
 from nw_eval.twin.calibrate.kept import Kept
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.calibrate.pace import Pace, Say
-from nw_eval.twin.calibrate.packages import quiet
 from nw_eval.twin.calibrate.photographs import Photograph
-from nw_eval.twin.calibrate.solution import Lens
+from nw_eval.twin.lens import Lens
+from nw_eval.twin.packages import quiet
 
 _GUESS = 1.2
 """Focal length in longer sides, as COLMAP has it where nothing is known."""
@@ -347,7 +347,7 @@ class _Matching:
         points[:, :3] *= np.array([width / size[0], height / size[1], width / size[0]], np.float32)
         found = descriptors.data.astype(np.uint8).reshape(-1, 128)
         if one.mask is not None:
-            with Image.open(one.mask) as image:
+            with open_picture(one.mask) as image:
                 mask = np.asarray(image)
             x, y = points[:, :2].astype(int).T
             shown = mask[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)] > 0

@@ -20,8 +20,9 @@ from nw_eval.errors import SceneError
 from nw_eval.plural import plural
 from nw_eval.twin.calibrate.features import Matches
 from nw_eval.twin.calibrate.pace import Pace, Say
-from nw_eval.twin.calibrate.packages import quiet
-from nw_eval.twin.calibrate.solution import Lens, Placed, Solution, inverse
+from nw_eval.twin.calibrate.solution import Placed, Solution, inverse
+from nw_eval.twin.lens import Lens
+from nw_eval.twin.packages import quiet
 
 _ENOUGH = 0.9
 """Share of the photographs with which the first try is taken, without a second."""

@@ -19,9 +19,10 @@ from nw_eval.files.pictures import KINDS, open_picture
 from nw_eval.plural import plural
 from nw_eval.twin.calibrate.options import MOST_MEGAPIXELS
 from nw_eval.twin.calibrate.pace import Pace, Say
-from nw_eval.twin.calibrate.packages import package, quiet
 from nw_eval.twin.calibrate.report import LeftOut
-from nw_eval.twin.calibrate.solution import Lens, Solution
+from nw_eval.twin.calibrate.solution import Solution
+from nw_eval.twin.lens import Lens
+from nw_eval.twin.packages import package, quiet
 
 _NOT_READ = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw"})
 _HEIC = frozenset({".heic", ".heif", ".hif"})

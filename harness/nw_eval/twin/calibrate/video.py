@@ -16,8 +16,8 @@ from PIL import Image
 from nw_eval.errors import SceneError
 from nw_eval.twin.calibrate.footage import Footage
 from nw_eval.twin.calibrate.pace import Pace, Say
-from nw_eval.twin.calibrate.packages import package
 from nw_eval.twin.calibrate.photographs import HDR, Found, sharpness_of, tone_mapped
+from nw_eval.twin.packages import package
 
 VIDEOS = frozenset(
     (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".3gp")

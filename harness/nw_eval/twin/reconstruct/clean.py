@@ -26,8 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.twin.packages import package
 from nw_eval.twin.reconstruct.mesh import ColourMesh, parts_of
-from nw_eval.twin.reconstruct.packages import package
 from nw_eval.twin.reconstruct.planes import PlaneSearch, SupposedPlane
 
 F64 = NDArray[np.float64]

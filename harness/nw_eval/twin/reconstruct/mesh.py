@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.ply import Ply
 from nw_eval.scenes.mesh_file import read_mesh
-from nw_eval.twin.reconstruct.packages import package
+from nw_eval.twin.packages import package
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.twin.packages import package
 from nw_eval.twin.reconstruct.depth import DepthMap
 from nw_eval.twin.reconstruct.options import DepthOptions
-from nw_eval.twin.reconstruct.packages import package
 from nw_eval.twin.reconstruct.plane_kernels import (
     COST,
     NOISE,

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
+from nw_eval.twin.packages import package
 from nw_eval.twin.reconstruct.depth import DepthMap
 from nw_eval.twin.reconstruct.mesh import ColourMesh, parts_of
-from nw_eval.twin.reconstruct.packages import package
 from nw_eval.twin.reconstruct.views import F64
 
 Flags = NDArray[np.bool_]

@@ -18,7 +18,7 @@ from nw_eval.errors import SceneError
 from nw_eval.files.inside import OutsideError, inside
 from nw_eval.files.pictures import open_picture
 from nw_eval.twin.capture import Capture, PlacedShot, read_picture
-from nw_eval.twin.reconstruct.packages import package
+from nw_eval.twin.packages import package
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""The packages that calibration needs and that nw-eval does without otherwise."""
+"""The packages that only twins need."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ def package(name: str) -> Any:
         return import_module(name)
     except ImportError as error:
         raise PrerequisiteError(
-            f"calibration needs the package {name}: {error}", fix="pip install nw-eval[twin]"
+            f"a twin needs the package {name.partition('.')[0]}: {error}",
+            fix="pip install nw-eval[twin]",
         ) from error
 
 
