@@ -76,7 +76,8 @@ def test_gps_gives_the_scale_where_photographs_lie_far_apart(tmp_path):
 
 
 def test_cameras_that_come_in_metres_give_scale_and_up():
-    facts = facts_of_source(Footage(kind="polycam", files=()), NOTHING)
+    polycam = Footage(kind="polycam", files=(), metric=True, up=(0.0, 1.0, 0.0))
+    facts = facts_of_source(polycam, NOTHING)
     assert scale_lines(facts, NOTHING, "room") == [
         "scale: by the cameras of polycam: poses in metres"
     ]

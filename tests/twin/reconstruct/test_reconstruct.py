@@ -50,7 +50,8 @@ def test_depth_is_right_where_confidence_says_that_it_is_known(room, built):
     assert low > 4.0 * middle
     assert middle > 1.5 * high
     assert np.median(off) < 0.008
-    assert np.mean(shares) == pytest.approx(report.coverage)
+    # The report counts pixels of what was worked at, files have those of the larger pictures.
+    assert np.mean(shares) == pytest.approx(report.coverage, abs=0.002)
     assert report.coverage > 0.45
 
 
@@ -107,7 +108,7 @@ def test_one_thread_gives_the_same_bits(room, tmp_path):
         reconstruct(room, tmp_path / str(threads), options, lambda _: None, threads=threads)
     out = tmp_path / "2"
     files = [path.relative_to(out) for path in out.rglob("*") if path.is_file()]
-    assert len(files) == 2 + 4 * 10
+    assert len(files) == 2 + 3 * 10
     for file in files:
         assert (tmp_path / "1" / file).read_bytes() == (out / file).read_bytes(), file
 
