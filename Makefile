@@ -17,7 +17,8 @@ unexport PYTHONDONTWRITEBYTECODE
 run: $(VENV)/.installed
 	$(BIN)/nw-eval run suites/hurdles.yaml --all-rounds --trials 10
 
-# Types are checked by one core while the other compiles the kernels. Files of tests keep their order: xdist
+# Types are checked by one core while the other compiles the kernels: those of the splats by `warmup`, those of
+# reconstruction and calibration, which few users need, by a test of each kind. Files of tests keep their order: xdist
 # would run those of one long test last, when the other core has nothing left to do.
 test: $(VENV)/.installed-dev
 	$(MAKE) -j 2 --output-sync=target check warm
@@ -35,8 +36,12 @@ lint: $(VENV)/.installed-dev
 arrows: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
 
+KERNEL_TESTS := tests/twin/calibrate/test_features.py::test_of_two_alike_neither_is_a_match \
+  tests/twin/reconstruct/test_reconstruct.py::test_what_a_mask_hides_is_not_known
+
 warm: $(VENV)/.installed-dev
 	$(BIN)/nw-eval warmup
+	$(BIN)/pytest -q $(KERNEL_TESTS)
 
 bench: $(VENV)/.installed-dev
 	$(BIN)/nw-eval warmup

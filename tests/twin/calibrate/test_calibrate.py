@@ -194,6 +194,7 @@ def test_options_that_make_no_sense_are_refused(options):
 def test_each_option_of_calibration_that_a_verb_has_is_asked_for():
     given = {"matching": "retrieval", "frames": 9, "lens": "OPENCV", "share": 0.4}
     given |= {"features": 700, "side": 640, "megapixels": 150}
+    given |= {"per_second": 2.0}
     flags = CalibrateFlags(**given)
     assert set(vars(flags)) == set(given)
     assert settings_of(flags, 1).calibrate == CalibrateOptions(**given, threads=1)

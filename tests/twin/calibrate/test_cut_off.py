@@ -80,7 +80,8 @@ def test_a_signal_ends_it_with_one_word_and_without_litter(few, tmp_path, number
     assert errors == "interrupted\n"
     assert "is kept in" in output
     capture = scene / "build" / "capture"
-    assert [path.name for path in capture.iterdir()] == [".calibrate.sqlite"]
+    # And what was known of the photographs before they were calibrated.
+    assert sorted(path.name for path in capture.iterdir()) == [".calibrate.sqlite", "known.json"]
 
 
 def test_what_a_killed_calibration_left_goes_with_the_next(few, whole, tmp_path):

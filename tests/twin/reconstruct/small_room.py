@@ -7,10 +7,12 @@ from PIL import Image
 
 from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.capture import Capture, PlacedShot, write_capture
-from nw_eval.twin.reconstruct.options import ReconstructOptions
+from nw_eval.twin.reconstruct.options import DepthOptions, ReconstructOptions
 
-SMALL = ReconstructOptions(voxel=0.03, faces=20_000)
-"""For its small pictures."""
+SMALL = ReconstructOptions(
+    depth=DepthOptions(side=176, neighbours=3, rounds=1), voxel=0.03, faces=20_000
+)
+"""For its small pictures; nightly tests have the default's neighbours and rounds."""
 
 FLOOR_X, FLOOR_Y, HIGH = 4.0, 3.0, 1.6
 """Metres; the room has two walls and is open to the other sides and above."""

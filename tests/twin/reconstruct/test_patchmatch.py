@@ -99,6 +99,7 @@ def digest(maps):
     return sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
+@pytest.mark.nightly
 def test_threads_and_code_from_the_cache_change_no_bit(tmp_path):
     write_street(tmp_path / "capture", count=3)
     said = []
@@ -113,8 +114,9 @@ def test_threads_and_code_from_the_cache_change_no_bit(tmp_path):
 
 
 def test_a_run_that_was_cut_short_goes_on_to_the_same_maps(street, tmp_path):
-    folder, capture, maps = street
-    said = []
+    folder, capture, _ = street
+    options, said = DepthOptions(side=72, rounds=1), []
+    maps = depth_maps(capture, folder / "capture", tmp_path / "whole", options, lambda _: None)
 
     def cut(line):
         said.append(line)
@@ -122,12 +124,12 @@ def test_a_run_that_was_cut_short_goes_on_to_the_same_maps(street, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        depth_maps(capture, folder / "capture", tmp_path, OPTIONS, cut, threads=1)
+        depth_maps(capture, folder / "capture", tmp_path / "cut", options, cut, threads=1)
     assert said[4] == "depth of 4.jpg is matched: 5 of 5"
     assert said[6] == "depth of 1.jpg is compared with its neighbours: 2 of 5"
-    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npz")}
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "cut").rglob("*.npz")}
     assert 7 <= len(before) < 10  # No more was begun.
-    again = depth_maps(capture, folder / "capture", tmp_path, OPTIONS, lambda _: None)
+    again = depth_maps(capture, folder / "capture", tmp_path / "cut", options, lambda _: None)
     assert digest(again) == digest(maps)
     assert {path: path.stat().st_mtime_ns for path in before} == before
 

@@ -18,7 +18,7 @@ from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import read_capture, write_capture
 from nw_eval.twin.reconstruct.depth import array_file, depth_maps
 from nw_eval.twin.reconstruct.mesh import read_colour_mesh
-from nw_eval.twin.reconstruct.options import ReconstructOptions
+from nw_eval.twin.reconstruct.options import DepthOptions, ReconstructOptions
 from nw_eval.twin.reconstruct.reconstruct import reconstruct
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[4] / "shared" / "assets"))
@@ -28,7 +28,7 @@ PIXEL = 0.022
 
 def test_depth_is_right_where_confidence_says_that_it_is_known(room, built):
     out, report, _ = built
-    off, shares = [], []
+    off, sure, shares = [], [], []
     for shot in read_capture(room).shots:
         with np.load(array_file(out / "depth", shot.name)) as arrays:
             depth, confidence = arrays["depth"], arrays["confidence"]
@@ -40,11 +40,18 @@ def test_depth_is_right_where_confidence_says_that_it_is_known(room, built):
         true = depth_of_room(shot.camera)
         known = (depth > 0) & np.isfinite(true)
         off.append(np.abs(depth / np.where(known, true, 1.0) - 1.0)[known])
+        sure.append(confidence[known])
         shares.append((depth > 0).mean())
-        sure = confidence[known] > np.median(confidence[known])
-        assert off[-1][sure].mean() < off[-1][~sure].mean()
-    assert np.median(np.concatenate(off)) < 0.008
-    assert np.mean(shares) == pytest.approx(report.coverage)
+    off, sure = np.concatenate(off), np.concatenate(sure)
+    # Many pixels of so clear pictures have all the confidence that there is.
+    kinds = (sure < 0.5, (sure >= 0.5) & (sure < 1.0), sure == 1.0)
+    assert min(kind.mean() for kind in kinds) > 0.05
+    low, middle, high = (off[kind].mean() for kind in kinds)
+    assert low > 4.0 * middle
+    assert middle > 1.5 * high
+    assert np.median(off) < 0.008
+    # The report counts pixels of what was worked at, files have those of the larger pictures.
+    assert np.mean(shares) == pytest.approx(report.coverage, abs=0.002)
     assert report.coverage > 0.45
 
 
@@ -95,13 +102,15 @@ def test_a_report_says_what_was_done(built):
     assert not report.without_depth
 
 
-def test_one_thread_gives_the_same_bits(room, built, tmp_path):
-    out, _, _ = built
-    reconstruct(room, tmp_path, SMALL, lambda _: None, threads=1)
+def test_one_thread_gives_the_same_bits(room, tmp_path):
+    options = replace(SMALL, voxel=0.06, depth=DepthOptions(side=72, neighbours=2, rounds=1))
+    for threads in (1, 2):
+        reconstruct(room, tmp_path / str(threads), options, lambda _: None, threads=threads)
+    out = tmp_path / "2"
     files = [path.relative_to(out) for path in out.rglob("*") if path.is_file()]
-    assert len(files) == 2 + 4 * 10
+    assert len(files) == 2 + 3 * 10
     for file in files:
-        assert (tmp_path / file).read_bytes() == (out / file).read_bytes(), file
+        assert (tmp_path / "1" / file).read_bytes() == (out / file).read_bytes(), file
 
 
 def test_shots_that_share_nothing_are_an_error_that_says_so(room, tmp_path):
@@ -121,10 +130,11 @@ def test_what_a_mask_hides_is_not_known(room, tmp_path):
     Image.fromarray(hidden).save(tmp_path / "capture" / "mask.png")
     shots = tuple(replace(shot, mask="mask.png") for shot in whole.shots[:4])
     capture = replace(whole, shots=shots)
-    maps = depth_maps(capture, tmp_path / "capture", tmp_path, SMALL.depth, lambda _: None)
+    options = DepthOptions(side=112, rounds=1)
+    maps = depth_maps(capture, tmp_path / "capture", tmp_path, options, lambda _: None)
     assert len(maps) == 4
-    assert not any(each.depth[:, :112].any() for each in maps)
-    assert all(each.depth[:, 112:].any() for each in maps)
+    assert not any(each.depth[:, :56].any() for each in maps)
+    assert all(each.depth[:, 56:].any() for each in maps)
 
 
 def test_options_that_make_no_sense_are_refused(room, tmp_path):
