@@ -17,6 +17,7 @@ from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians
+from nw_eval.suite.load import load_suite
 from nw_eval.twin.align.alignment import Alignment, ScaleCue, read_alignment, write_alignment
 from nw_eval.twin.building.build import Build, BuildSettings
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
@@ -303,6 +304,26 @@ def test_a_length_scales_a_place_that_is_built_and_no_other_stage_runs_again(tmp
         6.0 / units * np.eye(3), abs=1e-6
     )
     build.folder.needs("splat")
+
+
+def test_a_scene_that_is_scaled_later_keeps_its_name_licence_and_robot(tmp_path):
+    room = tmp_path / "room"
+    floor = quad_mesh((-5, -5, 0), (15, 0, 0), (0, 10, 0), "ground")
+    asked = BuildSettings(name="my-room", licence="CC0-1.0", robot="go2")
+    build = Build(room, asked, lambda _: None)
+    walked(build.folder, floor, 1.5, scales=())
+    seen_from(build, np.random.default_rng(0))
+    build.place()
+    ends = ["003.png:20,30", "003.png:44,30"]
+    with pytest.raises(SystemExit) as left:
+        cli.main(["twin", "place", str(room), "--length", *ends, "6.0"])
+    assert not left.value.code
+    scene, suite = load_folder(room), load_suite(room / "suite.yaml")
+    assert (scene.name, scene.licence, suite.robot) == ("my-room", "CC0-1.0", "go2")
+    with pytest.raises(SystemExit):
+        cli.main(["twin", "place", str(room), "--licence", "MIT", "--robot", "go1"])
+    scene, suite = load_folder(room), load_suite(room / "suite.yaml")
+    assert (scene.name, scene.licence, suite.robot) == ("my-room", "MIT", "go1")
 
 
 @pytest.mark.nightly
