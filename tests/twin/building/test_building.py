@@ -236,7 +236,7 @@ def test_a_place_without_room_for_a_trail_says_why_and_names_the_label_page(tmp_
     walked(build.folder, quad_mesh((0, 0, 0), (1.1, 0, 0), (0, 0.8, 0), "ground"), 1.5)
     build.place()
     (why,) = [line for line in lines if line.startswith("place: no trail: ")]
-    assert "too little for a waypoint 0.6 m from the start" in why
+    assert "too little for a waypoint 0.60 m from the start, with 0.60 m behind it" in why
     assert any(line.endswith(f"nw-eval twin label {tmp_path}") for line in lines)
 
 
