@@ -38,6 +38,7 @@ from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_ali
 from nw_eval.twin.building.appearance import AppearanceOptions, train_splat
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
 from nw_eval.twin.building.unlike import (
+    SURE,
     DepthDifferences,
     depth_differences,
     difference_findings,
@@ -323,10 +324,11 @@ class Build:
             return []  # A place from elsewhere, or whose build was cleared away: nobody knows.
         line = np.array([scene.spawn.position, *scene.trail])
         # The splat is in the capture's frame, wherever the place was moved to since.
-        seen = [*seen_depths(read_capture(self.folder.capture), scene.T_world_splat, depths)]
-        findings = unlike_photographs(scene.mesh(), line, seen)
+        capture, T = read_capture(self.folder.capture), scene.T_world_splat
+        findings = unlike_photographs(scene.mesh(), line, seen_depths(capture, T, depths, SURE))
         if survey is not None:
             footing = survey.ground.footing
+            seen = seen_depths(capture, T, depths)
             differences = depth_differences(scene.mesh(), footing.places, seen)
             self._say(f"check: {differences}")
             findings += difference_findings(differences, footing.along, footing.places)
