@@ -116,6 +116,16 @@ def test_photographs_that_are_not_there_are_an_error_and_no_traceback(tmp_path, 
     assert "error: there is nothing at" in capsys.readouterr().err
 
 
+def test_a_robot_that_is_not_there_is_refused_before_anything_is_built(tmp_path, capsys):
+    (tmp_path / "photographs").mkdir()
+    words = [str(tmp_path / "photographs"), "--out", str(tmp_path / "scene"), "--robot", "go9"]
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["twin", "build", *words])
+    assert caught.value.code == 2
+    assert "unknown robot 'go9'" in capsys.readouterr().err
+    assert not (tmp_path / "scene").exists()
+
+
 @pytest.mark.parametrize(("z", "said"), [(0.0, "ready"), (-1.0, "mend the errors, then")])
 def test_a_place_is_checked_and_its_suite_named(tmp_path, z, said):
     boxes = "boxes: [{center: [2.0, 0, 0.05], half_size: [0.5, 1.0, 0.05]}]"

@@ -126,6 +126,7 @@ class Build:
         Raises:
             NwEvalError: as the stages.
         """
+        get_robot(self._robot())  # One that is not there is said before the slow work.
         self.calibrate(photographs)
         self.reconstruct()
         self.align()
