@@ -256,8 +256,8 @@ def _stands(
     if not kept:
         raise SceneError(
             f"there are {profile.along[-1]:.2f} m of ground along the way: too little for a "
-            f"waypoint {clear:g} m from the start, with {length + _MARGIN:g} m behind it to arrive "
-            "in",
+            f"waypoint {clear:.2f} m from the start, with {length + _MARGIN:.2f} m behind it to "
+            "arrive in",
             fix="capture more ground ahead of the start, or lay the trail on the label page",
         )
     return [stand for leg in pairwise([0.0, *kept]) for stand in _bends(profile, *leg)]

@@ -17,6 +17,7 @@ from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians
+from nw_eval.suite.load import load_suite
 from nw_eval.twin.align.alignment import Alignment, ScaleCue, read_alignment, write_alignment
 from nw_eval.twin.building.build import Build, BuildSettings
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
@@ -113,6 +114,16 @@ def test_photographs_that_are_not_there_are_an_error_and_no_traceback(tmp_path, 
         cli.main(["twin", "build", str(tmp_path / "gone"), "--out", str(tmp_path / "scene")])
     assert caught.value.code == 4
     assert "error: there is nothing at" in capsys.readouterr().err
+
+
+def test_a_robot_that_is_not_there_is_refused_before_anything_is_built(tmp_path, capsys):
+    (tmp_path / "photographs").mkdir()
+    words = [str(tmp_path / "photographs"), "--out", str(tmp_path / "scene"), "--robot", "go9"]
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["twin", "build", *words])
+    assert caught.value.code == 2
+    assert "unknown robot 'go9'" in capsys.readouterr().err
+    assert not (tmp_path / "scene").exists()
 
 
 @pytest.mark.parametrize(("z", "said"), [(0.0, "ready"), (-1.0, "mend the errors, then")])
@@ -212,7 +223,8 @@ def test_the_ground_of_the_trail_is_measured_and_written_down(tmp_path):
         depth = np.where(depth + camera.T_world_camera[0, 3] > 0.0, depth, 0.0)
         depth = np.repeat(depth[:, None], camera.width, axis=1).astype(np.float32)
         path = build.folder.mesh / "depth" / f"{shot.name}.npz"
-        write_arrays(path, depth=depth, confidence=np.ones_like(depth))
+        # As little as depths of a road have that is seen at a slant.
+        write_arrays(path, depth=depth, confidence=np.full_like(depth, 0.05))
     build.place()
     build.check()
     said = "\n".join(lines)
@@ -235,7 +247,7 @@ def test_a_place_without_room_for_a_trail_says_why_and_names_the_label_page(tmp_
     walked(build.folder, quad_mesh((0, 0, 0), (1.1, 0, 0), (0, 0.8, 0), "ground"), 1.5)
     build.place()
     (why,) = [line for line in lines if line.startswith("place: no trail: ")]
-    assert "too little for a waypoint 0.6 m from the start" in why
+    assert "too little for a waypoint 0.60 m from the start, with 0.60 m behind it" in why
     assert any(line.endswith(f"nw-eval twin label {tmp_path}") for line in lines)
 
 
@@ -303,6 +315,26 @@ def test_a_length_scales_a_place_that_is_built_and_no_other_stage_runs_again(tmp
         6.0 / units * np.eye(3), abs=1e-6
     )
     build.folder.needs("splat")
+
+
+def test_a_scene_that_is_scaled_later_keeps_its_name_licence_and_robot(tmp_path):
+    room = tmp_path / "room"
+    floor = quad_mesh((-5, -5, 0), (15, 0, 0), (0, 10, 0), "ground")
+    asked = BuildSettings(name="my-room", licence="CC0-1.0", robot="go2")
+    build = Build(room, asked, lambda _: None)
+    walked(build.folder, floor, 1.5, scales=())
+    seen_from(build, np.random.default_rng(0))
+    build.place()
+    ends = ["003.png:20,30", "003.png:44,30"]
+    with pytest.raises(SystemExit) as left:
+        cli.main(["twin", "place", str(room), "--length", *ends, "6.0"])
+    assert not left.value.code
+    scene, suite = load_folder(room), load_suite(room / "suite.yaml")
+    assert (scene.name, scene.licence, suite.robot) == ("my-room", "CC0-1.0", "go2")
+    with pytest.raises(SystemExit):
+        cli.main(["twin", "place", str(room), "--licence", "MIT", "--robot", "go1"])
+    scene, suite = load_folder(room), load_suite(room / "suite.yaml")
+    assert (scene.name, scene.licence, suite.robot) == ("my-room", "MIT", "go1")
 
 
 @pytest.mark.nightly

@@ -283,7 +283,7 @@ def test_no_waypoint_is_within_reach_of_the_start():
 
 
 def test_too_little_ground_for_a_waypoint_is_no_trail():
-    with pytest.raises(SceneError, match=r"too little for a waypoint 0\.6 m from the start"):
+    with pytest.raises(SceneError, match=r"too little for a waypoint 0\.60 m from the start"):
         propose_trail(island(0.8), walk(1.1))
 
 
@@ -349,7 +349,7 @@ def test_a_way_that_bends_has_a_waypoint_in_the_bend():
 def test_a_longer_robot_has_a_longer_trail_and_more_ground_to_arrive_on(length):
     (last,) = propose_trail(island(3.0), walk(5.0), length=length).trail
     assert last[0] == pytest.approx(3.0 - length - 0.05, abs=0.06)
-    with pytest.raises(SceneError, match=f"a waypoint {max(0.6, length):g} m from the start"):
+    with pytest.raises(SceneError, match=f"a waypoint {max(0.6, length):.2f} m from the start"):
         propose_trail(island(length + 0.55), walk(1.7), length=length)
 
 

@@ -94,11 +94,13 @@ class PlaceFlags:
     """Of the scene."""
 
     name: str | None = None
-    """The scene's name; that of its folder when absent."""
-    licence: str = "unknown"
-    """Of the photographs: an SPDX identifier, or words."""
-    robot: str = "go1"
-    """The robot of the scene's suite: whose feet, camera and length the check goes by."""
+    """The scene's name; when absent, that which the scene has already, else that of its folder."""
+    licence: str | None = None
+    """Of the photographs: an SPDX identifier, or words; when absent, that of the scene that is
+    there, else `unknown`."""
+    robot: str | None = None
+    """The robot of the scene's suite: whose feet, camera and length the check goes by. When absent,
+    that of the suite that is there, else a Go1."""
 
 
 @dataclass(frozen=True, kw_only=True)

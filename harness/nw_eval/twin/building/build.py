@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.api import check_scenes
-from nw_eval.errors import SceneError, StoreError
+from nw_eval.errors import SceneError, StoreError, SuiteError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.robots import get_robot
 from nw_eval.scenes.finding import SceneFinding, has_errors
 from nw_eval.scenes.folder import load_folder
+from nw_eval.suite.load import load_suite
 from nw_eval.survey import Survey, footing_lines, survey_lines
 from nw_eval.survey.trail import stance_of
 from nw_eval.twin.align.ahead import (
@@ -37,6 +38,7 @@ from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_ali
 from nw_eval.twin.building.appearance import AppearanceOptions, train_splat
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
 from nw_eval.twin.building.unlike import (
+    SURE,
     DepthDifferences,
     depth_differences,
     difference_findings,
@@ -78,9 +80,11 @@ class BuildSettings:
         reconstruct: of the mesh.
         align: gravity and scale.
         splat: of the Gaussians.
-        name: of the scene; the folder's name if None.
-        licence: of the photographs, which the place shows.
-        robot: of the scene's suite, by which the place is checked.
+        name: of the scene. If None, that of the scene that is there, else the folder's.
+        licence: of the photographs, which the place shows. If None, that of the scene that is
+            there, else `unknown`.
+        robot: of the scene's suite, by which the place is checked. If None, that of the suite that
+            is there, else a Go1.
         threads: that share the work; no result depends on them.
     """
 
@@ -89,8 +93,8 @@ class BuildSettings:
     align: AlignOptions = field(default_factory=AlignOptions)
     splat: AppearanceOptions = field(default_factory=AppearanceOptions)
     name: str | None = None
-    licence: str = "unknown"
-    robot: str = "go1"
+    licence: str | None = None
+    robot: str | None = None
     threads: int = 2
 
 
@@ -122,6 +126,7 @@ class Build:
         Raises:
             NwEvalError: as the stages.
         """
+        get_robot(self._robot())  # One that is not there is said before the slow work.
         self.calibrate(photographs)
         self.reconstruct()
         self.align()
@@ -222,26 +227,46 @@ class Build:
         """Write the scene folder, with the trail that the place itself suggests."""
         for stage in ("reconstruct", "align", "splat"):
             self.folder.needs(stage)
-        settings, folder = self._settings, self.folder
-        name = settings.name or folder.scene.resolve().name.lower()
+        folder, robot = self.folder, self._robot()
+        name, licence = self._name_and_licence()
         mesh_file, splat_file = folder.mesh / "mesh.ply", folder.splat / "splat.ply"
-        of = [name, settings.licence, digest_of_files(folder.align, mesh_file, splat_file)]
-        of += [] if settings.robot == "go1" else [settings.robot]
-        folder.carry_out("place", of, lambda: self._write(name), self._say)
+        of = [name, licence, digest_of_files(folder.align, mesh_file, splat_file)]
+        of += [] if robot == "go1" else [robot]
+        folder.carry_out("place", of, lambda: self._write(name, licence, robot), self._say)
 
-    def _write(self, name: str) -> None:
+    def _name_and_licence(self) -> tuple[str, str]:
+        """Return both as asked for, else as the scene has them that is there."""
+        name, licence = self._settings.name, self._settings.licence
+        try:
+            there = load_folder(self.folder.scene, needs_scale=False)
+            name, licence = name or there.name, licence or there.licence
+        except SceneError:  # There is none yet, or a damaged one, which is written anew.
+            name = name or self.folder.scene.resolve().name.lower()
+        return name, licence or "unknown"
+
+    def _robot(self) -> str:
+        """Return the robot that is asked for, else that of the suite that is there."""
+        if self._settings.robot is not None:
+            return self._settings.robot
+        try:
+            robot = load_suite(self.folder.scene / SUITE).robot
+        except (UsageError, SuiteError):  # As a scene that cannot be read.
+            return "go1"
+        return str(self.folder.scene / robot) if robot.startswith((".", "/")) else robot
+
+    def _write(self, name: str, licence: str, robot: str) -> None:
         folder = self.folder
         aligned = read_alignment(folder.align)
         world = aligned.T_metric_capture
         mesh = read_colour_mesh(folder.mesh / "mesh.ply")
         capture = read_capture(folder.capture)
         try:
-            proposal = self._proposal(world, mesh, capture)
+            proposal = self._proposal(world, mesh, capture, robot)
             height = proposal.spawn.position[2]
             if abs(height) > FLOOR:
                 # A walk over platforms has its floor below them, and robots start above z = 0.
                 world = np.vstack([world[:2], world[2] - height * world[3], world[3]])
-                proposal = self._proposal(world, mesh, capture, silent=True)
+                proposal = self._proposal(world, mesh, capture, robot, silent=True)
                 self._say(f"place: moved by {-height:+.2f} m: the ground under the start is z = 0")
             route = self._route(proposal)
         except SceneError as error:
@@ -249,13 +274,13 @@ class Build:
         write_place(
             folder.scene,
             name=name,
-            licence=self._settings.licence,
+            licence=licence,
             mesh=folder.mesh / "mesh.ply",
             splat=folder.splat / "splat.ply",
             T_world_capture=world,
             capture=capture,
             course=route,
-            robot=self._settings.robot,
+            robot=robot,
             to_scale=aligned.is_to_scale,
         )
         if not aligned.is_to_scale:
@@ -271,7 +296,7 @@ class Build:
         Raises:
             SceneError: what an earlier stage has left is damaged.
         """
-        (checked,) = check_scenes([str(self.folder.scene)], robot=self._settings.robot)
+        (checked,) = check_scenes([str(self.folder.scene)], robot=self._robot())
         survey = checked.survey
         if survey is not None:
             for line in (*survey_lines(survey), *footing_lines(survey)):
@@ -300,10 +325,11 @@ class Build:
             return []  # A place from elsewhere, or whose build was cleared away: nobody knows.
         line = np.array([scene.spawn.position, *scene.trail])
         # The splat is in the capture's frame, wherever the place was moved to since.
-        seen = [*seen_depths(read_capture(self.folder.capture), scene.T_world_splat, depths)]
-        findings = unlike_photographs(scene.mesh(), line, seen)
+        capture, T = read_capture(self.folder.capture), scene.T_world_splat
+        findings = unlike_photographs(scene.mesh(), line, seen_depths(capture, T, depths, SURE))
         if survey is not None:
             footing = survey.ground.footing
+            seen = seen_depths(capture, T, depths)
             differences = depth_differences(scene.mesh(), footing.places, seen)
             self._say(f"check: {differences}")
             findings += difference_findings(differences, footing.along, footing.places)
@@ -346,6 +372,7 @@ class Build:
         T_metric_capture: NDArray[np.float64],
         mesh: ColourMesh,
         capture: Capture,
+        robot: str,
         *,
         silent: bool = False,
     ) -> TrailProposal:
@@ -356,7 +383,7 @@ class Build:
         """
         moved = moved_mesh(T_metric_capture, mesh.vertices, mesh.faces)
         centres = moved_capture(T_metric_capture, capture).centres
-        length = stance_of(get_robot(self._settings.robot)).length
+        length = stance_of(get_robot(robot)).length
         depths, shown = self.folder.mesh / "depth", None
         if depths.is_dir():
             shown = shown_ground(moved, seen_depths(capture, T_metric_capture, depths))

@@ -20,11 +20,11 @@ _READ_BY: dict[Stage, tuple[Stage, ...]] = {"align": ("align", "place")}
 Another scale needs no other splat."""
 
 _FORMATS: dict[Stage, int] = {
-    "calibrate": 4,
+    "calibrate": 5,
     "reconstruct": 5,
     "align": 4,
     "splat": 5,
-    "place": 7,
+    "place": 8,
 }
 """Each changes with what its stage makes of the same inputs."""
 _MOST_BYTES = 1_000_000

@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.plural import plural
@@ -27,6 +29,12 @@ from nw_eval.twin.packages import quiet
 _ENOUGH = 0.9
 """Share of the photographs with which the first try is taken, without a second."""
 _FAILURES = (RuntimeError, ValueError, IndexError)
+_FITS = 4.0
+"""Pixels from its epipolar line up to which a match fits two cameras: as it was verified."""
+_AGREES = 0.6
+"""Share of a camera's matches that fit its place. On a street of 14 photographs, whose far end and
+clouds match in all, the last camera was placed 30 steps away with .49; placed well, none had less
+than .64."""
 _LOOKS = 1.0
 """Seconds between two looks at a mapping that runs."""
 _Result = TypeVar("_Result")
@@ -57,9 +65,10 @@ class Mapped:
 def map_cameras(
     matches: Matches, names: Mapping[str, str], working: Path, *, seed: int, say: Say
 ) -> Mapped:
-    """Place cameras one after the other; if many are left, all at once; the better of the two.
+    """Place cameras one after the other; if many are left, or one does not fit, all at once.
 
-    With one thread, whose results are the same each time.
+    Of the two the one counts whose cameras more matches fit. With one thread, whose results are the
+    same each time.
 
     Args:
         matches: of the photographs.
@@ -68,7 +77,8 @@ def map_cameras(
         seed: of random numbers.
         say: is given lines of progress.
     """
-    best, tries = Mapped(Solution(placed=())), dict[str, int]()
+    best, most, tries = Mapped(Solution(placed=())), 0, dict[str, int]()
+    files = {name: file for file, name in names.items()}
     for kind, mapper in (("incremental", _incremental), ("global", _global)):
         with quiet() as pycolmap:
             try:
@@ -79,9 +89,14 @@ def map_cameras(
         found = _largest_of(models, names, kind)
         tries[kind] = len(found.solution.placed)
         say(f"{kind} mapping placed {tries[kind]} of {len(names)} photographs")
-        if tries[kind] > len(best.solution.placed):
-            best = found
-        if tries[kind] >= _ENOUGH * len(names):
+        fits = fitting(matches.database, found.solution, files)
+        count = sum(fit for fit, _ in fits.values())
+        if count > most:
+            best, most = found, count
+        unlike = [name for name, (fit, of) in fits.items() if fit < _AGREES * of]
+        for name in unlike:
+            say(f"the place of {name} fits {fits[name][0] / fits[name][1]:.0%} of its matches")
+        if tries[kind] >= _ENOUGH * len(names) and not unlike:
             break
     if best.others:
         sizes = " and ".join(str(len(group)) for group in best.others)
@@ -107,6 +122,46 @@ def _largest_of(models: Mapping[int, Any], names: Mapping[str, str], how: str) -
         counted |= set(more)
         others += [more] if more else []
     return Mapped(held, how, others=tuple(sorted(others, key=lambda each: -len(each))))
+
+
+def fitting(
+    database: Path, solution: Solution, files: Mapping[str, str]
+) -> dict[str, tuple[int, int]]:
+    """Return how many matches of each placed photograph fit its camera, and of how many.
+
+    Points that are far away fit wherever a camera stands, so that a camera can be placed by them
+    alone, steps away; the matches of what is near do not fit there.
+
+    Args:
+        database: of COLMAP, with verified matches.
+        solution: cameras.
+        files: of photographs by their names.
+    """
+    found = {one.name: (0, 0) for one in solution.placed}
+    with quiet() as pycolmap, closing(pycolmap.Database.open(database)) as opened:
+        numbers = {image.name: image.image_id for image in opened.read_all_images()}
+        views: dict[str, tuple[int, float, NDArray[np.float64]]] = {}
+        for one in solution.placed:
+            number, camera = numbers[files[one.name]], one.lens.camera()
+            points = np.asarray(opened.read_keypoints(number), dtype=np.float64)[:, :2]
+            rays = np.column_stack([camera.cam_from_img(points), np.ones(len(points))])
+            views[one.name] = number, camera.mean_focal_length(), rays
+        for one, other in combinations(solution.placed, 2):
+            (first, f, rays), (second, g, others) = views[one.name], views[other.name]
+            if not opened.exists_two_view_geometry(first, second):
+                continue
+            geometry = opened.read_two_view_geometry(first, second)
+            rows = np.asarray(geometry.inlier_matches).reshape(-1, 2)
+            T = inverse(other.T_world_camera) @ one.T_world_camera
+            E = np.cross(T[:3, 3], T[:3, :3], axisa=0, axisb=0, axisc=0)
+            p, q = rays[rows[:, 0]], others[rows[:, 1]]
+            there, back = p @ E.T, q @ E
+            long = np.sqrt((there[:, :2] ** 2).sum(axis=1) + (back[:, :2] ** 2).sum(axis=1))
+            apart = np.abs((q * there).sum(axis=1)) / np.maximum(long, 1e-12) * (f + g) / 2
+            fit = int((apart < _FITS).sum())
+            for name in (one.name, other.name):
+                found[name] = found[name][0] + fit, found[name][1] + len(rows)
+    return found
 
 
 def _attended(
