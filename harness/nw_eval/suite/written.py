@@ -79,6 +79,20 @@ def robot_from(folder: Path, robot: str) -> str:
     return path if path.startswith("../") else f"./{path}"
 
 
+def check_has_policy(robot: str) -> None:
+    """Check that nw-eval knows a policy of a robot, which a suite without another one names.
+
+    Raises:
+        UsageError: it knows none.
+    """
+    if robot not in _POLICIES:
+        raise UsageError(
+            f"nw-eval has no policy of the robot {robot!r} to name in the scene's suite",
+            fix="leave the robot out here, and then: nw-eval scenes check SCENE --robot ROBOT "
+            "--policy POLICY --suite FILE",
+        )
+
+
 def write_ready_suite(
     path: Path,
     name: str,
@@ -111,14 +125,13 @@ def write_ready_suite(
     gate = {"success_rate": 0.75, "confidence": 0.95}
     cells = prod(len(values) for values in perturb.values())
     needed = ceil(trials_to_certify(gate["success_rate"], gate["confidence"]) / len(scenes) / cells)
-    known = _POLICIES.get(robot)
-    if policy is None and known is None:
-        raise UsageError(f"nw-eval has no policy of the robot {robot!r}", fix="name one: --policy")
+    if policy is None:
+        check_has_policy(robot)
     text: dict[str, Any] = {
         "nw-eval": 1,
         "name": re.sub(r"[^A-Za-z0-9_.-]", "-", name)[:_LONGEST_NAME],
         "robot": robot,
-        "policy": policy or known,
+        "policy": policy or _POLICIES[robot],
         "trials": max(_FEWEST, 2 * needed),
         "seed": 1,
         "scenes": list(scenes),

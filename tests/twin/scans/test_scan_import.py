@@ -218,6 +218,12 @@ def test_a_scan_on_a_map_is_moved_to_the_origin_and_one_of_another_unit_is_not_t
     assert errors_of(tmp_path / "large") == []
 
 
+def test_a_robot_without_a_policy_is_refused_with_the_command_that_writes_its_suite(tmp_path):
+    with pytest.raises(UsageError, match=r"no policy of the robot 'b2'.*scenes check SCENE"):
+        import_scan(tmp_path / "scan.glb", tmp_path / "mine", ScanOptions(robot="b2"))
+    assert not (tmp_path / "mine").exists()
+
+
 def test_a_proposed_trail_is_on_even_ground_away_from_the_rim(tmp_path):
     points, _, _ = ground(step=0.6)
     scanned(points).export(tmp_path / "wall.ply")

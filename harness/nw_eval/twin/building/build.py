@@ -23,6 +23,7 @@ from nw_eval.robots import get_robot
 from nw_eval.scenes.finding import SceneFinding, has_errors
 from nw_eval.scenes.folder import load_folder
 from nw_eval.suite.load import load_suite
+from nw_eval.suite.written import check_has_policy
 from nw_eval.survey import Survey, footing_lines, survey_lines
 from nw_eval.survey.trail import stance_of
 from nw_eval.twin.align.ahead import (
@@ -126,7 +127,9 @@ class Build:
         Raises:
             NwEvalError: as the stages.
         """
-        get_robot(self._robot())  # One that is not there is said before the slow work.
+        # A robot that is not there, or that no suite can be written for, is said before slow work.
+        get_robot(self._robot())
+        check_has_policy(self._robot())
         self.calibrate(photographs)
         self.reconstruct()
         self.align()

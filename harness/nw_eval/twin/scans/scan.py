@@ -28,7 +28,7 @@ from nw_eval.scenes.mesh_file import MESH_SUFFIXES, PaintedMesh, read_painted
 from nw_eval.scenes.mesh_parts import Material
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.surface import Surface
-from nw_eval.suite.written import robot_from, write_ready_suite
+from nw_eval.suite.written import check_has_policy, robot_from, write_ready_suite
 from nw_eval.twin.moved import moved_points
 from nw_eval.twin.place import (
     COLLISION,
@@ -132,6 +132,7 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
     options = ScanOptions() if options is None else options
     if what_is(out) != "nothing" or out.is_symlink():
         raise UsageError(f"{out} is there already", fix="name another folder")
+    check_has_policy(options.robot)
     name = options.name or name_of(out.name)
     try:
         checked_name(name)
