@@ -140,7 +140,7 @@ def write_ready_suite(
     }
     if perturb:
         text["perturb"] = {axis: list(values) for axis, values in perturb.items()}
-    head = _ABOUT.get(robot, "") + _HEAD if policy in {None, known} else _HEAD
+    head = _ABOUT.get(robot, "") + _HEAD if policy in {None, _POLICIES.get(robot)} else _HEAD
     # None: a list of names on one line.
     content = head + _yaml(text, default_flow_style=None)
     with atomic_path(followed(path)) as temporary:
