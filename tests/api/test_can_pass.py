@@ -151,7 +151,8 @@ def test_a_bar_above_what_the_baseline_scores_is_said_before_anything_runs(
     assert "warning" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", sorted(available("suites")))
+# The scene of `real` is fetched first.
+@pytest.mark.parametrize("name", sorted(set(available("suites")) - {"real"}))
 def test_every_shipped_suite_can_pass(name, monkeypatch):
     monkeypatch.chdir(ROOT)
     assert api.check(name).obstacles == ()
