@@ -25,7 +25,7 @@ from nw_eval.scenes.folder import SCENE_FILE, folder_files, inspect_folder, load
 from nw_eval.scenes.neverwhere import PREFIX, inspect_published, load_published, reference_path
 from nw_eval.scenes.neverwhere.files import find_places
 from nw_eval.scenes.neverwhere.table import PUBLISHED
-from nw_eval.scenes.real import REAL, fetched_scan, scan_of
+from nw_eval.scenes.real import REAL, fetched_scan, kept_scan, scan_of
 from nw_eval.scenes.scene import Scene
 from nw_eval.words import Collision
 
@@ -248,13 +248,13 @@ def brought(reference: str, base: Path | None = None) -> str:
         base: folder that relative paths start from; the working folder by default.
 
     Raises:
-        SceneError: there is no such place, or it is none.
+        SceneError: there is no such place, or it is none; or a real one has not been fetched.
         FetchError: it is not here, and its hub cannot be reached.
         PrerequisiteError: it is not here, and the extra `hub` is not installed.
         StoreError: it cannot be kept.
     """
     if reference.startswith(REAL):
-        return str(fetched_scan(reference, scan_of(reference)).folder)
+        return str(kept_scan(reference).folder)
     from_hub = elsewhere(reference, base)
     if from_hub is None:
         return reference

@@ -37,6 +37,7 @@ class Reader:
             "PYTHONPATH": os.pathsep.join([str(folder / "site"), os.environ.get("PYTHONPATH", "")]),
             "NW_EVAL_CACHE_GB": "0",
             "COLUMNS": "200",
+            "PYTEST_ADDOPTS": "-p no:dash",  # Open3D's dash has a plugin that warns of itself.
         }
 
     def install(self, package):

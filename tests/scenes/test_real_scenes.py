@@ -98,3 +98,16 @@ def test_the_file_itself_makes_the_stairs(tmp_path, monkeypatch):
     assert np.allclose(np.ptp(field, axis=0), (4.84, 2.8, 194 / 255 * 1.25), atol=1e-4)
     at = np.abs(field[:, :2] - (4.4, 1.28)).sum(axis=1).argmin()
     assert abs(field[at, 2]) < 1e-6
+
+
+def test_nothing_but_scenes_fetch_goes_to_the_network(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path))
+    for words in (["check", "real"], ["scenes", "show", "real:stairs"]):
+        with pytest.raises(SystemExit) as left:
+            cli.main(words)
+        printed = capsys.readouterr()
+        assert left.value.code == 2
+        assert "real:stairs is not here; nw-eval scenes fetch real:stairs" in (
+            printed.out + printed.err
+        )
+        assert "fetching" not in printed.err

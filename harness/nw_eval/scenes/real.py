@@ -106,6 +106,30 @@ def scan_of(reference: str) -> RealScan:
     return REAL_SCANS[name]
 
 
+def _place_of(reference: str, scan: RealScan) -> Reference:
+    name = reference.removeprefix(REAL)
+    return Reference(
+        text=reference,
+        kind="scene",
+        repository=f"real-places/{name}",
+        revision=scan.commit,
+        label=name,
+    )
+
+
+def kept_scan(reference: str) -> Fetched:
+    """Return a real place that was fetched before; nothing but `scenes fetch` uses the network.
+
+    Raises:
+        SceneError: there is no such place, or it has not been fetched.
+    """
+    scan = scan_of(reference)
+    found = kept(_place_of(reference, scan), scan.commit)
+    if found is None:
+        raise SceneError(f"{reference} is not here", fix=f"nw-eval scenes fetch {reference}")
+    return found
+
+
 def fetched_scan(
     reference: str, scan: RealScan, *, file: Path | None = None, address: str | None = None
 ) -> Fetched:
@@ -122,14 +146,7 @@ def fetched_scan(
         SceneError: what came, or `file`, is not the file that is known.
         StoreError: it cannot be kept.
     """
-    name = reference.removeprefix(REAL)
-    place = Reference(
-        text=reference,
-        kind="scene",
-        repository=f"real-places/{name}",
-        revision=scan.commit,
-        label=name,
-    )
+    name, place = reference.removeprefix(REAL), _place_of(reference, scan)
     found = kept(place, scan.commit)
     if found is not None:
         return found

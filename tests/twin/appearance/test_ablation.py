@@ -64,6 +64,7 @@ def named_photo(name):
     return replace(photos(1)[0], name=name)
 
 
+@pytest.mark.nightly
 def test_all_four_ways_are_trained_once_and_compared_on_the_same_views(build, tmp_path):
     shutil.copytree(build, tmp_path / "build")
     folder = BuildFolder(tmp_path)

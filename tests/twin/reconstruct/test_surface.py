@@ -93,6 +93,7 @@ def test_a_top_ends_where_the_platform_does(platform):
     assert not (beyond > 0.5 * DECK).any()
 
 
+@pytest.mark.nightly
 def test_many_views_from_afar_do_not_lengthen_a_top_that_two_near_ones_end():
     """Beside an edge pixels are taken for those of the surface before it: from afar, decimetres."""
     longer = [FLOOR, (2, DECK, (0.0, -0.5), (1.1, 0.5))]
@@ -172,6 +173,7 @@ def _digest():
     return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
+@pytest.mark.nightly
 def test_another_process_gives_the_same_bytes_and_open3d_says_nothing():
     words = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import test_surface"
     done = subprocess.run(
