@@ -30,6 +30,8 @@ _GEOGRAPHIC = 2
 # Metres in a unit, by its EPSG code: metre, international foot, US survey foot.
 _UNITS = {9001: 1.0, 9002: 0.3048, 9003: 1200.0 / 3937.0}
 _ENOUGH_WHITE = (255.0, 65535.0)
+_HIGHEST = 1e5
+"""Metres above or below zero that ground on Earth does not reach."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -192,6 +194,12 @@ def _map(
     known = np.isfinite(heights)
     if not known.any():
         raise SceneError(f"{path}: no pixel has a height", fix="check --no-data")
+    highest = float(np.abs(heights[known]).max())
+    if highest > _HIGHEST:
+        raise SceneError(
+            f"{path}: a pixel is at {highest:.3g} m, which is no height",
+            fix="if that means no ground, name it: --no-data",
+        )
     if not known.all():
         share = 100.0 * float((~known).mean())
         remarks = (*remarks, f"{share:.1f} % of the pixels have no ground, and are holes")
@@ -221,14 +229,19 @@ def _unit(path: Path, keys: dict[int, int], key: int, remarks: list[str]) -> flo
 def _cell_of(path: Path, tags: Any, unit: float) -> tuple[float, float] | None:
     """Return the width and the depth of a pixel, metres, as the tags say them."""
     if _PIXEL_SCALE in tags:
-        x, y = (abs(float(number)) * unit for number in tags[_PIXEL_SCALE][:2])
+        x, y = (float(number) * unit for number in tags[_PIXEL_SCALE][:2])
     elif _TRANSFORMATION in tags:
         a, b, _, _, d, e = (float(number) for number in tags[_TRANSFORMATION][:6])
         if abs(b) > 1e-9 * abs(a) or abs(d) > 1e-9 * abs(e):
             raise SceneError(f"{path}: its rows are turned", fix="warp it so that north is up")
-        x, y = abs(a) * unit, abs(e) * unit
+        x, y = a * unit, -e * unit
     else:
         return None
+    if x < 0.0 or y < 0.0:
+        raise SceneError(
+            f"{path}: its first row is the southernmost, or its columns run to the west",
+            fix="warp it so that north is up",
+        )
     if not (0.0 < x < 1e6 and 0.0 < y < 1e6):
         raise SceneError(f"{path}: pixels of {x:g} x {y:g} m", fix="give --cell")
     return x, y

@@ -11,7 +11,7 @@ import pytest
 import synthetic_room
 from PIL import Image
 
-from nw_eval.errors import PrerequisiteError
+from nw_eval.errors import PrerequisiteError, StoreError
 from nw_eval.twin.calibrate import mapping
 from nw_eval.twin.calibrate.features import Features, match, nearest
 from nw_eval.twin.calibrate.kept import Kept
@@ -221,3 +221,21 @@ def test_a_package_that_is_missing_is_named_with_the_remedy(monkeypatch, name):
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(PrerequisiteError, match=rf"needs the package {name}.*nw-eval\[twin\]"):
         package(name)
+
+
+def test_a_file_whose_table_is_a_view_or_has_other_columns_is_replaced(tmp_path):
+    endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i FROM n) SELECT i, i FROM n"
+    for number, made in enumerate(
+        (f"CREATE VIEW kept(key, content) AS {endless}", "CREATE TABLE kept (key BLOB)")
+    ):
+        path = tmp_path / f"kept{number}"
+        with closing(sqlite3.connect(path)) as forged:
+            forged.execute(made)
+        kept = Kept(path)
+        assert kept.get(b"key") is None
+        kept.put(b"key", b"content")
+        kept.close()
+        assert Kept(path).get(b"key") == b"content"
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(StoreError, match="folder is a folder; remove it"):
+        Kept(tmp_path / "folder")

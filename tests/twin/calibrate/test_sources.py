@@ -172,6 +172,8 @@ def test_nerfstudios_cameras_stay_and_points_are_found_on_the_rooms_walls(photog
         ({"applied_transform": [[1, 0], [0, 1]]}, "applied_transform of .* is no finite matrix"),
         ({"applied_transform": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]]}, "not a rotation"),
         ({"camera_model": "EQUIRECTANGULAR"}, "camera_model"),
+        ({"camera_model": {"a": 1}}, "camera_model"),
+        ({"fl_x": None, "camera_angle_x": 0}, "camera_angle_x of .* is 0, no angle of view"),
         ({"w": 1000}, "its camera 1000 x 180"),
         (
             {"frames": [{"file_path": "a.png", "transform_matrix": [[1.0]]}]},

@@ -142,3 +142,18 @@ def test_real_stairs_of_a_robot_s_map_are_a_scene_without_a_finding(tmp_path):
     assert inspect_scene(str(tmp_path / "stairs")).findings == ()
     scene = load_folder(tmp_path / "stairs")
     assert scene.trail[:, 2] == pytest.approx([0.186, 0.559], abs=0.01)
+
+
+def test_a_map_whose_first_row_is_the_southernmost_is_refused_and_so_are_heights_of_no_ground(
+    tmp_path,
+):
+    heights = ramp().astype(np.float32)
+    south = (34264, DOUBLES, (0.1, 0, 0, 0, 0, 0.1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1.0))
+    geotiff(tmp_path / "south.tif", heights, [south])
+    with pytest.raises(SceneError, match=r"first row is the southernmost.*north is up"):
+        read_elevation(tmp_path / "south.tif")
+    heights[3, 4] = 3e38
+    geotiff(tmp_path / "spike.tif", heights, [CELL])
+    with pytest.raises(SceneError, match=r"spike.tif: a pixel is at 3e\+38 m.*--no-data"):
+        read_elevation(tmp_path / "spike.tif")
+    assert np.isnan(read_elevation(tmp_path / "spike.tif", no_data=3e38).heights[3, 4])

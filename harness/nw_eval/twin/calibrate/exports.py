@@ -156,7 +156,7 @@ def _pose(value: Any, what: str) -> NDArray[np.float64]:
 def _array(value: Any, shape: tuple[int, int], what: str) -> NDArray[np.float64]:
     try:
         array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.zeros(0)
     if array.shape != shape or not np.isfinite(array).all():
         raise SceneError(f"{what} is no finite matrix of shape {shape}", fix=_FIX)
@@ -172,6 +172,13 @@ def _applied(whole: dict[str, Any], file: Path) -> tuple[NDArray[np.float64], fl
     if scale <= 0:
         raise SceneError(f"applied_scale of {file} is {scale}", fix=_FIX)
     return rigid(applied, f"applied_transform of {file}"), scale
+
+
+def _angle(values: dict[str, Any], key: str, whose: str) -> float:
+    found = number(values.get(key), f"{key} of {whose}")
+    if not 0.001 < found < math.pi:
+        raise SceneError(f"{key} of {whose} is {found:g}, no angle of view in rad", fix=_FIX)
+    return found
 
 
 def _lens(values: dict[str, Any], one: Found, whose: str, size_of: SizeOf) -> Lens | None:
@@ -193,17 +200,17 @@ def _lens(values: dict[str, Any], one: Found, whose: str, size_of: SizeOf) -> Le
         fx = value("fl_x")
         fy = value("fl_y", fx)
     elif values.get("camera_angle_x") is not None:
-        fx = 0.5 * width / math.tan(0.5 * value("camera_angle_x"))
+        fx = 0.5 * width / math.tan(0.5 * _angle(values, "camera_angle_x", whose))
         fy = fx  # Blender's pixels are square, and it writes one angle.
         if values.get("camera_angle_y") is not None:
-            fy = 0.5 * height / math.tan(0.5 * value("camera_angle_y"))
+            fy = 0.5 * height / math.tan(0.5 * _angle(values, "camera_angle_y", whose))
     else:
         raise SceneError(f"{whose} has neither fl_x nor camera_angle_x", fix=_FIX)
     pinhole = (fx, fy, value("cx", 0.5 * width), value("cy", 0.5 * height))
     bends = {key: value(key, 0.0) for key in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")}
     kind = values.get("camera_model") or "OPENCV"
     kind = "OPENCV_FISHEYE" if values.get("is_fisheye") is True else kind
-    if kind not in _KINDS:
+    if not isinstance(kind, str) or kind not in _KINDS:
         raise SceneError(
             f"{whose} has the camera_model {clean(repr(kind), at_most=60)}",
             fix="undistort it with `colmap image_undistorter`, or give the photographs alone",
@@ -331,7 +338,7 @@ def _flat(values: dict[str, Any], key: str, count: int, whose: str) -> NDArray[n
     """Return so many finite numbers, whether they were written in a list or in lists of one."""
     try:
         array = np.array(values.get(key), dtype=np.float64).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.zeros(0)
     if array.shape != (count,) or not (np.abs(array) < _MOST).all():
         raise SceneError(f"{key} of {whose} is not {count} finite numbers", fix=_AGAIN)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import time
+from contextlib import closing
 from pathlib import Path
 
 from nw_eval.errors import StoreError
@@ -12,13 +13,16 @@ _SAVED = 5.0
 """Seconds after which what was found is on disk."""
 
 
+_TABLE = "CREATE TABLE kept (key BLOB PRIMARY KEY, content BLOB)"
+
+
 class Kept:
     """Features and matches in a file, by digests of what they depend on.
 
     Only the thread that opened it may use it.
 
     Args:
-        path: of the file; one that is damaged, or a link, is replaced.
+        path: of the file; one that is damaged, a link, or of anything but our table is replaced.
 
     Raises:
         StoreError: it cannot be written.
@@ -27,20 +31,26 @@ class Kept:
     def __init__(self, path: Path) -> None:
         self._path, self._saved = path, time.monotonic()
         try:
-            if path.is_symlink():
+            if path.is_symlink() or (path.exists() and not self._is_ours()):
                 path.unlink()
-            try:
-                self._file = self._opened()
-            except sqlite3.DatabaseError:
-                path.unlink()
-                self._file = self._opened()
+            self._file = sqlite3.connect(path)
+            if not self._file.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+                self._file.execute(_TABLE)
+        except IsADirectoryError:
+            raise StoreError(f"{path} is a folder", fix="remove it") from None
         except (OSError, sqlite3.Error) as error:
             raise self._unwritable(error) from None
 
-    def _opened(self) -> sqlite3.Connection:
-        opened = sqlite3.connect(self._path)
-        opened.execute("CREATE TABLE IF NOT EXISTS kept (key BLOB PRIMARY KEY, content BLOB)")
-        return opened
+    def _is_ours(self) -> bool:
+        """Whether the file holds our table alone: a view or a trigger would run its own SQL."""
+        if self._path.is_dir():
+            return False
+        try:
+            with closing(sqlite3.connect(self._path)) as opened:
+                rows = opened.execute("SELECT sql FROM sqlite_master WHERE sql NOT NULL").fetchall()
+        except sqlite3.Error:
+            return False
+        return rows in ([], [(_TABLE,)])
 
     def get(self, key: bytes) -> bytes | None:
         """Return what was kept, or None."""
