@@ -143,7 +143,7 @@ def _project_all(store, camera):
     for chunk in range(store.chunks):
         count = project.project_chunk(
             layout.geometry, layout.dc, layout.sh, layout.sh_count, layout.bounds, chunk, chunk,
-            view, EPS2D, True, np.float32(0), records, count,
+            view, EPS2D, True, np.float32(0), None, records, count,
         )  # fmt: skip
     return view, records.reshape(-1, RECORD)[:count]
 
@@ -229,7 +229,7 @@ def test_culling_never_drops_a_chunk_that_draws():
         for chunk in range(store.chunks):
             count = project.project_chunk(
                 layout.geometry, layout.dc, layout.sh, 1, layout.bounds, chunk, chunk, view,
-                EPS2D, True, np.float32(0), scratch, 0,
+                EPS2D, True, np.float32(0), None, scratch, 0,
             )  # fmt: skip
             if count:
                 depth = scratch.reshape(-1, RECORD)[:count, project.DEPTH].min()
@@ -250,11 +250,11 @@ def test_a_chunk_is_hidden_only_when_every_block_it_touches_is_finished():
     for chunk in range(store.chunks):
         count = project.project_chunk(
             layout.geometry, layout.dc, layout.sh, 1, layout.bounds, chunk, chunk, view,
-            EPS2D, True, np.float32(0), scratch, 0,
+            EPS2D, True, np.float32(0), None, scratch, 0,
         )  # fmt: skip
         boxes = scratch.view(np.int32).reshape(-1, RECORD)[:count]
         live = np.ones((HEIGHT // 8 + 1, stride), dtype=np.int64)
-        assert not cull.is_hidden(layout.bounds, chunk, view, EPS2D, live.reshape(-1), stride)
+        assert not cull.is_hidden(layout.bounds, chunk, view, EPS2D, None, live.reshape(-1), stride)
         # Only the blocks that its records touch are live: it must never count as hidden.
         live[:] = 0
         for columns, rows in boxes[:, [project.COLUMNS, project.ROWS]]:
@@ -263,9 +263,9 @@ def test_a_chunk_is_hidden_only_when_every_block_it_touches_is_finished():
                 (columns & 0xFFFF) >> 3 : (columns >> 19) + 1,
             ] = 1
         flat = live.reshape(-1)
-        assert cull.is_hidden(layout.bounds, chunk, view, EPS2D, flat, stride) <= (count == 0)
+        assert cull.is_hidden(layout.bounds, chunk, view, EPS2D, None, flat, stride) <= (count == 0)
         live[:] = 0
-        hidden += cull.is_hidden(layout.bounds, chunk, view, EPS2D, flat, stride)
+        hidden += cull.is_hidden(layout.bounds, chunk, view, EPS2D, None, flat, stride)
     assert hidden > 10
 
 
@@ -289,7 +289,7 @@ def _blend(records, view, width, height, *, some=1 << 30):
         part = order[start : start + some]
         left, _, now = blend(
             np.ascontiguousarray(records).reshape(-1), part, len(part), columns, rows, light, paint,
-            stride, live, blocks, view, np.float32(0.999), CURVE,
+            stride, live, blocks, view, np.float32(0.999), None, CURVE,
         )  # fmt: skip
         drawn += now
     inside = np.s_[:height, :width]

@@ -12,6 +12,21 @@ lie within sqrt(q cov_xx) by sqrt(q cov_yy) of the centre, q = 2 ln 2 (lo - log2
 that encloses the ellipse exactly. It is widened a little, since the blend tests each pixel and
 its verdict alone must count.
 
+EWA replaces perspective by its tangent at the centre. Along the ray a pixel sees the greatest
+response of the 3D Gaussian on its own half ray, as in 3DGUT and 3DGRT. With t and u as above but
+not clamped, and w = r2 / z, let xz = t' S w, yz = u' S w, zz = w' S w: with the footprint's
+covariance the Gaussian's in the frame (a pixel right, a pixel down, the whole depth on). The pixel
+at (dx, dy) from the centre sees the points l (dx, dy, 1), and the least squared Mahalanobis
+distance of those with l >= 0 is
+
+    d2 = e / (k e + m**2),  e = EWA's quadratic form,  m = max(0, 1 + a dx + b dy),
+    (a, b) = -inv(cov) (xz, yz),  k = zz + a xz + b yz.
+
+No 3x3 inverse appears, so needles and flat discs are as safe in float32 as in EWA, and
+a = b = k = 0 is EWA. The low-pass eps2d acts in the image plane at the centre's depth. The pixels
+with d2 <= q lie in [-q cov_xx / (s - q xz), q cov_xx / (s + q xz)] along x, with
+s = sqrt(q (cov_xx - q (cov_xx zz - xz**2))); a denominator of 0 or less is no bound on its side.
+
 A record is one cache line for each splat on the screen; records are written eight at a time.
 
 The colour of sixteen Gaussians, each seen along its own direction, is a sum of real spherical
@@ -50,6 +65,7 @@ from nw_eval.splat.kernels.simd import (
     minimum,
     negate,
     sqrt,
+    where,
 )
 
 GEOMETRY = 10
@@ -61,10 +77,20 @@ THRESHOLD = math.log2(1.0 / 255.0)
 # Places in a record of 16 floats.
 U, V, A, B, C, LOG_OPACITY, COLUMNS, ROWS = 0, 1, 2, 3, 4, 5, 6, 7
 RED, GREEN, BLUE, DEPTH = 8, 9, 10, 11
+SLOPE_X, SLOPE_Y, BEND = 12, 13, 14
+"""a, b and k of the module's text, k for base 2; not written for EWA."""
 
 _LOG2E = 1.4426950408889634
 _TWO_LN2 = 2.0 * math.log(2.0)
 _WIDEN, _WIDEN_PIXELS = 1.00002, 0.002
+_RAY_WIDEN, _RAY_WIDEN_PIXELS = 1.0001, 0.01
+
+_STEEPEST = 30.0**2
+"""Square of the slope from the axis (88 degrees) from which on a centre counts as beside the eye,
+like one behind it: there the frame is so skew that float32 loses what the closed form needs."""
+
+_UNBOUNDED = 1.0e9
+"""Pixels, for a side of the box that has no bound."""
 
 CHUNK, GROUP = 256, 16
 """Gaussians in a chunk and in a group of it; a group holds each value sixteen times in a row."""
@@ -74,7 +100,7 @@ RECORD = 16
 
 
 @kernel
-def project_chunk(
+def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
     geometry: Any,
     dc: Any,
     sh: Any,
@@ -86,6 +112,7 @@ def project_chunk(
     eps2d: Any,
     antialiased: Any,
     least_compensation: Any,
+    ray: Any,
     records: Any,
     count: Any,
 ) -> Any:
@@ -103,6 +130,7 @@ def project_chunk(
         eps2d: variance added to the footprint, pixels squared.
         antialiased: whether opacity is compensated for it.
         least_compensation: floor of the compensation's square.
+        ray: None for EWA, anything else along the ray: two compiled kernels.
         records: float32, 16 per record, with eight records of slack.
         count: records that are there already.
 
@@ -162,8 +190,10 @@ def project_chunk(
             continue
         inverse_z = 1.0 / z
         slope_x, slope_y = x * inverse_z, y * inverse_z
-        a = negate(minimum(maximum(slope_x, view[at.X_LOW]), view[at.X_HIGH]))
-        b = negate(minimum(maximum(slope_y, view[at.Y_LOW]), view[at.Y_HIGH]))
+        a, b = negate(slope_x), negate(slope_y)
+        if ray is None:
+            a = negate(minimum(maximum(slope_x, view[at.X_LOW]), view[at.X_HIGH]))
+            b = negate(minimum(maximum(slope_y, view[at.Y_LOW]), view[at.Y_HIGH]))
         sx, sy = inverse_z * fx, inverse_z * fy
         t0, t1, t2 = sx * fma(a, r6, r0), sx * fma(a, r7, r1), sx * fma(a, r8, r2)
         u0, u1, u2 = sy * fma(b, r6, r3), sy * fma(b, r7, r4), sy * fma(b, r8, r5)
@@ -178,10 +208,12 @@ def project_chunk(
         s2 = fma(c02, t0, fma(c12, t1, c22 * t2))
         xx = fma(t0, s0, fma(t1, s1, t2 * s2))
         xy = fma(u0, s0, fma(u1, s1, u2 * s2))
+        xz = inverse_z * fma(r6, s0, fma(r7, s1, r8 * s2))
         s0 = fma(c00, u0, fma(c01, u1, c02 * u2))
         s1 = fma(c01, u0, fma(c11, u1, c12 * u2))
         s2 = fma(c02, u0, fma(c12, u1, c22 * u2))
         yy = fma(u0, s0, fma(u1, s1, u2 * s2))
+        yz = inverse_z * fma(r6, s0, fma(r7, s1, r8 * s2))
         before = fma(xx, yy, negate(xy * xy))
         xx, yy = xx + eps2d, yy + eps2d
         after = fma(xx, yy, negate(xy * xy))
@@ -192,11 +224,24 @@ def project_chunk(
             log_opacity = fma(log2(kept), 0.5, log_opacity)
         q = (log_opacity - THRESHOLD) * _TWO_LN2
         ok = ok & (after > 0.0) & (q >= 0.0)
-        rx = fma(sqrt(q * xx), _WIDEN, _WIDEN_PIXELS)
-        ry = fma(sqrt(q * yy), _WIDEN, _WIDEN_PIXELS)
         u, v = fma(slope_x, fx, cx), fma(slope_y, fy, cy)
-        c_low, c_high = ceil(u - rx - 0.5), floor(u + rx + 0.5)
-        r_low, r_high = ceil(v - ry - 0.5), floor(v + ry + 0.5)
+        zz = z
+        if ray is None:
+            to_left = fma(sqrt(q * xx), _WIDEN, _WIDEN_PIXELS)
+            above = fma(sqrt(q * yy), _WIDEN, _WIDEN_PIXELS)
+            to_right, below = to_left, above
+        else:
+            w0, w1, w2 = inverse_z * r6, inverse_z * r7, inverse_z * r8
+            s0 = fma(c00, w0, fma(c01, w1, c02 * w2))
+            s1 = fma(c01, w0, fma(c11, w1, c12 * w2))
+            s2 = fma(c02, w0, fma(c12, w1, c22 * w2))
+            zz = fma(w0, s0, fma(w1, s1, w2 * s2))
+            ok = ok & (fma(slope_x, slope_x, slope_y * slope_y) < _STEEPEST)
+            q = fma(q, _RAY_WIDEN, 1e-6)
+            to_left, to_right = _ray_side(q, xx, xz, zz)
+            above, below = _ray_side(q, yy, yz, zz)
+        c_low, c_high = ceil(u - to_left - 0.5), floor(u + to_right + 0.5)
+        r_low, r_high = ceil(v - above - 0.5), floor(v + below + 0.5)
         if stride != 1.0:  # Where every pixel is taken, an index is its own.
             c_low = taken_below(c_low, stride, inverse, offset, block)
             c_high = taken_below(c_high, stride, inverse, offset, block)
@@ -238,11 +283,43 @@ def project_chunk(
             maximum(blue, 0.0),
             z,
         )
-        if bits & 0xFF:
-            count = append_lower(records, count, bits, fields)
-        if bits >> LANES:
-            count = append_upper(records, count, bits, fields)
+        if ray is None:
+            if bits & 0xFF:
+                count = append_lower(records, count, bits, fields)
+            if bits >> LANES:
+                count = append_upper(records, count, bits, fields)
+        else:
+            lean_x = fma(xy, yz, negate(yy * xz)) * inverse_det
+            lean_y = fma(xy, xz, negate(xx * yz)) * inverse_det
+            bend = maximum(fma(xz, lean_x, fma(yz, lean_y, zz)), 0.0)
+            bent = (*fields, lean_x, lean_y, bend * (2.0 / _LOG2E))
+            if bits & 0xFF:
+                count = append_lower(records, count, bits, bent)
+            if bits >> LANES:
+                count = append_upper(records, count, bits, bent)
     return count
+
+
+@inlined
+def _ray_side(q: Any, variance: Any, lean: Any, depth: Any) -> Any:
+    """Return how far a Gaussian reaches before and behind its centre along a side of the image.
+
+    Args:
+        q: squared Mahalanobis distance.
+        variance: xx, or yy.
+        lean: xz, or yz.
+        depth: zz.
+    """
+    along = q * lean
+    # Where rounding might decide whether there is a bound, there is none.
+    root = fma(variance, fma(q, negate(depth), 1.0), lean * along)
+    is_bounded = root > fma(q * depth, 1e-5, 1e-5) * variance
+    root = sqrt(maximum(q * root, 0.0))
+    span, least = q * variance, root * 1e-3
+    low, high = root - along, root + along
+    before = where(is_bounded & (low > least), span / low, _UNBOUNDED) + _RAY_WIDEN_PIXELS
+    behind = where(is_bounded & (high > least), span / high, _UNBOUNDED) + _RAY_WIDEN_PIXELS
+    return before, behind
 
 
 @inlined
@@ -360,5 +437,5 @@ def _appending(first_lane: int) -> Any:
 append_lower, append_upper = _appending(0), _appending(LANES)
 """(records, count, bits, fields): write one record of 16 floats behind `count` records for each
 lane that is set in `bits`, of the lower or the upper eight; return the new count. `fields` are
-twelve Floats16, the first twelve floats of a record. Every lane is written and the end advances for
-the set ones only: no branch. Leave eight records of slack."""
+Floats16, the first floats of a record. Every lane is written and the end advances for the set ones
+only: no branch. Leave eight records of slack."""
