@@ -35,7 +35,7 @@ _SLAB_CHUNKS = 128
 """Chunks of a slab: about 33,000 Gaussians, whose records fit the caches near the core."""
 
 
-SAMPLED_EPS2D = 0.05
+SAMPLED_EPS2D = 0.02
 """Variance added to footprints with four samples a pixel, in samples squared."""
 
 
