@@ -1,8 +1,8 @@
 """Pixels are those that were recorded, bit for bit, on every machine with a fused multiply-add.
 
 The place is made of whole numbers and powers of two, so that nothing but the kernels rounds. The
-digests are of the renderer as it was while it still drew eight pixels at a time; those along the ray
-of the version that first agreed with float64 (test_along_the_ray.py).
+digests are of the renderer as it was while it still drew eight pixels at a time; those along the
+ray of the version that first agreed with float64 (test_along_the_ray.py).
 """
 
 import hashlib
