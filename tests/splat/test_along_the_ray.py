@@ -63,14 +63,14 @@ def test_pictures_agree_with_the_least_distance_along_the_ray_in_float64(near, a
     assert psnr((tangent.rgb, rgb)) < 30, "which EWA does not, so near to a wide camera"
 
 
-def test_four_samples_are_the_mean_of_smaller_pixels_without_compensation(near):
+def test_four_samples_are_the_mean_of_smaller_pixels_with_hardly_any_low_pass(near):
     camera = _near_camera(48, 27)
     fine = _near_camera(96, 54)
     image = CpuRenderer(memory_store(near), projection="ray", samples=4).render(camera)
     rgb, depth, alpha = (
         values.reshape(27, 2, 48, 2, -1)
         for values in render(
-            near, fine, antialiased=False, dtype=torch.float64, ray=True, eps2d=SAMPLED_EPS2D
+            near, fine, antialiased=True, dtype=torch.float64, ray=True, eps2d=SAMPLED_EPS2D
         )
     )
     assert psnr((image.rgb, rgb.mean(axis=(1, 3)))) >= 90

@@ -20,8 +20,8 @@ RECORDED = {
     "320x180, no harmonics": "461c5bcf71f7b8e5",
     "67x41, preset 1.6": "a0a48c16740bad6e",
     "published pixels": "31156b1f58637025",
-    "along the ray": "6d4c253a23810390",
-    "four samples": "21f857040ac1ac35",
+    "along the ray": "4d18b0536fbcd277",
+    "four samples": "6597edb8ad3d061b",
 }
 
 
