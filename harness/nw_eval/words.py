@@ -19,6 +19,10 @@ Record = Literal["all", "failures", "none"]
 Backend = Literal["cpu", "cuda"]
 """What draws splats."""
 
+Projection = Literal["ewa", "ray"]
+"""How Gaussians become pixels: by EWA's affine approximation, or along each pixel's own ray."""
+PROJECTIONS: tuple[Projection, ...] = get_args(Projection)
+
 Engine = Literal["local", "ray"]
 """Where trials run: in processes of this machine, or on the nodes of a Ray cluster."""
 

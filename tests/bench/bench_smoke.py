@@ -75,7 +75,7 @@ def main():
         trials_per_minute(jobs, library)  # Loads and compiles.
         engine, steps = trials_per_minute(jobs, library)
 
-        def plain(scene, _backend):
+        def plain(scene, *_how):
             return PlainRenderer(gaussians[scene.name])
 
         with patch.object(prepare, "_open_renderer", plain):

@@ -16,7 +16,7 @@ from nw_eval.protocol import STRICT
 from nw_eval.robots import get_robot
 from nw_eval.sim.model import GRAVITY, compile_model
 from nw_eval.suite import Suite, load_suite
-from nw_eval.suite.model import MAX_CELLS, EpisodeRules, Gate, Perturb, Validity
+from nw_eval.suite.model import MAX_CELLS, EpisodeRules, Gate, Perturb, Rendering, Validity
 from nw_eval.suite.trials import MAX_TRIALS
 from nw_eval.tasks.course import PUBLISHED_FIRST_SEED, REACH_RADIUS, REACH_STEPS, Limits
 from nw_eval.words import OUTCOMES, Protocol, Tier
@@ -43,6 +43,7 @@ def test_every_key_is_there_and_no_other() -> None:
     ("heading", "model"),
     [
         ("key of `episode`", EpisodeRules),
+        ("key of `render`", Rendering),
         ("key of `gate`", Gate),
         ("key of `validity`", Validity),
     ],
@@ -137,12 +138,12 @@ def test_its_suite_has_every_key_and_is_taken(tmp_path: Path) -> None:
 def test_suites_of_one_panel_differ_in_what_the_page_says_only() -> None:
     hurdles, smoke = load_suite("hurdles"), load_suite("smoke")
     assert hurdles.digest == smoke.digest
-    same = {"robot", "protocol", "seed", "episode", "task", "perturb"}
+    same = {"robot", "protocol", "seed", "episode", "task", "perturb", "render"}
     for key in same:
         assert getattr(hurdles, key) == getattr(smoke, key)
     assert (
-        "covers robot, protocol, seed, episode, `task` and `perturb`, and nothing else but the "
-        "`plugins`" in PROSE
+        "covers robot, protocol, seed, episode, `task`, `render` and `perturb`, and nothing else "
+        "but the `plugins`" in PROSE
     )
 
 

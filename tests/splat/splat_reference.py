@@ -3,6 +3,9 @@
 It shares no code and no layout with the engine: activations, covariances, projection and harmonics
 are computed from the Gaussians by matrix algebra, and pixels are composited tile by tile with
 cumulative products. `dtype` chooses float32 (what gsplat does) or float64 (the truth).
+
+With `ray`, the Mahalanobis distance is minimised along each pixel's half ray in three dimensions:
+in the space that makes a Gaussian a unit sphere it is that of a point from a line.
 """
 
 import math
@@ -10,6 +13,7 @@ import math
 import torch
 
 ALPHA_MIN, T_MIN, NEAR = 1 / 255, 1e-4, 0.01
+STEEPEST = 30.0  # x / z, 88 degrees
 
 
 def basis(d, count):
@@ -50,7 +54,9 @@ def rotations(q):
     return torch.stack(rows, dim=-1).reshape(-1, 3, 3)
 
 
-def project(gaussians, camera, *, antialiased, dtype, min_compensation=0.0):
+def project(
+    gaussians, camera, *, antialiased, dtype, min_compensation=0.0, eps2d=0.3, near=NEAR, ray=False
+):
     """Return the splats that touch the image, as a dict of tensors over them."""
 
     def tensor(array):
@@ -62,13 +68,15 @@ def project(gaussians, camera, *, antialiased, dtype, min_compensation=0.0):
     width, height, fx, fy = camera.width, camera.height, camera.fx, camera.fy
     point = means @ linear.T + offset
     z = point[:, 2]
-    safe = torch.where(z >= NEAR, z, torch.ones_like(z))
+    safe = torch.where(z >= near, z, torch.ones_like(z))
     half = rotations(quats) * torch.exp(tensor(gaussians.log_scales))[:, None, :]
     half = linear @ half
     covariance = half @ half.transpose(1, 2)
     low_x, low_y = -camera.cx / fx - 0.15 * width / fx, -camera.cy / fy - 0.15 * height / fy
     high_x = (width - camera.cx) / fx + 0.15 * width / fx
     high_y = (height - camera.cy) / fy + 0.15 * height / fy
+    if ray:
+        low_x, high_x, low_y, high_y = -math.inf, math.inf, -math.inf, math.inf
     tx = safe * torch.clamp(point[:, 0] / safe, low_x, high_x)
     ty = safe * torch.clamp(point[:, 1] / safe, low_y, high_y)
     jacobian = torch.zeros(len(z), 2, 3, dtype=dtype)
@@ -76,7 +84,7 @@ def project(gaussians, camera, *, antialiased, dtype, min_compensation=0.0):
     jacobian[:, 1, 1], jacobian[:, 1, 2] = fy / safe, -fy * ty / safe**2
     flat = jacobian @ covariance @ jacobian.transpose(1, 2)
     before = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] ** 2
-    xx, yy, xy = flat[:, 0, 0] + 0.3, flat[:, 1, 1] + 0.3, flat[:, 0, 1]
+    xx, yy, xy = flat[:, 0, 0] + eps2d, flat[:, 1, 1] + eps2d, flat[:, 0, 1]
     after = xx * yy - xy**2
     opacity = torch.sigmoid(tensor(gaussians.opacity_logits))
     if antialiased:
@@ -85,10 +93,17 @@ def project(gaussians, camera, *, antialiased, dtype, min_compensation=0.0):
     v = fy * point[:, 1] / safe + camera.cy
     reach = torch.sqrt(2 * torch.log(torch.clamp(opacity * 255, min=1.0))).clamp(max=3.33)
     rx, ry = torch.ceil(reach * xx.sqrt()), torch.ceil(reach * yy.sqrt())
-    seen = (z >= NEAR) & (after > 0) & (opacity >= ALPHA_MIN)
+    seen = (z >= near) & (after > 0) & (opacity >= ALPHA_MIN)
+    if ray:
+        rx, ry = torch.full_like(u, math.inf), torch.full_like(u, math.inf)
+        seen &= torch.hypot(point[:, 0], point[:, 1]) < STEEPEST * z
     seen &= (u + rx > 0) & (u - rx < width) & (v + ry > 0) & (v - ry < height)
     rows = torch.nonzero(seen)[:, 0]
     rows = rows[torch.argsort(z[rows].float(), stable=True)]
+    covariance = covariance.clone()
+    covariance[:, 0, 0] += eps2d * (safe / fx) ** 2
+    covariance[:, 1, 1] += eps2d * (safe / fy) ** 2
+    spheres = torch.linalg.inv(torch.linalg.cholesky(covariance[rows])) if ray else None
     eye = tensor(camera.T_world_camera)[:3, 3]
     direction = torch.nn.functional.normalize(means[rows] - eye, dim=-1)
     sh = tensor(gaussians.sh)[rows]
@@ -97,8 +112,18 @@ def project(gaussians, camera, *, antialiased, dtype, min_compensation=0.0):
         "u": u[rows], "v": v[rows], "rx": rx[rows], "ry": ry[rows], "z": z[rows],
         "a": (yy / after)[rows], "b": (-xy / after)[rows], "c": (xx / after)[rows],
         "opacity": opacity[rows],
+        "spheres": spheres, "point": point[rows],
         "colour": torch.clamp(colour, min=0.0),
     }  # fmt: skip
+
+
+def _squared_distances(directions, spheres, points):
+    """Least squared Mahalanobis distances of half rays (p, 3) to Gaussians: (p, n)."""
+    ray = torch.einsum("nij,pj->pni", spheres, directions)
+    centre = torch.einsum("nij,nj->ni", spheres, points)
+    along = (ray * centre).sum(dim=-1) / (ray * ray).sum(dim=-1)
+    nearest = torch.clamp(along, min=0.0)[..., None] * ray
+    return ((nearest - centre) ** 2).sum(dim=-1)
 
 
 def render(
@@ -111,11 +136,15 @@ def render(
     max_alpha=0.999,
     min_compensation=0.0,
     tile=16,
+    eps2d=0.3,
+    near=NEAR,
+    ray=False,
 ):
     """Return (rgb (H, W, 3), depth (H, W), alpha (H, W)) as numpy arrays."""
     s = project(
-        gaussians, camera, antialiased=antialiased, dtype=dtype, min_compensation=min_compensation
-    )
+        gaussians, camera, antialiased=antialiased, dtype=dtype, min_compensation=min_compensation,
+        eps2d=eps2d, near=near, ray=ray,
+    )  # fmt: skip
     values = torch.cat([s["colour"], s["z"][:, None]], dim=1)
     out = torch.zeros(camera.height, camera.width, 4, dtype=dtype)
     alpha_out = torch.zeros(camera.height, camera.width, dtype=dtype)
@@ -136,8 +165,13 @@ def render(
             going = torch.ones(len(px), dtype=torch.bool)
             for start in range(0, len(listed), 256):
                 j = listed[start : start + 256]
-                dx, dy = s["u"][j] - px, s["v"][j] - py
-                sigma = 0.5 * (s["a"][j] * dx * dx + s["c"][j] * dy * dy) + s["b"][j] * dx * dy
+                if ray:
+                    x, y = (px - camera.cx) / camera.fx, (py - camera.cy) / camera.fy
+                    to = torch.cat([x, y, torch.ones_like(x)], dim=1)
+                    sigma = 0.5 * _squared_distances(to, s["spheres"][j], s["point"][j])
+                else:
+                    dx, dy = s["u"][j] - px, s["v"][j] - py
+                    sigma = 0.5 * (s["a"][j] * dx * dx + s["c"][j] * dy * dy) + s["b"][j] * dx * dy
                 alpha = torch.clamp(s["opacity"][j] * torch.exp(-sigma), max=max_alpha)
                 alpha = torch.where((alpha >= ALPHA_MIN) & (sigma >= 0), alpha, 0.0)
                 alpha = alpha * going[:, None]

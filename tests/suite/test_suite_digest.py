@@ -55,6 +55,9 @@ def test_settings_that_leave_a_trial_as_it_is_leave_the_digest(change: dict[str,
         {"episode": {"duration": 11.0}},
         {"episode": {"contact_termination": False}},
         {"perturb": {"friction": [0.6]}},
+        {"render": {"projection": "ray"}},
+        {"render": {"samples": 4}},
+        {"render": {"near": 0.2}},
     ],
 )
 def test_settings_that_change_a_trial_change_the_digest(change: dict[str, Any]) -> None:
@@ -63,6 +66,12 @@ def test_settings_that_change_a_trial_change_the_digest(change: dict[str, Any]) 
 
 def test_whole_seconds_and_decimals_are_the_same_number() -> None:
     assert suite(episode={"duration": 12}).digest == suite(episode={"duration": 12.0}).digest
+
+
+def test_pictures_as_published_are_those_of_suites_that_say_nothing() -> None:
+    published = suite(render={"projection": "ewa", "samples": 1, "near": 0.01})
+    assert published.digest == suite().digest
+    assert published.content_digest == suite().content_digest
 
 
 def test_where_a_suite_was_written_is_no_part_of_it() -> None:

@@ -147,6 +147,9 @@ def test_a_duplicate_key_and_a_tag_hide_no_other_problem(tmp_path: Path) -> None
         ("perturb: {friction: [0.5, -1]}", "8:27", "got -1"),
         ("perturb: {friction: 0.5}", "8:11", "got 0.5"),
         ("protocol: stric", "8:1", "did you mean 'strict'?"),
+        ("render: {projection: rays}", "8:10", "did you mean 'ray'?"),
+        ("render: {samples: 2}", "8:10", "known: 1, 4"),
+        ("render: {near: 0}", "8:10", "greater than 0"),
     ],
 )
 def test_a_bad_value_is_told_with_its_place(
@@ -159,6 +162,14 @@ def test_a_bad_value_is_told_with_its_place(
     (problem,) = problems(tmp_path, text)
     assert problem.startswith(f"{place}: ")
     assert words in problem
+
+
+def test_the_published_protocol_takes_the_published_pictures_only(tmp_path: Path) -> None:
+    text = GOOD + "    protocol: neverwhere-2026\n    render: {projection: ray}\n"
+    (problem,) = problems(tmp_path, text)
+    assert problem.startswith("9:1: ")
+    assert "neverwhere-2026 draws with ewa" in problem
+    assert "set protocol: strict" in problem
 
 
 def test_a_duplicate_key_is_told_with_both_lines(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ def test_the_schema_names_every_setting_of_the_format() -> None:
         "task",
         "scenes",
         "perturb",
+        "render",
         "scores",
         "expect",
         "record",

@@ -12,7 +12,7 @@ from nw_eval.files.inside import what_is
 
 if TYPE_CHECKING:
     from nw_eval.splat.gaussians import Gaussians, SplatFigures
-    from nw_eval.words import Backend, UpAxis
+    from nw_eval.words import Backend, Projection, UpAxis
 
 _EYE_HEIGHT = 0.3
 """Metres above the ground at which a quadruped's camera looks at a scene."""
@@ -66,6 +66,7 @@ def splat_render(
     target: tuple[float, float, float] | None = None,
     frames: int = 48,
     backend: Backend = "cpu",
+    projection: Projection = "ray",
 ) -> Path:
     """Draw a file of Gaussians or a built-in scene, and return the path of the picture.
 
@@ -81,6 +82,7 @@ def splat_render(
         target: what a still looks at; the middle of a file, or straight ahead in a scene, if None.
         frames: of a turn: around a file, or round a scene's trail within its walls.
         backend: the renderer.
+        projection: `ray`, each Gaussian along the pixel's own ray, or `ewa`, as gsplat draws.
 
     Raises:
         SceneError: the source cannot be read.
@@ -110,7 +112,15 @@ def splat_render(
         )
     else:
         subject = portrait.Subject(gaussians=gaussians, up=up)
-    subject.draw(out, size=size, eye=eye, target=target, frames=frames, backend=backend)
+    subject.draw(
+        out,
+        size=size,
+        eye=eye,
+        target=target,
+        frames=frames,
+        backend=backend,
+        projection=projection,
+    )
     return out
 
 

@@ -395,6 +395,7 @@ class Conditions:
         trial = _without(vars(job.trial), _LABELS | {"identity"})  # It is a digest of the others.
         fields = _without(vars(job), _CIRCUMSTANCE)
         fields["task"] = job.task.model_dump()
+        fields["rendering"] = job.rendering.model_dump()
         return digest_of([self.digest, trial, fields])
 
 

@@ -173,6 +173,7 @@ def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
             record=suite.record,
             mcap=folder.mcap(trial.scene, trial.id).resolve(),
             render=plan.render,
+            rendering=suite.render,
             time_limit=plan.time_limit,
             attachments=attached,
         )

@@ -14,6 +14,7 @@ from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
 from nw_eval.engine.machine import cpu_kind
 from nw_eval.plugins import code_named, version_named
+from nw_eval.plural import plural
 from nw_eval.policies.bundle import senses_by_code
 from nw_eval.results.journal import JournalHeader
 from nw_eval.results.machine import (
@@ -27,6 +28,7 @@ from nw_eval.results.provenance import FetchedInfo, PolicyInfo, RunInfo, SceneIn
 from nw_eval.rollout.confined.access import why_off
 from nw_eval.scenes.folder import FileSplat
 from nw_eval.scenes.neverwhere import reference_path
+from nw_eval.suite.model import PUBLISHED
 from nw_eval.tasks.registry import declared_by
 from nw_eval.words import Backend, RasterizeMode
 
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from nw_eval.policies import Bundle
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.scenes.scene import Scene
+    from nw_eval.suite.model import Rendering
 
 _CHANGING_BITS = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
 """Libraries whose versions make bits differ between runs of the same trials."""
@@ -86,7 +89,7 @@ def run_info(
         shard=plan.shard,
         baseline=None if plan.against is None else plan.against.info,
         workers=usable_cores() if workers is None else workers,
-        renderer=_renderer(plan.render),
+        renderer=_renderer(plan.render) + _pictures(suite.render),
         fence=fence_of(
             plan.bundle.card.adapter,
             code=plan.request.allow_code and senses_by_code(plan.bundle.card),
@@ -202,6 +205,14 @@ def _fetched(path: Path) -> FetchedInfo | None:
 
 def _renderer(render: Backend) -> str:
     return f"{render} gsplat-1.5"
+
+
+def _pictures(rendering: Rendering) -> str:
+    """Return how pictures are drawn, where it is not as published."""
+    if rendering == PUBLISHED:
+        return ""
+    said = f", {rendering.projection}, {plural(rendering.samples, 'sample')}"
+    return said if rendering.near == PUBLISHED.near else f"{said}, near {rendering.near:g} m"
 
 
 def fence_of(adapter: str, *, code: bool, render: Backend, in_process: bool = False) -> str:

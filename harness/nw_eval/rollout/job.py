@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from nw_eval.suite.model import PUBLISHED, Rendering
 from nw_eval.suite.trials import Trial
 from nw_eval.tasks import COURSE, AnyTask
 from nw_eval.words import Backend, Collision, Protocol, Record
@@ -34,6 +35,7 @@ class TrialJob:
     allow_code: bool = False  # the caller's word, which no file can give
     record: Record = "failures"  # camera images for which trials; the rest is always logged
     mcap: Path | None = None  # where the log goes; None = no log
-    render: Backend = "cpu"
+    render: Backend = "cpu"  # what draws splats
+    rendering: Rendering = PUBLISHED  # and how
     time_limit: float = 600.0  # s of wall time after which the trial counts as hung
     attachments: tuple[tuple[str, str], ...] = ()  # (name, text): the suite, the policy's card

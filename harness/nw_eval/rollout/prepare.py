@@ -25,6 +25,7 @@ from nw_eval.rollout.scored import ScoreMeter
 from nw_eval.scenes import Scene
 from nw_eval.sensors import build_sensors
 from nw_eval.sim import World
+from nw_eval.suite.model import SHOWN
 from nw_eval.tasks import TaskRules, open_task
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from nw_eval.rollout.library import Library
     from nw_eval.rollout.result import StageClock
     from nw_eval.splat.render import Renderer
+    from nw_eval.suite.model import Rendering
+    from nw_eval.words import Backend
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +49,7 @@ class OpenTrial:
     bundle: Bundle
     episode: Episode
     renderer: Callable[[], Renderer]  # of the scene's splat, made when first called
+    shown: Callable[[], Renderer]  # likewise, for pictures that no policy sees
     cleanup: ExitStack
 
     def __enter__(self) -> Self:
@@ -72,7 +76,10 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
     robot = mounted_robot(get_robot(job.robot), bundle.card)
     setup = perturbed(TrialSetup.of(trial, robot, bundle.card), dict(trial.perturbation))
     robot, card = setup.robot, setup.card
-    renderer = cache(lambda: _open_renderer(scene, job.render))
+    renderer = cache(lambda: _open_renderer(scene, job.render, job.rendering))
+    # The cuda backend draws as published only.
+    how = SHOWN if job.render == "cpu" else job.rendering
+    shown = cache(lambda: _open_renderer(scene, job.render, how))
     protocol = protocol_named(job.protocol)
     with ExitStack() as cleanup:
         world = cleanup.enter_context(_open_world(setup, scene, protocol, library.world))
@@ -129,6 +136,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             bundle=bundle,
             episode=episode,
             renderer=renderer,
+            shown=shown,
             cleanup=cleanup.pop_all(),
         )
     raise AssertionError("an ExitStack without suppressing callbacks lets no exception vanish")
@@ -187,11 +195,11 @@ def _open_world(
     )
 
 
-def _open_renderer(scene: Scene, backend: str) -> Renderer:
+def _open_renderer(scene: Scene, backend: Backend, rendering: Rendering) -> Renderer:
     from nw_eval.splat.render import open_renderer
     from nw_eval.splat.store import open_store
 
-    return open_renderer(open_store(scene.splat_store()), "cuda" if backend == "cuda" else "cpu")
+    return open_renderer(open_store(scene.splat_store()), backend, **rendering.model_dump())
 
 
 def _seed(sequence: np.random.SeedSequence) -> int:

@@ -17,6 +17,7 @@ from nw_eval.catalogue import parse_reference
 from nw_eval.clean import clean, without_credentials
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.result import as_outcome, policy_fault
+from nw_eval.suite.model import PUBLISHED
 from nw_eval.suite.trials import MAX_TRIALS, Trial
 from nw_eval.tasks import COURSE
 
@@ -57,9 +58,11 @@ def trial_metadata(job: TrialJob) -> dict[str, str]:
     for name in ("checkpoint", "robot_folder"):
         fields[name] = None if fields[name] is None else str(fields[name])
     # What is not used is left out: such a log is as it was before there was a choice.
-    del fields["task"]
+    del fields["task"], fields["rendering"]
     if job.task != COURSE:
         fields["task"] = job.task.model_dump()
+    if job.rendering != PUBLISHED:
+        fields["rendering"] = job.rendering.model_dump()
     if not job.scores:
         del fields["scores"]
     fields["trial"] = {name: getattr(trial, name) for name in _OF_TRIALS}

@@ -175,6 +175,12 @@ class Pixels:
         cells = np.arange(side // self.stride)[:, None] * self.stride
         return (cells + self.offset + np.arange(self.block)).reshape(-1)
 
+    def times(self, factor: int) -> Pixels:
+        """Return the set that takes the same pixels, each as factor x factor smaller ones."""
+        return Pixels(
+            stride=self.stride * factor, block=self.block * factor, offset=self.offset * factor
+        )
+
     def index(self, number: int) -> int:
         """Pixel index of the number-th pixel taken along a side."""
         cell, within = divmod(number, self.block)
@@ -192,10 +198,24 @@ class Pixels:
         return image.reshape(h, b, w, b, *image.shape[2:]).mean(axis=(1, 3))
 
 
-def view_vector(camera: Camera, pixels: Pixels, window: Window) -> NDArray[np.float32]:
+def view_vector(
+    camera: Camera,
+    pixels: Pixels,
+    window: Window,
+    *,
+    near: float | None = None,
+    samples: int = 1,
+) -> NDArray[np.float32]:
     """Return the (SIZE,) float32 vector of a camera and a window of its pixel set.
 
     Bounds of the Jacobian are gsplat's: the image and 15 % of its width on either side.
+
+    Args:
+        camera: the camera.
+        pixels: of the image, or of its samples.
+        window: of the pixel set.
+        near: the near plane in place of the camera's.
+        samples: along each side of a pixel; the vector counts in them.
     """
     # Few calls of NumPy: it is done for every frame, and between frames all code is cold.
     T_camera_world = camera.T_camera_world[:3]
@@ -213,16 +233,16 @@ def view_vector(camera: Camera, pixels: Pixels, window: Window) -> NDArray[np.fl
         [
             *(number for row in rows for number in row[:3]),
             *(row[3] for row in rows),
-            *(camera.fx, camera.fy, camera.cx, camera.cy),
+            *(samples * side for side in (camera.fx, camera.fy, camera.cx, camera.cy)),
             *(x_low, x_high, y_low, y_high),
-            *(camera.near, camera.far),
+            *(camera.near if near is None else near, camera.far),
             *(pixels.stride, 1.0 / pixels.stride, pixels.offset, pixels.block),
             *window,
             *(pixels.index(column0), pixels.index(column1 - 1) + 1),
             *(pixels.index(row0), pixels.index(row1 - 1) + 1),
             *camera.T_world_camera[:3, 3].tolist(),
-            scale * camera.fx * math.sqrt(1.0 + steepest_x**2),
-            scale * camera.fy * math.sqrt(1.0 + steepest_y**2),
+            samples * scale * camera.fx * math.sqrt(1.0 + steepest_x**2),
+            samples * scale * camera.fy * math.sqrt(1.0 + steepest_y**2),
             0.0,
         ],
         dtype=np.float32,

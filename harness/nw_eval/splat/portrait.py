@@ -24,7 +24,7 @@ from nw_eval.splat.camera import Camera, look_at
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.image import Image
 from nw_eval.splat.store import memory_store
-from nw_eval.words import Backend, UpAxis
+from nw_eval.words import Backend, Projection, UpAxis
 
 if TYPE_CHECKING:
     from nw_eval.splat.render import Renderer
@@ -68,6 +68,7 @@ class Subject:
         target: Point | None = None,
         frames: int = 48,
         backend: Backend = "cpu",
+        projection: Projection = "ray",
     ) -> None:
         """Write a still (.png), or a turn round the subject (.gif, .mp4).
 
@@ -78,13 +79,14 @@ class Subject:
             target: of a still; what it looks at.
             frames: of a turn.
             backend: the renderer.
+            projection: how Gaussians become pixels.
 
         Raises:
             SceneError, UsageError, PrerequisiteError: it cannot be drawn.
         """
         from nw_eval.splat.render import open_renderer
 
-        renderer = open_renderer(memory_store(self.gaussians), backend)
+        renderer = open_renderer(memory_store(self.gaussians), backend, projection=projection)
         if path.suffix.lower() == ".png":
             save_png(path, renderer.render(self._still(size, eye, target)))
             return

@@ -14,17 +14,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import UsageError, nearest
-from nw_eval.splat.camera import Camera, Pixels, PresetName, Window, get_preset, view_vector
+from nw_eval.splat.camera import (
+    MAX_SIDE,
+    Camera,
+    Pixels,
+    PresetName,
+    Window,
+    get_preset,
+    view_vector,
+)
 from nw_eval.splat.image import Image
 from nw_eval.splat.kernels import draw as frame
 from nw_eval.splat.kernels.blend import CHANNELS, CURVE, PIXELS, SLACK_COLUMNS, SLACK_ROWS
 from nw_eval.splat.kernels.project import RECORD
 from nw_eval.splat.kernels.sort import HISTOGRAM
 from nw_eval.splat.store import CHUNK, GROUP, Store
-from nw_eval.words import Backend
+from nw_eval.words import PROJECTIONS, Backend, Projection
 
 _SLAB_CHUNKS = 128
 """Chunks of a slab: about 33,000 Gaussians, whose records fit the caches near the core."""
+
+
+SAMPLED_EPS2D = 0.05
+"""Variance added to footprints with four samples a pixel, in samples squared.
+
+Less gains nothing against truth in built-in scenes, and more blurs (tests/bench/bench_truth.py).
+"""
 
 
 class Renderer(Protocol):
@@ -61,15 +76,27 @@ class Stages:
 class CpuRenderer:
     """The compiled renderer.
 
-    Semantics are gsplat's: EWA projection with clamped Jacobian, exact depth order, alpha clamp
-    and threshold, early termination, expected depth. The bits of a pixel do not depend on the
-    threads or the pixel set that it is rendered with.
+    Semantics are gsplat's: exact depth order by centres, alpha clamp and threshold, early
+    termination, expected depth; with `ewa` its projection with clamped Jacobian, too. `ray` takes
+    the greatest response of a Gaussian along the pixel's own ray instead (kernels/project.py has
+    the closed form), and draws no Gaussian whose centre lies beyond 88 degrees from the axis. Both
+    are one where Gaussians are small against their distance. The bits of a pixel do not depend on
+    the threads or the pixel set that it is rendered with.
+
+    With one sample a pixel, every footprint is widened by the preset's low-pass (.3 pixels
+    squared), and antialiased mode takes from the opacity what the blur added. With four, each pixel
+    is the mean of 2x2 samples, each a smaller pixel; that is what keeps the picture from aliasing.
+    The low-pass is then only as wide as float32 needs for flat Gaussians seen from the side
+    (`SAMPLED_EPS2D`), and what it adds is taken from the opacity in both modes.
 
     Args:
         store: what to render; shared between renderers and processes.
         preset: which gsplat's numerical choices.
         antialiased: compensate opacity for the blur of small splats; None: unless the store is
-            marked classic.
+            marked classic. With four samples it always is.
+        projection: "ewa" as gsplat and the published protocol have it, or "ray".
+        samples: of a pixel, 1 or 4.
+        near: least depth of a Gaussian's centre in camera units; None: the camera's near plane.
         background: colour behind everything.
         threads: split a frame into this many windows side by side, one thread each.
     """
@@ -80,6 +107,9 @@ class CpuRenderer:
         *,
         preset: PresetName = "gsplat-1.5",
         antialiased: bool | None = None,
+        projection: Projection = "ewa",
+        samples: int = 1,
+        near: float | None = None,
         background: tuple[float, float, float] = (1.0, 1.0, 1.0),
         threads: int = 1,
     ) -> None:
@@ -87,10 +117,21 @@ class CpuRenderer:
             raise UsageError(f"threads is {threads}", fix="give 1 or more")
         if len(background) != 3 or not all(map(math.isfinite, background)):
             raise UsageError(f"background is {background}", fix="give three finite numbers")
+        if projection not in PROJECTIONS:
+            raise UsageError(
+                f"unknown projection {projection!r}", fix=nearest(projection, PROJECTIONS)
+            )
+        if samples not in (1, 4):
+            raise UsageError(f"samples is {samples}", fix="give 1 or 4 samples a pixel")
+        if near is not None and not 0.0 < near < math.inf:
+            raise UsageError(f"near is {near}", fix="give a positive depth")
         self.store = store
         self._preset = get_preset(preset)
         classic = store.rasterize_mode == "classic"
         self._antialiased = not classic if antialiased is None else antialiased
+        self._ray = True if projection == "ray" else None
+        self._side = 2 if samples == 4 else 1
+        self._near = near
         self._background = np.asarray(background, dtype=np.float32)
         self._works = [_Workspace(store) for _ in range(threads)]
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
@@ -127,6 +168,14 @@ class CpuRenderer:
                 f"{pixels} selects no pixel of {camera.width}x{camera.height}",
                 fix="use a larger image or a smaller stride",
             )
+        if self._side > 1:
+            if self._side * max(camera.width, camera.height) > MAX_SIDE:
+                raise UsageError(
+                    f"{camera.width}x{camera.height} with four samples a pixel is too large",
+                    fix=f"give at most {MAX_SIDE // self._side} pixels a side, or one sample",
+                )
+            pixels = pixels.times(self._side)
+            width, height = self._side * width, self._side * height
         image = Image(
             rgb=np.empty((height, width, 3), dtype=np.float32),
             depth=np.empty((height, width), dtype=np.float32),
@@ -141,7 +190,7 @@ class CpuRenderer:
                 self._draw(*job)
         else:
             list(self._pool.map(lambda job: self._draw(*job), jobs))
-        return image
+        return image if self._side == 1 else _mean_of_four(image)
 
     def _draw(
         self,
@@ -153,17 +202,19 @@ class CpuRenderer:
         clock: int,
     ) -> None:
         layout, preset = self.store.layout, self._preset
+        is_sampled = self._side > 1
         frame.draw(
             (layout.geometry, layout.dc, layout.sh, layout.bounds),
             layout.sh_count,
-            view_vector(camera, pixels, window),
+            view_vector(camera, pixels, window, near=self._near, samples=self._side),
             _centres(pixels, *window[:2]),
             _centres(pixels, *window[2:]),
             (
-                np.float32(preset.eps2d),
-                self._antialiased,
+                np.float32(SAMPLED_EPS2D if is_sampled else preset.eps2d),
+                self._antialiased or is_sampled,
                 np.float32(preset.min_compensation**2),
                 np.float32(preset.max_alpha),
+                self._ray,
                 CURVE,
                 self._background,
                 _SLAB_CHUNKS,
@@ -184,7 +235,7 @@ def open_renderer(store: Store, backend: Backend = "cpu", **options: Any) -> Ren
         options: those of the backend's class.
 
     Raises:
-        UsageError: for an unknown backend.
+        UsageError: for an unknown backend, or options that it does not have.
         PrerequisiteError: when the backend's packages or device are missing.
     """
     if backend == "cpu":
@@ -192,8 +243,33 @@ def open_renderer(store: Store, backend: Backend = "cpu", **options: Any) -> Ren
     if backend == "cuda":
         from nw_eval.splat.cuda import CudaRenderer
 
+        _refuse_other_pictures(options)
         return CudaRenderer(store, **options)
     raise UsageError(f"unknown renderer {backend!r}", fix=nearest(backend, ("cpu", "cuda")))
+
+
+def _refuse_other_pictures(options: dict[str, Any]) -> None:
+    """Refuse what the cuda renderer cannot draw, and take out what it draws anyway."""
+    usual = {"projection": "ewa", "samples": 1, "near": None}
+    for name, value in usual.items():
+        asked = options.pop(name, value)
+        if asked != value and (name, asked) != ("near", Camera.near):
+            raise UsageError(
+                f"--render cuda cannot draw with {name} {asked}", fix="use --render cpu"
+            )
+
+
+def _mean_of_four(image: Image) -> Image:
+    """Average 2x2 samples; depth is weighted by what each of them covers."""
+
+    def mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
+        top, bottom = values[0::2], values[1::2]
+        total = (top[:, 0::2] + top[:, 1::2]) + (bottom[:, 0::2] + bottom[:, 1::2])
+        return (total * np.float32(0.25)).astype(np.float32, copy=False)
+
+    alpha = mean(image.alpha)
+    depth = mean(image.depth * image.alpha) / np.maximum(alpha, np.float32(1e-10))
+    return Image(rgb=mean(image.rgb), depth=depth.astype(np.float32, copy=False), alpha=alpha)
 
 
 class _Workspace:

@@ -57,7 +57,7 @@ from nw_eval.suite.perturb import Perturb, each_once
 from nw_eval.tasks import COURSE, AnyTask
 from nw_eval.tasks.registry import BUILT_IN as TASK_CLASSES
 from nw_eval.tasks.registry import declared_by, declared_by_kind
-from nw_eval.words import Protocol, Record, Tier
+from nw_eval.words import Projection, Protocol, Record, Tier
 
 MAX_CELLS = 10_000
 """Most cells that a perturbation grid may have: a longer one is a slip of the pen."""
@@ -109,6 +109,41 @@ class EpisodeRules(_Strict):
         description="Whether a blow to head or trunk (10 N) ends a trial as collided; false only "
         "counts its seconds.",
     )
+
+
+class Rendering(_Strict):
+    """How Gaussians become the pictures that a policy sees; the defaults are the published ones.
+
+    Its fields are options of `splat.render.open_renderer`. Which machine part computes it is no
+    matter of the suite: `--render`.
+    """
+
+    projection: Projection = Field(
+        "ewa",
+        description="ewa: as gsplat and the published evaluation draw, with perspective replaced "
+        "by its tangent at each Gaussian's centre. ray: each Gaussian along the pixel's own ray, "
+        "right for wide cameras near the ground.",
+    )
+    samples: Literal[1, 4] = Field(
+        1,
+        description="Of a pixel: 1 with gsplat's low-pass, or the mean of 2x2 with hardly any.",
+    )
+    near: float = Field(
+        0.01,
+        gt=0.0,
+        le=10.0,
+        description="Least depth of a Gaussian's centre before the camera, m.",
+    )
+
+
+PUBLISHED = Rendering()  # pyright: ignore[reportCallIssue]  # Defaults sit in Field.
+"""How pictures are drawn where nothing is said."""
+
+SHOWN = PUBLISHED.model_copy(update={"projection": "ray"})
+"""How pictures for people are drawn, which are large, or are averaged themselves."""
+
+DRAFTED = SHOWN.model_copy(update={"samples": 4})
+"""How the pictures of suites that nw-eval writes are drawn."""
 
 
 class Validity(_Strict):
@@ -374,6 +409,11 @@ class Suite(_Strict):
         "published one, hub:org/name[@revision] for one of a hub."
     )
     perturb: Perturb = Perturb()  # pyright: ignore[reportCallIssue]
+    render: Rendering = Field(
+        PUBLISHED,
+        description="How the pictures of splats are drawn. Baselines of another kind of picture "
+        "are not comparable.",
+    )
     scores: tuple[str | OwnScore, ...] = Field(
         (),
         description="What is measured of each trial beside success, by name (docs/scores.md), or "
@@ -402,6 +442,8 @@ class Suite(_Strict):
         fields: dict[str, Any] = write(self)
         if self.task == COURSE:
             fields.pop("task", None)
+        if self.render == PUBLISHED:
+            fields.pop("render", None)
         if not self.scores:
             fields.pop("scores", None)
         if not self.expect:
@@ -409,6 +451,16 @@ class Suite(_Strict):
         if not self.plugins:
             fields.pop("plugins", None)
         return fields
+
+    @field_validator("render")
+    @classmethod
+    def _drawn_by_the_protocol(cls, render: Rendering, info: ValidationInfo) -> Rendering:
+        if info.data.get("protocol") == "neverwhere-2026" and render != PUBLISHED:
+            raise ValueError(
+                "neverwhere-2026 draws with ewa, 1 sample and near 0.01; remove it, or set "
+                "protocol: strict"
+            )
+        return render
 
     @field_validator("scores")
     @classmethod
@@ -509,8 +561,8 @@ class Suite(_Strict):
     def digest(self) -> str:
         """Hex sha256 of what decides the course of a trial.
 
-        That is robot, protocol, seed, episode, task and perturbations, with the versions of the
-        packages that have the task or some of their axes. It names trials, so it must not
+        That is robot, protocol, seed, episode, task, pictures and perturbations, with the versions
+        of the packages that have the task or some of their axes. It names trials, so it must not
         change with policy, gate, scores, record, name, scenes or the number of trials: raising
         `trials` keeps the earlier ones, and two policies meet the same ones.
         """
@@ -525,6 +577,8 @@ class Suite(_Strict):
             del fields["episode"]["contact_termination"]
         if self.task != COURSE:
             fields["task"] = self.task.model_dump()
+        if self.render != PUBLISHED:
+            fields["render"] = self.render.model_dump()
         return digest_of(fields)
 
     @property

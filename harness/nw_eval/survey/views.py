@@ -84,7 +84,7 @@ def survey_views(scene: Scene, rays: RayScene, robot: RobotSpec, stance: Stance)
         SceneError: the splat cannot be read.
     """
     samples = trail_samples(scene, SPACING, most=MOST_VIEWS)
-    renderer = open_renderer(open_store(scene.splat_store()), "cpu")
+    renderer = open_renderer(open_store(scene.splat_store()), projection="ray")
     looker = _Looker(scene, rays, robot, renderer, samples)
     poses = camera_poses(samples, rays, stance)
     views, residuals = zip(*map(looker.look, samples.along.tolist(), poses), strict=True)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from nw_eval.engine import cache
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.job import TrialJob
+from nw_eval.suite.model import Rendering
 from nw_eval.suite.trials import Trial
 from nw_eval.tasks import TaskSettings
 
@@ -30,6 +31,9 @@ COUNTING = {
     "checkpoint_digest": TEXT,
     "record": st.sampled_from(["all", "failures", "none"]),
     "render": st.sampled_from(["cpu", "cuda"]),
+    "rendering": st.builds(
+        Rendering, projection=st.sampled_from(["ewa", "ray"]), samples=st.sampled_from([1, 4])
+    ),
     "task": st.builds(Other),
     "scores": st.tuples(TEXT),
 }

@@ -12,6 +12,7 @@ from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.record import job_from_metadata, trial_metadata, verdict_metadata
 from nw_eval.rollout.result import StageSeconds, TrialResult
+from nw_eval.suite.model import Rendering
 from nw_eval.suite.trials import Trial
 
 
@@ -95,6 +96,12 @@ def test_a_job_travels_to_a_worker_and_into_a_log_and_back(job):
     read = job_from_metadata(trial_metadata(job))
     assert read.trial == job.trial
     assert (read.duration, read.checkpoint, read.mcap) == (12.0, job.checkpoint, None)
+
+
+def test_a_log_says_how_pictures_are_drawn_where_it_is_not_as_published(job):
+    assert "rendering" not in json.loads(trial_metadata(job)["job"])
+    along = replace(job, rendering=Rendering(projection="ray", samples=4, near=0.2))
+    assert job_from_metadata(trial_metadata(along)).rendering == along.rendering
 
 
 def test_an_older_log_says_before_its_scene_how_that_collides(job):

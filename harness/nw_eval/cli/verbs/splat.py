@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from nw_eval.words import Backend, UpAxis
+from nw_eval.words import Backend, Projection, UpAxis
 
 if TYPE_CHECKING:
     from nw_eval.api import WrittenSplat
@@ -73,6 +73,8 @@ class Render:
     """Frames of a turn."""
     render: Backend = "cpu"
     """The renderer. There is no silent fallback."""
+    projection: Projection = "ray"
+    """How Gaussians become pixels: each along the pixel's own ray, or by EWA as gsplat does."""
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -86,6 +88,7 @@ class Render:
             target=self.target,
             frames=self.frames,
             backend=self.render,
+            projection=self.projection,
         )
         print(picture)
         return 0

@@ -354,6 +354,7 @@ def suite_of(config: StudyConfig, students: Iterable[PlannedStudent]) -> str:
         "seed": trials.seed,
         "episode": {"duration": trials.duration},
         "scenes": list(scenes),
+        "render": planned[0].config.render.model_dump(),
         "record": "none",
     }
     return suite_yaml(new_suite(suite))

@@ -49,7 +49,7 @@ def contact_sheet(logged: LoggedTrial) -> bytes:
     width, height = _VIEW
     cells: list[Cell] = []
     with open_trial(logged.job, Library(), StageClock()) as trial:
-        splat = None if trial.scene.splat is None else trial.renderer()
+        splat = None if trial.scene.splat is None else trial.shown()
         spectator = Spectator(trial.scene, splat)
         drawn = _as_drawn(trial.scene)
         world, trail = trial.episode.world, trial.episode.task.goal.waypoints
@@ -93,7 +93,7 @@ def scene_views(scene: Scene, *, width: int) -> list[NDArray[np.uint8]]:
     height = width * 9 // 16
     splat = None
     if scene.splat is not None:
-        splat = open_renderer(open_store(scene.splat_store()), "cpu")
+        splat = open_renderer(open_store(scene.splat_store()), projection="ray")
     spectator, robot = Spectator(scene, splat), get_robot(_ROBOT)
     with World(robot, scene) as world:
         for _ in range(_SETTLING):

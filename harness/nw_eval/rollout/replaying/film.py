@@ -85,7 +85,7 @@ class Film(Observer):
         self._episode = trial.episode
         self._video = _VideoFile(self._path, size=FRAME, rate=RATE)
         self._spectator = Spectator(
-            trial.scene, None if trial.scene.splat is None else trial.renderer()
+            trial.scene, None if trial.scene.splat is None else trial.shown()
         )
         self._own = _OwnView(trial, self._spectator)
         return self

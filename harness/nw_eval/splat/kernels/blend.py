@@ -43,11 +43,14 @@ from nw_eval.splat.kernels.math8 import (
 )
 from nw_eval.splat.kernels.memory import elements, load, peek, poke, prefetch, store
 from nw_eval.splat.kernels.project import (
+    BEND,
     COLUMNS,
     LOG_OPACITY,
     RECORD,
     RED,
     ROWS,
+    SLOPE_X,
+    SLOPE_Y,
     THRESHOLD,
     A,
     B,
@@ -314,20 +317,56 @@ def _any_live(live: Any, live_stride: Any, x0: Any, x1: Any, y0: Any, y1: Any) -
 
 
 @inlined
-def _row_spans(dy: Any, ellipse: Any, view: Any, xa: Any, xb: Any) -> Any:
+def _of_columns(ray: Any, dx: Any, a: Any, b: Any, log_opacity: Any, slope_x: Any) -> Any:
+    """Return what a pixel's column adds to its power: along x, for each row, and m's part."""
+    if ray is None:
+        return fma(negate(dx * a), dx, log_opacity), dx * b, dx
+    return dx * a * dx, dx * b, fma(dx, slope_x, 1.0)
+
+
+@inlined
+def _power(ray: Any, dy: Any, of_columns: Any, splat: Any) -> Any:
+    """Return log2 of the alpha of pixels: the formulas of project.py, always in this order."""
+    across, slope, lean = of_columns
+    c, log_opacity, slope_y, bend = splat
+    if ray is None:
+        return fma(negate(fma(dy, c, slope)), dy, across)
+    e = fma(fma(dy, c, slope), dy, across)
+    m = maximum(fma(dy, slope_y, lean), 0.0)
+    return log_opacity - e / fma(e, bend, m * m)
+
+
+@inlined
+def _row_spans(ray: Any, dy: Any, outline: Any, view: Any, xa: Any, xb: Any) -> Any:
     """Return, for eight rows, the first and last column that a splat may reach, packed.
 
-    Solves A dx^2 + (B dy) dx + C dy^2 = limit for dx. The spans are a little wide: the threshold
-    on alpha decides, here we only save work. An empty span has its last column at -1.
+    Solves A dx^2 + (B dy) dx + C dy^2 = limit for dx; along the ray, with the right side
+    limit (k e + m^2), a quadratic too, which may bound nothing. The spans are a little wide: the
+    threshold on alpha decides, here we only save work. An empty span has its last column at -1.
     """
-    u, a, b, c, limit = ellipse
+    u, a, b, c, limit, slope_x, slope_y, bend = outline
     half = dy * (b * np.float32(0.5))
-    square = half * half
-    inside = fma(square, 1.000001, negate(fma(dy * dy, c, -limit) * a))
+    is_bounded = True
+    if ray is None:
+        square = half * half
+        inside = fma(square, 1.000001, negate(fma(dy * dy, c, -limit) * a))
+        inverse = np.float32(1.0) / a
+        slack = np.float32(0.502)
+    else:
+        share = np.float32(1.0) - limit * bend
+        limit = limit / max(share, np.float32(1e-6))
+        leading = a - limit * slope_x * slope_x
+        is_bounded = (share > np.float32(1e-3)) & (leading > np.float32(1e-3) * a)
+        m = fma(dy, slope_y, 1.0)
+        half = fma(m, -limit * slope_x, half)
+        rest = fma(dy * dy, c, m * m * -limit)
+        square = half * half
+        inside = fma(square, 1.00001, negate(rest * leading))
+        inverse = np.float32(1.0) / leading
+        slack = np.float32(0.52)
     root = sqrt(maximum(inside, 0.0))
-    inverse = np.float32(1.0) / a
-    low = ceil(negate(half + root) * inverse + (u - np.float32(0.502)))
-    high = floor((root - half) * inverse + (u + np.float32(0.502)))
+    low = ceil(negate(half + root) * inverse + (u - slack))
+    high = floor((root - half) * inverse + (u + slack))
     stride, inverse_stride = view[at.STRIDE], view[at.INVERSE_STRIDE]
     offset, block = view[at.OFFSET], view[at.BLOCK]
     if stride != 1.0:
@@ -337,6 +376,8 @@ def _row_spans(dy: Any, ellipse: Any, view: Any, xa: Any, xb: Any) -> Any:
     first = minimum(maximum(low - origin, np.float32(xa)), 32767.0)
     last = high - (origin + np.float32(1.0))
     last = where(inside > 0.0, minimum(last, np.float32(xb)), -1.0)
+    if not is_bounded:
+        first, last = dy * 0.0 + np.float32(xa), dy * 0.0 + np.float32(xb)
     return pack_range(first, maximum(last, -1.0))
 
 
@@ -369,6 +410,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
     live_stride: Any,
     view: Any,
     most_alpha: Any,
+    ray: Any,
     numbers: Any,
 ) -> Any:
     """Blend splats into a window.
@@ -387,6 +429,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
         live_stride: blocks per row.
         view: (SIZE,) float32 of view.py.
         most_alpha: alpha is clamped to it.
+        ray: None for EWA, anything else along the ray: two compiled kernels.
         numbers: `CURVE`.
 
     Returns:
@@ -449,34 +492,37 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
             drawn += 1
             u, v = broadcast(peek(splats, j + U)), broadcast(peek(splats, j + V))
             ca, cb = broadcast(peek(splats, j + A)), broadcast(peek(splats, j + B))
-            cc = broadcast(peek(splats, j + C))
             log_opacity = broadcast(peek(splats, j + LOG_OPACITY))
+            slope_x = log_opacity if ray is None else broadcast(peek(splats, j + SLOPE_X))
+            splat = (
+                broadcast(peek(splats, j + C)),
+                log_opacity,
+                log_opacity if ray is None else broadcast(peek(splats, j + SLOPE_Y)),
+                log_opacity if ray is None else broadcast(peek(splats, j + BEND)),
+            )
             colour = repeat4(splats, j + RED)
             o = ya * stride + xa
-            # power = log_opacity - dx (A dx) - dy (B dx + C dy), always in this order.
             if xb - xa < 4:
                 dx = _square_columns(xs, xa) - u
-                across = fma(negate(dx * ca), dx, log_opacity)
-                slope = dx * cb
+                of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
                 # Most need one: outside the loop, whose places would be laid out for many.
                 dy = _square_rows(ys, ya) - v
-                power = fma(negate(fma(dy, cc, slope)), dy, across)
+                power = _power(ray, dy, of_columns, splat)
                 _draw_square(T, colours, o, stride, power, curve, colour)
                 vectors += 1
                 for y in range(ya + 4, yb + 1, 4):
                     o += 4 * stride
                     dy = _square_rows(ys, y) - v
-                    power = fma(negate(fma(dy, cc, slope)), dy, across)
+                    power = _power(ray, dy, of_columns, splat)
                     _draw_square(T, colours, o, stride, power, curve, colour)
                     vectors += 1
             elif xb - xa < 8:
                 dx = _flat_columns(xs, xa) - u
-                across = fma(negate(dx * ca), dx, log_opacity)
-                slope = dx * cb
+                of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
                 y = ya
                 while True:
                     dy = _flat_rows(ys, y) - v
-                    power = fma(negate(fma(dy, cc, slope)), dy, across)
+                    power = _power(ray, dy, of_columns, splat)
                     _draw_flat(T, colours, o, stride, power, curve, colour)
                     o += 2 * stride
                     y += 2
@@ -485,26 +531,28 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
                         break
             elif xb - xa < 16:
                 dx = _line_columns(xs, xa) - u
-                across = fma(negate(dx * ca), dx, log_opacity)
-                slope = dx * cb
+                of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
                 for y in range(ya, yb + 1):
                     dy = broadcast(peek(ys, y)) - v
-                    power = fma(negate(fma(dy, cc, slope)), dy, across)
+                    power = _power(ray, dy, of_columns, splat)
                     _draw_line(T, colours, o, stride, power, curve, colour)
                     o += stride
                     vectors += 1
             else:
                 for y in range(ya, yb + 1):
                     if (y - ya) & 7 == 0:
-                        ellipse = (
+                        outline = (
                             peek(splats, j + U),
                             peek(splats, j + A),
                             peek(splats, j + B),
                             peek(splats, j + C),
                             peek(splats, j + LOG_OPACITY) - THRESHOLD,
+                            peek(splats, j + SLOPE_X),
+                            peek(splats, j + SLOPE_Y),
+                            peek(splats, j + BEND),
                         )
                         below = load(ys, y) - peek(splats, j + V)
-                        store(spans, 0, _row_spans(below, ellipse, view, xa, xb))
+                        store(spans, 0, _row_spans(ray, below, outline, view, xa, xb))
                     packed = int(peek(span_bits, (y - ya) & 7))
                     dy = broadcast(peek(ys, y)) - v
                     for x in range(packed & 0xFFFF, (packed >> 16) + 1, 16):
@@ -512,8 +560,8 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
                         if bits & 0xFFFF == 0:
                             continue
                         dx = _line_columns(xs, x) - u
-                        across = fma(negate(dx * ca), dx, log_opacity)
-                        power = fma(negate(fma(dy, cc, dx * cb)), dy, across)
+                        of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
+                        power = _power(ray, dy, of_columns, splat)
                         _draw_line(T, colours, y * stride + x, stride, power, curve, colour)
                         vectors += 1
         left = _note_unfinished(light, stride, live, live_stride, maps[0], maps[1])

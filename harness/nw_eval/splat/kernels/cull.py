@@ -110,17 +110,21 @@ def visible_chunks(bounds: Any, view: Any, eps2d: Any, keys: Any, nearest: Any) 
 
 
 @kernel
-def is_hidden(bounds: Any, chunk: Any, view: Any, eps2d: Any, live: Any, live_stride: Any) -> Any:
+def is_hidden(
+    bounds: Any, chunk: Any, view: Any, eps2d: Any, ray: Any, live: Any, live_stride: Any
+) -> Any:
     """Tell whether every 8x8 block that a chunk may touch has only finished pixels.
 
     A box behind or around the camera touches everything. Otherwise the corners bound the box on
-    the screen, since perspective keeps a convex body in front of the camera convex.
+    the screen, since perspective keeps a convex body in front of the camera convex. Along the ray,
+    a sphere of radius r at depth z and slope s ends r / z sqrt(1 + s**2) / (1 - r / z) further.
 
     Args:
         bounds: (chunks * BOUNDS,) float32.
         chunk: which one.
         view: (SIZE,) float32.
         eps2d: variance added to footprints, pixels squared.
+        ray: None for EWA, anything else along the ray.
         live: unfinished pixels of each block of the window, row by row.
         live_stride: blocks per row of `live`.
 
@@ -143,9 +147,22 @@ def is_hidden(bounds: Any, chunk: Any, view: Any, eps2d: Any, live: Any, live_st
         v = view[at.FY] * (r[3] * px + r[4] * py + r[5] * pz + view[at.T + 1]) / z + view[at.CY]
         least_z = min(least_z, z)
         u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
-    blur = np.float32(REACH) * math.sqrt(eps2d) + np.float32(1.0)
-    reach_x = np.float32(REACH) * view[at.SPREAD_X] * b[6] / least_z + blur
-    reach_y = np.float32(REACH) * view[at.SPREAD_Y] * b[6] / least_z + blur
+    one = np.float32(1.0)
+    if ray is None:
+        blur = np.float32(REACH) * math.sqrt(eps2d) + one
+        reach_x = np.float32(REACH) * view[at.SPREAD_X] * b[6] / least_z + blur
+        reach_y = np.float32(REACH) * view[at.SPREAD_Y] * b[6] / least_z + blur
+    else:
+        fx, fy, cx, cy = view[at.FX], view[at.FY], view[at.CX], view[at.CY]
+        steepest = max(max(cx - u0, u1 - cx) / fx, max(cy - v0, v1 - cy) / fy, np.float32(0.0))
+        slant = math.sqrt(one + np.float32(2.0) * steepest * steepest)
+        scale = math.sqrt(r[6] * r[6] + r[7] * r[7] + r[8] * r[8])
+        blur = math.sqrt(eps2d) / min(fx, fy) * slant
+        near = np.float32(REACH) * (scale * b[6] / least_z + blur)
+        if near > np.float32(0.9):
+            return False
+        reach = near * slant / (one - near)
+        reach_x, reach_y = fx * reach + one, fy * reach + one
     column0 = _taken(view, u0 - reach_x, view[at.COLUMN0], view[at.COLUMN1])
     column1 = _taken(view, u1 + reach_x, view[at.COLUMN0], view[at.COLUMN1])
     row0 = _taken(view, v0 - reach_y, view[at.ROW0], view[at.ROW1])

@@ -107,8 +107,9 @@ def draw(
         view: (SIZE,) float32 of view.py.
         columns: float32 pixel-centre coordinates of the window's columns, eight of slack.
         rows: likewise of its rows.
-        options: (eps2d, antialiased, floor of the compensation squared, most alpha, numbers of
-            the alpha curve, background (3,) float32, chunks in a slab).
+        options: (eps2d, antialiased, floor of the compensation squared, most alpha, None for EWA
+            or True along the ray, numbers of the alpha curve, background (3,) float32, chunks in a
+            slab).
         work: (keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light,
             paint, live): the workspace of render.py.
         out: (rgb, depth, alpha) of the whole image; the window's part is written.
@@ -116,7 +117,7 @@ def draw(
         clock: POSIX clock for the stages, or -1 to take no time.
     """
     geometry, dc, sh, bounds = store_arrays
-    eps2d, antialiased, floor2, most_alpha, numbers, background, slab = options
+    eps2d, antialiased, floor2, most_alpha, ray, numbers, background, slab = options
     keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light, paint, live = (
         work
     )
@@ -138,7 +139,7 @@ def draw(
         for i in range(taken, end):
             chunk = chunk_keys[i] & 0xFFFFFFFF
             following = chunk_keys[min(i + 1, visible - 1)] & 0xFFFFFFFF
-            if taken > 0 and is_hidden(bounds, chunk, view, eps2d, live, live_stride):
+            if taken > 0 and is_hidden(bounds, chunk, view, eps2d, ray, live, live_stride):
                 statistics[HIDDEN_CHUNKS] += 1
                 continue
             before = count
@@ -154,6 +155,7 @@ def draw(
                 eps2d,
                 antialiased,
                 floor2,
+                ray,
                 records,
                 count,
             )
@@ -186,6 +188,7 @@ def draw(
             live_stride,
             view,
             most_alpha,
+            ray,
             numbers,
         )
         statistics[VECTORS] += vectors

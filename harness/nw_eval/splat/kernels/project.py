@@ -12,6 +12,21 @@ lie within sqrt(q cov_xx) by sqrt(q cov_yy) of the centre, q = 2 ln 2 (lo - log2
 that encloses the ellipse exactly. It is widened a little, since the blend tests each pixel and
 its verdict alone must count.
 
+EWA replaces perspective by its tangent at the centre. Along the ray a pixel sees the greatest
+response of the 3D Gaussian on its own half ray, as in 3DGUT and 3DGRT. With t and u as above but
+not clamped, and w = r2 / z, let xz = t' S w, yz = u' S w, zz = w' S w: with the footprint's
+covariance the Gaussian's in the frame (a pixel right, a pixel down, the whole depth on). The pixel
+at (dx, dy) from the centre sees the points l (dx, dy, 1), and the least squared Mahalanobis
+distance of those with l >= 0 is
+
+    d2 = e / (k e + m**2),  e = EWA's quadratic form,  m = max(0, 1 + a dx + b dy),
+    (a, b) = -inv(cov) (xz, yz),  k = zz + a xz + b yz.
+
+No 3x3 inverse appears, so needles and flat discs are as safe in float32 as in EWA, and
+a = b = k = 0 is EWA. The low-pass eps2d acts in the image plane at the centre's depth. The pixels
+with d2 <= q lie in [-(s + q xz) / h, (s - q xz) / h] along x, with h = 1 - q zz and
+s = sqrt(q (cov_xx h + q xz**2)); where h <= 0 the Gaussian reaches the plane of the eye.
+
 A record is one cache line for each splat on the screen; records are written eight at a time.
 
 The colour of sixteen Gaussians, each seen along its own direction, is a sum of real spherical
@@ -26,6 +41,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -50,6 +66,7 @@ from nw_eval.splat.kernels.simd import (
     minimum,
     negate,
     sqrt,
+    where,
 )
 
 GEOMETRY = 10
@@ -61,10 +78,21 @@ THRESHOLD = math.log2(1.0 / 255.0)
 # Places in a record of 16 floats.
 U, V, A, B, C, LOG_OPACITY, COLUMNS, ROWS = 0, 1, 2, 3, 4, 5, 6, 7
 RED, GREEN, BLUE, DEPTH = 8, 9, 10, 11
+SLOPE_X, SLOPE_Y, BEND = 12, 13, 14
+"""a, b and k of the module's text, k for base 2; not written for EWA."""
 
 _LOG2E = 1.4426950408889634
 _TWO_LN2 = 2.0 * math.log(2.0)
 _WIDEN, _WIDEN_PIXELS = 1.00002, 0.002
+_RAY_WIDEN, _RAY_WIDEN_PIXELS = 1.0001, 0.01
+
+_STEEPEST = 30.0**2
+"""Square of the slope from the axis (88 degrees) from which on a centre counts as beside the eye,
+like one behind it: there the frame is so skew that float32 loses what the closed form needs."""
+
+_LEAST_DEPTH = 0.01
+_UNBOUNDED = 1.0e9
+"""Pixels, for a side of the box that has no bound."""
 
 CHUNK, GROUP = 256, 16
 """Gaussians in a chunk and in a group of it; a group holds each value sixteen times in a row."""
@@ -74,7 +102,7 @@ RECORD = 16
 
 
 @kernel
-def project_chunk(
+def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
     geometry: Any,
     dc: Any,
     sh: Any,
@@ -86,6 +114,7 @@ def project_chunk(
     eps2d: Any,
     antialiased: Any,
     least_compensation: Any,
+    ray: Any,
     records: Any,
     count: Any,
 ) -> Any:
@@ -103,6 +132,7 @@ def project_chunk(
         eps2d: variance added to the footprint, pixels squared.
         antialiased: whether opacity is compensated for it.
         least_compensation: floor of the compensation's square.
+        ray: None for EWA, anything else along the ray: two compiled kernels.
         records: float32, 16 per record, with eight records of slack.
         count: records that are there already.
 
@@ -127,6 +157,7 @@ def project_chunk(
     blur = REACH * math.sqrt(eps2d) + 1.0
     left, right = cx - view[at.LEFT] + blur, view[at.RIGHT] - cx + blur
     top, bottom = cy - view[at.TOP] + blur, view[at.BOTTOM] - cy + blur
+    two = np.float32(2.0)
     largest = bounds[chunk * BOUNDS + 6]
     reach_x = REACH * view[at.SPREAD_X] * largest
     reach_y = REACH * view[at.SPREAD_Y] * largest
@@ -162,8 +193,10 @@ def project_chunk(
             continue
         inverse_z = 1.0 / z
         slope_x, slope_y = x * inverse_z, y * inverse_z
-        a = negate(minimum(maximum(slope_x, view[at.X_LOW]), view[at.X_HIGH]))
-        b = negate(minimum(maximum(slope_y, view[at.Y_LOW]), view[at.Y_HIGH]))
+        a, b = negate(slope_x), negate(slope_y)
+        if ray is None:
+            a = negate(minimum(maximum(slope_x, view[at.X_LOW]), view[at.X_HIGH]))
+            b = negate(minimum(maximum(slope_y, view[at.Y_LOW]), view[at.Y_HIGH]))
         sx, sy = inverse_z * fx, inverse_z * fy
         t0, t1, t2 = sx * fma(a, r6, r0), sx * fma(a, r7, r1), sx * fma(a, r8, r2)
         u0, u1, u2 = sy * fma(b, r6, r3), sy * fma(b, r7, r4), sy * fma(b, r8, r5)
@@ -178,10 +211,12 @@ def project_chunk(
         s2 = fma(c02, t0, fma(c12, t1, c22 * t2))
         xx = fma(t0, s0, fma(t1, s1, t2 * s2))
         xy = fma(u0, s0, fma(u1, s1, u2 * s2))
+        xz = inverse_z * fma(r6, s0, fma(r7, s1, r8 * s2))
         s0 = fma(c00, u0, fma(c01, u1, c02 * u2))
         s1 = fma(c01, u0, fma(c11, u1, c12 * u2))
         s2 = fma(c02, u0, fma(c12, u1, c22 * u2))
         yy = fma(u0, s0, fma(u1, s1, u2 * s2))
+        yz = inverse_z * fma(r6, s0, fma(r7, s1, r8 * s2))
         before = fma(xx, yy, negate(xy * xy))
         xx, yy = xx + eps2d, yy + eps2d
         after = fma(xx, yy, negate(xy * xy))
@@ -192,11 +227,31 @@ def project_chunk(
             log_opacity = fma(log2(kept), 0.5, log_opacity)
         q = (log_opacity - THRESHOLD) * _TWO_LN2
         ok = ok & (after > 0.0) & (q >= 0.0)
-        rx = fma(sqrt(q * xx), _WIDEN, _WIDEN_PIXELS)
-        ry = fma(sqrt(q * yy), _WIDEN, _WIDEN_PIXELS)
         u, v = fma(slope_x, fx, cx), fma(slope_y, fy, cy)
-        c_low, c_high = ceil(u - rx - 0.5), floor(u + rx + 0.5)
-        r_low, r_high = ceil(v - ry - 0.5), floor(v + ry + 0.5)
+        zz = z
+        if ray is None:
+            to_left = fma(sqrt(q * xx), _WIDEN, _WIDEN_PIXELS)
+            above = fma(sqrt(q * yy), _WIDEN, _WIDEN_PIXELS)
+            to_right, below = to_left, above
+        else:
+            r66, r67, r68 = r6 * r6, r6 * r7 * two, r6 * r8 * two
+            r77, r78, r88 = r7 * r7, r7 * r8 * two, r8 * r8
+            zz = fma(
+                c00, r66, fma(c01, r67, fma(c02, r68, fma(c11, r77, fma(c12, r78, c22 * r88))))
+            )
+            zz = maximum(zz, 0.0) * (inverse_z * inverse_z)
+            ok = ok & (fma(slope_x, slope_x, slope_y * slope_y) < _STEEPEST)
+            q = fma(q, _RAY_WIDEN, 1e-6)
+            depth = fma(q, negate(zz), 1.0)
+            if mask_bits(ok & (depth <= _LEAST_DEPTH)) == 0:
+                scale = 1.0 / depth
+                to_left, to_right = _ray_side(q, xx, xz, depth, scale)
+                above, below = _ray_side(q, yy, yz, depth, scale)
+            else:
+                to_left, to_right = _ray_side_nearby(q, xx, xz, depth)
+                above, below = _ray_side_nearby(q, yy, yz, depth)
+        c_low, c_high = ceil(u - to_left - 0.5), floor(u + to_right + 0.5)
+        r_low, r_high = ceil(v - above - 0.5), floor(v + below + 0.5)
         if stride != 1.0:  # Where every pixel is taken, an index is its own.
             c_low = taken_below(c_low, stride, inverse, offset, block)
             c_high = taken_below(c_high, stride, inverse, offset, block)
@@ -238,11 +293,56 @@ def project_chunk(
             maximum(blue, 0.0),
             z,
         )
-        if bits & 0xFF:
-            count = append_lower(records, count, bits, fields)
-        if bits >> LANES:
-            count = append_upper(records, count, bits, fields)
+        if ray is None:
+            if bits & 0xFF:
+                count = append_lower(records, count, bits, fields)
+            if bits >> LANES:
+                count = append_upper(records, count, bits, fields)
+        else:
+            lean_x = fma(xy, yz, negate(yy * xz)) * inverse_det
+            lean_y = fma(xy, xz, negate(xx * yz)) * inverse_det
+            bend = maximum(fma(xz, lean_x, fma(yz, lean_y, zz)), 0.0)
+            bent = (*fields, lean_x, lean_y, bend * (2.0 / _LOG2E))
+            if bits & 0xFF:
+                count = append_lower(records, count, bits, bent)
+            if bits >> LANES:
+                count = append_upper(records, count, bits, bent)
     return count
+
+
+@inlined
+def _ray_side(q: Any, variance: Any, lean: Any, depth: Any, scale: Any) -> Any:
+    """Return how far a Gaussian reaches before and behind its centre along a side of the image.
+
+    Args:
+        q: squared Mahalanobis distance.
+        variance: xx, or yy.
+        lean: xz, or yz.
+        depth: 1 - q zz, over 0.
+        scale: its inverse.
+    """
+    along = q * lean
+    root = sqrt(q * fma(variance, depth, lean * along))
+    slack = fma(root * scale, 2e-6, _RAY_WIDEN_PIXELS)
+    return fma(root + along, scale, slack), fma(root - along, scale, slack)
+
+
+@inlined
+def _ray_side_nearby(q: Any, variance: Any, lean: Any, depth: Any) -> Any:
+    """Return the same of Gaussians that may reach the plane of the eye, and have no bound there.
+
+    The shorter side is q variance / (root + |q lean|), too, where nothing cancels.
+    """
+    along = q * lean
+    square = fma(variance, depth, lean * along)
+    wide = sqrt(q * maximum(square, 0.0)) + maximum(along, negate(along))
+    # Where rounding might decide whether there is a bound, there is none.
+    is_sure = square > variance * fma(negate(depth), 1e-5, 2e-5)
+    short = where(is_sure, q * variance / wide, _UNBOUNDED)
+    long = where(is_sure & (depth > _LEAST_DEPTH), wide / depth, _UNBOUNDED)
+    is_before = along > 0.0
+    before = where(is_before, long, short) + _RAY_WIDEN_PIXELS
+    return before, where(is_before, short, long) + _RAY_WIDEN_PIXELS
 
 
 @inlined
@@ -360,5 +460,5 @@ def _appending(first_lane: int) -> Any:
 append_lower, append_upper = _appending(0), _appending(LANES)
 """(records, count, bits, fields): write one record of 16 floats behind `count` records for each
 lane that is set in `bits`, of the lower or the upper eight; return the new count. `fields` are
-twelve Floats16, the first twelve floats of a record. Every lane is written and the end advances for
-the set ones only: no branch. Leave eight records of slack."""
+Floats16, the first floats of a record. Every lane is written and the end advances for the set ones
+only: no branch. Leave eight records of slack."""

@@ -249,6 +249,7 @@ class Window:
             blocks,
             self._view,
             self._most_alpha,
+            None,
             CURVE,
         )
         resolve(light, paint, self._place, background, images.arrays())
