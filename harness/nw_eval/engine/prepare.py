@@ -22,7 +22,7 @@ _WORTH_SAYING = 3.0  # s
 
 def needs_splats(card: Card, record: Record) -> bool:
     """Return whether any trial may render: for the policy's eyes or for the log."""
-    return bool(card.splat_images) or record != "none"
+    return bool(card.splat_images) or record in {"all", "failures"}
 
 
 def check_splats(card: Card, scenes: Iterable[Scene]) -> None:

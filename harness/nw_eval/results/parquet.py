@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import accumulate, chain
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from nw_eval.errors import StoreError
 from nw_eval.files.inside import bounded_bytes
 from nw_eval.results.column import Column, Numbers, Settings
 from nw_eval.results.row import COLUMNS, Row, by_column, from_dicts, rows_digest
-from nw_eval.results.sealed import is_foreign, metadata_of, table_of, write_table
+from nw_eval.results.sealed import is_foreign, metadata_of, table_of, write_tables
 
 _TYPES: Mapping[Any, pa.DataType] = {
     str: pa.string(),
@@ -71,6 +72,10 @@ _MOST_ROWS = 200_000
 _REBUILD = "`nw-eval report` on its folder writes it again from the journal"
 
 
+_GROUP = 2**16
+"""Rows that are turned into Arrow's arrays, and lie in the file, together."""
+
+
 def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> None:
     """Write rows, sorted by trial, with `nw.<key>` metadata in the schema.
 
@@ -82,24 +87,17 @@ def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> 
     Raises:
         StoreError: the file cannot be written.
     """
-    write_columns(path, by_column(list(rows)), metadata)
+    ordered = sorted(rows, key=attrgetter("trial_id", "arm"))
+    groups = (
+        _table(ordered[first : first + _GROUP]) for first in range(0, max(1, len(ordered)), _GROUP)
+    )
+    write_tables(path, groups, {"schema_version": SCHEMA_VERSION, **metadata})
 
 
-def write_columns(
-    path: Path, columns: Mapping[str, Sequence[Any]], metadata: Mapping[str, str]
-) -> None:
-    """Write rows of which all values are known by column; as `write_rows`.
-
-    Raises:
-        StoreError: the file cannot be written.
-    """
-    keys = list(zip(columns["trial_id"], columns["arm"], strict=True))
-    order = sorted(range(len(keys)), key=keys.__getitem__)
-    arrays = [
-        array_of(list(map(columns[field.name].__getitem__, order)), field.type) for field in SCHEMA
-    ]
-    table = pa.Table.from_arrays(arrays, schema=SCHEMA)
-    write_table(path, table, {"schema_version": SCHEMA_VERSION, **metadata})
+def _table(rows: Sequence[Row]) -> pa.Table:
+    columns = by_column(rows)
+    arrays = [array_of(columns.pop(field.name), field.type) for field in SCHEMA]
+    return pa.Table.from_arrays(arrays, schema=SCHEMA)
 
 
 def _other_version(path: Path, version: str | None) -> StoreError:

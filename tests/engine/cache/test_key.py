@@ -28,7 +28,7 @@ COUNTING = {
     "contact_termination": st.booleans(),
     "collision": st.sampled_from(["terrain", "triangles"]),
     "checkpoint_digest": TEXT,
-    "record": st.sampled_from(["all", "failures", "none"]),
+    "record": st.sampled_from(["all", "failures", "none", "summary"]),
     "render": st.sampled_from(["cpu", "cuda"]),
     "task": st.builds(Other),
     "scores": st.tuples(TEXT),

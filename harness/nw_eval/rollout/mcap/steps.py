@@ -104,8 +104,10 @@ class Steps:
         joints: int,
         seen: SeenRows,
         command: Callable[[float], tuple[float, float, float]],
+        is_summary: bool = False,
     ) -> None:
         self._body = body
+        self._is_summary = is_summary
         self._seen = seen
         self._command = command
         # Where the numbers of the body end in a step's bytes, and those of the actions.
@@ -123,6 +125,8 @@ class Steps:
         body, actions = self._ends
         times = np.array([nanoseconds(note.time) for note in notes])
         rows = _numbers([note.data[:body] for note in notes])
+        if self._is_summary:
+            return [self._path(notes, times.tolist(), rows, channels)]
         messages = _filled(channels, self._body.forms, times, self._body.numbers(rows))
         parts: list[Part] = [(range(len(notes)), messages)]
         parts.append(self._path(notes, times.tolist(), rows, channels))

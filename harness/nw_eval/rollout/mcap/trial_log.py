@@ -39,7 +39,7 @@ from nw_eval.words import Record
 
 EventKind = Literal["start", "waypoint", "task", "contact", "coverage", "end", "error"]
 
-_IMAGES: dict[Record, Images] = {"all": "keep", "failures": "decide", "none": "drop"}
+_IMAGES: dict[Record, Images] = {"all": "keep", "failures": "decide", "none": "drop", "summary": "drop"}
 _P = ParamSpec("_P")
 
 
@@ -60,6 +60,9 @@ def _costs_only_the_log(
 class TrialLog:
     """The log of one trial. Without a path, and once writing has failed, every method is free.
 
+    Of a summary (`record: summary`) there is what names the trial, the trail, the walked path,
+    events and scores: no message of each control step, no state, no image, nothing of the place.
+
     Call order: `start`, then any of the others with times that do not decrease, then `finish` or
     `discard`.
     """
@@ -68,6 +71,7 @@ class TrialLog:
         self.error = ""  # why there is no log, one line
         self.bytes = 0  # size of the finished file
         self._path = path
+        self._is_summary = record == "summary"
         self._states = States()
         self._steps: Steps | None = None
         self._place: tuple[Discs, TrailClouds] | None = None
@@ -144,11 +148,14 @@ class TrialLog:
             self._out.attach(name, "text/plain", text.encode())
         self._place = Discs(trail), TrailClouds(start, trail)
         parts = robot.bodies, robot.visuals
-        scene = place_update(mesh) + robot_update(*parts) + trail_update(start, trail)
+        scene = robot_update(*parts) + trail_update(start, trail)
+        if not self._is_summary:
+            scene = place_update(mesh) + scene
         self._out.add_bytes("/scene", 0, SceneUpdate, scene)
-        self._out.add_bytes("/points/place", 0, PointCloud, place_cloud(mesh))
-        for body, cloud in robot_clouds(*parts).items():
-            self._out.add_bytes(f"/points/robot/{body}", 0, PointCloud, cloud)
+        if not self._is_summary:
+            self._out.add_bytes("/points/place", 0, PointCloud, place_cloud(mesh))
+            for body, cloud in robot_clouds(*parts).items():
+                self._out.add_bytes(f"/points/robot/{body}", 0, PointCloud, cloud)
         self._waypoints(0, 0)
         frames = {camera_frame(name): pose for name, pose in cameras.items()}
         body = BodyForms(
@@ -161,7 +168,13 @@ class TrialLog:
                 robot.bodies.index(robot.cameras[name].body or robot.root) for name in cameras
             ],
         )
-        self._steps = Steps(body, joints=len(robot.joints), seen=seen, command=command)
+        self._steps = Steps(
+            body,
+            joints=len(robot.joints),
+            seen=seen,
+            command=command,
+            is_summary=self._is_summary,
+        )
 
     def step(self, step: StepNote) -> None:
         """Write a control step."""
@@ -177,7 +190,9 @@ class TrialLog:
 
     @_costs_only_the_log
     def state(self, time: float, saved: Saved) -> None:
-        """Write a restartable state."""
+        """Write a restartable state; a summary has none."""
+        if self._is_summary:
+            return
         self._states.note(nanoseconds(time), saved)
         self._out.add_noted(self._states, time, holds=saved.size)
 
