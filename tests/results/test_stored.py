@@ -124,8 +124,9 @@ def test_a_journal_of_many_rows_is_resumed_with_all_of_them(
 
 
 def test_rows_in_several_groups_of_a_file_are_read_in_order(
-    rows: list[Row], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make_row: Callable[..., Row], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    rows = [make_row(trial_id=f"t{k:04d}") for k in range(COUNT)]
     monkeypatch.setattr("nw_eval.results.parquet._GROUP", 256)
     path = tmp_path / "trials.parquet"
     write_rows(path, reversed(rows), {"rows_digest": rows_digest(rows)})
