@@ -127,7 +127,8 @@ def test_rows_in_several_groups_of_a_file_are_read_in_order(
     make_row: Callable[..., Row], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = [make_row(trial_id=f"t{k:04d}") for k in range(COUNT)]
-    monkeypatch.setattr("nw_eval.results.parquet._GROUP", 256)
+    monkeypatch.setattr("nw_eval.results.parquet._GROUP", 300)
+    monkeypatch.setattr("nw_eval.results.parquet._MANY_GROUP", 256)
     path = tmp_path / "trials.parquet"
     write_rows(path, reversed(rows), {"rows_digest": rows_digest(rows)})
     assert rows_digest(read_rows(path)[0]) == rows_digest(rows)

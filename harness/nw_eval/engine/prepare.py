@@ -88,10 +88,10 @@ def build_splats(scenes: Iterable[Scene], listener: Listener) -> None:
         SceneError: a splat cannot be made.
     """
     for scene in scenes:
-        if scene.splat is not None:
+        if scene.splat is not None or scene.props:
             name = scene.name
 
             def progress(_stage: str, fraction: float, name: str = name) -> None:
                 listener.scene(name, fraction)
 
-            scene.splat_store(progress)
+            scene.splat_stores(progress)

@@ -33,7 +33,7 @@ from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import bounded_bytes
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import COLUMNS, Results, Row, RowTexts
-from nw_eval.results.seal import seal, unseal
+from nw_eval.results.seal import sealed_pieces, unseal
 
 _ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 _VALUES = attrgetter(*COLUMNS)
@@ -140,14 +140,18 @@ def write_digests(path: Path, digests: Digests) -> None:
     Raises:
         StoreError: it cannot be written.
     """
-    # As `indent=2` would have it, at once.
-    rows = ",\n    ".join(
-        f'{encode_basestring_ascii(name)}: "{digests.rows[name]}"' for name in sorted(digests.rows)
-    )
-    rows = f"{{\n    {rows}\n  }}" if rows else "{}"
-    text = f'{{\n  "digests": 1,\n  "run": {json.dumps(digests.run)},\n  "rows": {rows}\n}}'
-    with atomic_path(path) as temporary:
-        temporary.write_text(seal(text)[0], encoding="utf-8")
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        stream.writelines(sealed_pieces(_pieces(digests)))
+
+
+def _pieces(digests: Digests) -> Iterator[str]:
+    """Yield the JSON of digests as `indent=2` has it, without the brace that closes it."""
+    yield f'{{\n  "digests": 1,\n  "run": {json.dumps(digests.run)},\n  "rows": {{'
+    between = "\n    "
+    for name in sorted(digests.rows):
+        yield f'{between}{encode_basestring_ascii(name)}: "{digests.rows[name]}"'
+        between = ",\n    "
+    yield "\n  }" if digests.rows else "}"
 
 
 def read_digests(path: Path) -> Digests:

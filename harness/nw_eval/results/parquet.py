@@ -68,12 +68,14 @@ SCHEMA_VERSION = "2"
 
 MOST_BYTES = 256 * 2**20
 """Of a file that is read, and of any of its columns unpacked."""
-_MOST_ROWS = 200_000
+_MOST_ROWS = 1_000_000
 _REBUILD = "`nw-eval report` on its folder writes it again from the journal"
 
 
 _GROUP = 2**16
-"""Rows that are turned into Arrow's arrays, and lie in the file, together."""
+"""Rows that lie in a file as one group; of more rows a group has `_MANY_GROUP`."""
+_MANY_GROUP = 2**14
+"""Rows whose values are in memory as Python's objects together: 3,000 bytes each."""
 
 
 def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> None:
@@ -88,8 +90,9 @@ def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> 
         StoreError: the file cannot be written.
     """
     ordered = sorted(rows, key=attrgetter("trial_id", "arm"))
+    size = _GROUP if len(ordered) <= _GROUP else _MANY_GROUP
     groups = (
-        _table(ordered[first : first + _GROUP]) for first in range(0, max(1, len(ordered)), _GROUP)
+        _table(ordered[first : first + size]) for first in range(0, max(1, len(ordered)), size)
     )
     write_tables(path, groups, {"schema_version": SCHEMA_VERSION, **metadata})
 

@@ -23,6 +23,7 @@ from nw_eval.rollout.mcap.drawn import (
     TrailClouds,
     place_cloud,
     place_update,
+    props_update,
     robot_clouds,
     robot_update,
     trail_update,
@@ -35,11 +36,17 @@ from nw_eval.rollout.mcap.observations import SeenRows, observation_message
 from nw_eval.rollout.mcap.states import Saved, States
 from nw_eval.rollout.mcap.steps import BodyForms, StepNote, Steps
 from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.scenes.prop import Prop, prop_body
 from nw_eval.words import Record
 
 EventKind = Literal["start", "waypoint", "task", "contact", "coverage", "end", "error"]
 
-_IMAGES: dict[Record, Images] = {"all": "keep", "failures": "decide", "none": "drop", "summary": "drop"}
+_IMAGES: dict[Record, Images] = {
+    "all": "keep",
+    "failures": "decide",
+    "none": "drop",
+    "summary": "drop",
+}
 _P = ParamSpec("_P")
 
 
@@ -125,6 +132,8 @@ class TrialLog:
         command: Callable[[float], tuple[float, float, float]],
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[tuple[str, str]],
+        props: Sequence[Prop] = (),
+        prop_bodies: Sequence[int] = (),
     ) -> None:
         """Write what does not change: the trial, the place, the robot, the trail (K, 3).
 
@@ -141,6 +150,8 @@ class TrialLog:
             command: from a heading error, rad, to what is asked for: see `Steps`.
             metadata: records of texts by name.
             attachments: name and text of each.
+            props: of the scene.
+            prop_bodies: their numbers among those of the model.
         """
         for name, values in metadata.items():
             self._out.add_metadata(name, dict(values))
@@ -148,7 +159,7 @@ class TrialLog:
             self._out.attach(name, "text/plain", text.encode())
         self._place = Discs(trail), TrailClouds(start, trail)
         parts = robot.bodies, robot.visuals
-        scene = robot_update(*parts) + trail_update(start, trail)
+        scene = robot_update(*parts) + trail_update(start, trail) + props_update(props)
         if not self._is_summary:
             scene = place_update(mesh) + scene
         self._out.add_bytes("/scene", 0, SceneUpdate, scene)
@@ -167,6 +178,10 @@ class TrialLog:
             carriers=[
                 robot.bodies.index(robot.cameras[name].body or robot.root) for name in cameras
             ],
+            props={
+                prop_body(prop.name): number
+                for prop, number in zip(props, prop_bodies, strict=True)
+            },
         )
         self._steps = Steps(
             body,
