@@ -266,7 +266,9 @@ class World(Body):
         mujoco.mj_resetData(self._model, data)
         data.time = there.time
         for name in ("qpos", "qvel", "qacc_warmstart", "ctrl"):
-            getattr(data, name)[:] = getattr(there, name)
+            ours, theirs = getattr(data, name), getattr(there, name)
+            both = min(len(ours), len(theirs))  # The robot's come first, then those of props.
+            ours[:both] = theirs[:both]
         self._derive()
         self.steps, self.start_yaw = other.steps, other.start_yaw
         self._forces = other._forces

@@ -7,7 +7,7 @@ where the camera is in its own frame, and keeps the light that it was captured i
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache, reduce
+from functools import lru_cache, reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,7 +58,7 @@ def cast_at_prop(
     return distance, face
 
 
-@cache
+@lru_cache(maxsize=64)
 def _solid(prop: Prop) -> tuple[RayScene, Array, float]:
     """Return rays against a prop, and the ball round it: middle (3,) and radius, m, its frame."""
     points = prop.solid.vertices
@@ -68,7 +68,7 @@ def _solid(prop: Prop) -> tuple[RayScene, Array, float]:
     return RayScene(prop.solid), middle, reach
 
 
-@cache
+@lru_cache(maxsize=64)
 def _normals(prop: Prop) -> Array:
     """Return unit normals (F, 3) of a prop's faces in its frame; of flat ones, zeros."""
     corners = prop.solid.triangles
