@@ -58,12 +58,15 @@ def write_gathered(folder: RunFolder, info: RunInfo, gathered: Gathered) -> RunI
     """
     digests = gathered.digests(run_leaf(info), gathered.results.order)
     write_digests(folder.digests, digests)
-    ended = _write_table(folder, info, gathered.rows, gathered.results.digest)
+    rows = list(map(gathered.rows.__getitem__, gathered.results.order))
+    ended = _write_table(folder, info, rows, gathered.results.digest, is_sorted=True)
     sums = {"journal_sum": last_sum(folder.journal), "merkle_root": digests.root}
     return ended.model_copy(update=sums)
 
 
-def _write_table(folder: RunFolder, info: RunInfo, rows: Sequence[Row], digest: str) -> RunInfo:
+def _write_table(
+    folder: RunFolder, info: RunInfo, rows: Sequence[Row], digest: str, *, is_sorted: bool = False
+) -> RunInfo:
     """Write trials.parquet alone: what a run was when it ended is not said anew."""
     from nw_eval.results.parquet import write_rows
 
@@ -77,7 +80,7 @@ def _write_table(folder: RunFolder, info: RunInfo, rows: Sequence[Row], digest: 
         "renderer": ended.renderer,
         "rows_digest": ended.rows_digest,
     }
-    write_rows(folder.trials, rows, metadata)
+    write_rows(folder.trials, rows, metadata, is_sorted=is_sorted)
     return ended.model_copy(update={"trials_sha256": _sha256(folder)})
 
 

@@ -10,6 +10,7 @@ import json
 import struct
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from hashlib import sha256
 from itertools import pairwise
 from json.encoder import encode_basestring_ascii
@@ -513,7 +514,7 @@ def rows_digest(rows: Iterable[Row]) -> str:
 
 
 class Results:
-    """What the `rows_digest` of rows covers, in a hundred bytes a row.
+    """What the `rows_digest` of rows covers, in a hundred bytes a row. Ask once all are there.
 
     Attributes:
         trials: names, in the order of the rows.
@@ -532,7 +533,7 @@ class Results:
         self.arms += texts.values["arm"]
         self.digests += bytes.fromhex("".join(texts.digests()))
 
-    @property
+    @cached_property
     def order(self) -> list[int]:
         """Places of the rows, sorted by trial, arm and digest."""
         order = sorted(range(len(self.trials)), key=self.trials.__getitem__)

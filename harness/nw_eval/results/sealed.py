@@ -87,7 +87,12 @@ def is_foreign(data: bytes) -> bool:
 
 
 def table_of(data: bytes, *, most_rows: int, most_bytes: int) -> pa.Table:
-    """Return what a file's bytes hold, if they are whole and no larger than they may be.
+    """Return what a file's bytes hold; arguments and errors as `file_of`."""
+    return file_of(data, most_rows=most_rows, most_bytes=most_bytes).read(use_threads=False)
+
+
+def file_of(data: bytes, *, most_rows: int, most_bytes: int) -> pq.ParquetFile:
+    """Return a file from its bytes, if they are whole and no larger than they may be.
 
     Args:
         data: all bytes of the file.
@@ -112,7 +117,7 @@ def table_of(data: bytes, *, most_rows: int, most_bytes: int) -> pa.Table:
     columns = [group.column(index) for group in groups for index in range(group.num_columns)]
     if not all(0 <= column.total_uncompressed_size <= most_bytes for column in columns):
         raise ValueError(f"a column has over {most_bytes // 2**20} MiB")
-    return file.read(use_threads=False)
+    return file
 
 
 def metadata_of(schema: pa.Schema) -> dict[str, str]:

@@ -206,6 +206,49 @@ def _row(columns: dict[str, _Values], place: int) -> Row:
     return row
 
 
+class _Packer:
+    """Rows that come one after another, by place."""
+
+    def __init__(self) -> None:
+        self._portions: list[dict[str, _Values]] = []
+        self._rows: list[Row] = []  # Those that are not packed.
+
+    def __len__(self) -> int:
+        return len(self._portions) * _PORTION + len(self._rows)
+
+    def append(self, row: Row) -> None:
+        self._rows.append(row)
+
+    def pack(self) -> None:
+        """Pack whole portions, if there are many rows."""
+        if len(self._rows) < (_PORTION if self._portions else FEW):
+            return
+        whole = len(self._rows) - len(self._rows) % _PORTION
+        for first in range(0, whole, _PORTION):
+            columns = by_column(self._rows[first : first + _PORTION])
+            self._portions.append({name: _packed(each) for name, each in columns.items()})
+        self._rows = self._rows[whole:]
+
+    def at(self, place: int) -> Row:
+        return _at(self._portions, self._rows, place)
+
+    def rows(self, order: Iterable[int] | None) -> Sequence[Row]:
+        if not self._portions:
+            return tuple(self._rows if order is None else map(self._rows.__getitem__, order))
+        places = None if order is None else array("I", order)
+        return StoredRows(list(self._portions), list(self._rows), places)
+
+
+def stored(portions: Iterable[Iterable[Row]]) -> Sequence[Row]:
+    """Return all rows of some portions, in their order, in little memory where they are many."""
+    packer = _Packer()
+    for rows in portions:
+        for row in rows:
+            packer.append(row)
+        packer.pack()
+    return packer.rows(None)
+
+
 class RowStore:
     """Rows that come one after another: the latest of each trial.
 
@@ -216,12 +259,8 @@ class RowStore:
     def __init__(self, which: Callable[[Row | None, Row], Row]) -> None:
         self._which = which
         self._places: dict[str, int] = {}
-        self._portions: list[dict[str, _Values]] = []
-        self._rows: list[Row] = []  # Those that are not packed.
-        self._is_mixed = False
-
-    def __len__(self) -> int:
-        return len(self._places)
+        self._packer = _Packer()
+        self._is_mixed = False  # Whether a row stands where another one came.
 
     def extend(self, rows: Iterable[Row]) -> None:
         """Keep rows.
@@ -229,42 +268,23 @@ class RowStore:
         Raises:
             StoreError: as `which`; those before the row are kept.
         """
-        places = self._places
         for row in rows:
-            here = places.get(row.trial_id)
-            stands = self._which(None if here is None else self._at(here), row)
+            here = self._places.get(row.trial_id)
+            stands = self._which(None if here is None else self._packer.at(here), row)
             if here is None or stands is row:
                 self._is_mixed = self._is_mixed or here is not None
-                places[row.trial_id] = len(self._portions) * _PORTION + len(self._rows)
-                self._rows.append(row)
-        if len(self._rows) >= FEW or (self._portions and len(self._rows) >= _PORTION):
-            self._pack()
+                self._places[row.trial_id] = len(self._packer)
+                self._packer.append(row)
+        self._packer.pack()
 
     def get(self, trial: str) -> Row | None:
         """Return the row of a trial; None if it has none."""
         here = self._places.get(trial)
-        return None if here is None else self._at(here)
+        return None if here is None else self._packer.at(here)
 
     def rows(self) -> Sequence[Row]:
         """Return the rows that stand, in the order in which their trials came first."""
-        if not self._portions:
-            places = self._places.values() if self._is_mixed else None
-            return tuple(self._rows if places is None else map(self._rows.__getitem__, places))
-        order = array("I", self._places.values()) if self._is_mixed else None
-        return StoredRows(list(self._portions), list(self._rows), order)
-
-    def _at(self, place: int) -> Row:
-        number, within = divmod(place, _PORTION)
-        if number < len(self._portions):
-            return _row(self._portions[number], within)
-        return self._rows[place - len(self._portions) * _PORTION]
-
-    def _pack(self) -> None:
-        whole = len(self._rows) - len(self._rows) % _PORTION
-        for first in range(0, whole, _PORTION):
-            columns = by_column(self._rows[first : first + _PORTION])
-            self._portions.append({name: _packed(each) for name, each in columns.items()})
-        self._rows = self._rows[whole:]
+        return self._packer.rows(self._places.values() if self._is_mixed else None)
 
 
 class StoredRows(Sequence[Row]):
@@ -308,10 +328,15 @@ class StoredRows(Sequence[Row]):
 
     def _at(self, place: int) -> Row:
         place = place if self._order is None else self._order[place]
-        number, within = divmod(place, _PORTION)
-        if number < len(self._portions):
-            return _row(self._portions[number], within)
-        return self._last[place - len(self._portions) * _PORTION]
+        return _at(self._portions, self._last, place)
+
+
+def _at(portions: Sequence[dict[str, _Values]], last: Sequence[Row], place: int) -> Row:
+    """Return a row of packed portions, or of those behind them."""
+    number, within = divmod(place, _PORTION)
+    if number < len(portions):
+        return _row(portions[number], within)
+    return last[place - len(portions) * _PORTION]
 
 
 def _are_equal(one: Any, two: Any) -> bool:
