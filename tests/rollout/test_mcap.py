@@ -208,6 +208,24 @@ def test_images_of_a_failure_are_kept_and_those_of_a_success_are_not(make_job, l
     assert times == sorted(times)
 
 
+def test_a_summary_is_small_and_its_trial_has_the_same_result(make_job, library, tmp_path):
+    whole, brief = tmp_path / "whole.mcap", tmp_path / "brief.mcap"
+    one = run_trial(make_job(mcap=whole, record="none", duration=4.0), library=library)
+    two = run_trial(make_job(mcap=brief, record="summary", duration=4.0), library=library)
+    assert (one.state_digest, one.action_digest) == (two.state_digest, two.action_digest)
+    assert brief.stat().st_size < 30_000 < whole.stat().st_size / 5
+    said = {topic: [m for other, *_, m in messages(brief) if other == topic] for topic in TOLD}
+    assert {topic for topic, *_ in messages(brief)} == {*TOLD, "/points/trail", "/points/waypoints"}
+    assert {entity.id for entity in said["/scene"][0].entities} >= {"robot/trunk", "trail"}
+    assert not any("place" in entity.id for entity in said["/scene"][0].entities)
+    (walked, *_), last = said["/robot/path"], said["/robot/path"][-1]
+    assert len(walked.data) < len(last.data)
+    assert [line.kind for line in said["/nw/event"]][-1] == "end"
+
+
+TOLD = ("/scene", "/waypoints", "/robot/path", "/nw/event", "/log")
+
+
 def test_a_policy_with_eyes_has_its_own_images_logged_at_their_rate(
     make_job, library, seeing, tmp_path
 ):
