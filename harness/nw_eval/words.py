@@ -13,7 +13,7 @@ Tier = Literal["critical", "supporting", "informational"]
 Protocol = Literal["strict", "neverwhere-2026"]
 """How a trial is run: `neverwhere-2026` is the published evaluation, bug for bug."""
 
-Record = Literal["all", "failures", "none"]
+Record = Literal["all", "failures", "none", "summary"]
 """Trials whose camera images are kept in their logs; states and events always are."""
 
 Backend = Literal["cpu", "cuda"]

@@ -52,7 +52,7 @@ def test_a_row_with_them_is_another_result(make_row: Callable[..., Row]) -> None
     seen = [make_row(trial_id=f"t{k}", **(SEEN if k else {})) for k in range(3)]
     (texts,) = texts_of(seen)
     assert row_leaves(texts) == {row.trial_id: row_leaf(row) for row in seen}
-    assert [digest for *_, digest in texts.results()] == [row.digest for row in seen]
+    assert texts.digests() == [row.digest for row in seen]
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25)

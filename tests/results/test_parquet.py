@@ -202,7 +202,7 @@ def test_a_failed_write_leaves_the_older_file_whole(
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(pq, "write_table", full)
+    monkeypatch.setattr(pq, "ParquetWriter", full)
     with pytest.raises(StoreError, match=r"cannot write .*t\.parquet: No space left.*--out"):
         write_rows(path, [make_row(trial_id="other")], {})
     assert read_rows(path)[0] == [make_row()]

@@ -134,7 +134,7 @@ def test_the_texts_of_many_rows_are_those_of_each(
     encode = json.JSONEncoder(separators=(",", ":")).encode
     for texts in texts_of(rows):
         assert list(texts.records()) == [encode({"row": to_dict(row)}) for row in texts.rows]
-        assert list(texts.results()) == [(row.trial_id, row.arm, row.digest) for row in texts.rows]
+        assert texts.digests() == [row.digest for row in texts.rows]
         assert row_leaves(texts) == {row.trial_id: row_leaf(row) for row in texts.rows}
     assert [row for texts in texts_of(rows) for row in texts.rows] == rows
 
@@ -147,7 +147,7 @@ def test_a_column_that_came_later_is_in_the_digest_of_many_rows_where_it_is_not_
     monkeypatch.setitem(COLUMNS, "coverage_min", later)
     monkeypatch.setattr(row_module, "_CAME_LATER", ("coverage_min",))
     (texts,) = texts_of(rows)
-    assert [digest for _, _, digest in texts.results()] == [row.digest for row in rows]
+    assert texts.digests() == [row.digest for row in rows]
 
 
 def test_many_rows_that_are_fine_are_not_looked_at_one_by_one(

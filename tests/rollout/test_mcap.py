@@ -1,6 +1,7 @@
 """A trial's log, read back by the official reader and protobuf decoder."""
 
 from collections import Counter
+from dataclasses import replace
 from io import BytesIO
 from itertools import pairwise
 
@@ -9,8 +10,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
+from tests.sensors.prop_scene import write_scene
 
 from nw_eval.robots import get_robot
+from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
 
 STEPS = 100  # 2 s at 50 Hz
@@ -206,6 +209,49 @@ def test_images_of_a_failure_are_kept_and_those_of_a_success_are_not(make_job, l
     assert passed.wall.render == 0.0, "nothing is rendered that nobody will look at"
     times = [time for _, time, *_ in messages(failure)]
     assert times == sorted(times)
+
+
+def test_a_summary_is_small_and_its_trial_has_the_same_result(make_job, library, tmp_path):
+    whole, brief = tmp_path / "whole.mcap", tmp_path / "brief.mcap"
+    one = run_trial(make_job(mcap=whole, record="none", duration=4.0), library=library)
+    two = run_trial(make_job(mcap=brief, record="summary", duration=4.0), library=library)
+    assert (one.state_digest, one.action_digest) == (two.state_digest, two.action_digest)
+    assert brief.stat().st_size < 30_000 < whole.stat().st_size / 5
+    said = {topic: [m for other, *_, m in messages(brief) if other == topic] for topic in TOLD}
+    assert {topic for topic, *_ in messages(brief)} == {*TOLD, "/points/trail", "/points/waypoints"}
+    assert {entity.id for entity in said["/scene"][0].entities} >= {"robot/trunk", "trail"}
+    assert not any("place" in entity.id for entity in said["/scene"][0].entities)
+    (walked, *_), last = said["/robot/path"], said["/robot/path"][-1]
+    assert len(walked.data) < len(last.data)
+    assert [line.kind for line in said["/nw/event"]][-1] == "end"
+
+
+def test_props_are_in_frames_shapes_and_pictures_of_a_log(make_job, tmp_path):
+    library = Library()
+    scene = library.scene(str(write_scene(tmp_path / "yard")))
+    path = tmp_path / "props.mcap"
+    job = make_job(
+        policy="stand", scene=str(tmp_path / "yard"), mcap=path, record="all", duration=0.4
+    )
+    named = {"scene": scene.name, "scene_digest": scene.digest, "task": scene.task}
+    run_trial(replace(job, trial=replace(job.trial, **named)), library=library)
+    said = messages(path)
+    frames = {each.child_frame_id: each for each in said_first(said, "/tf").transforms}
+    assert frames["prop/crate"].translation.z == pytest.approx(0.15, abs=1e-3)
+    assert frames["prop/door"].rotation.w == 1.0
+    shapes = {entity.id: entity for entity in said_first(said, "/scene").entities}
+    assert shapes["prop/door"].frame_id == "prop/door"
+    assert len(shapes["prop/crate"].triangles[0].indices) == 36
+    picture = np.asarray(Image.open(BytesIO(said_first(said, "/camera/ego").data))).astype(int)
+    blue = picture[..., 2] - picture[..., 0]
+    assert (blue > 60).sum() > 100, "the door is blue"
+
+
+def said_first(said, topic):
+    return next(message for other, *_, message in said if other == topic)
+
+
+TOLD = ("/scene", "/waypoints", "/robot/path", "/nw/event", "/log")
 
 
 def test_a_policy_with_eyes_has_its_own_images_logged_at_their_rate(

@@ -20,7 +20,7 @@ def test_both_files_have_a_schema_with_all_that_a_folder_can_say() -> None:
     assert set(read("scene")["properties"]) == {
         *("nw-scene", "name", "task", "title", "licence", "units", "trail", "spawn"),
         *("waypoint_noise", "ground", "collision", "splat", "rasterize_mode"),
-        *("T_world_splat", "captures"),
+        *("T_world_splat", "captures", "props"),
     }
     assert set(read("scene")["required"]) == {"nw-scene", "name", "task", "licence", "trail"}
     box = read("collision")["$defs"]["_Box"]

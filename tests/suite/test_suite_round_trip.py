@@ -34,7 +34,7 @@ def suites(draw: st.DrawFn) -> dict[str, Any]:
         "episode": {"duration": draw(st.floats(0.0, 600.0, exclude_min=True))},
         "scenes": draw(st.lists(words, min_size=1, max_size=5, unique=True)),
         "perturb": {"friction": draw(st.lists(frictions, max_size=4, unique=True))},
-        "record": draw(st.sampled_from(["all", "failures", "none"])),
+        "record": draw(st.sampled_from(["all", "failures", "none", "summary"])),
         "gate": {
             "success_rate": draw(st.none() | shares),
             "baseline": draw(st.none() | words),

@@ -37,7 +37,7 @@ def test_an_editor_can_refuse_unknown_keys_and_offer_values() -> None:
     schema = json_schema()
     assert schema["additionalProperties"] is False
     assert all(part["additionalProperties"] is False for part in schema["$defs"].values())
-    assert settings()["record"]["enum"] == ["all", "failures", "none"]
+    assert settings()["record"]["enum"] == ["all", "failures", "none", "summary"]
     assert settings()["trials"]["minimum"] == 1
     assert set(schema["required"]) == {
         "nw-eval",

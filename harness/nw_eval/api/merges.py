@@ -58,6 +58,7 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
     info, lost = write_merged(folder.path, arm, _bank(sources), beside)
     suite = saved_suite(info)
     found = RunRows(rows=tuple(one.row for one in held), remarks=(*remarks, *lost))
+    del sources, plan, first, held, arm, beside  # A million trials have hundreds of megabytes.
     against = judging_bank(folder, info, suite, baseline)
     return written(judged_rows(folder, info, suite, against, found), folder.report_md)
 

@@ -24,7 +24,7 @@ import shutil
 import stat
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from hashlib import file_digest
 from io import BufferedReader
@@ -392,7 +392,7 @@ class Conditions:
 
     def key(self, job: TrialJob) -> str:
         """Return the hex sha256 of everything that can change a trial's result, or its log."""
-        trial = _without(vars(job.trial), _LABELS | {"identity"})  # It is a digest of the others.
+        trial = _without(asdict(job.trial), _LABELS)
         fields = _without(vars(job), _CIRCUMSTANCE)
         fields["task"] = job.task.model_dump()
         fields["rendering"] = job.rendering.model_dump()

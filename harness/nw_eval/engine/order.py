@@ -131,8 +131,7 @@ def plan_digest(ordered: Sequence[Trial]) -> str:
         ordered: `in_order`.
     """
     places = (trial.index if trial.place is None else trial.place for trial in ordered)
-    lines = "".join(
-        f"{place} {trial.identity} {trial.id}\n"
-        for place, trial in zip(places, ordered, strict=True)
-    )
-    return sha256(lines.encode()).hexdigest()
+    digest = sha256()
+    for place, trial in zip(places, ordered, strict=True):
+        digest.update(f"{place} {trial.identity} {trial.id}\n".encode())
+    return digest.hexdigest()

@@ -22,7 +22,7 @@ _WORTH_SAYING = 3.0  # s
 
 def needs_splats(card: Card, record: Record) -> bool:
     """Return whether any trial may render: for the policy's eyes or for the log."""
-    return bool(card.splat_images) or record != "none"
+    return bool(card.splat_images) or record in {"all", "failures"}
 
 
 def check_splats(card: Card, scenes: Iterable[Scene]) -> None:
@@ -88,10 +88,10 @@ def build_splats(scenes: Iterable[Scene], listener: Listener) -> None:
         SceneError: a splat cannot be made.
     """
     for scene in scenes:
-        if scene.splat is not None:
+        if scene.splat is not None or scene.props:
             name = scene.name
 
             def progress(_stage: str, fraction: float, name: str = name) -> None:
                 listener.scene(name, fraction)
 
-            scene.splat_store(progress)
+            scene.splat_stores(progress)

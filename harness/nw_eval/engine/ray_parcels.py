@@ -101,7 +101,7 @@ class Outgoing:
                 )
         if plan.renders:
             root = cache_dir().resolve()
-            splats = [scene.splat_store() for scene in plan.scenes if scene.splat is not None]
+            splats = [path for scene in plan.scenes for path in scene.splat_stores()]
             for splat in splats:  # One each: a node may have some of them.
                 yield self._packed({splat.resolve().relative_to(root).as_posix(): splat})
 

@@ -8,21 +8,19 @@ the trials which the run planned, if they are what they say.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from hashlib import file_digest
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from nw_eval.errors import StoreError
 from nw_eval.files.inside import regular
 from nw_eval.plural import plural
-from nw_eval.results.evidence import Digests, Gathered, run_leaf, write_digests
+from nw_eval.results.evidence import Gathered, run_leaf, write_digests
 from nw_eval.results.journal import last_sum, read_journal
 from nw_eval.results.provenance import RunInfo, StopInfo, write_run_info
 from nw_eval.results.row import (
     Row,
-    by_column,
-    digest_of_results,
     rows_digest,
     self_contradiction,
     texts_of,
@@ -58,18 +56,19 @@ def write_gathered(folder: RunFolder, info: RunInfo, gathered: Gathered) -> RunI
     Raises:
         StoreError: a file cannot be written.
     """
-    digests = Digests(run=run_leaf(info), rows=gathered.leaves)
+    digests = gathered.digests(run_leaf(info), gathered.results.order)
     write_digests(folder.digests, digests)
-    ended = _write_table(folder, info, gathered.columns, digest_of_results(gathered.results))
+    rows = list(map(gathered.rows.__getitem__, gathered.results.order))
+    ended = _write_table(folder, info, rows, gathered.results.digest, is_sorted=True)
     sums = {"journal_sum": last_sum(folder.journal), "merkle_root": digests.root}
     return ended.model_copy(update=sums)
 
 
 def _write_table(
-    folder: RunFolder, info: RunInfo, columns: Mapping[str, Sequence[Any]], digest: str
+    folder: RunFolder, info: RunInfo, rows: Sequence[Row], digest: str, *, is_sorted: bool = False
 ) -> RunInfo:
     """Write trials.parquet alone: what a run was when it ended is not said anew."""
-    from nw_eval.results.parquet import write_columns
+    from nw_eval.results.parquet import write_rows
 
     ended = info.model_copy(update={"rows_digest": digest})
     metadata = {
@@ -81,7 +80,7 @@ def _write_table(
         "renderer": ended.renderer,
         "rows_digest": ended.rows_digest,
     }
-    write_columns(folder.trials, columns, metadata)
+    write_rows(folder.trials, rows, metadata, is_sorted=is_sorted)
     return ended.model_copy(update={"trials_sha256": _sha256(folder)})
 
 
@@ -170,7 +169,7 @@ def _mended(folder: RunFolder, info: RunInfo, rows: list[Row]) -> list[str]:
         return ["judged from the journal: trials.parquet is a pipe"]
     fault = "trials.parquet is missing or damaged (its SHA-256 is not the one in run.json)"
     try:
-        again = _write_table(folder, info, by_column(rows), rows_digest(rows))
+        again = _write_table(folder, info, rows, rows_digest(rows))
         if again != info:  # Another version of Arrow writes the same rows as other bytes.
             write_run_info(folder.run_json, again)
     except StoreError as error:

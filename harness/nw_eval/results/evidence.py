@@ -17,10 +17,12 @@ judged, the SHA-256 of its log. A log needs no entry of its own.
 from __future__ import annotations
 
 import json
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import file_digest, sha256
+from json.encoder import encode_basestring_ascii
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -30,8 +32,8 @@ from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import bounded_bytes
 from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import COLUMNS, Result, Row, RowTexts
-from nw_eval.results.seal import seal, unseal
+from nw_eval.results.row import COLUMNS, Results, Row, RowTexts
+from nw_eval.results.seal import sealed_pieces, unseal
 
 _ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 _VALUES = attrgetter(*COLUMNS)
@@ -79,15 +81,21 @@ def row_leaf(row: Row) -> str:
 
 def row_leaves(texts: RowTexts) -> dict[str, str]:
     """Return the `row_leaf` of each of some rows, by trial."""
-    names, values = texts.values["trial_id"], texts.values
+    leaves = (leaf.hex() for leaf in _leaves(texts))
+    return dict(zip(texts.values["trial_id"], leaves, strict=True))
+
+
+def _leaves(texts: RowTexts) -> list[bytes]:
+    """Return the `row_leaf` of each of some rows, 32 bytes."""
+    values = texts.values
     if any(int in set(map(type, values[name])) for name in COLUMNS.reals):
-        return dict(zip(names, map(row_leaf, texts.rows), strict=True))
+        return [bytes.fromhex(row_leaf(row)) for row in texts.rows]
     counts = map(_without_defaults, zip(*values.values(), strict=True))
     entries = zip(*texts.texts.values(), strict=True)
-    return {
-        name: leaf_hash(f"[{','.join(entry[:count])}]".encode()).hex()
-        for name, entry, count in zip(names, entries, counts, strict=True)
-    }
+    return [
+        leaf_hash(f"[{','.join(entry[:count])}]".encode())
+        for entry, count in zip(entries, counts, strict=True)
+    ]
 
 
 def _without_defaults(values: Sequence[Any]) -> int:
@@ -107,8 +115,8 @@ def log_sha256(path: Path) -> str:
         return ""
 
 
-_MOST = 64 * 2**20
-"""Bytes of a file that is read: some 500,000 rows."""
+_MOST = 192 * 2**20
+"""Bytes of a file that is read: a million rows have some 120 million."""
 _HEX = 64  # digits
 
 
@@ -132,13 +140,18 @@ def write_digests(path: Path, digests: Digests) -> None:
     Raises:
         StoreError: it cannot be written.
     """
-    ordered = {name: digests.rows[name] for name in sorted(digests.rows)}
-    # As `indent=2` would have it, by the encoder that is written in C.
-    rows = json.dumps(ordered, separators=(",\n    ", ": "))[1:-1]
-    rows = f"{{\n    {rows}\n  }}" if rows else "{}"
-    text = f'{{\n  "digests": 1,\n  "run": {json.dumps(digests.run)},\n  "rows": {rows}\n}}'
-    with atomic_path(path) as temporary:
-        temporary.write_text(seal(text)[0], encoding="utf-8")
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        stream.writelines(sealed_pieces(_pieces(digests)))
+
+
+def _pieces(digests: Digests) -> Iterator[str]:
+    """Yield the JSON of digests as `indent=2` has it, without the brace that closes it."""
+    yield f'{{\n  "digests": 1,\n  "run": {json.dumps(digests.run)},\n  "rows": {{'
+    between = "\n    "
+    for name in sorted(digests.rows):
+        yield f'{between}{encode_basestring_ascii(name)}: "{digests.rows[name]}"'
+        between = ",\n    "
+    yield "\n  }" if digests.rows else "}"
 
 
 def read_digests(path: Path) -> Digests:
@@ -174,24 +187,53 @@ class Gathered:
     """What digests.json, run.json and trials.parquet are made of.
 
     Attributes:
-        leaves: the hash of each row, by trial.
         results: what `rows_digest` is the digest of.
-        columns: all values, in the order of the rows.
+        leaves: the hash of each row, 32 bytes, in the order of `results`.
+        rows: in that order.
     """
 
     def __init__(self) -> None:
-        self.leaves: dict[str, str] = {}
-        self.results: list[Result] = []
-        self.columns: dict[str, list[Any]] = {name: [] for name in COLUMNS}
+        self.results = Results()
+        self.leaves = bytearray()
+        self.rows: list[Row] = []
 
     def passing(self, portions: Iterable[RowTexts]) -> Iterator[RowTexts]:
         """Yield portions of rows as they are."""
         for texts in portions:
-            self.leaves |= row_leaves(texts)
-            self.results += texts.results()
-            for name, values in texts.values.items():
-                self.columns[name].extend(values)
+            self.results.extend(texts)
+            self.leaves += b"".join(_leaves(texts))
+            self.rows += texts.rows
             yield texts
+
+    def digests(self, run: str, order: Sequence[int]) -> Digests:
+        """Return the digests of a run.
+
+        Args:
+            run: of what it is of.
+            order: places of the rows by trial.
+        """
+        trials, leaves = self.results.trials, self.leaves
+        ordered = b"".join(leaves[32 * place : 32 * place + 32] for place in order)
+        return Digests(run=run, rows=_Leaves([trials[place] for place in order], ordered))
+
+
+class _Leaves(Mapping[str, str]):
+    """Hashes of many rows by trial: 32 bytes each, behind one another in the order of names."""
+
+    def __init__(self, names: Sequence[str], leaves: bytes) -> None:
+        self._names, self._leaves = names, leaves
+
+    def __getitem__(self, name: str) -> str:
+        place = bisect_left(self._names, name)
+        if place == len(self._names) or self._names[place] != name:
+            raise KeyError(name)
+        return self._leaves[32 * place : 32 * place + 32].hex()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
 def leaf_hash(entry: bytes) -> bytes:

@@ -29,6 +29,7 @@ from nw_eval.files.cache import atomic_path, open_own, sync_folder
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row, RowTexts, from_dicts, texts_of
 from nw_eval.results.seal import seal, sum_of, unseal
+from nw_eval.results.stored import RowStore
 
 VERSION = 3
 _ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
@@ -102,11 +103,11 @@ def header_of(record: dict[str, Any]) -> JournalHeader:
 class Journal:
     """The journal of a run that is going on. A context manager; one process may hold it."""
 
-    def __init__(self, path: Path, handle: IO[bytes], rows: Mapping[str, Row]) -> None:
+    def __init__(self, path: Path, handle: IO[bytes]) -> None:
         self.path = path
         self.dropped: str | None = None
         self._handle = handle
-        self._rows = dict(rows)
+        self._rows = _store(path)
         self._last_sum = ""
 
     @classmethod
@@ -121,7 +122,7 @@ class Journal:
             handle = os.fdopen(open_own(path, os.O_RDWR | os.O_CREAT), "r+b", buffering=0)
         except OSError as error:
             raise _unwritable(path, error) from error
-        journal = cls(path, handle, {})
+        journal = cls(path, handle)
         try:
             journal._lock()
             journal._begin(header)
@@ -148,9 +149,9 @@ class Journal:
         except OSError as error:
             raise _unwritable(path, error) from error
         try:
-            journal = cls(path, handle, {})
+            journal = cls(path, handle)
             journal._lock()
-            contents = read_journal(path)
+            contents, journal._rows = _read_journal(path)
             journal._take_up(contents, header)
         except BaseException:
             handle.close()
@@ -158,9 +159,9 @@ class Journal:
         return journal
 
     @property
-    def rows(self) -> tuple[Row, ...]:
+    def rows(self) -> Sequence[Row]:
         """The latest row of every finished trial, in the order of their first finish."""
-        return tuple(self._rows.values())
+        return self._rows.rows()
 
     def append(self, row: Row) -> None:
         """Write one finished trial and wait until it is on disk; as `extend`."""
@@ -181,7 +182,7 @@ class Journal:
             earlier = kept.get(row.trial_id) or self._rows.get(row.trial_id)
             kept[row.trial_id] = later(earlier, row, self.path)
         self._write(texts.records() for texts in texts_of(rows))
-        self._rows |= kept
+        self._rows.extend(rows)
 
     def close(self) -> None:
         """Release the file. Closing twice does no harm."""
@@ -229,7 +230,6 @@ class Journal:
                 f"cannot resume {self.path.parent}: {', '.join(differences)} changed",
                 fix="start a new run without --resume",
             )
-        self._rows = {row.trial_id: row for row in contents.rows}
         self.dropped = contents.dropped
         self._last_sum = contents.last_sum
         self._handle.truncate(contents.good_bytes)
@@ -285,8 +285,8 @@ def _unwritable(path: Path, error: OSError) -> StoreError:
     )
 
 
-_MOST = 256 * 2**20
-"""Bytes of a journal that is read: some 200,000 trials."""
+_MOST = 4 * 2**30
+"""Bytes of a journal that is read: a million trials with up to four thousand bytes each."""
 _LONGEST_LINE = 4 * 2**20  # bytes; a row has about a thousand
 _AT_ONCE = 500  # lines that are parsed together
 _DAMAGED = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
@@ -297,7 +297,7 @@ class JournalContents:
     """What a journal holds: one row per trial, the latest, and what had to be left out."""
 
     header: JournalHeader
-    rows: tuple[Row, ...]
+    rows: Sequence[Row]
     dropped: str | None = None  # A sentence about a torn last line.
     good_bytes: int = 0  # Length of the file up to the last whole line.
     last_sum: str = ""  # Of that line, which the next one's covers.
@@ -324,6 +324,14 @@ def read_journal(path: Path) -> JournalContents:
     Raises:
         StoreError: it is missing, too large, or damaged before its last line.
     """
+    return _read_journal(path)[0]
+
+
+def _store(path: Path) -> RowStore:
+    return RowStore(lambda earlier, row: later(earlier, row, path))
+
+
+def _read_journal(path: Path) -> tuple[JournalContents, RowStore]:
     try:
         if not path.is_file():
             raise StoreError(f"no journal at {path}", fix="name the folder of a run")
@@ -365,48 +373,52 @@ def later(earlier: Row | None, row: Row, path: Path) -> Row:
     return row if row.status == "ok" and earlier.lost_its_log else earlier
 
 
-def _read(path: Path, stream: IO[bytes]) -> JournalContents:
-    lines: list[bytes] = []  # Without their sums.
+def _read(path: Path, stream: IO[bytes]) -> tuple[JournalContents, RowStore]:
+    waiting: list[bytes] = []  # Lines without their sums, which are parsed together.
     dropped: str | None = None
-    good, last_sum = 0, ""
-    for number, line in enumerate(iter(lambda: stream.readline(_LONGEST_LINE), b""), start=1):
+    header: JournalHeader | None = None
+    rows, last_sum = _store(path), ""
+    good = number = 0
+    for line in iter(lambda: stream.readline(_LONGEST_LINE), b""):
+        number += 1
         if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
             dropped = f"{path}:{number}: dropped a line that was cut off after {len(line)} bytes"
+            number -= 1
             break  # Only the last line can lack its end.
         try:
             body, last_sum = _unsealed(line, last_sum)
         except _DAMAGED as error:
+            _parsed(path, waiting, number - len(waiting))  # What is wrong before it is said first.
             raise _damaged(path, number, error) from None
-        lines.append(body)
+        waiting.append(body)
         good += len(line)
-    header, found = _parsed(path, lines)
-    rows: dict[str, Row] = {}
-    for row in found:
-        rows[row.trial_id] = later(rows.get(row.trial_id), row, path)
-    return JournalContents(
-        header=header,
-        rows=tuple(rows.values()),
-        dropped=dropped,
-        good_bytes=good,
-        last_sum=last_sum,
-    )
-
-
-def _parsed(path: Path, lines: Sequence[bytes]) -> tuple[JournalHeader, list[Row]]:
-    """Return the last header and all rows of a journal's lines."""
-    header: JournalHeader | None = None
-    rows: list[Row] = []
-    for first in range(0, len(lines), _AT_ONCE):
-        some = lines[first : first + _AT_ONCE]
-        try:
-            headers, found = _records(some)
-        except _DAMAGED:
-            headers, found = _one_by_one(path, some, first + 1)
-        header = headers[-1] if headers else header
-        rows += found
+        if len(waiting) == _AT_ONCE:
+            header = _taken(path, waiting, number, rows) or header
+            waiting = []
+    header = _taken(path, waiting, number, rows) or header
     if header is None:
         raise StoreError(f"{path} is empty", fix="start the run again; nothing of it is lost")
-    return header, rows
+    contents = JournalContents(
+        header=header, rows=rows.rows(), dropped=dropped, good_bytes=good, last_sum=last_sum
+    )
+    return contents, rows
+
+
+def _taken(path: Path, lines: Sequence[bytes], last: int, rows: RowStore) -> JournalHeader | None:
+    """Keep the rows of lines, of which the last has that number; return their last header."""
+    headers, found = _parsed(path, lines, last + 1 - len(lines))
+    rows.extend(found)
+    return headers[-1] if headers else None
+
+
+def _parsed(
+    path: Path, lines: Sequence[bytes], first: int
+) -> tuple[list[JournalHeader], list[Row]]:
+    """Return the headers and rows of lines, the first of which has that number."""
+    try:
+        return _records(lines)
+    except _DAMAGED:
+        return _one_by_one(path, lines, first)
 
 
 def _records(

@@ -49,7 +49,7 @@ class MergeSource:
 
     folder: RunFolder
     info: RunInfo
-    rows: tuple[Row, ...] = ()
+    rows: Sequence[Row] = ()
     """Of its plan, the latest of each trial."""
 
     def __str__(self) -> str:
@@ -192,7 +192,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class SourcedRow:
     """A trial's row, and the folders that have it: one of them has its log."""
 
@@ -220,14 +220,14 @@ def joined(
     """
     held: dict[str, SourcedRow] = {}
     for source in sources:
+        alone = (source,)
         for row in source.rows:
-            one = SourcedRow(row=row, sources=(source,))
+            one = SourcedRow(row=row, sources=alone)
             earlier = held.get(row.trial_id)
             held[row.trial_id] = one if earlier is None else _which(earlier, one)
-    names = [trial.id for trial in trials]
-    if gaps := [place for place, name in enumerate(names) if name not in held]:
+    if gaps := [place for place, trial in enumerate(trials) if trial.id not in held]:
         raise _gap(sources, trials, gaps, count)
-    return tuple(map(held.__getitem__, names))
+    return tuple(held[trial.id] for trial in trials)
 
 
 def _which(one: SourcedRow, two: SourcedRow) -> SourcedRow:

@@ -8,8 +8,9 @@ something of it: longer than to write ten thousand rows.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate, chain
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,8 @@ from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.files.inside import bounded_bytes
 from nw_eval.results.column import Column, Numbers, Settings
-from nw_eval.results.row import COLUMNS, Row, by_column, from_dicts, rows_digest
-from nw_eval.results.sealed import is_foreign, metadata_of, table_of, write_table
+from nw_eval.results.row import COLUMNS, Results, Row, by_column, from_dicts, texts_of
+from nw_eval.results.sealed import file_of, is_foreign, metadata_of, write_tables
 
 _TYPES: Mapping[Any, pa.DataType] = {
     str: pa.string(),
@@ -67,39 +68,44 @@ SCHEMA_VERSION = "2"
 
 MOST_BYTES = 256 * 2**20
 """Of a file that is read, and of any of its columns unpacked."""
-_MOST_ROWS = 200_000
+_MOST_ROWS = 1_000_000
 _REBUILD = "`nw-eval report` on its folder writes it again from the journal"
 
 
-def write_rows(path: Path, rows: Iterable[Row], metadata: Mapping[str, str]) -> None:
+_GROUP = 2**16
+"""Rows that lie in a file as one group; of more rows a group has `_MANY_GROUP`."""
+_MANY_GROUP = 2**14
+"""Rows whose values are in memory as Python's objects together: 3,000 bytes each."""
+
+
+def write_rows(
+    path: Path, rows: Iterable[Row], metadata: Mapping[str, str], *, is_sorted: bool = False
+) -> None:
     """Write rows, sorted by trial, with `nw.<key>` metadata in the schema.
 
     Args:
         path: appears whole or not at all; an older file is replaced.
         rows: in any order.
         metadata: plain text by key without the prefix, such as `suite_digest`.
+        is_sorted: whether they are sorted by trial and arm already.
 
     Raises:
         StoreError: the file cannot be written.
     """
-    write_columns(path, by_column(list(rows)), metadata)
+    ordered = list(rows)
+    if not is_sorted:
+        ordered.sort(key=attrgetter("trial_id", "arm"))
+    size = _GROUP if len(ordered) <= _GROUP else _MANY_GROUP
+    groups = (
+        _table(ordered[first : first + size]) for first in range(0, max(1, len(ordered)), size)
+    )
+    write_tables(path, groups, {"schema_version": SCHEMA_VERSION, **metadata})
 
 
-def write_columns(
-    path: Path, columns: Mapping[str, Sequence[Any]], metadata: Mapping[str, str]
-) -> None:
-    """Write rows of which all values are known by column; as `write_rows`.
-
-    Raises:
-        StoreError: the file cannot be written.
-    """
-    keys = list(zip(columns["trial_id"], columns["arm"], strict=True))
-    order = sorted(range(len(keys)), key=keys.__getitem__)
-    arrays = [
-        array_of(list(map(columns[field.name].__getitem__, order)), field.type) for field in SCHEMA
-    ]
-    table = pa.Table.from_arrays(arrays, schema=SCHEMA)
-    write_table(path, table, {"schema_version": SCHEMA_VERSION, **metadata})
+def _table(rows: Sequence[Row]) -> pa.Table:
+    columns = by_column(rows)
+    arrays = [array_of(columns.pop(field.name), field.type) for field in SCHEMA]
+    return pa.Table.from_arrays(arrays, schema=SCHEMA)
 
 
 def _other_version(path: Path, version: str | None) -> StoreError:
@@ -118,41 +124,58 @@ def read_rows(path: Path) -> tuple[list[Row], dict[str, str]]:
         StoreError: the file is missing, too large, damaged, of another schema version, or no file
             of rows.
     """
+    metadata: dict[str, str] = {}
+    return list(chain.from_iterable(read_groups(path, metadata))), metadata
+
+
+def read_groups(path: Path, metadata: dict[str, str] | None = None) -> Iterator[list[Row]]:
+    """Yield the rows of a file, group by group; as `read_rows`.
+
+    What is wrong with a row, or with all of them together, shows at its group or at the end.
+
+    Args:
+        path: the file.
+        metadata: is filled with the file's.
+
+    Raises:
+        StoreError: as `read_rows`.
+    """
     try:
-        return rows_of(bounded_bytes(path, MOST_BYTES), path)
+        data = bounded_bytes(path, MOST_BYTES)
     except FileNotFoundError:
         raise StoreError(f"no rows at {path}", fix="name a run folder or its parquet") from None
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error
     except ValueError as error:
         raise StoreError(f"{path} is damaged: {error}", fix=_REBUILD) from None
+    yield from _groups_of(data, path, {} if metadata is None else metadata)
 
 
-def rows_of(data: bytes, path: Path) -> tuple[list[Row], dict[str, str]]:
-    """Return the rows and metadata of a file's bytes; as `read_rows`.
-
-    Raises:
-        StoreError: as `read_rows`.
-    """
+def _groups_of(data: bytes, path: Path, metadata: dict[str, str]) -> Iterator[list[Row]]:
+    """Yield the rows of a file's bytes; as `read_groups`."""
     if is_foreign(data):
         raise _other_version(path, None)
+    results = Results()
     try:
-        table = table_of(data, most_rows=_MOST_ROWS, most_bytes=MOST_BYTES)
-        metadata = metadata_of(table.schema)
+        file = file_of(data, most_rows=_MOST_ROWS, most_bytes=MOST_BYTES)
+        metadata |= metadata_of(file.schema_arrow)
         if metadata.get("schema_version") != SCHEMA_VERSION:
             raise _other_version(path, metadata.get("schema_version"))
-        held = table.schema.names
+        held = file.schema_arrow.names
         needed = [name for name, column in COLUMNS.items() if not column.added]
         if missing := [name for name in needed if name not in held]:
             raise StoreError(f"{path} lacks the columns {', '.join(missing)}", fix="run again")
-        rows = from_dicts(_plain(table))
+        for number in range(file.num_row_groups):
+            rows = from_dicts(_plain(file.read_row_group(number, use_threads=False)))
+            for texts in texts_of(rows):
+                results.extend(texts)
+            yield rows
     # Arrow's exceptions are also ValueError, KeyError, TypeError, MemoryError and OSError.
     except (pa.ArrowException, OSError, ValueError, LookupError, TypeError, MemoryError) as error:
         reason = clean(error, at_most=200) or type(error).__name__
         raise StoreError(f"{path} is damaged: {reason}", fix=_REBUILD) from None
-    if metadata.get("rows_digest", actual := rows_digest(rows)) != actual:
+    if metadata.get("rows_digest", actual := results.digest) != actual:
         raise StoreError(f"{path}: its rows are not those of its rows_digest", fix=_REBUILD)
-    return rows, metadata
 
 
 def _plain(table: pa.Table) -> list[dict[str, Any]]:

@@ -10,8 +10,9 @@ import json
 import struct
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from hashlib import sha256
-from itertools import chain, pairwise
+from itertools import pairwise
 from json.encoder import encode_basestring_ascii
 from operator import attrgetter
 from typing import Annotated, Any
@@ -471,9 +472,6 @@ _DIGESTED = tuple(
 _RECORD = '{"row":{' + ",".join(f'"{name}":%s' for name in COLUMNS) + "}}"
 _DIGEST = "{" + ",".join(f'"{word}":%s' for word, _ in _DIGESTED) + "}"
 
-Result = tuple[str, str, str]
-"""A row's trial, arm and digest."""
-
 
 @dataclass(frozen=True)
 class RowTexts:
@@ -487,11 +485,7 @@ class RowTexts:
         """Return each row as a line of the journal has it, without its sum."""
         return map(_RECORD.__mod__, zip(*self.texts.values(), strict=True))
 
-    def results(self) -> Iterator[Result]:
-        """Return what `digest_of_results` takes."""
-        return zip(self.values["trial_id"], self.values["arm"], self._digests(), strict=True)
-
-    def _digests(self) -> list[str]:
+    def digests(self) -> list[str]:
         """Return the `digest` of each row."""
         for name in _CAME_LATER:
             if any(map(COLUMNS[name].in_digest, self.values[name])):
@@ -513,13 +507,53 @@ class RowTexts:
 
 def rows_digest(rows: Iterable[Row]) -> str:
     """Return one hex sha256 for a set of rows, whatever their order and wall times."""
-    portions = texts_of(list(rows))
-    return digest_of_results(chain.from_iterable(texts.results() for texts in portions))
+    results = Results()
+    for texts in texts_of(list(rows)):
+        results.extend(texts)
+    return results.digest
 
 
-def digest_of_results(results: Iterable[Result]) -> str:
-    """Return the `rows_digest` of rows of which all that it covers is known."""
-    return sha256(json.dumps(sorted(results)).encode()).hexdigest()
+class Results:
+    """What the `rows_digest` of rows covers, in a hundred bytes a row. Ask once all are there.
+
+    Attributes:
+        trials: names, in the order of the rows.
+        arms: likewise.
+        digests: 32 bytes of each.
+    """
+
+    def __init__(self) -> None:
+        self.trials: list[str] = []
+        self.arms: list[str] = []
+        self.digests = bytearray()
+
+    def extend(self, texts: RowTexts) -> None:
+        """Add rows."""
+        self.trials += texts.values["trial_id"]
+        self.arms += texts.values["arm"]
+        self.digests += bytes.fromhex("".join(texts.digests()))
+
+    @cached_property
+    def order(self) -> list[int]:
+        """Places of the rows, sorted by trial, arm and digest."""
+        order = sorted(range(len(self.trials)), key=self.trials.__getitem__)
+        if all(self.trials[one] != self.trials[two] for one, two in pairwise(order)):
+            return order  # A run has one row of each trial: nothing else need be compared.
+        return sorted(order, key=self._result)
+
+    @property
+    def digest(self) -> str:
+        """The hex sha256 of the JSON list of trial, arm and digest of all rows, sorted."""
+        found, order = sha256(b"["), self.order
+        for first in range(0, len(order), _AT_ONCE):
+            some = json.dumps(list(map(self._result, order[first : first + _AT_ONCE])))
+            found.update(f"{', ' if first else ''}{some[1:-1]}".encode())
+        found.update(b"]")
+        return found.hexdigest()
+
+    def _result(self, place: int) -> tuple[str, str, str]:
+        digest = self.digests[32 * place : 32 * place + 32].hex()
+        return self.trials[place], self.arms[place], digest
 
 
 def texts_of(rows: Sequence[Row]) -> Iterator[RowTexts]:

@@ -8,8 +8,10 @@ size is bounded before it is unpacked.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from hashlib import sha256
+from mmap import mmap
 from pathlib import Path
 
 import pyarrow as pa
@@ -35,12 +37,33 @@ def write_table(path: Path, table: pa.Table, metadata: Mapping[str, str]) -> Non
     Raises:
         StoreError: the file cannot be written.
     """
-    with atomic_path(path) as temporary:
-        # Fixed options, so that equal rows give equal bytes with one library version.
-        stream = pa.BufferOutputStream()
-        labelled = table.replace_schema_metadata(labels(metadata))
-        pq.write_table(labelled, stream, compression="zstd", version="2.6")
-        temporary.write_bytes(sealed(stream.getvalue().to_pybytes()))
+    write_tables(path, [table], metadata)
+
+
+def write_tables(path: Path, tables: Iterable[pa.Table], metadata: Mapping[str, str]) -> None:
+    """Write tables of one schema, one or more, as the row groups of one; as `write_table`.
+
+    Raises:
+        StoreError: the file cannot be written.
+    """
+    with atomic_path(path) as temporary, ExitStack() as stack:
+        writer = None
+        for table in tables:
+            labelled = table.replace_schema_metadata(labels(metadata))
+            if writer is None:
+                # Fixed options, so that equal rows give equal bytes with one library version.
+                opened = pq.ParquetWriter(
+                    temporary, labelled.schema, compression="zstd", version="2.6"
+                )
+                writer = stack.enter_context(opened)
+            writer.write_table(labelled)
+        stack.close()
+        with (
+            temporary.open("r+b") as stream,
+            mmap(stream.fileno(), 0) as data,
+        ):
+            start, end = _place(data)
+            data[start:end] = _sum(data, start, end)
 
 
 def labels(metadata: Mapping[str, str]) -> dict[str, str]:
@@ -64,7 +87,12 @@ def is_foreign(data: bytes) -> bool:
 
 
 def table_of(data: bytes, *, most_rows: int, most_bytes: int) -> pa.Table:
-    """Return what a file's bytes hold, if they are whole and no larger than they may be.
+    """Return what a file's bytes hold; arguments and errors as `file_of`."""
+    return file_of(data, most_rows=most_rows, most_bytes=most_bytes).read(use_threads=False)
+
+
+def file_of(data: bytes, *, most_rows: int, most_bytes: int) -> pq.ParquetFile:
+    """Return a file from its bytes, if they are whole and no larger than they may be.
 
     Args:
         data: all bytes of the file.
@@ -89,7 +117,7 @@ def table_of(data: bytes, *, most_rows: int, most_bytes: int) -> pa.Table:
     columns = [group.column(index) for group in groups for index in range(group.num_columns)]
     if not all(0 <= column.total_uncompressed_size <= most_bytes for column in columns):
         raise ValueError(f"a column has over {most_bytes // 2**20} MiB")
-    return file.read(use_threads=False)
+    return file
 
 
 def metadata_of(schema: pa.Schema) -> dict[str, str]:
@@ -114,7 +142,7 @@ def _whole(data: bytes) -> bytes:
     return data
 
 
-def _place(data: bytes) -> tuple[int, int]:
+def _place(data: bytes | mmap) -> tuple[int, int]:
     """Return where the digits of the sum stand."""
     places = [found.span(1) for found in _SUM_PLACE.finditer(data)]
     if len(places) != 1:
@@ -122,9 +150,10 @@ def _place(data: bytes) -> tuple[int, int]:
     return places[0]
 
 
-def _sum(data: bytes, start: int, end: int) -> bytes:
+def _sum(data: bytes | mmap, start: int, end: int) -> bytes:
     """Return the hex sha256 of a file in which the digits of the sum itself are zeros."""
-    content = sha256(data[:start])
-    content.update(_UNKNOWN.encode())
-    content.update(data[end:])
+    with memoryview(data) as view, view[:start] as before, view[end:] as after:
+        content = sha256(before)
+        content.update(_UNKNOWN.encode())
+        content.update(after)
     return content.hexdigest().encode()

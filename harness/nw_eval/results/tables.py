@@ -12,9 +12,9 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
@@ -85,7 +85,7 @@ def read_small_table(path: Path, *, fix: str) -> PlainTable:
     Raises:
         StoreError: it is missing, too large, damaged, or ended the process.
     """
-    (content,) = values_apart(__name__, path, fix=fix)
+    (content,) = chain.from_iterable(values_apart(__name__, path, fix=fix))
     return PlainTable(**content)
 
 
@@ -118,12 +118,14 @@ def small_table(path: Path) -> PlainTable:
 
 _SECONDS = 60.0
 _MEMORY = 2**30  # bytes of address space, on top of what the libraries take
-_MOST_ANSWER = 512 * 2**20  # bytes
+_MOST_ANSWER = 4 * 2**30  # bytes: of a million rows, as in a journal
 _AT_ONCE = 2000  # lines that are parsed together
 
 
-def values_apart(module: str, path: Path, *, fix: str) -> list[Any]:
-    """Return the JSON values that a module's `answer` reads from a file, in a process of its own.
+def values_apart(module: str, path: Path, *, fix: str) -> Iterator[list[Any]]:
+    """Yield the JSON values that a module's `answer` reads from a file, in a process of its own.
+
+    They come in portions. Of a process that failed some may come before the error.
 
     Args:
         module: of ours, which ends with `if __name__ == "__main__": answer(...)`.
@@ -144,25 +146,27 @@ def values_apart(module: str, path: Path, *, fix: str) -> list[Any]:
                 stdin=life,
                 stdout=written,
                 stderr=subprocess.DEVNULL,
-                timeout=_SECONDS,
+                timeout=_seconds(path),
                 env=inherited(),  # A thread may call this.
                 check=False,
             )
         except subprocess.TimeoutExpired:
-            raise StoreError(f"{path}: not read within {_SECONDS:g} s", fix=fix) from None
+            raise StoreError(f"{path}: not read within {_seconds(path):g} s", fix=fix) from None
         if written.tell() > _MOST_ANSWER:
             raise StoreError(f"{path} has over {_MOST_ANSWER // 2**20} MiB", fix=fix)
         written.seek(0)
         whole = (line for line in written if line.endswith(b"\n"))
-        lines: list[Any] = []
+        last: Any = None
         while some := list(islice(whole, _AT_ONCE)):  # Read faster than one by one.
-            lines += json.loads(b"[" + b",".join(some) + b"]")
-    if not lines or lines[-1] != "end":
-        error = next((line["error"] for line in lines if "error" in line), None)
-        if error is not None:
-            raise StoreError(clean(error), fix=fix)
+            lines = json.loads(b"[" + b",".join(some) + b"]")
+            last = lines[-1]
+            if last == "end":
+                lines.pop()
+            elif isinstance(last, dict) and "error" in last:
+                raise StoreError(clean(last["error"]), fix=fix)  # Nothing comes behind it.
+            yield lines
+    if last != "end":
         raise StoreError(f"{path}: reading it ended with code {done.returncode}", fix=fix)
-    return lines[:-1]
 
 
 def answer(read: Callable[[Path], Iterable[Any]]) -> None:
@@ -171,27 +175,40 @@ def answer(read: Callable[[Path], Iterable[Any]]) -> None:
     A last line says that it is the last.
     """
     path = Path(sys.argv[2])
-    _limit_memory()
+    _limit_memory(path)
     try:
-        lines = [json.dumps(value) for value in read(path)]
+        for value in read(path):
+            sys.stdout.write(f"{json.dumps(value)}\n")
     except StoreError as error:
-        lines = [json.dumps({"error": error.message})]
+        last = json.dumps({"error": error.message})
     except MemoryError:
-        lines = [json.dumps({"error": f"{path}: no memory to read it"})]
+        last = json.dumps({"error": f"{path}: no memory to read it"})
     except TypeError:  # A date, say, which no file of ours has.
-        lines = [json.dumps({"error": f"{path} holds something that is neither number nor text"})]
+        last = json.dumps({"error": f"{path} holds something that is neither number nor text"})
     else:
-        lines.append('"end"')
-    sys.stdout.write("".join(f"{line}\n" for line in lines))
+        last = '"end"'
+    sys.stdout.write(f"{last}\n")
 
 
-def _limit_memory() -> None:
+def _seconds(path: Path) -> float:
+    """Return how long reading a file may take: a minute for each 32 MiB, which takes ten seconds.
+
+    A file of nobody's is soon refused.
+    """
+    try:
+        return _SECONDS * (1 + path.stat().st_size // 2**25)
+    except OSError:
+        return _SECONDS
+
+
+def _limit_memory(path: Path) -> None:
     import resource
 
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     limit = pages * resource.getpagesize() + _MEMORY
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-    resource.setrlimit(resource.RLIMIT_CPU, (int(_SECONDS), int(_SECONDS)))
+    most = int(_seconds(path))
+    resource.setrlimit(resource.RLIMIT_CPU, (most, most))
 
 
 if __name__ == "__main__":

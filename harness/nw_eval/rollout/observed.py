@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import accumulate, pairwise
 from math import prod
 from operator import attrgetter
@@ -48,8 +49,11 @@ if TYPE_CHECKING:
     from nw_eval.rollout.mcap.trial_log import TrialLog
     from nw_eval.rollout.result import StageClock
     from nw_eval.scenes import Scene
+    from nw_eval.scenes.rays import RayScene
+    from nw_eval.sensors.drawing.props import PropPictures
     from nw_eval.sensors.sensor import Sensor
     from nw_eval.sim import World
+    from nw_eval.splat.camera import Camera
     from nw_eval.splat.render import Renderer
 
 _IS_NEW = attrgetter("fresh")  # of a sensor
@@ -534,27 +538,56 @@ class LogCamera:
         """Write the frame of a control step, if it has one."""
         if self.is_on and step % max(1, round(self._world.control_rate / _LOG_RATE)) == 0:
             T_world_camera = self._world.camera_pose(LOG_CAMERA)
+            poses = self._world.prop_poses()
             self._log.later_picture(
-                self._world.time, LOG_TOPIC, lambda: self._render(T_world_camera), mount=LOG_CAMERA
+                self._world.time,
+                LOG_TOPIC,
+                lambda: self._render(T_world_camera, poses),
+                mount=LOG_CAMERA,
             )
 
     @property
     def _fovy(self) -> float:
         return self._world.robot.cameras[LOG_CAMERA].fovy
 
-    def _render(self, T_world_camera: NDArray[np.float64]) -> Bytes:
+    def _camera(self, T: NDArray[np.float64]) -> Camera:
         from nw_eval.splat.camera import Camera
 
         width, height = _LOG_SIZE
-        camera = Camera.from_fovy(
-            width=width,
-            height=height,
-            fovy=self._fovy,
-            T_world_camera=np.linalg.inv(self._scene.T_world_splat) @ T_world_camera,
-        )
+        return Camera.from_fovy(width=width, height=height, fovy=self._fovy, T_world_camera=T)
+
+    @cached_property
+    def _rays(self) -> RayScene:
+        from nw_eval.scenes.rays import RayScene
+
+        return RayScene(self._scene.mesh())
+
+    @cached_property
+    def _props(self) -> PropPictures:
+        from nw_eval.sensors.drawing.props import PropPictures
+
+        return PropPictures(self._scene)
+
+    def _render(
+        self, T_world_camera: NDArray[np.float64], poses: Sequence[NDArray[np.float64]]
+    ) -> Bytes:
+        camera = self._camera(np.linalg.inv(self._scene.T_world_splat) @ T_world_camera)
         try:
             with self._clock("render"):
-                return self._renderer().render(camera).bytes()
+                image = self._renderer().render(camera)
+                if poses:
+                    from nw_eval.sensors.drawing.overlay import ray_directions
+                    from nw_eval.splat.camera import Pixels
+
+                    image = self._props.into(
+                        image,
+                        poses,
+                        self._camera,
+                        directions=ray_directions(camera, Pixels()),
+                        T_world_camera=T_world_camera,
+                        static=self._rays,
+                    )
+                return image.bytes()
         except Exception as error:
             # The policy never sees these frames, so whatever fails here costs the log alone.
             raise OSError(f"its camera failed: {error}") from error

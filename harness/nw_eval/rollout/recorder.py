@@ -100,6 +100,8 @@ class Recorder(Observer):
                 ELEMENTS: self._seen.elements(),
             },
             attachments=job.attachments,
+            props=self._trial.scene.props,
+            prop_bodies=self._episode.world.props,
         )
         self._seen.calibrate()
         self._camera.calibrate()

@@ -5,11 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
@@ -27,7 +34,8 @@ from nw_eval.scenes.finding import SceneFinding
 from nw_eval.scenes.grid import TerrainOptions
 from nw_eval.scenes.limits import checked_name
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
-from nw_eval.scenes.mesh_file import MESH_SUFFIXES, inspect_mesh
+from nw_eval.scenes.mesh_file import MESH_SUFFIXES, inspect_mesh, read_mesh
+from nw_eval.scenes.prop import Prop, PropBox, PropJoint, box_round
 from nw_eval.scenes.scene import Box, Plane, Progress, Scene, Solid, Spawn
 from nw_eval.words import Collision, RasterizeMode, Task
 
@@ -68,6 +76,7 @@ Noise = Annotated[float, Field(ge=0, le=limits.NOISE)]
 Angle = Annotated[float, Field(ge=-2 * np.pi, le=2 * np.pi)]
 Spread = Annotated[float, Field(ge=0, le=2 * np.pi)]
 Line = Annotated[str, AfterValidator(_line)]
+Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class _FolderModel(BaseModel):
@@ -132,6 +141,83 @@ class _Similarity(_FolderModel):
         return transform
 
 
+def _axis(axis: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not np.any(np.abs(axis) > 1.0 / limits.QUAT):
+        raise ValueError(f"axis is {list(axis)}, which has no direction")
+    return axis
+
+
+class _PropBox(_FolderModel):
+    """One solid box of a prop, in the prop's own frame."""
+
+    center: Point = (0.0, 0.0, 0.0)
+    """x, y, z of its middle, m."""
+    half_size: HalfSize
+    """Half of its length along each of its own axes, m."""
+    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    """How it is turned: w x y z, any length but 0."""
+
+
+class _PropJoint(_FolderModel):
+    """How a prop moves, in its own frame."""
+
+    type: Literal["fixed", "free", "hinge", "slide"] = "free"
+    """Fixed to the world, free, turning about an axis, or moving along it."""
+    axis: Annotated[Point, AfterValidator(_axis)] = (0.0, 0.0, 1.0)
+    """Of a hinge or a slide; any length but 0."""
+    anchor: Point = (0.0, 0.0, 0.0)
+    """A point on the axis of a hinge, m."""
+    range: tuple[Length, Length] | None = None
+    """Least and largest angle of a hinge, rad, or way of a slide, m; no limit when absent."""
+    damping: float = Field(default=0.0, ge=0, le=1e4)
+    """N m s/rad of a hinge, N s/m of a slide."""
+    friction: float = Field(default=0.0, ge=0, le=1e4)
+    """What holds it at rest: N m of a hinge, N of a slide."""
+
+    @model_validator(mode="after")
+    def _check_range(self) -> Self:
+        if self.range is not None and self.range[0] >= self.range[1]:
+            raise ValueError(f"range is {list(self.range)}; give the least first")
+        return self
+
+
+class _Prop(_FolderModel):
+    """One thing that moves."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_-]{0,39}$")]
+    """A word, which no other prop has."""
+    mesh: str | None = None
+    """A mesh (.obj, .ply, .stl, .glb) in metres inside the folder, in the prop's own frame."""
+    color: tuple[Share, Share, Share] = (0.5, 0.5, 0.5)
+    """Of the mesh: red, green, blue, 0 to 1."""
+    splat: str | None = None
+    """A file of Gaussians inside the folder; a prop has a mesh or a splat."""
+    T_prop_splat: _Similarity = _Similarity()
+    """Where the splat lies in the prop's own frame."""
+    boxes: tuple[_PropBox, ...] = Field(default=(), max_length=limits.PROP_BOXES)
+    """What collides; the box round the mesh when absent."""
+    position: Point
+    """Where its frame is at the start: x, y, z, world, m."""
+    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    """How it is turned there: w x y z, any length but 0."""
+    mass: float = Field(default=1.0, ge=1e-3, le=1e4)
+    """kg."""
+    friction: tuple[Sliding, Turning, Turning] = (1.0, 0.005, 0.0001)
+    """MuJoCo's sliding, torsional and rolling coefficients."""
+    joint: _PropJoint = _PropJoint()
+    """How it moves; free when absent."""
+    kind: Literal["obstacle", "structure", "clutter"] = "obstacle"
+    """Its class in `semantics` images."""
+
+    @model_validator(mode="after")
+    def _check_looks(self) -> Self:
+        if (self.mesh is None) == (self.splat is None):
+            raise ValueError("give either `mesh` or `splat`")
+        if self.mesh is None and not self.boxes:
+            raise ValueError("a prop with a splat needs `boxes`, which collide")
+        return self
+
+
 class _SceneFile(_FolderModel):
     """`scene.yaml`: a place, what can be touched there, its looks, and the trail through it."""
 
@@ -165,6 +251,8 @@ class _SceneFile(_FolderModel):
     """Where the splat lies in the world."""
     captures: str | None = None
     """A file of the cameras that the place was photographed with, inside the folder."""
+    props: tuple[_Prop, ...] = Field(default=(), max_length=limits.PROPS)
+    """What moves beside the robot: doors, crates. They are in neither the mesh nor the splat."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -290,8 +378,55 @@ def inspect_folder(
         if text.captures is None
         else read_captures(_beside(folder, file, "captures", text.captures)),
         licence=text.licence,
+        props=_props(folder, file, text),
     )
     return scene, findings
+
+
+def _props(folder: Path, file: YamlFile, text: _SceneFile) -> tuple[Prop, ...]:
+    """Return what moves in a scene.
+
+    Raises:
+        SceneError: two have one name, or a file is missing or wrong.
+    """
+    found: list[Prop] = []
+    for number, prop in enumerate(text.props):
+        where = ("props", number)
+        if prop.name in {other.name for other in found}:
+            raise SceneError(
+                [
+                    file.problem(
+                        (*where, "name"), f"two props are called {prop.name!r}", "rename one"
+                    )
+                ]
+            )
+        mesh, splat, boxes = None, None, tuple(PropBox(**b.model_dump()) for b in prop.boxes)
+        if prop.mesh is not None:
+            mesh = read_mesh(_beside(folder, file, "props", prop.mesh), kind=prop.kind)
+            boxes = boxes or (box_round(mesh),)
+        elif prop.splat is not None:
+            splat = FileSplat(path=_beside(folder, file, "props", prop.splat))
+            if what_is(splat.path) != "file":
+                message = f"there is no splat {prop.splat!r} beside it"
+                problem = file.problem((*where, "splat"), message, "check the key `splat`")
+                raise SceneError([problem])
+        found.append(
+            Prop(
+                name=prop.name,
+                position=prop.position,
+                quat=prop.quat,
+                boxes=boxes,
+                mass=prop.mass,
+                friction=prop.friction,
+                joint=PropJoint(**prop.joint.model_dump()),
+                kind=prop.kind,
+                mesh=mesh,
+                color=prop.color,
+                splat=splat,
+                T_prop_splat=prop.T_prop_splat.matrix(),
+            )
+        )
+    return tuple(found)
 
 
 def _unscaled(folder: Path, text: _SceneFile) -> tuple[SceneFinding, ...]:
@@ -328,6 +463,8 @@ def folder_files(folder: Path) -> dict[str, Path]:
             files.setdefault(str(Path(text.splat).with_name(one.name)), one)
     if text.captures is not None:
         files[text.captures] = _beside(folder, file, "captures", text.captures)
+    for name in (name for prop in text.props for name in (prop.mesh, prop.splat) if name):
+        files[name] = _beside(folder, file, "props", name)
     return files
 
 

@@ -24,6 +24,9 @@ legs."""
 SOLIDS = 2000
 """Boxes and round primitives. A flight of stairs has a dozen; MuJoCo and Embree hold each twice."""
 
+PROPS, PROP_BOXES = 50, 20
+"""Bodies that move beside the robot, and boxes of each: physics solves all of them in each step."""
+
 LEAST_SIZE = 1e-5
 """Of half an edge, or of a radius: MuJoCo and rays take thinner solids for none."""
 

@@ -19,6 +19,7 @@ from nw_eval.arrays import read_only
 from nw_eval.errors import SceneError
 from nw_eval.scenes.digest import digest
 from nw_eval.scenes.mesh import FaceKind, TriangleMesh
+from nw_eval.scenes.prop import Prop
 from nw_eval.words import Task
 
 Array = NDArray[np.float64]
@@ -252,6 +253,7 @@ class Scene:
         licence: SPDX identifier of the scene's data.
         captures: the cameras that the place was photographed with; None where nobody says, and for
             a built-in place, which is painted and looks the same from everywhere.
+        props: what moves beside the robot. They are in neither `mesh()` nor the splat.
     """
 
     name: str
@@ -267,6 +269,7 @@ class Scene:
     T_world_splat: NDArray[np.float64] = field(default_factory=_identity)
     licence: str = "MIT"
     captures: CaptureCameras | None = None
+    props: tuple[Prop, ...] = ()
 
     def __post_init__(self) -> None:
         # All trials of a process share it, and so do the sensors of others.
@@ -295,6 +298,15 @@ class Scene:
             )
         return self.splat.store(progress)
 
+    def splat_stores(self, progress: Progress | None = None) -> tuple[Path, ...]:
+        """Return `splat_store`, and the compiled Gaussians of props; none without a splat.
+
+        Raises:
+            SceneError: a file of a splat cannot be read.
+        """
+        own = () if self.splat is None else (self.splat_store(progress),)
+        return (*own, *(prop.splat.store() for prop in self.props if prop.splat is not None))
+
     def without_collisions(self) -> Scene:
         """Return the same place, seen and ray cast as before, with nothing but ground to touch."""
         return replace(self, solids=())
@@ -321,4 +333,5 @@ class Scene:
             None if self.splat is None else self.splat.key,
             # A scene without them keeps the digest that it had before there were any.
             *(() if self.captures is None else (self.captures,)),
+            *(("props", *(prop.facts for prop in self.props)) if self.props else ()),
         )

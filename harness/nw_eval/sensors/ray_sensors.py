@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, assert_never
 
 import numpy as np
@@ -11,9 +12,11 @@ from numpy.typing import NDArray
 from nw_eval.cards.observations import DepthObservation, LidarObservation, SemanticsObservation
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.robots import RobotSpec
+from nw_eval.scenes.mesh import FACE_KINDS
 from nw_eval.sensors.drawing.cones import TrailCones
 from nw_eval.sensors.drawing.overlay import ray_directions
 from nw_eval.sensors.drawing.palette import CONE, FACE_CLASSES, NOTHING, PALETTE, ROBOT
+from nw_eval.sensors.drawing.props import cast_at_prop
 from nw_eval.sensors.heights import Rays
 from nw_eval.sensors.sensor import Measurement, Moment, Plain, Sample, Shot
 from nw_eval.splat.camera import Camera, Pixels
@@ -59,6 +62,8 @@ class Surroundings:
         if self._robot:
             hit = moment.world.ray_robot(origin, directions, exclude="trunk")
             distance = np.minimum(distance, hit.distance)
+        for _, other in _at_props(moment, origin, directions):
+            distance = np.minimum(distance, other)
         return distance
 
     def classes(
@@ -79,11 +84,21 @@ class Surroundings:
         if self._robot:
             hit = moment.world.ray_robot(origin, directions, exclude="trunk")
             others.append((ROBOT, hit.distance))
+        others += _at_props(moment, origin, directions)
         for number, other in others:
             nearer = other < distance
             met[nearer] = number
             distance = np.where(nearer, other, distance)
         return distance, met
+
+
+def _at_props(moment: Moment, origin: Array, directions: Array) -> Iterator[tuple[int, Array]]:
+    """Yield the class of each prop of the scene, and how far it is along rays, (N,) m."""
+    world = moment.world
+    if world.scene.props:
+        for prop, pose in zip(world.scene.props, world.prop_poses(), strict=True):
+            kind = int(FACE_CLASSES[FACE_KINDS.index(prop.kind)])
+            yield kind, cast_at_prop(prop, pose, origin, directions)[0]
 
 
 def require_camera(name: str, camera: str, robot: RobotSpec) -> None:

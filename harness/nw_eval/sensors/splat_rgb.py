@@ -18,7 +18,8 @@ from nw_eval.robots import CameraMount, RobotSpec
 from nw_eval.scenes.scene import Nearness
 from nw_eval.sensors.drawing.cones import TrailCones
 from nw_eval.sensors.drawing.insert import insert
-from nw_eval.sensors.drawing.overlay import cone_mask, draw, ray_directions
+from nw_eval.sensors.drawing.overlay import Overlay, cone_mask, draw, ray_directions
+from nw_eval.sensors.drawing.props import PropPictures, joined
 from nw_eval.sensors.ray_sensors import require_camera
 from nw_eval.sensors.sensor import CLEAR, Measurement, Moment, Shot, TrialPlace
 from nw_eval.splat.camera import Camera, Pixels
@@ -79,6 +80,7 @@ class SplatRgb(Measurement):
         self._rays = place.rays
         self._air = place.air
         self._captures = place.world.scene.captures
+        self._props = PropPictures(place.world.scene)
         self._T_splat_world = np.linalg.inv(place.world.scene.T_world_splat)
 
     def reset(self) -> None:
@@ -94,7 +96,9 @@ class SplatRgb(Measurement):
         if self._captures is not None:
             self.nearness = self._captures.nearest(T_world_camera)
         trail = moment.cones
+        overlays = self._overlays(moment, T_world_camera) if self._props.props else []
         if self._published and self._observation.cones:
+            image = self._with(image, overlays, T_world_camera)
             seen = cone_mask(
                 self._directions,
                 T_world_camera,
@@ -112,16 +116,37 @@ class SplatRgb(Measurement):
                 static=self._rays(),
                 pitch=self._pitch,
             )
-            image = insert(
-                image,
-                overlay,
-                directions=self._directions,
-                T_world_camera=T_world_camera,
-                static=self._rays(),
-            )
+            image = self._with(image, [overlay, *overlays], T_world_camera)
+        else:
+            image = self._with(image, overlays, T_world_camera)
         if self._air is not CLEAR:
             image = self._air.seen(image)
         return average_blocks(image.bytes()) if self._published else image.bytes()
+
+    def _overlays(self, moment: Moment, T_world_camera: NDArray[np.float64]) -> list[Overlay]:
+        return self._props.overlays(
+            moment.world.prop_poses(),
+            self._camera,
+            directions=self._directions,
+            T_world_camera=T_world_camera,
+            static=self._rays(),
+            pixels=self._pixels,
+            pitch=self._pitch,
+        )
+
+    def _with(
+        self, image: Image, overlays: Sequence[Overlay], T_world_camera: NDArray[np.float64]
+    ) -> Image:
+        """Return a picture with drawn objects in it, as many as there are."""
+        if not overlays:
+            return image
+        return insert(
+            image,
+            joined(overlays),
+            directions=self._directions,
+            T_world_camera=T_world_camera,
+            static=self._rays(),
+        )
 
     def state(self) -> Arrays:
         """Return the last coverage and nearness."""

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from nw_eval.errors import UsageError
 from nw_eval.scenes.attach import add_height_field, add_primitive, add_triangles
+from nw_eval.scenes.prop import Prop, prop_body
 from nw_eval.scenes.scene import Box, HeightField, Primitive, Triangles
 from nw_eval.sim.binding import MjBody, MjModel, MjSpec, mujoco
 
@@ -112,6 +113,8 @@ def compile_model(
     if any(isinstance(solid, HeightField | Triangles) for solid in scene.solids):
         _box_up(spec)
     add_geometry(spec, scene, friction=friction)
+    for prop in scene.props:  # Behind the robot, whose numbers stay those of a scene without.
+        _add_prop(spec, prop, friction=friction)
     return spec.compile()
 
 
@@ -224,6 +227,38 @@ def _add_box(world: MjBody, name: str, box: Box, *, friction: float | None, prio
         friction=_with_tangential(box.friction, friction),
         priority=priority,
     )
+
+
+def _add_prop(spec: MjSpec, prop: Prop, *, friction: float | None) -> None:
+    body = spec.worldbody.add_body(
+        name=prop_body(prop.name), pos=list(prop.position), quat=list(prop.quat)
+    )
+    joint = prop.joint
+    if joint.type == "free":
+        body.add_freejoint(name=prop_body(prop.name))
+    elif joint.type != "fixed":
+        kind = mujoco.mjtJoint.mjJNT_HINGE if joint.type == "hinge" else mujoco.mjtJoint.mjJNT_SLIDE
+        made = body.add_joint(
+            name=prop_body(prop.name), type=kind, axis=list(joint.axis), pos=list(joint.anchor)
+        )
+        made.damping[0], made.frictionloss = joint.damping, joint.friction
+        made.limited = mujoco.mjtLimited.mjLIMITED_FALSE
+        if joint.range is not None:
+            in_degrees = joint.type == "hinge" and spec.compiler.degree
+            made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            made.range = np.rad2deg(joint.range) if in_degrees else np.array(joint.range)
+    volumes = [float(np.prod(box.half_size)) for box in prop.boxes]
+    for number, (box, volume) in enumerate(zip(prop.boxes, volumes, strict=True)):
+        body.add_geom(
+            name=f"{prop_body(prop.name)}/{number}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=list(box.half_size),
+            pos=list(box.center),
+            quat=list(box.quat),
+            mass=prop.mass * volume / sum(volumes),
+            friction=_with_tangential(prop.friction, friction),
+            priority=0 if friction is None else _OVERRIDING_PRIORITY,
+        )
 
 
 def _with_tangential(friction: tuple[float, float, float], tangential: float | None) -> list[float]:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from nw_eval.errors import TrialError
 from nw_eval.protocol import STRICT, EvaluationProtocol
+from nw_eval.scenes.prop import prop_body
 from nw_eval.sim.binding import mujoco
 from nw_eval.sim.body import Body, RobotRays, cast_at_visuals, geoms_of
 from nw_eval.sim.forces import (
@@ -63,6 +64,7 @@ class World(Body):
         monitored: names of the parts whose contact is a collision.
         control_period: seconds of one control step.
         control_rate: control steps in a second, Hz.
+        props: numbers of the bodies of the scene's props in the model.
         steps: control steps since the reset.
         start_yaw: heading that the reset gave, rad.
     """
@@ -101,6 +103,7 @@ class World(Body):
         self.monitored = (
             robot.published_monitored if protocol.watches_published_geoms else robot.monitored
         )
+        self.props = tuple(int(model.body(prop_body(prop.name)).id) for prop in scene.props)
         self._holds_pose = np.array(motors.follows) == "position"
         self._substeps = substeps
         self._fingerprint = fingerprint(model)
@@ -263,7 +266,9 @@ class World(Body):
         mujoco.mj_resetData(self._model, data)
         data.time = there.time
         for name in ("qpos", "qvel", "qacc_warmstart", "ctrl"):
-            getattr(data, name)[:] = getattr(there, name)
+            ours, theirs = getattr(data, name), getattr(there, name)
+            both = min(len(ours), len(theirs))  # The robot's come first, then those of props.
+            ours[:both] = theirs[:both]
         self._derive()
         self.steps, self.start_yaw = other.steps, other.start_yaw
         self._forces = other._forces
@@ -278,6 +283,16 @@ class World(Body):
         if self._physics is None:
             self._physics = PhysicsRate(self._model, self._data, self._substeps, self._joint_rates)
         return self._physics
+
+    def prop_poses(self) -> list[Array]:
+        """Return T_world_prop, (4, 4), of each of `scene.props`, now."""
+        poses: list[Array] = []
+        for body in self.props:
+            pose = np.eye(4)
+            pose[:3, :3] = self._data.xmat[body].reshape(3, 3)
+            pose[:3, 3] = self._data.xpos[body]
+            poses.append(pose)
+        return poses
 
     def trunk_readings(self) -> tuple[Array, Array, Array]:
         """Return what scores read of the trunk, now: views of the simulation's memory.

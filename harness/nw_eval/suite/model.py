@@ -425,7 +425,11 @@ class Suite(_Strict):
         description="What is expected of each trial, by a name. Each is a score, `expect_<name>`: "
         "1 where a trial keeps it, 0 where not.",
     )
-    record: Record = Field("failures", description="Trials whose images are kept in the logs.")
+    record: Record = Field(
+        "failures",
+        description="Trials whose images are kept in the logs; `summary` keeps neither images nor "
+        "control steps.",
+    )
     gate: Gate = Gate()  # pyright: ignore[reportCallIssue]
     plugins: dict[str, str] = Field(
         {},

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, fields
+from functools import lru_cache
 from hashlib import sha256
 from typing import TYPE_CHECKING, Protocol
 
@@ -37,7 +37,7 @@ class SceneLike(Protocol):
     def digest(self) -> str: ...  # noqa: D102
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, slots=True)
 class Trial:
     """One seeded rollout, before it is run.
 
@@ -65,7 +65,7 @@ class Trial:
         cell = "".join(f"-{axis}_{value!r}" for axis, value in self.perturbation)
         return f"{self.scene.replace('/', '-')}-{self.index:03d}{cell}"
 
-    @cached_property
+    @property
     def identity(self) -> str:
         """Hex sha256 of the identity."""
         place = _beginning(self.suite_digest, self.scene_digest, self.task)
@@ -104,10 +104,19 @@ def _beginning(suite_digest: str, scene_digest: str, task: str) -> str:
 
 
 def _of(first: Trial, index: int, place: int | None = None) -> Trial:
-    """Return another trial of a scene and cell; as `replace`, in a tenth of the time."""
-    trial = object.__new__(Trial)
-    object.__setattr__(trial, "__dict__", {**vars(first), "index": index, "place": place})
+    """Return another trial of a scene and cell; as `replace`, in a fifth of the time."""
+    trial: Trial = object.__new__(Trial)
+    for get, put in _SLOTS:
+        put(trial, get(first))
+    _put_index(trial, index)
+    _put_place(trial, place)
     return trial
+
+
+_put_index, _put_place = (vars(Trial)[name].__set__ for name in ("index", "place"))
+_SLOTS = [
+    (slot.__get__, slot.__set__) for slot in (vars(Trial)[field.name] for field in fields(Trial))
+]
 
 
 def expand(

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import NwEvalError, StoreError, UsageError
 from nw_eval.files.inside import what_is
-from nw_eval.rollout.mcap.drawn import place_update, robot_update
+from nw_eval.rollout.mcap.drawn import place_update, props_update, robot_update
 from nw_eval.rollout.observed import View, views_of
+from nw_eval.scenes.prop import prop_body
 from nw_eval.sensors.drawing.pictures import picture_of
 from nw_eval.splat.files import read_splat
 from nw_eval.suite.axes import AXES, axis_named
@@ -230,7 +231,8 @@ class LivePage(ServedPage):
             draw_splat(scene, self._splat)
         place = SceneUpdate.FromString(place_update(stage.place.scene.mesh())).entities
         self._mesh = draw_mesh(scene, place, visible=self._splat is None)
-        robot = SceneUpdate.FromString(robot_update(trial.robot.bodies, trial.robot.visuals))
+        moving = robot_update(trial.robot.bodies, trial.robot.visuals)
+        robot = SceneUpdate.FromString(moving + props_update(trial.scene.props))
         self._bodies = draw_robot(scene, robot.entities, "/robot")
         self._boxes: list[Any] = []
         self._views = tuple(
@@ -281,6 +283,9 @@ class LivePage(ServedPage):
         world = self._stage.trial.episode.world
         positions, quats, *_ = world.moving()
         numbers = dict(zip(world.robot.bodies, world.bodies, strict=True))
+        numbers |= zip(
+            (prop_body(prop.name) for prop in world.scene.props), world.props, strict=True
+        )
         with self.server.atomic():
             for name, handle in self._bodies.items():
                 number = numbers[name]

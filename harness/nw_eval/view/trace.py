@@ -123,8 +123,10 @@ def read_trace(path: Path) -> Trace:
 
 def _trace(logged: LoggedTrial, messages: dict[str, list[tuple[float, Any]]]) -> Trace:
     entities = tuple(e for _, update in messages["/scene"] for e in update.entities)
-    frames = {e.frame_id for e in entities if e.id.startswith("robot/")}
-    times, bodies = _poses(messages["/tf"], [name for name in _bodies(logged) if name in frames])
+    frames = {e.frame_id: e.id for e in entities if e.id.startswith(("robot/", "prop/"))}
+    names = [name for name in _bodies(logged) if name in frames]
+    names += [name for name, entity in frames.items() if entity == name]  # A prop's.
+    times, bodies = _poses(messages["/tf"], names)
     discs = messages["/waypoints"][0][1].entities
     points = [each.cylinders[0].pose.position for each in discs]
     ego = [(time, picture) for time, picture in logged.log.frames("ego") if picture.ndim == 3]

@@ -29,7 +29,7 @@ COUNTING = {
     "contact_termination": st.booleans(),
     "collision": st.sampled_from(["terrain", "triangles"]),
     "checkpoint_digest": TEXT,
-    "record": st.sampled_from(["all", "failures", "none"]),
+    "record": st.sampled_from(["all", "failures", "none", "summary"]),
     "render": st.sampled_from(["cpu", "cuda"]),
     "rendering": st.builds(
         Rendering, projection=st.sampled_from(["ewa", "ray"]), samples=st.sampled_from([1, 4])

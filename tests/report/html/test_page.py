@@ -110,6 +110,19 @@ def test_where_trials_fail_is_told_waypoint_by_waypoint(
     assert "100 % waypoint 1, 100 % waypoint 2, 60 % waypoint 3, 60 % waypoint 4" in survival
 
 
+def test_of_many_trials_those_that_failed_are_listed_first(
+    make_page: Make, read: Make, rows: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nw_eval.reporting.html.page.MOST_LINES", 10)
+    section = read(make_page(rows)).one("section", id="trials")
+    listed = [line[0] for line in section.one("table").cells[1:]]
+    failed = [row.trial_id for row in rows if not row.completed]
+    assert len(listed) == 10 > len(failed) > 0
+    assert set(failed) < set(listed)
+    assert listed == sorted(listed)
+    assert f"10 of {len(rows)} trials, those that failed before" in section.text
+
+
 def test_a_page_without_logs_is_whole_and_claims_none(
     make_page: Make, read: Make, rows: list[Any]
 ) -> None:

@@ -76,7 +76,8 @@ def render_html(
         worst=worst_cards(judged(rows, verdict), clips, run, folder),
         remarks=(*evidence.remarks, *clips_left_out, *pictures_left_out),
         spent=throughput(rows, run),
-        trials=trial_lines(rows, run, folder),
+        trials=trial_lines(listed_trials(rows), run, folder),
+        trials_in_all=len(rows),
         reached="waypoints" if any(row.waypoints_total for row in rows) else "success",
         scenes=sorted({row.scene for row in rows}),
         view=f"nw-eval view {quote(str(folder))}",
@@ -138,6 +139,22 @@ def worst_cards(
         )
         for row in named
     )
+
+
+MOST_LINES = 5000
+"""Trials in the table of all of them: a browser needs a second for each 5,000 lines."""
+
+
+def listed_trials(rows: Sequence[Row]) -> Sequence[Row]:
+    """Return the trials that the table of all of them has: those that failed before the others.
+
+    Args:
+        rows: in the order of their names, in which they stay.
+    """
+    if len(rows) <= MOST_LINES:
+        return rows
+    chosen = sorted(range(len(rows)), key=lambda place: rows[place].completed)[:MOST_LINES]
+    return [rows[place] for place in sorted(chosen)]
 
 
 def trial_lines(rows: Sequence[Row], run: RunInfo, folder: Path) -> tuple[TrialLine, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from shlex import quote
@@ -25,8 +26,10 @@ def contacts_table(rows: Sequence[Row], run: RunInfo) -> Table:
     """Return how often head or trunk collided where that ends no trial; none where it does."""
     shown: list[tuple[str, ...]] = []
     if not run.suite.get("episode", {}).get("contact_termination", True):
-        for scene in sorted({row.scene for row in rows}):
-            seconds = [row.contact_s for row in rows if row.scene == scene]
+        by_scene: defaultdict[str, list[float]] = defaultdict(list)
+        for row in rows:
+            by_scene[row.scene].append(row.contact_s)
+        for scene, seconds in sorted(by_scene.items()):
             hit = [value for value in seconds if value > 0.0]
             shown.append((scene, f"{len(hit)} of {len(seconds)}", f"{sum(seconds):.2f} s"))
     return Table(

@@ -33,6 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 from nw_eval.robots import Shape
 from nw_eval.rollout.mcap.messages import sized, stamp, time_field
 from nw_eval.scenes.mesh import FACE_KINDS, FaceKind, TriangleMesh, rotation_matrix
+from nw_eval.scenes.prop import Prop, prop_body
 
 Colour = tuple[float, float, float, float]
 """Red, green, blue, opacity; 0 to 1."""
@@ -126,6 +127,24 @@ def robot_update(bodies: tuple[str, ...], visuals: tuple[Shape, ...]) -> bytes:
             for shape in shapes:
                 _add_shape(entity, shape)
             update.entities.append(entity)
+    return update.SerializeToString(deterministic=True)
+
+
+def props_update(props: Sequence[Prop]) -> bytes:
+    """Return one entity for each prop, its triangles in the frame of its body, serialised."""
+    update = SceneUpdate()
+    for prop in props:
+        mesh, frame = prop.solid, prop_body(prop.name)
+        triangles = TriangleListPrimitive(
+            pose=_pose((0.0, 0.0, 0.0)),
+            color=_colour((*prop.color, 1.0)),
+            indices=mesh.faces.ravel().tolist(),
+        )
+        for x, y, z in mesh.vertices.astype(np.float32).tolist():
+            triangles.points.add(x=x, y=y, z=z)
+        entity = _entity(0, frame, frame)
+        entity.triangles.append(triangles)
+        update.entities.append(entity)
     return update.SerializeToString(deterministic=True)
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -104,8 +105,10 @@ class Steps:
         joints: int,
         seen: SeenRows,
         command: Callable[[float], tuple[float, float, float]],
+        is_summary: bool = False,
     ) -> None:
         self._body = body
+        self._is_summary = is_summary
         self._seen = seen
         self._command = command
         # Where the numbers of the body end in a step's bytes, and those of the actions.
@@ -123,6 +126,8 @@ class Steps:
         body, actions = self._ends
         times = np.array([nanoseconds(note.time) for note in notes])
         rows = _numbers([note.data[:body] for note in notes])
+        if self._is_summary:
+            return [self._path(notes, times.tolist(), rows, channels)]
         messages = _filled(channels, self._body.forms, times, self._body.numbers(rows))
         parts: list[Part] = [(range(len(notes)), messages)]
         parts.append(self._path(notes, times.tolist(), rows, channels))
@@ -279,6 +284,7 @@ class BodyForms:
         joints: names.
         cameras: poses in the body that carries them, (7,), by the name of the frame.
         carriers: places of these bodies in `names`, the trunk's for all if empty.
+        props: numbers of bodies that are not the robot's, by the name of the frame.
 
     Attributes:
         forms: by topic, in the order of `numbers`.
@@ -294,15 +300,17 @@ class BodyForms:
         joints: tuple[str, ...],
         cameras: Mapping[str, Array],
         carriers: Sequence[int] = (),
+        props: Mapping[str, int] = MappingProxyType({}),
     ) -> None:
         self.forms: dict[str, Form] = {
-            "/tf": transforms_form((*names, *cameras)),
+            "/tf": transforms_form((*names, *cameras, *props)),
             "/robot/joints": joints_form(joints),
             "/robot/odom": odom_form(),
             "/robot/twist": _twist_form(names[0]),
         }
         self.width = 7 * in_model + 3 * len(joints) + _RATES
         self._bodies = list(bodies)
+        self._props = list(props.values())
         self._joints = len(joints)
         self._mounts = tuple(cameras.values())
         self._carriers = tuple(carriers) or (0,) * len(self._mounts)
@@ -324,10 +332,14 @@ class BodyForms:
         places, angles, speeds, rates, torques = np.split(
             rows, np.cumsum((-3 * joints - _RATES, joints, joints, _RATES)), axis=1
         )
-        poses = _poses(places)[:, self._bodies]
+        everything = _poses(places)
+        poses = everything[:, self._bodies]
         trunk = poses[:, 0]
+        frames = [poses, self._on_bodies(poses)]
+        if self._props:
+            frames.append(everything[:, self._props])
         return (
-            rounded(np.concatenate((poses, self._on_bodies(poses)), axis=1)),
+            rounded(np.concatenate(frames, axis=1)),
             rounded(np.stack((angles, speeds, torques), axis=2)).reshape(count, -1),
             rounded(trunk),
             rounded(trunk_rates(trunk, rates)),

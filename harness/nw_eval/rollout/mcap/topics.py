@@ -32,7 +32,8 @@ TOPICS = (
         name="/tf",
         schema="foxglove.FrameTransforms",
         rate=_STEP,
-        holds="every body of the robot, and the cameras whose pictures are logged; m, quaternions",
+        holds="every body of the robot, the cameras whose pictures are logged, and `prop/<name>` "
+        "of each prop of the scene; m, quaternions",
         frame="world",
     ),
     Topic(

@@ -23,6 +23,7 @@ from nw_eval.rollout.mcap.drawn import (
     TrailClouds,
     place_cloud,
     place_update,
+    props_update,
     robot_clouds,
     robot_update,
     trail_update,
@@ -35,11 +36,17 @@ from nw_eval.rollout.mcap.observations import SeenRows, observation_message
 from nw_eval.rollout.mcap.states import Saved, States
 from nw_eval.rollout.mcap.steps import BodyForms, StepNote, Steps
 from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.scenes.prop import Prop, prop_body
 from nw_eval.words import Record
 
 EventKind = Literal["start", "waypoint", "task", "contact", "coverage", "end", "error"]
 
-_IMAGES: dict[Record, Images] = {"all": "keep", "failures": "decide", "none": "drop"}
+_IMAGES: dict[Record, Images] = {
+    "all": "keep",
+    "failures": "decide",
+    "none": "drop",
+    "summary": "drop",
+}
 _P = ParamSpec("_P")
 
 
@@ -60,6 +67,9 @@ def _costs_only_the_log(
 class TrialLog:
     """The log of one trial. Without a path, and once writing has failed, every method is free.
 
+    Of a summary (`record: summary`) there is what names the trial, the trail, the walked path,
+    events and scores: no message of each control step, no state, no image, nothing of the place.
+
     Call order: `start`, then any of the others with times that do not decrease, then `finish` or
     `discard`.
     """
@@ -68,6 +78,7 @@ class TrialLog:
         self.error = ""  # why there is no log, one line
         self.bytes = 0  # size of the finished file
         self._path = path
+        self._is_summary = record == "summary"
         self._states = States()
         self._steps: Steps | None = None
         self._place: tuple[Discs, TrailClouds] | None = None
@@ -121,6 +132,8 @@ class TrialLog:
         command: Callable[[float], tuple[float, float, float]],
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[tuple[str, str]],
+        props: Sequence[Prop] = (),
+        prop_bodies: Sequence[int] = (),
     ) -> None:
         """Write what does not change: the trial, the place, the robot, the trail (K, 3).
 
@@ -137,6 +150,8 @@ class TrialLog:
             command: from a heading error, rad, to what is asked for: see `Steps`.
             metadata: records of texts by name.
             attachments: name and text of each.
+            props: of the scene.
+            prop_bodies: their numbers among those of the model.
         """
         for name, values in metadata.items():
             self._out.add_metadata(name, dict(values))
@@ -144,11 +159,14 @@ class TrialLog:
             self._out.attach(name, "text/plain", text.encode())
         self._place = Discs(trail), TrailClouds(start, trail)
         parts = robot.bodies, robot.visuals
-        scene = place_update(mesh) + robot_update(*parts) + trail_update(start, trail)
+        scene = robot_update(*parts) + trail_update(start, trail) + props_update(props)
+        if not self._is_summary:
+            scene = place_update(mesh) + scene
         self._out.add_bytes("/scene", 0, SceneUpdate, scene)
-        self._out.add_bytes("/points/place", 0, PointCloud, place_cloud(mesh))
-        for body, cloud in robot_clouds(*parts).items():
-            self._out.add_bytes(f"/points/robot/{body}", 0, PointCloud, cloud)
+        if not self._is_summary:
+            self._out.add_bytes("/points/place", 0, PointCloud, place_cloud(mesh))
+            for body, cloud in robot_clouds(*parts).items():
+                self._out.add_bytes(f"/points/robot/{body}", 0, PointCloud, cloud)
         self._waypoints(0, 0)
         frames = {camera_frame(name): pose for name, pose in cameras.items()}
         body = BodyForms(
@@ -160,8 +178,18 @@ class TrialLog:
             carriers=[
                 robot.bodies.index(robot.cameras[name].body or robot.root) for name in cameras
             ],
+            props={
+                prop_body(prop.name): number
+                for prop, number in zip(props, prop_bodies, strict=True)
+            },
         )
-        self._steps = Steps(body, joints=len(robot.joints), seen=seen, command=command)
+        self._steps = Steps(
+            body,
+            joints=len(robot.joints),
+            seen=seen,
+            command=command,
+            is_summary=self._is_summary,
+        )
 
     def step(self, step: StepNote) -> None:
         """Write a control step."""
@@ -177,7 +205,9 @@ class TrialLog:
 
     @_costs_only_the_log
     def state(self, time: float, saved: Saved) -> None:
-        """Write a restartable state."""
+        """Write a restartable state; a summary has none."""
+        if self._is_summary:
+            return
         self._states.note(nanoseconds(time), saved)
         self._out.add_noted(self._states, time, holds=saved.size)
 

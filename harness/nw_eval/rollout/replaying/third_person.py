@@ -16,7 +16,8 @@ from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.cones import Cones
 from nw_eval.sensors.drawing.insert import insert
 from nw_eval.sensors.drawing.mesh_picture import MeshPicture
-from nw_eval.sensors.drawing.overlay import draw, ray_directions
+from nw_eval.sensors.drawing.overlay import Overlay, draw, ray_directions
+from nw_eval.sensors.drawing.props import PropPictures, joined
 from nw_eval.splat.camera import Camera, Pixels, look_at
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ class Spectator:
     def __init__(self, scene: Scene, renderer: Renderer | None) -> None:
         self._scene = scene
         self._rays = RayScene(scene.mesh())
+        self._props = PropPictures(scene)
         drawn = MeshPicture(self._rays, scene.T_world_splat)
         self._renderer = drawn if renderer is None else renderer
 
@@ -121,9 +123,18 @@ class Spectator:
             is_aboard=is_aboard,
         )
         image = self._shadowed(self._renderer.render(camera), directions, T_world_camera, world)
+        others: list[Overlay] = []
+        if self._scene.props:
+            others = self._props.overlays(
+                world.prop_poses(),
+                lambda T: replace(camera, T_world_camera=T),
+                directions=directions,
+                T_world_camera=T_world_camera,
+                static=self._rays,
+            )
         image = insert(
             image,
-            overlay,
+            joined([overlay, *others]),
             directions=directions,
             T_world_camera=T_world_camera,
             static=self._rays,

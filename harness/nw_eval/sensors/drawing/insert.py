@@ -70,6 +70,8 @@ def insert(
     surface = before[_beside_surface(points, static)]
     depth[surface] = np.nextafter(drawn[surface], np.float32(np.inf))
     light = light_around(image.rgb, directions @ -T_world_camera[2, :3], row, column)
+    if overlay.lit is not None:
+        light = 1.0 + (light - 1.0) * overlay.lit[row, column, np.newaxis]
     blended = composite(
         Image(
             rgb=image.rgb[row, column][np.newaxis],

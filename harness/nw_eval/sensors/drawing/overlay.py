@@ -27,6 +27,8 @@ class Overlay:
     """(H, W) m along the optical axis, inf = nothing."""
     coverage: NDArray[np.float32]
     """(H, W), share of the pixel in which something is drawn, 0 to 1."""
+    lit: NDArray[np.float32] | None = None
+    """(H, W), share of it on which the place's light falls, 0 to 1; None = all of it."""
 
 
 def ray_directions(camera: Camera, pixels: Pixels) -> NDArray[np.float64]:

@@ -66,10 +66,11 @@ def write_place(track: Track, messages: Messages) -> None:
         entity.frame_id
         for _, update in messages.get("/scene", ())
         for entity in update.entities
-        if entity.id.startswith("robot/")
+        if entity.id.startswith(("robot/", "prop/"))
     }
     for body, (times, columns) in _moving(track, messages, bodies).items():
-        track.moves(track.entity(WORLD, "robot", body), times, columns)
+        parts = body.split("/") if body.startswith("prop/") else ("robot", body)
+        track.moves(track.entity(WORLD, *parts), times, columns)
 
 
 def first_pose(messages: Messages) -> tuple[float, float, float]:
