@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -171,19 +172,36 @@ def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict
     return dict(named)
 
 
-@lru_cache(maxsize=4)  # All trials of a process open the same files.
-def _check(data: bytes, where: str) -> None:
-    check_onnx(data, where)
+_DRAWING = (b"Random", b"Bernoulli", b"Multinomial", b"Dropout")
+"""What the names of operators begin with that draw numbers: their sessions remember how many."""
+
+
+@dataclass(frozen=True)
+class _GraphFile:
+    """A graph that was verified; equal to another one of the same bytes."""
+
+    sha256: str
+    where: str
+    data: bytes = field(compare=False, repr=False)
 
 
 def _open(bundle: Bundle) -> ort.InferenceSession:
     data = bundle.read_checkpoint()
-    _check(data, str(bundle.checkpoint))
+    graph = _GraphFile(bundle.checkpoint_sha256, str(bundle.checkpoint), data)
+    if any(name in data for name in _DRAWING):
+        return _session.__wrapped__(graph)
+    return _session(graph)
+
+
+# All trials of a process open the same files, and what computes without drawing remembers nothing.
+@lru_cache(maxsize=4)
+def _session(graph: _GraphFile) -> ort.InferenceSession:
+    check_onnx(graph.data, graph.where)
     try:
-        return open_session(data)
+        return open_session(graph.data)
     except Exception as error:  # noqa: BLE001 - onnxruntime's exceptions share no public base.
         raise PolicyError(
-            f"{bundle.checkpoint}: not a usable ONNX file: {clean(error, at_most=200)}",
+            f"{graph.where}: not a usable ONNX file: {clean(error, at_most=200)}",
             fix="export it again as one file with standard operators",
         ) from None
 

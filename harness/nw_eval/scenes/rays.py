@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,11 +35,11 @@ class RayScene:
         walkable = (normal[:, 2] > 0) & ~np.isin(mesh.kinds, _LOOKED_THROUGH)
         faces = np.flatnonzero(walkable)
         self._ground = _embree(mesh.vertices, mesh.faces[faces])
-        # Corner and normal of each of them, a row for each face. The last row is that of a miss,
+        # Corner and normal of each of them, a column for each face. The last one is that of a miss,
         # which has index -1: infinitely deep.
         planes = np.concatenate([corners[faces, 0], normal[faces]], axis=1)
         nowhere = [[0.0, 0.0, -np.inf, 0.0, 0.0, 1.0]]
-        self._planes = np.concatenate([planes, nowhere])
+        self._planes = np.ascontiguousarray(np.concatenate([planes, nowhere]).T)
 
     def cast(
         self, origins: NDArray[np.floating], directions: NDArray[np.floating]
@@ -84,20 +85,24 @@ class RayScene:
             (N,) float64 metres, -inf where there is nothing below.
         """
         count = len(xy)
-        if count == 0 or len(self._planes) == 1:
+        if count == 0 or self._planes.shape[1] == 1:
             return np.full(count, -np.inf)
         origins = np.empty((count, 3), dtype=np.float32)
         origins[:, :2] = xy
         origins[:, 2] = z_from
-        down = np.zeros((count, 3), dtype=np.float32)
-        down[:, 2] = -1.0
-        hit = self._ground.run(origins, down)
+        hit = self._ground.run(origins, _down(count))
         # The plane's own equation in float64: 50 m of float32 distance would cost micrometres.
-        x, y, z, nx, ny, nz = self._planes.take(hit, axis=0).T
+        x, y, z, nx, ny, nz = self._planes.take(hit, axis=1)
         rise = (xy[:, 0] - x) * nx
         rise += (xy[:, 1] - y) * ny
         rise /= nz
         return z - rise
+
+
+@lru_cache(maxsize=8)
+def _down(count: int) -> NDArray[np.float32]:
+    """Return directions straight down, (N, 3), which nobody changes."""
+    return np.tile(np.array([0.0, 0.0, -1.0], dtype=np.float32), (count, 1))
 
 
 def _embree(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Any:
