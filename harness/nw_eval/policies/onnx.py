@@ -56,6 +56,8 @@ class OnnxNetwork:
         outputs = session.get_outputs()
         self._fed_by = _recurrent(bundle, specs, outputs)
         self._recurrent = tuple(spec for spec in specs if spec.name in self._fed_by)
+        self.is_function = not self._recurrent and not _draws(bundle.read_checkpoint())
+        """Whether equal inputs give equal outputs, whatever came before."""
         self._memory: Arrays = {}
         self.inputs = tuple(spec for spec in specs if spec.name not in self._fed_by)
         try:
@@ -176,6 +178,10 @@ _DRAWING = (b"Random", b"Bernoulli", b"Multinomial", b"Dropout")
 """What the names of operators begin with that draw numbers: their sessions remember how many."""
 
 
+def _draws(data: bytes) -> bool:
+    return any(name in data for name in _DRAWING)
+
+
 @dataclass(frozen=True)
 class _GraphFile:
     """A graph that was verified; equal to another one of the same bytes."""
@@ -188,7 +194,7 @@ class _GraphFile:
 def _open(bundle: Bundle) -> ort.InferenceSession:
     data = bundle.read_checkpoint()
     graph = _GraphFile(bundle.checkpoint_sha256, str(bundle.checkpoint), data)
-    if any(name in data for name in _DRAWING):
+    if _draws(data):
         return _session.__wrapped__(graph)
     return _session(graph)
 
