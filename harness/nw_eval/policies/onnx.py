@@ -50,13 +50,15 @@ class OnnxNetwork:
         """
         self._name = bundle.name
         self._subject = bundle.subject
-        session = _open(bundle)
+        file = bundle.checkpoint_sha256, str(bundle.checkpoint), bundle.read_checkpoint()
+        graph = _GraphFile(*file)
+        session = _open(graph)
         self._session: ort.InferenceSession | None = session
         specs = tuple(_spec(bundle, node) for node in session.get_inputs())
         outputs = session.get_outputs()
         self._fed_by = _recurrent(bundle, specs, outputs)
         self._recurrent = tuple(spec for spec in specs if spec.name in self._fed_by)
-        self.is_function = not self._recurrent and not _draws(bundle.read_checkpoint())
+        self.is_function = not self._recurrent and not _draws(graph)
         """Whether equal inputs give equal outputs, whatever came before."""
         self._memory: Arrays = {}
         self.inputs = tuple(spec for spec in specs if spec.name not in self._fed_by)
@@ -178,10 +180,6 @@ _DRAWING = (b"Random", b"Bernoulli", b"Multinomial", b"Dropout")
 """What the names of operators begin with that draw numbers: their sessions remember how many."""
 
 
-def _draws(data: bytes) -> bool:
-    return any(name in data for name in _DRAWING)
-
-
 @dataclass(frozen=True)
 class _GraphFile:
     """A graph that was verified; equal to another one of the same bytes."""
@@ -191,12 +189,13 @@ class _GraphFile:
     data: bytes = field(compare=False, repr=False)
 
 
-def _open(bundle: Bundle) -> ort.InferenceSession:
-    data = bundle.read_checkpoint()
-    graph = _GraphFile(bundle.checkpoint_sha256, str(bundle.checkpoint), data)
-    if _draws(data):
-        return _session.__wrapped__(graph)
-    return _session(graph)
+@lru_cache(maxsize=8)
+def _draws(graph: _GraphFile) -> bool:
+    return any(name in graph.data for name in _DRAWING)
+
+
+def _open(graph: _GraphFile) -> ort.InferenceSession:
+    return _session.__wrapped__(graph) if _draws(graph) else _session(graph)
 
 
 # All trials of a process open the same files, and what computes without drawing remembers nothing.
