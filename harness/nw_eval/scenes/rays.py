@@ -47,15 +47,15 @@ class RayScene:
         """Return the first face along each ray.
 
         Args:
-            origins: (N, 3) metres, world.
+            origins: (N, 3) metres, world; or (3,), one for all.
             directions: (N, 3) unit vectors, world.
 
         Returns:
             distance (N,) float64 metres, inf for a miss; face (N,) int32, -1 for a miss.
         """
-        if len(origins) == 0:
+        if len(directions) == 0:
             return np.zeros(0), np.zeros(0, dtype=np.int32)
-        hits = self._scene.run(_single(origins), _single(directions), output=True)
+        hits = self._scene.run(*_rays(origins, directions), output=True)
         distance = hits["tfar"].astype(np.float64)
         face = hits["primID"]
         distance[face < 0] = np.inf
@@ -65,9 +65,9 @@ class RayScene:
         self, origins: NDArray[np.floating], directions: NDArray[np.floating]
     ) -> NDArray[np.float64]:
         """Return only the distances of `cast`, (N,) metres, inf for a miss; a little faster."""
-        if len(origins) == 0:
+        if len(directions) == 0:
             return np.zeros(0)
-        found = self._scene.run(_single(origins), _single(directions), query="DISTANCE")
+        found = self._scene.run(*_rays(origins, directions), query="DISTANCE")
         return np.where(found > _FAR, np.inf, found.astype(np.float64))
 
     def height(
@@ -113,5 +113,13 @@ def _embree(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Any:
     return scene
 
 
-def _single(values: NDArray[np.floating]) -> NDArray[np.float32]:
-    return np.ascontiguousarray(values, dtype=np.float32)
+def _rays(
+    origins: NDArray[np.floating], directions: NDArray[np.floating]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return both as Embree takes them, (N, 3) each."""
+    towards = np.ascontiguousarray(directions, dtype=np.float32)
+    if origins.ndim > 1:
+        return np.ascontiguousarray(origins, dtype=np.float32), towards
+    begin = np.empty_like(towards)
+    begin[:] = origins
+    return begin, towards
