@@ -59,13 +59,18 @@ $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "nw-eval needs Python 3.11 or newer, this is " + sys.version.split()[0] + "; run make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 
-# torch first and alone: the pinned CPU build satisfies every later requirement. Python compiles what is
-# imported, once; compiling all of it ahead takes ten seconds of a core.
+# numba first: the kernels compile while pip brings the rest, since both take one core. Then torch alone: the pinned
+# CPU build satisfies every later requirement. Python compiles what is imported, once; compiling all of it ahead takes
+# ten seconds of a core. Kernels that could not be compiled here are at the first use, which says why.
+PIP := $(BIN)/pip install -q --no-compile --disable-pip-version-check
+WARM_UP := from nw_eval.splat.warmup import warmup; warmup()
 $(VENV)/.installed: $(BIN)/python pyproject.toml constraints.txt
-	$(BIN)/pip install -q --no-compile --disable-pip-version-check torch==$(shell sed -n 's/^torch==//p' constraints.txt)
-	$(BIN)/pip install -q --no-compile --disable-pip-version-check -c constraints.txt -e .
+	$(PIP) -c constraints.txt numba numpy
+	PYTHONPATH=harness $(BIN)/python -c '$(WARM_UP)' >/dev/null 2>&1 & \
+	  $(PIP) torch==$(shell sed -n 's/^torch==//p' constraints.txt) \
+	  && $(PIP) -c constraints.txt -e .; code=$$?; wait; exit $$code
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	$(BIN)/pip install -q --no-compile --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	$(PIP) -c constraints.txt -e '.[dev]'
 	touch $@

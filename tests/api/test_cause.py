@@ -78,6 +78,16 @@ def test_an_exchanged_policy_has_one_s_sensors_and_the_other_s_gains(changed, tm
     assert not other.card.cameras
 
 
+def test_networks_that_feed_a_policy_go_along_with_its_control(tmp_path):
+    student = load_bundle("go1-act-depth")
+    crossed = load_bundle(
+        write_crossed(tmp_path / "a", student, student, name="a"),
+        checkpoint=student.checkpoint,
+    )
+    assert crossed.checkpoint_digest == student.checkpoint_digest
+    assert not any(vars(apart(student, crossed)).values())
+
+
 def test_policies_that_see_in_other_ways_cannot_be_exchanged():
     with pytest.raises(PolicyError, match="cannot be exchanged"):
         apart(load_bundle("go1-parkour"), load_bundle("go1-act-rgb"))

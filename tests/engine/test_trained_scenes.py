@@ -35,8 +35,8 @@ def test_a_scene_is_train_where_the_card_names_it_and_else_eval(trained_on, spli
 
 def test_the_shipped_students_say_where_they_were_trained_and_no_digest_moves(tmp_path):
     for name, digest in {
-        "go1-act-rgb": "5066b8624e8dd53a",
-        "go1-act-depth": "63a18bd7b4350dd7",
+        "go1-act-rgb": "efb1688a0a2c2f06",
+        "go1-act-depth": "54ff1337fb024f2d",
     }.items():
         bundle = load_bundle(available("policies")[name])
         assert bundle.card.trained_on == ("split:train",)

@@ -260,6 +260,36 @@ def test_a_network_is_asked_at_its_own_rate_and_held_in_between(tmp_path, rate, 
     assert asked == [1 + step // every for step in range(12)]
 
 
+def doubling(name="seen", count=12):
+    """A graph that doubles its one input, as bytes."""
+    shape = [1, count]
+    graph = helper.make_graph(
+        [helper.make_node("Add", [name, name], ["out"])],
+        "doubling",
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)],
+        [helper.make_tensor_value_info("out", TensorProto.FLOAT, shape)],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    return model.SerializeToString()
+
+
+def test_a_graph_without_memory_runs_when_it_is_given_something_else(tmp_path, monkeypatch):
+    files = {"encoder.onnx": doubling(), "body.onnx": doubling()}
+    bundle = bundle_of(tmp_path, files, inputs="[encoder]", encoder="encoder, inputs: [pose]")
+    policy = open_policy(bundle)
+    encoder, asked = policy.feeders[0].network, []
+    run = encoder.run
+    monkeypatch.setattr(encoder, "run", lambda given: asked.append(1) or run(given))
+    pose = np.zeros(12, np.float32)
+    actions = []
+    for step in range(6):
+        pose[:] = step // 3  # In the same memory, as a sensor may do it.
+        actions.append(policy.act({"pose": pose})[0])
+    assert (len(asked), actions) == (2, [0.0] * 3 + [4.0] * 3)
+    policy.reset(1)
+    assert policy.act({"pose": pose})[0] == 4.0
+
+
 def test_what_networks_remember_is_reset_saved_and_restored(tmp_path):
     policy = open_policy(counting(tmp_path))
     first = walk(policy, [POSE] * 12)

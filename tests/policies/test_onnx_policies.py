@@ -183,3 +183,25 @@ def test_recurrent_state_of_another_size_does_not_fit(tmp_path):
     other = open_policy(bundle_of(tmp_path / "other", counting(shape=(2, 1, 6))))
     with pytest.raises(TrialError, match="does not fit policy 'mine'"):
         other.restore(saved)
+
+
+def test_a_graph_that_draws_numbers_draws_the_same_in_every_trial(tmp_path):
+    nodes = [
+        helper.make_node("RandomNormal", [], ["noise"], shape=[1, 12], seed=1.0),
+        helper.make_node("Gemm", ["obs", "weight", "noise"], ["action"], transB=1),
+    ]
+    graph = helper.make_graph(
+        nodes,
+        "drawing",
+        [helper.make_tensor_value_info("obs", TensorProto.FLOAT, [1, 16])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, [1, 12])],
+        [numpy_helper.from_array(np.zeros((12, 16), np.float32), "weight")],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    bundle = bundle_of(tmp_path, model.SerializeToString())
+    zeros = {"body": np.zeros(12, np.float32), "feet": np.zeros(4, np.float32)}
+    first, second = (open_policy(bundle) for _ in range(2))
+    drawn = first.act(zeros)
+    assert drawn.any()
+    assert second.act(zeros).tolist() == drawn.tolist()
+    assert first.act(zeros).tolist() != drawn.tolist()

@@ -345,3 +345,10 @@ def test_a_force_acts_in_the_next_step_only_and_is_no_part_of_what_is_saved(go1,
         for each in (world, other):
             each.step(go1.default_pose)
         assert world.state() == other.state()
+
+
+def test_trials_in_a_scene_share_a_model_of_equal_figures(go1, flat):
+    with World(go1, flat) as one, World(go1, flat) as two, World(go1, flat, payload=1.0) as loaded:
+        assert one._model is two._model
+        assert loaded._model is not one._model
+        assert loaded.mass == pytest.approx(one.mass + 1.0)

@@ -248,10 +248,10 @@ def apart(old: Bundle, new: Bundle) -> Apart:
     from nw_eval.gate.cause import Apart
 
     for bundle in (old, new):
-        if bundle.card.networks or bundle.instance is not None or bundle.card.adapter == "remote":
-            what = "networks of its own" if bundle.card.networks else "no files here"
+        if bundle.instance is not None or bundle.card.adapter == "remote":
             raise PolicyError(
-                f"{bundle.subject} has {what}, and cannot be taken apart into sight and control",
+                f"{bundle.subject} has no files here, and cannot be taken apart into sight and "
+                "control",
                 fix="`nw-eval blame` without --cause says since when its trials were lost",
             )
     one, other = (set(_sight(bundle.card)) for bundle in (old, new))
@@ -262,6 +262,8 @@ def apart(old: Bundle, new: Bundle) -> Apart:
             fix="compare policies whose networks take the same inputs",
         )
     cards = [_values_of(bundle.card) for bundle in (old, new)]
+    for network in (each for card in cards for each in card.get("networks", {}).values()):
+        del network["checkpoint"]  # They are weights.
     sights = [{name: card["observations"][name] for name in sorted(one)} for card in cards]
     mounts = [card.get("cameras", {}) for card in cards]
     rests = [
@@ -282,7 +284,8 @@ def apart(old: Bundle, new: Bundle) -> Apart:
 def write_crossed(folder: Path, control: Bundle, sight: Bundle, *, name: str) -> Path:
     """Write the card of one policy with the sight of another one; return its file.
 
-    Weights stay where they are; Python code is copied beside the card.
+    Its own weights stay where they are; those of networks that feed them, and Python code, are
+    copied beside the card.
 
     Raises:
         StoreError: it cannot be written.
@@ -304,6 +307,10 @@ def write_crossed(folder: Path, control: Bundle, sight: Bundle, *, name: str) ->
             shutil.copytree(control.folder, folder)
         else:
             folder.mkdir(parents=True)
+        for network, weights in control.networks.items():
+            own = folder / f"{network}{weights.path.suffix}"
+            shutil.copyfile(weights.path, own)
+            card["networks"][network]["checkpoint"] = {"file": own.name, "sha256": weights.sha256}
         path = folder / CARD_FILE
         path.write_text(_yaml(card), encoding="utf-8")
     except OSError as error:

@@ -257,13 +257,20 @@ class BuiltInSplat:
     def _key(self) -> str:
         return digest(GENERATOR_VERSION, self.place)
 
-    def store(self, progress: Progress | None = None) -> Path:
-        """Return the compiled store; build it in the cache on first use."""
-        from nw_eval.splat.store import FORMAT, SUFFIX, compile_store, open_store
+    @property
+    def path(self) -> Path:
+        """Where the compiled store lies in the cache, or is to lie."""
+        from nw_eval.splat.store import FORMAT, SUFFIX
 
         # Versions of nw-eval that share a cache do not undo each other's.
         name = f"{self.place.name.replace('/', '-')}-{self.key[:16]}-{FORMAT}"
-        path = cache_dir("scenes") / f"{name}{SUFFIX}"
+        return cache_dir("scenes") / f"{name}{SUFFIX}"
+
+    def store(self, progress: Progress | None = None) -> Path:
+        """Return the compiled store; build it in the cache on first use."""
+        from nw_eval.splat.store import compile_store, open_store
+
+        path = self.path
         if path.is_file():
             try:
                 open_store(path, key=self.key)

@@ -8,9 +8,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Self
 
+from nw_eval.engine.building import SplatBuilders
 from nw_eval.engine.cache import limit_bytes
 from nw_eval.engine.known import known_trials
 from nw_eval.engine.listener import Listener, Silence
+from nw_eval.engine.machine import worker_count
+from nw_eval.engine.order import in_order
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
 from nw_eval.engine.provenance import journal_header, now, run_info
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.workers import Hire, Workers
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
+    from nw_eval.scenes import Scene
 
     Prelude = Callable[[RunFolder, RunInfo], RunInfo]
 
@@ -93,7 +97,14 @@ def carry_out(
 
     listener = listener or Silence()
     limit_bytes()  # Before anything is written, if it is none.
-    with workplace(workers=workers, in_process=in_process, cluster=cluster) as place:
+    with (
+        workplace(workers=workers, in_process=in_process, cluster=cluster) as place,
+        SplatBuilders(
+            _in_need(plan) if plan.renders else (),
+            count=worker_count(place.workers, len(plan.scenes)),
+            listener=listener,
+        ) as builders,
+    ):
         if plan.renders:
             code = plan.request.allow_code and senses_by_code(plan.bundle.card)
             off = why_off(code=code, render=plan.render, in_process=in_process)
@@ -115,6 +126,7 @@ def carry_out(
                 write_run_info(folder.run_json, info)
             if (info.stop is None or info.stop.trials) and not info.interrupted:
                 ready_scans(plan.scenes, listener)
+                builders.wait()
                 if plan.renders:
                     build_splats(plan.scenes, listener)
                 jobs = plan_jobs(plan, folder)
@@ -149,6 +161,13 @@ def carry_out(
                 )
             _finish(plan, folder, info, journal.rows, wall=perf_counter() - began)
         return folder
+
+
+def _in_need(plan: Plan) -> list[Scene]:
+    """Return the scenes of a plan in the order in which its trials need them."""
+    names = dict.fromkeys(trial.scene for trial in in_order(plan.trials))
+    scenes = {scene.name: scene for scene in plan.scenes}
+    return [scenes[name] for name in names if name in scenes]
 
 
 def _folder(plan: Plan, out: Path | None, resume: Path | None) -> RunFolder:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -49,12 +50,16 @@ class OnnxNetwork:
         """
         self._name = bundle.name
         self._subject = bundle.subject
-        session = _open(bundle)
+        file = bundle.checkpoint_sha256, str(bundle.checkpoint), bundle.read_checkpoint()
+        graph = _GraphFile(*file)
+        session = _open(graph)
         self._session: ort.InferenceSession | None = session
         specs = tuple(_spec(bundle, node) for node in session.get_inputs())
         outputs = session.get_outputs()
         self._fed_by = _recurrent(bundle, specs, outputs)
         self._recurrent = tuple(spec for spec in specs if spec.name in self._fed_by)
+        self.is_function = not self._recurrent and not _draws(graph)
+        """Whether equal inputs give equal outputs, whatever came before."""
         self._memory: Arrays = {}
         self.inputs = tuple(spec for spec in specs if spec.name not in self._fed_by)
         try:
@@ -171,19 +176,37 @@ def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict
     return dict(named)
 
 
-@lru_cache(maxsize=4)  # All trials of a process open the same files.
-def _check(data: bytes, where: str) -> None:
-    check_onnx(data, where)
+_DRAWING = (b"Random", b"Bernoulli", b"Multinomial", b"Dropout")
+"""What the names of operators begin with that draw numbers: their sessions remember how many."""
 
 
-def _open(bundle: Bundle) -> ort.InferenceSession:
-    data = bundle.read_checkpoint()
-    _check(data, str(bundle.checkpoint))
+@dataclass(frozen=True)
+class _GraphFile:
+    """A graph that was verified; equal to another one of the same bytes."""
+
+    sha256: str
+    where: str
+    data: bytes = field(compare=False, repr=False)
+
+
+@lru_cache(maxsize=8)
+def _draws(graph: _GraphFile) -> bool:
+    return any(name in graph.data for name in _DRAWING)
+
+
+def _open(graph: _GraphFile) -> ort.InferenceSession:
+    return _session.__wrapped__(graph) if _draws(graph) else _session(graph)
+
+
+# All trials of a process open the same files, and what computes without drawing remembers nothing.
+@lru_cache(maxsize=4)
+def _session(graph: _GraphFile) -> ort.InferenceSession:
+    check_onnx(graph.data, graph.where)
     try:
-        return open_session(data)
+        return open_session(graph.data)
     except Exception as error:  # noqa: BLE001 - onnxruntime's exceptions share no public base.
         raise PolicyError(
-            f"{bundle.checkpoint}: not a usable ONNX file: {clean(error, at_most=200)}",
+            f"{graph.where}: not a usable ONNX file: {clean(error, at_most=200)}",
             fix="export it again as one file with standard operators",
         ) from None
 

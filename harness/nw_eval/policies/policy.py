@@ -27,7 +27,7 @@ class Policy(Memory[bytes], Protocol):
     """A policy in one trial. It has one thread, batch 1 and no randomness of its own.
 
     It is used as `reset`, then `act` once for each control step, then `close`. Two policies share
-    nothing, so trials do not depend on what ran before them.
+    nothing that changes, so trials do not depend on what ran before them.
     """
 
     @property

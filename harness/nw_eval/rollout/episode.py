@@ -539,10 +539,8 @@ class ChainDigest:
 
     def update(self, *arrays: np.ndarray) -> None:
         """Append arrays; each is hashed as little-endian float64."""
-        link = sha256(self._value)
-        for array in arrays:
-            link.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-        self._value = link.digest()
+        parts = [array.astype("<f8", copy=False).tobytes() for array in arrays]
+        self._value = sha256(b"".join((self._value, *parts))).digest()
 
     @property
     def hex(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,11 +35,11 @@ class RayScene:
         walkable = (normal[:, 2] > 0) & ~np.isin(mesh.kinds, _LOOKED_THROUGH)
         faces = np.flatnonzero(walkable)
         self._ground = _embree(mesh.vertices, mesh.faces[faces])
-        # Corner and normal of each of them, a row for each face. The last row is that of a miss,
+        # Corner and normal of each of them, a column for each face. The last one is that of a miss,
         # which has index -1: infinitely deep.
         planes = np.concatenate([corners[faces, 0], normal[faces]], axis=1)
         nowhere = [[0.0, 0.0, -np.inf, 0.0, 0.0, 1.0]]
-        self._planes = np.concatenate([planes, nowhere])
+        self._planes = np.ascontiguousarray(np.concatenate([planes, nowhere]).T)
 
     def cast(
         self, origins: NDArray[np.floating], directions: NDArray[np.floating]
@@ -46,15 +47,15 @@ class RayScene:
         """Return the first face along each ray.
 
         Args:
-            origins: (N, 3) metres, world.
+            origins: (N, 3) metres, world; or (3,), one for all.
             directions: (N, 3) unit vectors, world.
 
         Returns:
             distance (N,) float64 metres, inf for a miss; face (N,) int32, -1 for a miss.
         """
-        if len(origins) == 0:
+        if len(directions) == 0:
             return np.zeros(0), np.zeros(0, dtype=np.int32)
-        hits = self._scene.run(_single(origins), _single(directions), output=True)
+        hits = self._scene.run(*_rays(origins, directions), output=True)
         distance = hits["tfar"].astype(np.float64)
         face = hits["primID"]
         distance[face < 0] = np.inf
@@ -64,9 +65,9 @@ class RayScene:
         self, origins: NDArray[np.floating], directions: NDArray[np.floating]
     ) -> NDArray[np.float64]:
         """Return only the distances of `cast`, (N,) metres, inf for a miss; a little faster."""
-        if len(origins) == 0:
+        if len(directions) == 0:
             return np.zeros(0)
-        found = self._scene.run(_single(origins), _single(directions), query="DISTANCE")
+        found = self._scene.run(*_rays(origins, directions), query="DISTANCE")
         return np.where(found > _FAR, np.inf, found.astype(np.float64))
 
     def height(
@@ -84,20 +85,24 @@ class RayScene:
             (N,) float64 metres, -inf where there is nothing below.
         """
         count = len(xy)
-        if count == 0 or len(self._planes) == 1:
+        if count == 0 or self._planes.shape[1] == 1:
             return np.full(count, -np.inf)
         origins = np.empty((count, 3), dtype=np.float32)
         origins[:, :2] = xy
         origins[:, 2] = z_from
-        down = np.zeros((count, 3), dtype=np.float32)
-        down[:, 2] = -1.0
-        hit = self._ground.run(origins, down)
+        hit = self._ground.run(origins, _down(count))
         # The plane's own equation in float64: 50 m of float32 distance would cost micrometres.
-        x, y, z, nx, ny, nz = self._planes.take(hit, axis=0).T
+        x, y, z, nx, ny, nz = self._planes.take(hit, axis=1)
         rise = (xy[:, 0] - x) * nx
         rise += (xy[:, 1] - y) * ny
         rise /= nz
         return z - rise
+
+
+@lru_cache(maxsize=8)
+def _down(count: int) -> NDArray[np.float32]:
+    """Return directions straight down, (N, 3), which nobody changes."""
+    return np.tile(np.array([0.0, 0.0, -1.0], dtype=np.float32), (count, 1))
 
 
 def _embree(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Any:
@@ -108,5 +113,13 @@ def _embree(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Any:
     return scene
 
 
-def _single(values: NDArray[np.floating]) -> NDArray[np.float32]:
-    return np.ascontiguousarray(values, dtype=np.float32)
+def _rays(
+    origins: NDArray[np.floating], directions: NDArray[np.floating]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return both as Embree takes them, (N, 3) each."""
+    towards = np.ascontiguousarray(directions, dtype=np.float32)
+    if origins.ndim > 1:
+        return np.ascontiguousarray(origins, dtype=np.float32), towards
+    begin = np.empty_like(towards)
+    begin[:] = origins
+    return begin, towards

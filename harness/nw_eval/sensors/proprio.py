@@ -98,7 +98,8 @@ class Proprio(Measurement):
         history = observation.history
         self.sum_of = frame if history is None else f"{history.steps} x ({frame})"
         # Observations of one card that have the same terms read them once.
-        self._key = repr((terms, observation.clip, command))
+        texts = [one.model_dump_json() for one in (*terms, command)]
+        self._key = f"{observation.clip}{texts}"
 
     def measure(self, moment: Moment) -> NDArray[Any]:
         """Return the present frame."""

@@ -7,8 +7,9 @@ primitives by `nw_eval.scenes.attach`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self, assert_never
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Self, assert_never
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -16,14 +17,13 @@ import numpy.typing as npt
 from nw_eval.errors import UsageError
 from nw_eval.scenes.attach import add_height_field, add_primitive, add_triangles
 from nw_eval.scenes.prop import Prop, prop_body
-from nw_eval.scenes.scene import Box, HeightField, Primitive, Triangles
+from nw_eval.scenes.scene import Box, HeightField, Primitive, Scene, Triangles
 from nw_eval.sim.binding import MjBody, MjModel, MjSpec, mujoco
 
 if TYPE_CHECKING:
     from nw_eval.protocol import EvaluationProtocol
     from nw_eval.robots import RobotSpec
     from nw_eval.robots.spec import Follow
-    from nw_eval.scenes.scene import Scene
 
 
 Array = npt.NDArray[np.float64]
@@ -71,6 +71,45 @@ SOLVER_ITERATIONS = 50
 # A payload is a cube of this edge on the back of the robot: where, in the trunk frame.
 _PAYLOAD_EDGE = 0.1
 _PAYLOAD_POSITION = (0.0, 0.0, 0.107)
+
+
+_shared: WeakKeyDictionary[Scene, tuple[tuple[Any, ...], MjModel]] = WeakKeyDictionary()
+
+
+def shared_model(
+    robot: RobotSpec,
+    scene: Scene,
+    *,
+    protocol: EvaluationProtocol,
+    actuators: Actuators,
+    friction: float | None,
+    payload: float,
+    timestep: float,
+) -> MjModel:
+    """Return what `compile_model` does, to be read only: trials in a scene share it.
+
+    Of each scene the newest is kept, as long as the scene is.
+    """
+    figures = (getattr(actuators, field.name) for field in fields(actuators))
+    wanted = (
+        *(robot.mjcf, robot.joints, robot.root, robot.root_joint, robot.root_defaults),
+        *(one.tobytes() if isinstance(one, np.ndarray) else one for one in figures),
+        *(protocol.joint_defaults_act_on_trunk, friction, payload, timestep),
+    )
+    kept = _shared.get(scene)
+    if kept is not None and kept[0] == wanted:
+        return kept[1]
+    model = compile_model(
+        robot,
+        scene,
+        protocol=protocol,
+        actuators=actuators,
+        friction=friction,
+        payload=payload,
+        timestep=timestep,
+    )
+    _shared[scene] = wanted, model
+    return model
 
 
 def compile_model(

@@ -17,12 +17,13 @@ from nw_eval.policies import load_bundle
 from nw_eval.rollout.confined.vetting import check_bundle
 from nw_eval.sensors import check_card
 
+DIGESTS = {"policy.onnx": "0" * 64, "encoder.onnx": "0" * 64}
 TRAINING = Path(__file__).parents[3] / "training"
 
 
 def shapes(teacher, **sees):
     config = small_config(sees=sees)
-    card = card_of(student_card("pupil", config.sees, teacher.card, sha256="0" * 64))
+    card = card_of(student_card("pupil", config.sees, teacher.card, sha256=DIGESTS))
     return card, {spec.name: spec.shape for spec in check_card(card)}
 
 
@@ -58,7 +59,7 @@ def test_cones_stand_in_all_images_or_in_none(teacher, cones):
 
 def test_a_student_with_the_mean_image_for_good_asks_for_no_image(teacher):
     sees = small_config(sees={"depth": True}).sees
-    blind = student_card("pupil", sees, teacher.card, sha256="0" * 64, is_blind=True)
+    blind = student_card("pupil", sees, teacher.card, sha256=DIGESTS, is_blind=True)
     card = card_of(blind)
     assert not card.splat_images
     assert set(card.observations) == {"proprio", "last_output", "history", "past"}

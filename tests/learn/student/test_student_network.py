@@ -6,7 +6,7 @@ import pytest
 import torch
 from student_parts import small_config
 
-from nw_eval.learn.student.network import StudentNetwork, graph_of
+from nw_eval.learn.student.network import StudentNetwork, encoder_of, graph_of
 from nw_eval.policies.act import ChunkQueue
 
 BODY = 20
@@ -44,18 +44,23 @@ def test_many_at_a_time_are_what_the_adapter_answers_one_by_one(config, network)
     torch.testing.assert_close(chunks, torch.stack(alone), rtol=1e-4, atol=1e-5)
 
 
+def session_of(graph):
+    return onnxruntime.InferenceSession(graph)
+
+
 @pytest.mark.parametrize("m", [0.0, 0.2, -0.7])
 def test_the_graph_blends_predictions_as_the_adapter_act_does(network, m):
     sizes = small_config().network.model_dump() | {"ensemble": m}
     config = small_config(network=sizes, sees=SEES)
-    session = onnxruntime.InferenceSession(graph_of(network, config))
+    session, encoder = (session_of(made(network, config)) for made in (graph_of, encoder_of))
     queue = ChunkQueue(ensemble=m)
     sums = np.zeros((1, config.network.chunk, 13), np.float32)
     draw = np.random.default_rng(5)
     for _ in range(7):
         body = draw.normal(size=(1, BODY)).astype(np.float32)
         image = draw.integers(0, 256, (1, 6, 16, 16), np.uint8)
-        feeds = {"proprio": body, "rgb": image, "sums_in": sums}
+        (given,) = encoder.run(None, {"rgb": image})
+        feeds = {"proprio": body, "seen": given, "sums_in": sums}
         action, sums = session.run(None, feeds)
         with torch.inference_mode():
             seen = torch.from_numpy(image) / 255.0 - network.mean_image
@@ -64,14 +69,16 @@ def test_the_graph_blends_predictions_as_the_adapter_act_does(network, m):
 
 
 def test_a_network_with_the_mean_image_for_good_is_one_that_sees_nothing_else(config, network):
-    seeing = onnxruntime.InferenceSession(graph_of(network, config))
-    frozen = onnxruntime.InferenceSession(graph_of(network, config, is_blind=True))
+    seeing, encoder = (session_of(made(network, config)) for made in (graph_of, encoder_of))
+    frozen = session_of(graph_of(network, config, is_blind=True))
     network.mean_image.copy_((network.mean_image * 255.0).round() / 255.0)
     body = np.random.default_rng(6).normal(size=(1, BODY)).astype(np.float32)
     feeds = {"proprio": body, "sums_in": np.zeros((1, config.network.chunk, 13), np.float32)}
     mean = (network.mean_image * 255.0).round().to(torch.uint8)[None].numpy()
-    same = seeing.run(["action"], feeds | {"rgb": mean})[0]
-    other = seeing.run(["action"], feeds | {"rgb": 255 - mean})[0]
+    same, other = (
+        seeing.run(["action"], feeds | {"seen": encoder.run(None, {"rgb": image})[0]})[0]
+        for image in (mean, 255 - mean)
+    )
     ours = frozen.run(["action"], feeds)[0]
     np.testing.assert_allclose(ours, same, atol=2e-2)
     assert np.abs(ours - other).max() > 10.0 * np.abs(ours - same).max()

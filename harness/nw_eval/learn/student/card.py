@@ -11,12 +11,16 @@ from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from nw_eval.cards import Card
     from nw_eval.learn.student.config import Sees
 
 NETWORK_FILE = "policy.onnx"
+ENCODER_FILE = "encoder.onnx"
+"""What is made of images alone, once an image."""
+SEEN = "seen"
+"""The network of that file on the card, and the input of the other one that takes what it gives."""
 
 DEPTH_STEPS = 255
 """Depths that a student tells apart, so that its images are bytes in every dataset."""
@@ -91,7 +95,7 @@ def student_card(
     sees: Sees,
     teacher: Card,
     *,
-    sha256: str,
+    sha256: Mapping[str, str],
     is_blind: bool = False,
     trained_on: Sequence[str] = (),
 ) -> dict[str, Any]:
@@ -101,7 +105,7 @@ def student_card(
         name: of the policy.
         sees: what it is given.
         teacher: whose motors, actions and command it has.
-        sha256: of its network, which lies beside the card.
+        sha256: of its files, which lie beside the card, by their names.
         is_blind: whether its network has one image for good, and takes none.
         trained_on: the scenes of its training, as suites name them.
     """
@@ -109,6 +113,11 @@ def student_card(
     eyes = " and ".join(sees.cameras)
     title = f"ACT student of {teacher.name}, {eyes}"
     control = teacher.control.model_dump(mode="json", exclude_defaults=True)
+    encoder = {
+        "adapter": "onnx",
+        "checkpoint": {"file": ENCODER_FILE, "sha256": sha256.get(ENCODER_FILE, "")},
+        "inputs": {eye: [eye] for eye in sees.cameras},
+    }
     return {
         "nw-policy": 1,
         "name": name,
@@ -117,11 +126,12 @@ def student_card(
         **({"trained_on": list(trained_on)} if trained_on else {}),
         "robot": teacher.robot,
         "adapter": "onnx",
-        "checkpoint": {"file": NETWORK_FILE, "sha256": sha256},
+        "checkpoint": {"file": NETWORK_FILE, "sha256": sha256[NETWORK_FILE]},
         "control": {"action": teacher.control.action, **control},
         "command": teacher.command.model_dump(mode="json"),
         "observations": seen,
-        "inputs": {"proprio": list(BODY)} | {eye: [eye] for eye in seen if eye not in BODY},
+        **({} if is_blind else {"networks": {SEEN: encoder}}),
+        "inputs": {"proprio": list(BODY)} | ({} if is_blind else {SEEN: [SEEN]}),
     }
 
 

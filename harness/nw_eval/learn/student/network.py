@@ -26,7 +26,13 @@ from nw_eval.cards.load import CARD_FILE
 from nw_eval.catalogue import is_meant, names
 from nw_eval.errors import PrerequisiteError
 from nw_eval.files.cache import atomic_path
-from nw_eval.learn.student.card import NETWORK_FILE, card_text, student_card
+from nw_eval.learn.student.card import (
+    ENCODER_FILE,
+    NETWORK_FILE,
+    SEEN,
+    card_text,
+    student_card,
+)
 from nw_eval.policies.networks.act import Act, ActSizes, DecoderLayer, image_places
 
 if TYPE_CHECKING:
@@ -78,6 +84,8 @@ class StudentNetwork(nn.Module):
         for name, parameter in self.act.named_parameters():
             if name.endswith("in_proj_bias"):
                 nn.init.zeros_(parameter)
+        with torch.no_grad():
+            self._grid: tuple[int, int] = self.act.backbone(self.mean_image[None]).shape[2:]
 
     def forward(self, proprio: Tensor, images: Tensor, image_of: Tensor) -> Tensor:
         """Return chunks of normalised actions, (N, chunk, 12), the present step's first.
@@ -87,16 +95,32 @@ class StudentNetwork(nn.Module):
             images: (M, channels, rows, columns), 0 to 1.
             image_of: (N,) which of the M images is the newest of each row of numbers.
         """
+        return self.decided(proprio, self.seen(images)[image_of])
+
+    def seen(self, images: Tensor) -> Tensor:
+        """Return what is made of images alone, (M, places, width).
+
+        Args:
+            images: (M, channels, rows, columns), 0 to 1.
+        """
+        maps = self.act.backbone(images - self.mean_image)
+        return self.act.encoder_img_feat_input_proj(maps).flatten(2).transpose(1, 2)
+
+    def decided(self, proprio: Tensor, seen: Tensor) -> Tensor:
+        """Return chunks as `forward`.
+
+        Args:
+            proprio: (N, proprio).
+            seen: (N, places, width), of the newest image of each row of numbers.
+        """
         act, width = self.act, self.act.sizes.width
         moments = act.normalize.proprio
         body = ((proprio - moments.mean) / moments.std).clamp(-_FARTHEST, _FARTHEST)
-        maps = act.encoder_img_feat_input_proj(act.backbone(images - self.mean_image))
-        seen = maps.flatten(2).transpose(1, 2)[image_of]
         latent = act.encoder_latent_input_proj(body.new_zeros(len(body), act.sizes.latent))
         state = act.encoder_robot_state_input_proj(body)
         tokens = torch.cat([latent[:, None], state[:, None], seen], dim=1)
         own = act.encoder_1d_feature_pos_embed.weight
-        place = torch.cat([own, image_places(maps.shape[2], maps.shape[3], width).to(own)])[None]
+        place = torch.cat([own, image_places(*self._grid, width).to(own)])[None]
         return act.action_head(self._decoded(act.encoder(tokens, place), place))
 
     def _decoded(self, memory: Tensor, place: Tensor) -> Tensor:
@@ -159,7 +183,9 @@ def write_policy(
     *,
     is_blind: bool = False,
 ) -> None:
-    """Write a student as a policy folder; both files appear whole, the card last.
+    """Write a student as a policy folder; its files appear whole, the card last.
+
+    One that sees is two graphs: that of images alone runs once an image.
 
     Args:
         folder: of the policy.
@@ -173,19 +199,21 @@ def write_policy(
         PrerequisiteError: as `graph_of`.
         StoreError: it cannot be written.
     """
-    graph = graph_of(network, config, is_blind=is_blind)
+    graphs = {NETWORK_FILE: graph_of(network, config, is_blind=is_blind)}
+    if not is_blind:
+        graphs[ENCODER_FILE] = encoder_of(network, config)
     name = f"{config.name}-frozen" if is_blind else config.name
-    digest = sha256(graph).hexdigest()
     card = student_card(
         name,
         config.sees,
         teacher,
-        sha256=digest,
+        sha256={file: sha256(graph).hexdigest() for file, graph in graphs.items()},
         is_blind=is_blind,
         trained_on=[each for each in config.scenes if _means_built_in(each)],
     )
-    with atomic_path(folder / NETWORK_FILE) as temporary:
-        temporary.write_bytes(graph)
+    for file, graph in graphs.items():
+        with atomic_path(folder / file) as temporary:
+            temporary.write_bytes(graph)
     with atomic_path(folder / CARD_FILE) as temporary:
         temporary.write_text(card_text(card), encoding="utf-8")
 
@@ -196,26 +224,43 @@ def _means_built_in(pattern: str) -> bool:
 
 
 def graph_of(network: StudentNetwork, config: StudentConfig, *, is_blind: bool = False) -> bytes:
-    """Return a network as an ONNX file.
+    """Return a network as an ONNX file, but for what it makes of images alone: see `encoder_of`.
 
     Raises:
         PrerequisiteError: the package `onnx`, which torch exports with, is not installed.
     """
-    acting = _Acting(deepcopy(network).cpu().eval(), config, is_blind=is_blind)
-    inputs = acting.example(config)
+    acting = _Acting(_for_export(network), config, is_blind=is_blind)
+    return _exported(acting, acting.example(), ["action", "sums_out"])
+
+
+def encoder_of(network: StudentNetwork, config: StudentConfig) -> bytes:
+    """Return what a network makes of images alone as an ONNX file.
+
+    Raises:
+        PrerequisiteError: as `graph_of`.
+    """
+    encoder = _Encoder(_for_export(network))
+    return _exported(encoder, encoder.example(config.sees), [SEEN])
+
+
+def _for_export(network: StudentNetwork) -> StudentNetwork:
+    return deepcopy(network).cpu().eval()
+
+
+def _exported(module: nn.Module, inputs: dict[str, Tensor], outputs: list[str]) -> bytes:
     file: Any = io.BytesIO()  # Its type is said too narrowly there: a file's path.
     with warnings.catch_warnings(), torch.inference_mode():
         # Sizes are constant here on purpose, and the exporter that takes no other package is old.
         warnings.simplefilter("ignore")
         try:
             torch.onnx.export(
-                acting,
+                module,
                 tuple(inputs.values()),
                 file,
                 dynamo=False,
                 opset_version=_OPSET,
                 input_names=list(inputs),
-                output_names=["action", "sums_out"],
+                output_names=outputs,
             )
         except torch.onnx.OnnxExporterError as error:
             raise PrerequisiteError(
@@ -224,8 +269,38 @@ def graph_of(network: StudentNetwork, config: StudentConfig, *, is_blind: bool =
     return file.getvalue()
 
 
+class _Encoder(nn.Module):
+    """What the network makes of the images of the card alone.
+
+    Args:
+        network: trained.
+    """
+
+    def __init__(self, network: StudentNetwork) -> None:
+        super().__init__()
+        self._network = network
+
+    def forward(self, *images: Tensor) -> Tensor:
+        """Return it, (1, places, width).
+
+        Args:
+            images: of the card, (1, channels, rows, columns) each, rgb as bytes.
+        """
+        return self._network.seen(torch.cat([as_numbers(image) for image in images], dim=1))
+
+    def example(self, sees: Sees) -> dict[str, Tensor]:
+        """Return inputs of the right shapes, by name."""
+        inputs: dict[str, Tensor] = {}
+        for eye in sees.cameras:
+            is_colour = eye == "rgb"
+            channels = sees.frames * (COLOURS if is_colour else 1)
+            kind = torch.uint8 if is_colour else torch.float32
+            inputs[eye] = torch.zeros(1, channels, sees.height, sees.width, dtype=kind)
+        return inputs
+
+
 class _Acting(nn.Module):
-    """The network in one trial: from what the card gives to an action, step by step.
+    """The rest of the network in one trial: to an action, step by step.
 
     Args:
         network: trained.
@@ -236,7 +311,7 @@ class _Acting(nn.Module):
     def __init__(self, network: StudentNetwork, config: StudentConfig, *, is_blind: bool) -> None:
         super().__init__()
         self._network = network
-        self._eyes = () if is_blind else config.sees.cameras
+        self._is_blind = is_blind
         self._growth = math.exp(config.network.ensemble)
 
     def forward(self, proprio: Tensor, *rest: Tensor) -> tuple[Tensor, Tensor]:
@@ -244,33 +319,25 @@ class _Acting(nn.Module):
 
         Args:
             proprio: (1, proprio).
-            rest: the images of the card, (1, channels, rows, columns) each, rgb as bytes; then the
-                sums of the step before, zeros at first: predictions for this step and the next
-                ones, times their weights, and the weights.
+            rest: what the encoder gave, unless it is blind; then the sums of the step before, zeros
+                at first: predictions for this step and the next ones, times their weights, and the
+                weights.
         """
-        *images, sums = rest
+        *given, sums = rest
         network = self._network
-        if images:
-            seen = torch.cat([as_numbers(image) for image in images], dim=1)
-        else:
-            seen = network.mean_image[None]
-        none = torch.zeros(1, dtype=torch.long)
-        chunk = network.actions(network(proprio, seen, none))
+        seen = given[0] if given else network.seen(network.mean_image[None])
+        chunk = network.actions(network.decided(proprio, seen))
         new = torch.cat([chunk, torch.ones_like(chunk[..., :1])], dim=2)
         older = torch.cat([sums[:, 1:], torch.zeros_like(sums[:, :1])], dim=1)
         total = new + self._growth * older
         return total[:, 0, :JOINTS] / total[:, 0, JOINTS:], total
 
-    def example(self, config: StudentConfig) -> dict[str, Tensor]:
+    def example(self) -> dict[str, Tensor]:
         """Return inputs of the right shapes, by name."""
-        sees, sizes = config.sees, self._network.act.sizes
+        network, sizes = self._network, self._network.act.sizes
         inputs = {"proprio": torch.zeros(1, sizes.proprio)}
-        size = (sees.height, sees.width)
-        for eye in self._eyes:
-            is_colour = eye == "rgb"
-            channels = sees.frames * (COLOURS if is_colour else 1)
-            kind = torch.uint8 if is_colour else torch.float32
-            inputs[eye] = torch.zeros(1, channels, *size, dtype=kind)
+        if not self._is_blind:
+            inputs[SEEN] = torch.zeros_like(network.seen(network.mean_image[None]))
         return inputs | {"sums_in": torch.zeros(1, sizes.chunk, JOINTS + 1)}
 
 

@@ -10,7 +10,13 @@ from nw_eval.learn.config import device_of, load_config, one_thread
 from nw_eval.learn.curve import Curve
 from nw_eval.learn.folder import TrainFolder
 from nw_eval.learn.progress import Keeper, Trained, TrainingProgress
-from nw_eval.learn.student.card import BODY, check_teacher, student_card
+from nw_eval.learn.student.card import (
+    BODY,
+    ENCODER_FILE,
+    NETWORK_FILE,
+    check_teacher,
+    student_card,
+)
 from nw_eval.learn.student.config import NOTHING, StudentConfig
 from nw_eval.learn.student.dataset import Dataset
 from nw_eval.learn.student.driving import Driving, Round, make_ready, plan_round, training_scenes
@@ -288,6 +294,7 @@ class StudentTraining:
 
 def body_size(config: StudentConfig, teacher: Bundle) -> int:
     """Return how many numbers of its body a student is told."""
-    card = card_of(student_card(config.name, config.sees, teacher.card, sha256="0" * 64))
+    digests = {NETWORK_FILE: "0" * 64, ENCODER_FILE: "0" * 64}
+    card = card_of(student_card(config.name, config.sees, teacher.card, sha256=digests))
     sizes = {spec.name: spec.shape[0] for spec in check_card(card)}
     return sum(sizes[name] for name in BODY)

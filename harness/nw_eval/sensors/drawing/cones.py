@@ -50,7 +50,7 @@ class Cones:
         distance = np.full(len(directions), np.inf)
         colour = np.zeros((len(directions), 3), dtype=np.float32)
         rays = directions[near]
-        distance[near], face = self._rays.cast(np.broadcast_to(origin, rays.shape), rays)
+        distance[near], face = self._rays.cast(origin, rays)
         colour[near] = self._colour[face]
         return distance, colour
 
@@ -61,7 +61,7 @@ class Cones:
         near = self._near(origin, directions)
         distance = np.full(len(directions), np.inf)
         rays = directions[near]
-        distance[near] = self._rays.distance(np.broadcast_to(origin, rays.shape), rays)
+        distance[near] = self._rays.distance(origin, rays)
         return distance
 
     def _near(
@@ -73,7 +73,9 @@ class Cones:
         # Within the sphere of one, every ray is.
         least = np.sqrt(np.maximum(1.0 - (_BOUND / apart) ** 2, 0.0))
         least[apart <= _BOUND] = -np.inf
-        return np.flatnonzero((directions @ (way / apart[:, np.newaxis]).T > least).any(axis=1))
+        # A row for each cone: along it NumPy compares many times as fast as across it.
+        towards = (way / apart[:, np.newaxis]) @ directions.T
+        return np.flatnonzero((towards > least[:, np.newaxis]).any(axis=0))
 
 
 def shade(upwards: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -91,7 +91,8 @@ def insert(
 
 def _beside_surface(points: NDArray[np.float64], static: RayScene) -> NDArray[np.bool_]:
     """Return which points (N, 3) have a surface at most `_LOOSE` above or below them."""
-    down = np.broadcast_to([0.0, 0.0, -1.0], points.shape)
+    down = np.zeros_like(points)
+    down[:, 2] = -1.0
     return static.distance(points + np.array([0.0, 0.0, _LOOSE]), down) < 2.0 * _LOOSE
 
 
@@ -119,8 +120,10 @@ def light_around(
     """
     step = tuple(slice(None, None, max(1, size // _SAMPLES)) for size in rgb.shape[:2])
     weight = np.where(down[step] > _LEVEL, 1.0, _ELSEWHERE)[..., np.newaxis]
-    shown = np.clip(rgb[step], 0.0, 1.0)
-    cells = _cells(np.concatenate([shown * weight, weight], axis=-1))
+    weighed = np.empty((*weight.shape[:2], 4))
+    np.multiply(np.clip(rgb[step], 0.0, 1.0), weight, out=weighed[..., :3])
+    weighed[..., 3:] = weight
+    cells = _cells(weighed)
     total = _around(cells) + _AFAR * cells.sum(axis=(0, 1))
     mean = _between(total[..., :3] / total[..., 3:], rgb.shape[:2], row, column)
     grey = (mean * _LUMA).sum(axis=-1, keepdims=True)

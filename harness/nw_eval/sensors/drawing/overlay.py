@@ -75,12 +75,14 @@ def draw(
         return distance * rays[:, 2], colour
 
     shape = directions.shape[:2]
-    flat_depth, flat_colour = shoot(directions.reshape(-1, 3))
-    depth, colour = flat_depth.reshape(shape), flat_colour.reshape(*shape, 3)
-    coverage = np.isfinite(depth).astype(np.float32)
-    edge = _edges(coverage > 0.0)
-    if pitch is not None and edge.any():
-        centre = directions[edge] / directions[edge][:, 2:]
+    flat = directions.reshape(-1, 3)
+    depth, colour = shoot(flat)
+    inside = np.isfinite(depth)
+    coverage = inside.astype(np.float32)
+    # Few pixels: what is costly is done for them alone.
+    edge = np.flatnonzero(_edges(inside.reshape(shape))) if pitch is not None else []
+    if pitch is not None and len(edge):
+        centre = flat[edge] / flat[edge, 2:]
         rays = centre[:, np.newaxis] + _NINE * (*pitch, 0.0)
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         near, seen = shoot(rays.reshape(-1, 3))
@@ -91,10 +93,13 @@ def draw(
         coverage[edge] = count / len(_NINE)
         depth[edge] = np.where(count > 0, (finite * weight).sum(axis=1), np.inf)
         colour[edge] = (seen.reshape(*hit.shape, 3) * weight[..., np.newaxis]).sum(axis=1)
+    drawn = np.flatnonzero(coverage)
+    rgb = np.zeros((len(flat), 3), dtype=np.float32)
+    rgb[drawn] = colour[drawn]
     return Overlay(
-        rgb=np.where(coverage[..., np.newaxis] > 0.0, colour, 0.0).astype(np.float32),
-        depth=depth.astype(np.float32),
-        coverage=coverage,
+        rgb=rgb.reshape(*shape, 3),
+        depth=depth.astype(np.float32).reshape(shape),
+        coverage=coverage.reshape(shape),
     )
 
 
@@ -127,19 +132,18 @@ def _hidden(
 ) -> NDArray[np.intp]:
     """Return which of the rays that met an object at `distance` (N,) meet the scene before it."""
     met = np.flatnonzero(np.isfinite(distance))  # Few pixels: only they are asked about.
-    before = static.distance(np.broadcast_to(origin, (len(met), 3)), rays[met]) < distance[met]
+    before = static.distance(origin, rays[met]) < distance[met]
     return met[before]
 
 
 def _edges(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the pixels (H, W) that lie beside a pixel on the other side of an outline."""
     edge = np.zeros_like(inside)
-    for axis in (0, 1):
-        ahead = np.diff(inside, axis=axis)
-        first = (slice(None, -1), slice(None)) if axis == 0 else (slice(None), slice(None, -1))
-        second = (slice(1, None), slice(None)) if axis == 0 else (slice(None), slice(1, None))
-        edge[first] |= ahead
-        edge[second] |= ahead
+    below, beside = inside[1:] != inside[:-1], inside[:, 1:] != inside[:, :-1]
+    edge[:-1] |= below
+    edge[1:] |= below
+    edge[:, :-1] |= beside
+    edge[:, 1:] |= beside
     return edge
 
 
