@@ -104,7 +104,7 @@ def require_camera(name: str, camera: str, robot: RobotSpec) -> None:
 
 
 class PixelRays:
-    """One ray for each pixel of a pinhole camera, row by row from the top left.
+    """One ray for each pixel of a camera, row by row from the top left.
 
     Args:
         name: of the observation, for errors.
@@ -125,10 +125,8 @@ class PixelRays:
     ) -> None:
         require_camera(name, camera, robot)
         self._camera = camera
-        pinhole = Camera.from_fovy(
-            width=width, height=height, fovy=robot.cameras[camera].fovy, T_world_camera=np.eye(4)
-        )
-        self._directions = ray_directions(pinhole, Pixels()).reshape(-1, 3)
+        lens = robot.cameras[camera].lens(width, height)
+        self._directions = ray_directions(Camera.of(lens, np.eye(4)), Pixels()).reshape(-1, 3)
         self.along_axis = self._directions[:, 2].copy()
 
     def rays(self, moment: Moment) -> tuple[Array, Array]:
