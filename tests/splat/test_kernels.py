@@ -135,7 +135,7 @@ def test_sorting_leaves_what_is_beyond_the_boundary():
     assert np.array_equal(carried[:later], np.flatnonzero(depth >= 20))
 
 
-def _project_all(store, camera):
+def _project_all(store, camera, ray=None):
     layout = store.layout
     view = view_vector(camera, Pixels(), (0, camera.width, 0, camera.height))
     records = np.zeros((store.chunks * 256 + 8) * RECORD, dtype=np.float32)
@@ -143,7 +143,7 @@ def _project_all(store, camera):
     for chunk in range(store.chunks):
         count = project.project_chunk(
             layout.geometry, layout.dc, layout.sh, layout.sh_count, layout.bounds, chunk, chunk,
-            view, EPS2D, True, np.float32(0), None, records, count,
+            view, EPS2D, True, np.float32(0), ray, records, count,
         )  # fmt: skip
     return view, records.reshape(-1, RECORD)[:count]
 
@@ -215,11 +215,12 @@ def test_projection_agrees_with_the_scalar_formulas():
     assert matched > 0.9 * len(scalar)
 
 
-def test_culling_never_drops_a_chunk_that_draws():
+@pytest.mark.parametrize("ray", [None, True], ids=["ewa", "ray"])
+def test_culling_never_drops_a_chunk_that_draws(ray):
     store = memory_store(room(60_000, degree=0))
     for number in range(8):
         camera = eye_camera(number, WIDTH, HEIGHT)
-        view, _ = _project_all(store, camera)
+        view, _ = _project_all(store, camera, ray)
         keys = np.empty(store.chunks, dtype=np.int64)
         nearest = np.empty(store.chunks, dtype=np.float32)
         visible = cull.visible_chunks(store.layout.bounds, view, EPS2D, keys, nearest)
@@ -229,7 +230,7 @@ def test_culling_never_drops_a_chunk_that_draws():
         for chunk in range(store.chunks):
             count = project.project_chunk(
                 layout.geometry, layout.dc, layout.sh, 1, layout.bounds, chunk, chunk, view,
-                EPS2D, True, np.float32(0), None, scratch, 0,
+                EPS2D, True, np.float32(0), ray, scratch, 0,
             )  # fmt: skip
             if count:
                 depth = scratch.reshape(-1, RECORD)[:count, project.DEPTH].min()
@@ -240,7 +241,8 @@ def test_culling_never_drops_a_chunk_that_draws():
             assert kept[chunk] <= depth
 
 
-def test_a_chunk_is_hidden_only_when_every_block_it_touches_is_finished():
+@pytest.mark.parametrize("ray", [None, True], ids=["ewa", "ray"])
+def test_a_chunk_is_hidden_only_when_every_block_it_touches_is_finished(ray):
     store, camera = memory_store(room(20_000, degree=0)), eye_camera(2, WIDTH, HEIGHT)
     layout = store.layout
     view, _ = _project_all(store, camera)
@@ -250,11 +252,11 @@ def test_a_chunk_is_hidden_only_when_every_block_it_touches_is_finished():
     for chunk in range(store.chunks):
         count = project.project_chunk(
             layout.geometry, layout.dc, layout.sh, 1, layout.bounds, chunk, chunk, view,
-            EPS2D, True, np.float32(0), None, scratch, 0,
+            EPS2D, True, np.float32(0), ray, scratch, 0,
         )  # fmt: skip
         boxes = scratch.view(np.int32).reshape(-1, RECORD)[:count]
         live = np.ones((HEIGHT // 8 + 1, stride), dtype=np.int64)
-        assert not cull.is_hidden(layout.bounds, chunk, view, EPS2D, None, live.reshape(-1), stride)
+        assert not cull.is_hidden(layout.bounds, chunk, view, EPS2D, ray, live.reshape(-1), stride)
         # Only the blocks that its records touch are live: it must never count as hidden.
         live[:] = 0
         for columns, rows in boxes[:, [project.COLUMNS, project.ROWS]]:
@@ -263,9 +265,9 @@ def test_a_chunk_is_hidden_only_when_every_block_it_touches_is_finished():
                 (columns & 0xFFFF) >> 3 : (columns >> 19) + 1,
             ] = 1
         flat = live.reshape(-1)
-        assert cull.is_hidden(layout.bounds, chunk, view, EPS2D, None, flat, stride) <= (count == 0)
+        assert cull.is_hidden(layout.bounds, chunk, view, EPS2D, ray, flat, stride) <= (count == 0)
         live[:] = 0
-        hidden += cull.is_hidden(layout.bounds, chunk, view, EPS2D, None, flat, stride)
+        hidden += cull.is_hidden(layout.bounds, chunk, view, EPS2D, ray, flat, stride)
     assert hidden > 10
 
 

@@ -1,7 +1,8 @@
 """Pixels are those that were recorded, bit for bit, on every machine with a fused multiply-add.
 
 The place is made of whole numbers and powers of two, so that nothing but the kernels rounds. The
-digests are of the renderer as it was while it still drew eight pixels at a time.
+digests are of the renderer as it was while it still drew eight pixels at a time; those along the
+ray of the version that first agreed with float64 (test_along_the_ray.py).
 """
 
 import hashlib
@@ -19,6 +20,8 @@ RECORDED = {
     "320x180, no harmonics": "461c5bcf71f7b8e5",
     "67x41, preset 1.6": "a0a48c16740bad6e",
     "published pixels": "31156b1f58637025",
+    "along the ray": "4d18b0536fbcd277",
+    "four samples": "6597edb8ad3d061b",
 }
 
 
@@ -77,6 +80,8 @@ CASES = {
     "320x180, no harmonics": (1, {"antialiased": False}, (320, 180), Pixels()),
     "67x41, preset 1.6": (4, {"preset": "gsplat-1.6"}, (67, 41), Pixels()),
     "published pixels": (9, {}, (1280, 720), Pixels(stride=16, block=2, offset=7)),
+    "along the ray": (4, {"projection": "ray"}, (160, 90), Pixels()),
+    "four samples": (1, {"projection": "ray", "samples": 4}, (80, 45), Pixels()),
 }
 
 

@@ -122,6 +122,7 @@ def plan_of(
         else:
             bundle = _vet_policy(draft, faults, request, bundle, robot=robot, may_fail=may_fail)
     _check_task(suite, bundle, faults)
+    _check_pictures(suite, request, faults)
     faults.raise_any()
     assert suite is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"
@@ -178,6 +179,24 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
                 )
             ]
         )
+
+
+def _check_pictures(suite: Suite | None, request: Request, faults: Faults) -> None:
+    """Tell where the backend cannot draw what a suite asks for."""
+    from nw_eval.suite.model import PUBLISHED
+
+    if suite is None or request.render != "cuda" or suite.render == PUBLISHED:
+        return
+    said = f"{suite.render.projection}, samples {suite.render.samples}, near {suite.render.near:g}"
+    faults.extend(
+        [
+            suite.source.problem(
+                ("render",),
+                f"render: --render cuda draws with ewa, samples 1 and near 0.01, not with {said}",
+                "use --render cpu",
+            )
+        ]
+    )
 
 
 def _vet_scores(suite: Suite, faults: Faults, *, allow_code: bool) -> None:

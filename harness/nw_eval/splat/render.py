@@ -36,7 +36,10 @@ _SLAB_CHUNKS = 128
 
 
 SAMPLED_EPS2D = 0.05
-"""Variance added to footprints with four samples a pixel, in samples squared."""
+"""Variance added to footprints with four samples a pixel, in samples squared.
+
+Less gains nothing against truth in built-in scenes, and more blurs (tests/bench/bench_truth.py).
+"""
 
 
 class Renderer(Protocol):
@@ -84,14 +87,13 @@ class CpuRenderer:
     squared), and antialiased mode takes from the opacity what the blur added. With four, each pixel
     is the mean of 2x2 samples, each a smaller pixel; that is what keeps the picture from aliasing.
     The low-pass is then only as wide as float32 needs for flat Gaussians seen from the side
-    (`SAMPLED_EPS2D`), and opacity is compensated in neither mode: compensation takes each Gaussian
-    as standing alone, and makes closed surfaces of small ones transparent.
+    (`SAMPLED_EPS2D`), and what it adds is taken from the opacity in both modes.
 
     Args:
         store: what to render; shared between renderers and processes.
         preset: which gsplat's numerical choices.
         antialiased: compensate opacity for the blur of small splats; None: unless the store is
-            marked classic. Without effect with four samples.
+            marked classic. With four samples it always is.
         projection: "ewa" as gsplat and the published protocol have it, or "ray".
         samples: of a pixel, 1 or 4.
         near: least depth of a Gaussian's centre in camera units; None: the camera's near plane.
@@ -214,7 +216,7 @@ class CpuRenderer:
             _centres(pixels, *window[2:]),
             (
                 np.float32(SAMPLED_EPS2D if is_sampled else preset.eps2d),
-                self._antialiased and not is_sampled,
+                self._antialiased or is_sampled,
                 np.float32(preset.min_compensation**2),
                 np.float32(preset.max_alpha),
                 self._ray,

@@ -126,7 +126,7 @@ class Rendering(_Strict):
     )
     samples: Literal[1, 4] = Field(
         1,
-        description="Samples of a pixel: 1 with gsplat's low-pass, or the mean of 2x2 without it.",
+        description="Of a pixel: 1 with gsplat's low-pass, or the mean of 2x2 with hardly any.",
     )
     near: float = Field(
         0.01,
@@ -140,7 +140,10 @@ PUBLISHED = Rendering()  # pyright: ignore[reportCallIssue]  # Defaults sit in F
 """How pictures are drawn where nothing is said."""
 
 SHOWN = PUBLISHED.model_copy(update={"projection": "ray"})
-"""How pictures for people are drawn, and those of suites that nw-eval writes."""
+"""How pictures for people are drawn, which are large, or are averaged themselves."""
+
+DRAFTED = SHOWN.model_copy(update={"samples": 4})
+"""How the pictures of suites that nw-eval writes are drawn."""
 
 
 class Validity(_Strict):

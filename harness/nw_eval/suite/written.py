@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 
 from nw_eval.errors import UsageError
 from nw_eval.files.cache import atomic_path, followed
-from nw_eval.suite.model import SHOWN, Suite
+from nw_eval.suite.model import DRAFTED, Suite
 
 
 def suite_yaml(suite: Suite) -> str:
@@ -135,7 +135,7 @@ def write_ready_suite(
         "trials": max(_FEWEST, 2 * needed),
         "seed": 1,
         "scenes": list(scenes),
-        "render": SHOWN.model_dump(),
+        "render": DRAFTED.model_dump(),
         "record": "failures",
         "gate": gate,
     }

@@ -62,12 +62,12 @@ def open_stage(
     from nw_eval.policies import load_bundle
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import new_suite
-    from nw_eval.suite.model import SHOWN
+    from nw_eval.suite.model import DRAFTED
 
     robot = load_bundle(policy, checkpoint=checkpoint).card.robot
     suite = new_suite(
         {"nw-eval": 1, "name": "play", "robot": robot, "policy": policy, "trials": 1, "seed": 1,
-         "scenes": [scene], "render": SHOWN.model_dump()}
+         "scenes": [scene], "render": DRAFTED.model_dump()}
     )  # fmt: skip
     planned = plan(suite, checkpoint=checkpoint, allow_code=allow_code)
     (job,) = plan_jobs(planned, RunFolder(path=Path()))

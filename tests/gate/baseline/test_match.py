@@ -71,8 +71,11 @@ def test_what_names_the_starts_is_named_with_both_values(
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"robot": "go2"}, "robot, task, episode or version of a plug-in differ"),
-        ({"episode": {"duration": 20.0}}, "robot, task, episode or version of a plug-in differ"),
+        ({"robot": "go2"}, "robot, task, episode, pictures or version of a plug-in differ"),
+        (
+            {"episode": {"duration": 20.0}},
+            "robot, task, episode, pictures or version of a plug-in differ",
+        ),
         (
             {"perturb": {"friction": (0.6, 1.0)}},
             "perturb is friction 0.6, friction 1, the baseline's ",
@@ -132,7 +135,9 @@ def test_fresh_starts_are_of_another_seed_and_of_no_other_difference(
     same = refusal(make_run(["a", "b"], 10, panel="fresh"), bank)
     assert same == "its seed 20261 is the baseline's, so its starts are not fresh"
     other = make_run(["a", "b"], 10, panel="fresh", suite={"seed": 5, "robot": "go2"})
-    assert refusal(other, bank).endswith("robot, task, episode or version of a plug-in differ")
+    assert refusal(other, bank).endswith(
+        "robot, task, episode, pictures or version of a plug-in differ"
+    )
 
 
 def test_the_command_names_the_suite_and_the_policy_as_they_can_be_typed_here(

@@ -90,7 +90,7 @@ def _what_else(suite: Suite, bank: SavedBank) -> str:
     ours = sorted(suite.perturb.cells)
     theirs = sorted({cell for _, cell in bank.panels[0].by_stratum})
     if ours == theirs:
-        return "robot, task, episode or version of a plug-in differ"
+        return "robot, task, episode, pictures or version of a plug-in differ"
     return f"perturb is {_cells(ours)}, the baseline's {_cells(theirs)}"
 
 

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from nw_eval.cards.model import Rate
 from nw_eval.learn.config import ConfigModel, TrainingConfig
 from nw_eval.suite.digest import digest_of
+from nw_eval.suite.model import PUBLISHED, Rendering
 
 NOTHING = "nothing"
 """`start` of a network whose weights are drawn."""
@@ -146,6 +147,8 @@ class StudentConfig(TrainingConfig):
     dataset_gib: float = Field(default=8.0, gt=0.0)
     """Largest size of all trajectories, in memory and on disk, GiB; collecting ends there."""
     sees: Sees = Sees()
+    render: Rendering = PUBLISHED
+    """How its images of splats are drawn, as `render` of a suite."""
     network: NetworkSizes = NetworkSizes()
     randomise: Randomise = Randomise()
     learns: Learns = Learns()
@@ -165,4 +168,6 @@ class StudentConfig(TrainingConfig):
         fields = self.model_dump(mode="json", by_alias=True, exclude=without)
         if self.learns.later_rounds == 1.0:  # Trainings from before there was such a key go on.
             del fields["learns"]["later_rounds"]
+        if self.render == PUBLISHED:
+            del fields["render"]
         return digest_of(fields | {"samples": str(Fraction(self.budget.steps, self.rounds))})

@@ -144,6 +144,7 @@ def plan_round(
                 policy_name=driver.name,
                 checkpoint_digest=driver.checkpoint_digest,
                 record="none",
+                rendering=config.render,
                 mcap=(folder / f"{trial.id}.npz").resolve(),
                 time_limit=default_time_limit(config.duration),
             )

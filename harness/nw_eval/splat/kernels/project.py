@@ -24,8 +24,8 @@ distance of those with l >= 0 is
 
 No 3x3 inverse appears, so needles and flat discs are as safe in float32 as in EWA, and
 a = b = k = 0 is EWA. The low-pass eps2d acts in the image plane at the centre's depth. The pixels
-with d2 <= q lie in [-q cov_xx / (s - q xz), q cov_xx / (s + q xz)] along x, with
-s = sqrt(q (cov_xx - q (cov_xx zz - xz**2))); a denominator of 0 or less is no bound on its side.
+with d2 <= q lie in [-(s + q xz) / h, (s - q xz) / h] along x, with h = 1 - q zz and
+s = sqrt(q (cov_xx h + q xz**2)); where h <= 0 the Gaussian reaches the plane of the eye.
 
 A record is one cache line for each splat on the screen; records are written eight at a time.
 
@@ -41,6 +41,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -89,6 +90,7 @@ _STEEPEST = 30.0**2
 """Square of the slope from the axis (88 degrees) from which on a centre counts as beside the eye,
 like one behind it: there the frame is so skew that float32 loses what the closed form needs."""
 
+_LEAST_DEPTH = 0.01
 _UNBOUNDED = 1.0e9
 """Pixels, for a side of the box that has no bound."""
 
@@ -155,6 +157,7 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
     blur = REACH * math.sqrt(eps2d) + 1.0
     left, right = cx - view[at.LEFT] + blur, view[at.RIGHT] - cx + blur
     top, bottom = cy - view[at.TOP] + blur, view[at.BOTTOM] - cy + blur
+    two = np.float32(2.0)
     largest = bounds[chunk * BOUNDS + 6]
     reach_x = REACH * view[at.SPREAD_X] * largest
     reach_y = REACH * view[at.SPREAD_Y] * largest
@@ -231,15 +234,22 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
             above = fma(sqrt(q * yy), _WIDEN, _WIDEN_PIXELS)
             to_right, below = to_left, above
         else:
-            w0, w1, w2 = inverse_z * r6, inverse_z * r7, inverse_z * r8
-            s0 = fma(c00, w0, fma(c01, w1, c02 * w2))
-            s1 = fma(c01, w0, fma(c11, w1, c12 * w2))
-            s2 = fma(c02, w0, fma(c12, w1, c22 * w2))
-            zz = fma(w0, s0, fma(w1, s1, w2 * s2))
+            r66, r67, r68 = r6 * r6, r6 * r7 * two, r6 * r8 * two
+            r77, r78, r88 = r7 * r7, r7 * r8 * two, r8 * r8
+            zz = fma(
+                c00, r66, fma(c01, r67, fma(c02, r68, fma(c11, r77, fma(c12, r78, c22 * r88))))
+            )
+            zz = maximum(zz, 0.0) * (inverse_z * inverse_z)
             ok = ok & (fma(slope_x, slope_x, slope_y * slope_y) < _STEEPEST)
             q = fma(q, _RAY_WIDEN, 1e-6)
-            to_left, to_right = _ray_side(q, xx, xz, zz)
-            above, below = _ray_side(q, yy, yz, zz)
+            depth = fma(q, negate(zz), 1.0)
+            if mask_bits(ok & (depth <= _LEAST_DEPTH)) == 0:
+                scale = 1.0 / depth
+                to_left, to_right = _ray_side(q, xx, xz, depth, scale)
+                above, below = _ray_side(q, yy, yz, depth, scale)
+            else:
+                to_left, to_right = _ray_side_nearby(q, xx, xz, depth)
+                above, below = _ray_side_nearby(q, yy, yz, depth)
         c_low, c_high = ceil(u - to_left - 0.5), floor(u + to_right + 0.5)
         r_low, r_high = ceil(v - above - 0.5), floor(v + below + 0.5)
         if stride != 1.0:  # Where every pixel is taken, an index is its own.
@@ -301,25 +311,38 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
 
 
 @inlined
-def _ray_side(q: Any, variance: Any, lean: Any, depth: Any) -> Any:
+def _ray_side(q: Any, variance: Any, lean: Any, depth: Any, scale: Any) -> Any:
     """Return how far a Gaussian reaches before and behind its centre along a side of the image.
 
     Args:
         q: squared Mahalanobis distance.
         variance: xx, or yy.
         lean: xz, or yz.
-        depth: zz.
+        depth: 1 - q zz, over 0.
+        scale: its inverse.
     """
     along = q * lean
+    root = sqrt(q * fma(variance, depth, lean * along))
+    slack = fma(root * scale, 2e-6, _RAY_WIDEN_PIXELS)
+    return fma(root + along, scale, slack), fma(root - along, scale, slack)
+
+
+@inlined
+def _ray_side_nearby(q: Any, variance: Any, lean: Any, depth: Any) -> Any:
+    """Return the same of Gaussians that may reach the plane of the eye, and have no bound there.
+
+    The shorter side is q variance / (root + |q lean|), too, where nothing cancels.
+    """
+    along = q * lean
+    square = fma(variance, depth, lean * along)
+    wide = sqrt(q * maximum(square, 0.0)) + maximum(along, negate(along))
     # Where rounding might decide whether there is a bound, there is none.
-    root = fma(variance, fma(q, negate(depth), 1.0), lean * along)
-    is_bounded = root > fma(q * depth, 1e-5, 1e-5) * variance
-    root = sqrt(maximum(q * root, 0.0))
-    span, least = q * variance, root * 1e-3
-    low, high = root - along, root + along
-    before = where(is_bounded & (low > least), span / low, _UNBOUNDED) + _RAY_WIDEN_PIXELS
-    behind = where(is_bounded & (high > least), span / high, _UNBOUNDED) + _RAY_WIDEN_PIXELS
-    return before, behind
+    is_sure = square > variance * fma(negate(depth), 1e-5, 2e-5)
+    short = where(is_sure, q * variance / wide, _UNBOUNDED)
+    long = where(is_sure & (depth > _LEAST_DEPTH), wide / depth, _UNBOUNDED)
+    is_before = along > 0.0
+    before = where(is_before, long, short) + _RAY_WIDEN_PIXELS
+    return before, where(is_before, short, long) + _RAY_WIDEN_PIXELS
 
 
 @inlined
