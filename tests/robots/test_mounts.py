@@ -1,14 +1,20 @@
 """Cameras that a robot names, and where its IMU sits."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
 from nw_eval.cards import load_card
+from nw_eval.cards.control import CameraMounting
+from nw_eval.cards.joint_control import mounted_robot
 from nw_eval.errors import PolicyError, RobotError
 from nw_eval.robots import find_robot
+from nw_eval.robots.spec import remounted
+from nw_eval.rollout.mcap.images import calibration_message
 from nw_eval.rollout.mcap.steps import BodyForms
-from nw_eval.scenes.mesh import merge
+from nw_eval.scenes.mesh import merge, quad_mesh
 from nw_eval.scenes.scene import Scene
 from nw_eval.sensors import build_sensors
 from nw_eval.sensors.check import check_card
@@ -231,3 +237,64 @@ def test_a_state_holds_what_an_imu_on_a_head_reads(tmp_path):
 )
 def test_a_mount_that_cannot_be_is_told_with_its_place(tmp_path, line, said):
     assert said in faults(tmp_path, YAML + line + "\n")
+
+
+INTRINSICS = "{width: 640, height: 480, fx: 610, fy: 612, cx: 330, cy: 236}"
+
+
+def test_robot_yaml_says_focal_lengths_and_where_the_axis_is(tmp_path):
+    yaml = YAML.replace("pitch: 0.3}", f"pitch: 0.3, intrinsics: {INTRINSICS}}}")
+    robot = robot_of(tmp_path, yaml)
+    lens = robot.cameras["left"].lens(80, 45)  # Another shape: the whole view all the same.
+    np.testing.assert_allclose([lens.fx, lens.fy], [610 / 8, 612 * 45 / 480])
+    np.testing.assert_allclose([lens.cx, lens.cy], [330 / 8, 236 * 45 / 480])
+    angle = np.arctan(236 / 612) + np.arctan(244 / 612)
+    assert robot.cameras["left"].fovy == pytest.approx(angle)
+    square = robot.cameras["ego"].lens(80, 45)
+    assert (square.fx, square.cx, square.cy) == (pytest.approx(22.5), 40.0, 22.5)
+
+
+def test_a_camera_has_one_view(tmp_path):
+    twice = YAML.replace("pitch: 0.3}", f"fovy: 60, intrinsics: {INTRINSICS}}}")
+    assert "robot.yaml:7:3: cameras.left: `fovy` and `intrinsics` both" in faults(tmp_path, twice)
+    beyond = YAML.replace("pitch: 0.3}", f"intrinsics: {INTRINSICS.replace('330', '3300')}}}")
+    assert "cx 3300 is outside of the image of 640 x 480; give" in faults(tmp_path, beyond)
+
+
+def test_a_cards_intrinsics_take_the_place_of_the_robots_in_depth_and_in_the_log(tmp_path):
+    robot_of(tmp_path)
+    (tmp_path / "policy.yaml").write_text(
+        CARD + f"cameras: {{rear: {{intrinsics: {INTRINSICS}}}}}\n"
+    )
+    card = load_card(tmp_path / "policy.yaml")
+    robot = mounted_robot(find_robot("nodder").spec, card)
+    assert remounted(robot.cameras["rear"], pitch=0.0, height=0.1, factor=1.0).intrinsics
+    lens = robot.cameras["rear"].lens(64, 48)
+    wider = remounted(robot.cameras["rear"], pitch=0.0, height=0.0, factor=1.25)
+    assert wider.lens(64, 48).fovy == pytest.approx(1.25 * lens.fovy, rel=1e-4)
+    sight = card.observations["seen"].model_copy(
+        update={"camera": "rear", "width": 64, "height": 48, "robot": False}
+    )
+    ground = replace(FLAT, static_mesh=quad_mesh((-9, -9, 0), (18, 0, 0), (0, 18, 0), "ground"))
+    with World(robot, ground) as world:
+        (sensor,) = build_sensors(
+            card.model_copy(update={"observations": {"seen": sight}}), world
+        ).values()
+        sensor.reset(0)
+        depth = sensor.read(moment_of(world))
+        pose = world.camera_pose("rear")
+    # Ground rows, by hand: how far along the axis a pixel's ray meets z = 0.
+    column, row = 50, 44
+    ray = pose[:3, :3] @ [(column + 0.5 - 33.0) / 61.0, (row + 0.5 - 23.6) / 61.2, 1.0]
+    assert depth[row, column] == pytest.approx(-pose[2, 3] / ray[2], rel=1e-5)
+    message = calibration_message(0, "rear", lens)
+    np.testing.assert_allclose(list(message.K), [61.0, 0, 33.0, 0, 61.2, 23.6, 0, 0, 1])
+
+
+def test_a_card_says_a_camera_once_and_keeps_its_digest_without(tmp_path):
+    robot_of(tmp_path)
+    text = f"cameras: {{rear: {{field_of_view: 0.9, intrinsics: {INTRINSICS}}}}}\n"
+    (tmp_path / "policy.yaml").write_text(CARD + text)
+    with pytest.raises(PolicyError, match="`field_of_view` and `intrinsics` both"):
+        load_card(tmp_path / "policy.yaml")
+    assert "intrinsics" not in CameraMounting(pitch=0.1).model_dump()

@@ -12,14 +12,22 @@ which is `ActionFilterExp` and `ActionFilterButter` of google-research's motion_
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from nw_eval.cards.joints import ActionKind, PerJoint
 from nw_eval.cards.model import CONTROL_RATE, CardModel, Limits, Rate
+from nw_eval.lens import Intrinsics
 
 Array = NDArray[np.float64]
 
@@ -188,3 +196,22 @@ class CameraMounting(CardModel):
     """Length by which it sits higher on the trunk, m."""
     field_of_view: Annotated[float, Field(ge=0.3, le=1.5)] = 1.0
     """Factor of its vertical field of view."""
+    intrinsics: Intrinsics | None = None
+    """What it sees, in place of the robot's own: image size, focal lengths, principal point
+    (pixels)."""
+
+    @model_validator(mode="after")
+    def _one_view(self) -> CameraMounting:
+        if self.intrinsics is not None and "field_of_view" in self.model_fields_set:
+            raise ValueError(
+                "`field_of_view` and `intrinsics` both say what it sees; remove one of them"
+            )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_the_robots_own(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave no `intrinsics` out, so that cards without the key keep their digest."""
+        fields = dump(self)
+        if self.intrinsics is None:
+            fields.pop("intrinsics", None)
+        return fields

@@ -227,8 +227,9 @@ def mounted_robot(robot: RobotSpec, card: Card) -> RobotSpec:
                 f"cameras.{name}: {robot.name} has no camera {name!r}",
                 fix=nearest(name, list(robot.cameras)),
             )
+        own, lens = cameras[name], mounting.intrinsics
         cameras[name] = remounted(
-            cameras[name],
+            own if lens is None else own.with_intrinsics(lens),
             pitch=mounting.pitch,
             height=mounting.height,
             factor=mounting.field_of_view,

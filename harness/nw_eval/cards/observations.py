@@ -239,6 +239,36 @@ class _GeometryView(BaseObservation):
     """Whether the robot's own body is seen; never the trunk that carries the camera."""
 
 
+class Stereo(CardModel):
+    """Depth as a stereo camera of Intel's RealSense D400 family finds it; by default a D435.
+
+    With f the focal length in pixels of the matched images, B the baseline and Z the depth, the
+    disparity is f B / Z. It has a random error, is a multiple of 1/32 pixel, and at most
+    `disparities`. A pixel has no depth where the right imager does not see what the left one does:
+    behind nearer edges, and in a band f B / Z wide at the left border.
+    Sources: Intel, D400 series data sheet 337029 (minimum Z, invalid depth band, ideal ranges);
+    "Tuning depth cameras for best performance" (Z^2 subpixel / (f B), minimum Z); "Subpixel
+    linearity improvement" (1/32 pixel).
+    """
+
+    baseline: float = Field(default=0.05, gt=0.0, le=1.0)
+    """Distance of the right imager from the left one, which is the camera, m. D415 0.055, D455
+    0.095, D405 0.018."""
+    matched_width: int = Field(default=848, ge=8, le=4096)
+    """Columns of the images that are matched; the observation's is that depth image, resized."""
+    disparities: int = Field(default=126, ge=1, le=1024)
+    """Most pixels of disparity: nearer than f B / disparities there is no depth."""
+    subpixel: float = Field(default=0.08, ge=0.0, le=2.0)
+    """Standard deviation of the disparity, pixels. Intel: below 0.1 is usual, 0.05 with good
+    texture."""
+    max_range: float = Field(default=10.0, gt=0.0, le=65.535)
+    """Farther there is no depth, m."""
+    units: float = Field(default=0.001, gt=0.0, le=0.1)
+    """Depth is a multiple of it, m."""
+    invalid: float = Field(default=0.0, ge=0.0)
+    """What a pixel without depth reads, m; the camera's own files have 0."""
+
+
 class DepthObservation(_GeometryView):
     """Depth along the optical axis of the scene's geometry, (height, width) float32."""
 
@@ -253,6 +283,25 @@ class DepthObservation(_GeometryView):
     supersample: int = Field(default=1, ge=1, le=8)
     """Rays along each side of a pixel, whose values are averaged. 4 with 320 x 180 gives the
     published depth image, which is 1280 x 720 and reduced by area."""
+    stereo: Stereo | None = None
+    """What a stereo camera makes of the depth; null = every pixel has its exact depth."""
+
+    @model_validator(mode="after")
+    def _pixels_of_their_own(self) -> DepthObservation:
+        if self.stereo is not None and self.supersample > 1:
+            raise ValueError(
+                "`supersample` averages rays, and pixels of `stereo` without depth have no mean; "
+                "drop one of them"
+            )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_exact_depth(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave no `stereo` out, so that cards without the key keep their digest."""
+        fields = dump(self)
+        if self.stereo is None:
+            fields.pop("stereo", None)
+        return fields
 
 
 class SemanticsObservation(_GeometryView):

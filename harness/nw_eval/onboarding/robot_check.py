@@ -16,6 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from nw_eval.catalogue import get_scene
 from nw_eval.confinement import Rules, memory_to_run
 from nw_eval.errors import CrashError, PolicyError, RobotError
+from nw_eval.lens import Intrinsics
 from nw_eval.robots import FoundRobot, RobotSpec, find_robot, robot_folder
 from nw_eval.robots.spec import CameraMount
 from nw_eval.robots.standing import Drop, LevelGround
@@ -71,6 +72,8 @@ class RobotEye:
     """By which it looks down, rad."""
     fovy: float
     """Vertical field of view, rad."""
+    intrinsics: dict[str, Any] | None = None
+    """As robot.yaml has them; None where it has none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +202,14 @@ def place_of(found: FoundRobot) -> str:
 def _eye(name: str, mount: CameraMount) -> RobotEye:
     down = -mount.R_trunk_camera[2][2]  # Of its optical axis.
     pitch = math.asin(min(max(down, -1.0), 1.0))
-    return RobotEye(name=name, position=mount.position, pitch=pitch, fovy=mount.fovy)
+    lens = mount.intrinsics
+    return RobotEye(
+        name=name,
+        position=mount.position,
+        pitch=pitch,
+        fovy=mount.fovy,
+        intrinsics=None if lens is None else lens.model_dump(mode="json", exclude_none=True),
+    )
 
 
 _DERIVED = {
@@ -471,4 +481,14 @@ def eye_words(eye: RobotEye) -> str:
     """Return where a camera sits and looks."""
     x, y, z = eye.position
     down = f"{math.degrees(eye.pitch):.0f} degrees down" if abs(eye.pitch) > 5e-3 else "ahead"
-    return f"at {x:.2f} {y:.2f} {z:.2f} m of the root, {down}, {math.degrees(eye.fovy):.0f} degrees"
+    place = (
+        f"at {x:.2f} {y:.2f} {z:.2f} m of the root, {down}, {math.degrees(eye.fovy):.0f} degrees"
+    )
+    if eye.intrinsics is None:
+        return place
+    lens = Intrinsics.model_validate(eye.intrinsics)
+    bent = "" if lens.distortion is None else f", {lens.distortion.model}"
+    return (
+        f"{place}, {lens.width} x {lens.height} with fx {lens.fx:g} fy {lens.fy:g} "
+        f"cx {lens.cx:g} cy {lens.cy:g}{bent}"
+    )

@@ -32,6 +32,7 @@ from nw_eval.files.yaml_file import (
     read_yaml,
     validation_problems,
 )
+from nw_eval.lens import Intrinsics
 
 Array = npt.NDArray[np.float64]
 
@@ -156,6 +157,14 @@ class Eye(_Part):
     """Angle by which it looks down from there, rad."""
     fovy: Annotated[float, Field(gt=1.0, lt=179.0)] = 90.0
     """Vertical field of view, degrees."""
+    intrinsics: Intrinsics | None = None
+    """What it sees, in place of `fovy`: image size, focal lengths, principal point (pixels)."""
+
+    @model_validator(mode="after")
+    def _one_view(self) -> Eye:
+        if self.intrinsics is not None and "fovy" in self.model_fields_set:
+            raise ValueError("`fovy` and `intrinsics` both say what it sees; remove one of them")
+        return self
 
 
 class Camera(Eye):

@@ -47,7 +47,9 @@ class Mounts:
                 raise self.robot.fault(
                     ("cameras", "ego"), "cameras: `eye` is `ego`, too", "remove one"
                 )
-            said["ego"] = self._mounted(Camera(**dict(self.settings.eye)), ("eye",))
+            eye = self.settings.eye
+            keys = {key: getattr(eye, key) for key in eye.model_fields_set}
+            said["ego"] = self._mounted(Camera(**keys), ("eye",))
         own: dict[str, CameraMount] = {}
         for camera in range(self.model.ncam):
             name = str(self.model.camera(camera).name)
@@ -108,9 +110,12 @@ class Mounts:
                 raise self.robot.fault((*key, "rotation"), message)
         position, fovy = np.array(camera.position), math.radians(camera.fovy)
         if body == self.robot.root:  # Its numbers are taken as they are written, to the last bit.
-            return _mount(position, axes, fovy, "")
-        carrier, T = self._carried(body)
-        return _mount(T[:3, :3] @ position + T[:3, 3], T[:3, :3] @ axes, fovy, carrier)
+            mount = _mount(position, axes, fovy, "")
+        else:
+            carrier, T = self._carried(body)
+            mount = _mount(T[:3, :3] @ position + T[:3, 3], T[:3, :3] @ axes, fovy, carrier)
+        lens = camera.intrinsics
+        return mount if lens is None else mount.with_intrinsics(lens)
 
     def _turn(self, quaternion: Sequence[float], key: tuple[str, ...]) -> Array:
         """Return the rotation of a quaternion, (3, 3)."""

@@ -14,6 +14,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from nw_eval.lens import Intrinsics
+
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 Follow = Literal["position", "velocity", "torque"]
@@ -83,6 +85,17 @@ class CameraMount:
     R_trunk_camera: tuple[Vector3, Vector3, Vector3]
     fovy: float
     body: str = ""  # that carries it; "" = the trunk
+    intrinsics: Intrinsics | None = None  # None = square pixels, with the axis in the middle
+
+    def lens(self, width: int, height: int) -> Intrinsics:
+        """Return what an image of so many pixels shows: always the whole view."""
+        if self.intrinsics is None:
+            return Intrinsics.from_fovy(width, height, self.fovy)
+        return self.intrinsics.resized(width, height)
+
+    def with_intrinsics(self, intrinsics: Intrinsics) -> CameraMount:
+        """Return it with another lens."""
+        return replace(self, intrinsics=intrinsics, fovy=intrinsics.fovy)
 
     @property
     def T_trunk_camera(self) -> npt.NDArray[np.float64]:  # noqa: N802  # The field's name.
@@ -186,9 +199,11 @@ def remounted(mount: CameraMount, *, pitch: float, height: float, factor: float)
     # About the camera's x axis, to the right: its optical axis goes down.
     turn = np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
     rows = (np.array(mount.R_trunk_camera) @ turn).tolist()
+    lens = mount.intrinsics
     return replace(
         mount,
         position=(x, y, z + height),
         R_trunk_camera=tuple((a, b, c) for a, b, c in rows),
         fovy=mount.fovy * factor,
+        intrinsics=lens if lens is None or factor == 1.0 else lens.widened(factor),
     )

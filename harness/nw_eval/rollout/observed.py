@@ -39,6 +39,7 @@ from nw_eval.cards.observations import (
     selected_indices,
 )
 from nw_eval.cards.terms import AnyTerm, term_size
+from nw_eval.lens import Intrinsics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -165,15 +166,13 @@ class Seen:
     def calibrate(self) -> None:
         """Write the calibration of every camera, if its pictures can be kept."""
         for view in self.views:
-            pinhole = view.pinhole(self._world.robot.cameras[view.mount])
-            if pinhole is not None and self._log.takes_images:
+            lens = view.lens(self._world.robot.cameras[view.mount])
+            if lens is not None and self._log.takes_images:
                 self._log.calibration(
                     self._world.time,
                     view.topic,
                     mount=view.mount,
-                    size=(pinhole.width, pinhole.height),
-                    focal=(pinhole.fx, pinhole.fy),
-                    center=(pinhole.cx, pinhole.cy),
+                    lens=lens,
                 )
 
     @property
@@ -199,18 +198,6 @@ class Seen:
         for number, (form, image) in enumerate(pictures):
             topic = view.topic if len(pictures) == 1 else f"{view.topic}/{number}"
             self._log.picture(self._world.time, topic, image, mount=view.mount, form=form)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pinhole:
-    """A camera's image: size and focal lengths and centre, all in pixels."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,54 +231,34 @@ class View:
         newest = images[-max(1, count // self._frames) :]
         return [self._form(image[..., 0] if step == 1 else image) for image in newest]
 
-    def pinhole(self, mount: CameraMount) -> Pinhole | None:
+    def lens(self, mount: CameraMount) -> Intrinsics | None:
         """Return the calibration of the pictures; None after a wrapper that may bend images."""
         if any(
             isinstance(wrapper, wrappers.Flatten | wrappers.PluginWrap)
             for wrapper in self.spec.wrap
         ):
             return None
-        return self._traced(mount.fovy)
+        return self._traced(mount.lens(self.spec.width, self.spec.height))
 
     @property
     def _size(self) -> tuple[int, int]:
         """Rows and columns behind the wrappers, as far as those are ours."""
-        seen = self._traced(1.0)
+        seen = self._traced(Intrinsics.from_fovy(self.spec.width, self.spec.height, 1.0))
         return seen.height, seen.width
 
-    def _traced(self, fovy: float) -> Pinhole:
-        """Return the camera behind all crops and changes of size; `fovy` in rad."""
-        spec = self.spec
-        focal = 0.5 * spec.height / float(np.tan(0.5 * fovy))
-        seen = Pinhole(
-            width=spec.width,
-            height=spec.height,
-            fx=focal,
-            fy=focal,
-            cx=0.5 * spec.width,
-            cy=0.5 * spec.height,
-        )
-        for wrapper in spec.wrap:
+    def _traced(self, seen: Intrinsics) -> Intrinsics:
+        """Return the lens behind all crops and changes of size."""
+        for wrapper in self.spec.wrap:
             match wrapper:
                 case wrappers.Crop():
-                    seen = Pinhole(
-                        width=seen.width - wrapper.left - wrapper.right,
-                        height=seen.height - wrapper.top - wrapper.bottom,
-                        fx=seen.fx,
-                        fy=seen.fy,
-                        cx=seen.cx - wrapper.left,
-                        cy=seen.cy - wrapper.top,
+                    seen = seen.cropped(
+                        left=wrapper.left,
+                        top=wrapper.top,
+                        right=wrapper.right,
+                        bottom=wrapper.bottom,
                     )
                 case wrappers.Resize():
-                    across, down = wrapper.width / seen.width, wrapper.height / seen.height
-                    seen = Pinhole(
-                        width=wrapper.width,
-                        height=wrapper.height,
-                        fx=seen.fx * across,
-                        fy=seen.fy * down,
-                        cx=seen.cx * across,
-                        cy=seen.cy * down,
-                    )
+                    seen = seen.resized(wrapper.width, wrapper.height)
                 case (
                     wrappers.NoiseWrap()
                     | wrappers.Normalize()
@@ -523,16 +490,7 @@ class LogCamera:
     def calibrate(self) -> None:
         """Write the camera's calibration."""
         if self.is_on:
-            width, height = _LOG_SIZE
-            focal = 0.5 * height / float(np.tan(0.5 * self._fovy))
-            self._log.calibration(
-                self._world.time,
-                LOG_TOPIC,
-                mount=LOG_CAMERA,
-                size=_LOG_SIZE,
-                focal=(focal, focal),
-                center=(0.5 * width, 0.5 * height),
-            )
+            self._log.calibration(self._world.time, LOG_TOPIC, mount=LOG_CAMERA, lens=self._lens)
 
     def record(self, step: int) -> None:
         """Write the frame of a control step, if it has one."""
@@ -547,14 +505,13 @@ class LogCamera:
             )
 
     @property
-    def _fovy(self) -> float:
-        return self._world.robot.cameras[LOG_CAMERA].fovy
+    def _lens(self) -> Intrinsics:
+        return self._world.robot.cameras[LOG_CAMERA].lens(*_LOG_SIZE)
 
     def _camera(self, T: NDArray[np.float64]) -> Camera:
         from nw_eval.splat.camera import Camera
 
-        width, height = _LOG_SIZE
-        return Camera.from_fovy(width=width, height=height, fovy=self._fovy, T_world_camera=T)
+        return Camera.of(self._lens, T)
 
     @cached_property
     def _rays(self) -> RayScene:

@@ -77,7 +77,7 @@ def check_card(
         can_move = False
         problems.append(str(error))
     try:
-        mounted_robot(own, card)
+        own = mounted_robot(own, card)
     except PolicyError as error:
         problems.append(str(error))
     # The form of what a policy sees is the same under every protocol.

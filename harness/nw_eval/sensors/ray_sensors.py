@@ -9,8 +9,14 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.observations import DepthObservation, LidarObservation, SemanticsObservation
+from nw_eval.cards.observations import (
+    DepthObservation,
+    LidarObservation,
+    SemanticsObservation,
+    Stereo,
+)
 from nw_eval.errors import PolicyError, nearest
+from nw_eval.lens import Intrinsics
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.mesh import FACE_KINDS
 from nw_eval.sensors.drawing.cones import TrailCones
@@ -25,6 +31,11 @@ Array = NDArray[np.float64]
 
 # Nearer than this, m, nothing is told apart: it keeps inverse depth finite.
 _NEAREST = 1e-3
+
+_SAME = (
+    1e-3  # m, and of the distance: what is met so near before a point is the point's own surface
+)
+_FRACTIONS = 32  # of a pixel of disparity
 
 _HALF_RECTANGLE = 0.6  # rad to each side, unless the card says otherwise
 
@@ -119,7 +130,7 @@ def require_camera(name: str, camera: str, robot: RobotSpec) -> None:
 
 
 class PixelRays:
-    """One ray for each pixel of a pinhole camera, row by row from the top left.
+    """One ray for each pixel of a camera, row by row from the top left.
 
     Args:
         name: of the observation, for errors.
@@ -129,6 +140,7 @@ class PixelRays:
         height: pixels.
 
     Attributes:
+        lens: of the image.
         along_axis: (N,) how far a ray gets along the optical axis in each metre of its own.
 
     Raises:
@@ -140,16 +152,18 @@ class PixelRays:
     ) -> None:
         require_camera(name, camera, robot)
         self._camera = camera
-        pinhole = Camera.from_fovy(
-            width=width, height=height, fovy=robot.cameras[camera].fovy, T_world_camera=np.eye(4)
-        )
-        self._directions = ray_directions(pinhole, Pixels()).reshape(-1, 3)
+        self.lens = robot.cameras[camera].lens(width, height)
+        self._directions = ray_directions(Camera.of(self.lens, np.eye(4)), Pixels()).reshape(-1, 3)
         self.along_axis = self._directions[:, 2].copy()
 
     def rays(self, moment: Moment) -> tuple[Array, Array]:
         """Return the origin (3,) m and unit directions (N, 3) in the world."""
         T_world_camera = moment.world.camera_pose(self._camera)
         return T_world_camera[:3, 3], self._directions @ T_world_camera[:3, :3].T
+
+    def right(self, moment: Moment) -> Array:
+        """Return the unit vector (3,) in the world along the image's rows."""
+        return moment.world.camera_pose(self._camera)[:3, 0]
 
 
 class Depth(Measurement):
@@ -173,16 +187,73 @@ class Depth(Measurement):
         fine = observation.supersample
         self.shape: tuple[int, ...] = (observation.height * fine, observation.width * fine)
         self.dtype = np.dtype(np.float32)
-        self.form = (DepthForm(observation),)
         height, width = self.shape
         self._view = PixelRays(name, observation.camera, robot, width=width, height=height)
+        self.form = (DepthForm(observation),)
+        self._baseline = 0.0
+        if observation.stereo is not None:
+            lens = self._view.lens
+            if lens.distortion is not None:
+                raise PolicyError(
+                    f"`{name}`: stereo depth is of rectified images, and the camera "
+                    f"{observation.camera!r} has distortion",
+                    fix="give the intrinsics of the rectified image, without `distortion`",
+                )
+            self._baseline = observation.stereo.baseline
+            self.form = (StereoDepth(observation.stereo, lens), *self.form)
         self._around = Surroundings(rays, cones=observation.cones, robot=observation.robot)
 
     def measure(self, moment: Moment) -> NDArray[Any]:
         """Cast the rays."""
-        distance = self._around.distance(moment, *self._view.rays(moment))
+        origin, directions = self._view.rays(moment)
+        distance = self._around.distance(moment, origin, directions)
         depth = distance * self._view.along_axis
+        if self._baseline:
+            right = origin + self._view.right(moment) * self._baseline
+            depth[self._in_shadow(moment, origin, directions, distance, right)] = np.nan
         return depth.astype(np.float32).reshape(self.shape)
+
+    def _in_shadow(
+        self, moment: Moment, origin: Array, directions: Array, distance: Array, right: Array
+    ) -> NDArray[np.intp]:
+        """Return the rays whose points something hides from an eye at `right` (3,)."""
+        met = np.flatnonzero(np.isfinite(distance))
+        back = origin + distance[met, np.newaxis] * directions[met] - right
+        length = np.linalg.norm(back, axis=1)
+        seen = self._around.distance(moment, right, back / np.maximum(length, 1e-9)[:, np.newaxis])
+        return met[seen < length - _SAME * (1.0 + length)]
+
+
+class StereoDepth(Plain):
+    """Depth from noisy disparities of limited range; see `cards.observations.Stereo`.
+
+    Args:
+        settings: from the card.
+        lens: of the depth image.
+    """
+
+    def __init__(self, settings: Stereo, lens: Intrinsics) -> None:
+        self._settings = settings
+        self._to_matched = settings.matched_width / lens.width
+        self._focal_baseline = lens.fx * self._to_matched * settings.baseline
+        self._columns = (np.arange(lens.width) + 0.5) * self._to_matched
+
+    def __call__(self, sample: Sample, shot: Shot) -> Sample:
+        """Return metres, `invalid` where there is none; NaN is what the right imager misses."""
+        settings = self._settings
+        with np.errstate(divide="ignore", invalid="ignore"):
+            exact = self._focal_baseline / sample.astype(np.float64)
+            noise = settings.subpixel * shot.rng.standard_normal(sample.shape)
+            disparity = np.rint((exact + noise) * _FRACTIONS) / _FRACTIONS
+            depth = np.rint(self._focal_baseline / disparity / settings.units) * settings.units
+            valid = (
+                np.isfinite(sample)
+                & (disparity > 0.0)
+                & (disparity <= settings.disparities)
+                & (exact <= self._columns)
+                & (depth <= settings.max_range)
+            )
+        return np.where(valid, depth, settings.invalid).astype(np.float32)
 
 
 class DepthForm(Plain):

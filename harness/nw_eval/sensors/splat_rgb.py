@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from nw_eval.cards.observations import SplatRgbObservation
 from nw_eval.memory import Arrays
-from nw_eval.robots import CameraMount, RobotSpec
+from nw_eval.robots import RobotSpec
 from nw_eval.scenes.scene import Nearness
 from nw_eval.sensors.drawing.cones import TrailCones
 from nw_eval.sensors.drawing.insert import insert
@@ -56,14 +56,15 @@ class SplatRgb(Measurement):
         """
         require_camera(name, observation.camera, robot)
         self._observation = observation
-        self._mount: CameraMount = robot.cameras[observation.camera]
         self._published = observation.sampling == "published"
+        size = _PUBLISHED_SIZE if self._published else (observation.width, observation.height)
+        self._lens = robot.cameras[observation.camera].lens(*size)
         self._pixels = _PUBLISHED_PIXELS if self._published else Pixels()
-        pinhole = self._camera(np.eye(4))
-        size = f"{pinhole.width}x{pinhole.height}"
+        camera = Camera.of(self._lens, np.eye(4))
+        size = f"{camera.width}x{camera.height}"
         self._key = f"splat of {observation.camera}, {size}, {self._pixels}"
-        self._directions = ray_directions(pinhole, self._pixels)
-        self._pitch = (1.0 / pinhole.fx, 1.0 / pinhole.fy)
+        self._directions = ray_directions(camera, self._pixels)
+        self._pitch = (1.0 / camera.fx, 1.0 / camera.fy)
         self._cones = TrailCones()
         self._renderer: Renderer | None = None
         self.shape: tuple[int, ...] = (observation.height, observation.width, 3)
@@ -167,17 +168,11 @@ class SplatRgb(Measurement):
         image: Image | None = moment.shared.get(self._key)
         if image is None:
             # The splat's scale stays in the matrix: the renderer then measures depth in metres.
-            camera = self._camera(self._T_splat_world @ T_world_camera)
+            camera = Camera.of(self._lens, self._T_splat_world @ T_world_camera)
             image = moment.shared[self._key] = self._renderer.render(camera, self._pixels)
             for part in (image.rgb, image.depth, image.alpha):
                 part.flags.writeable = False
         return image
-
-    def _camera(self, T: NDArray[np.float64]) -> Camera:
-        width, height = self._observation.width, self._observation.height
-        if self._published:
-            width, height = _PUBLISHED_SIZE
-        return Camera.from_fovy(width=width, height=height, fovy=self._mount.fovy, T_world_camera=T)
 
 
 def image_shape(observation: SplatRgbObservation) -> tuple[int, ...]:

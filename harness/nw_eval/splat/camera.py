@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import UsageError, nearest
+from nw_eval.lens import Distortion, Intrinsics
 
 MAX_SIDE = 16384
 """Largest image side in pixels; the engine packs pixel indices into 16 bits."""
@@ -36,6 +37,7 @@ class Camera:
         T_world_camera: (4, 4) float64, maps camera points to world. The 3x3 block may be a rotation
             times a positive scale s; then depth and near are in camera units, 1 / s of world units.
         near, far: planes in camera units; Gaussians with centres outside are not drawn.
+        distortion: of the lens; None = a pinhole.
     """
 
     width: int
@@ -47,6 +49,7 @@ class Camera:
     T_world_camera: NDArray[np.float64]
     near: float = 0.01
     far: float = 1e10
+    distortion: Distortion | None = None
 
     def __post_init__(self) -> None:
         """Check the numbers once, here, so that no kernel meets a camera that makes no sense.
@@ -93,15 +96,33 @@ class Camera:
         """Return a camera with square pixels and centred axis; fovy in radians, vertical."""
         if not 0 < fovy < math.pi:
             raise UsageError(f"camera fovy is {fovy}", fix="give radians between 0 and pi")
-        focal = 0.5 * height / math.tan(0.5 * fovy)
+        return cls.of(Intrinsics.from_fovy(width, height, fovy), T_world_camera)
+
+    @classmethod
+    def of(cls, lens: Intrinsics, T_world_camera: NDArray[np.float64]) -> Camera:
+        """Return a camera with a lens."""
         return cls(
-            width=width,
-            height=height,
-            fx=focal,
-            fy=focal,
-            cx=0.5 * width,
-            cy=0.5 * height,
+            width=lens.width,
+            height=lens.height,
+            fx=lens.fx,
+            fy=lens.fy,
+            cx=lens.cx,
+            cy=lens.cy,
             T_world_camera=T_world_camera,
+            distortion=lens.distortion,
+        )
+
+    @property
+    def lens(self) -> Intrinsics:
+        """What it sees."""
+        return Intrinsics.model_construct(
+            width=self.width,
+            height=self.height,
+            fx=self.fx,
+            fy=self.fy,
+            cx=self.cx,
+            cy=self.cy,
+            distortion=self.distortion,
         )
 
     @property

@@ -76,6 +76,10 @@ class CudaRenderer:
         if pixels.count(camera.width) == 0 or pixels.count(camera.height) == 0:
             raise UsageError(f"{pixels} selects no pixel of {camera.width}x{camera.height}")
         torch = self._torch
+        if camera.distortion is not None:
+            raise UsageError(
+                "--render cuda cannot draw through a lens with distortion", fix="use --render cpu"
+            )
         view = camera.T_camera_world.astype(np.float32)
         K = np.array(
             [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], dtype=np.float32

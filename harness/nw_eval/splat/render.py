@@ -168,6 +168,11 @@ class CpuRenderer:
                 f"{pixels} selects no pixel of {camera.width}x{camera.height}",
                 fix="use a larger image or a smaller stride",
             )
+        if camera.distortion is not None:
+            raise UsageError(
+                "splats are drawn through pinholes only, not through a lens with distortion",
+                fix="remove `distortion` from the intrinsics, or use depth",
+            )
         if self._side > 1:
             if self._side * max(camera.width, camera.height) > MAX_SIDE:
                 raise UsageError(

@@ -140,16 +140,11 @@ class _Looker:
         samples: TrailSamples,
     ) -> None:
         width, height = _SIZE
-        fovy = robot.cameras[CAMERA].fovy
-        self._camera = Camera.from_fovy(
-            width=width, height=height, fovy=fovy, T_world_camera=np.eye(4)
-        )
+        lens = robot.cameras[CAMERA].lens(width, height)
+        self._camera = Camera.of(lens, np.eye(4))
         columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        camera = self._camera
-        toward = np.stack(
-            [(columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy, columns * 0 + 1.0],
-            axis=-1,
-        ).reshape(-1, 3)
+        slopes = lens.slopes(columns, rows)
+        toward = np.concatenate([slopes, np.ones((height, width, 1))], axis=-1).reshape(-1, 3)
         self._directions = toward / np.linalg.norm(toward, axis=1, keepdims=True)
         self._rays, self._renderer, self._captures = rays, renderer, scene.captures
         self._T_splat_world = np.linalg.inv(scene.T_world_splat)

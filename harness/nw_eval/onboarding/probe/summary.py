@@ -127,7 +127,12 @@ def card_summary(
             key: flow(value)
             for key in ("options", "output", "recurrent")
             if (value := getattr(card, key))
-        },
+        }
+        | (
+            {"cameras": flow({k: v.model_dump(exclude_defaults=True) for k, v in cameras.items()})}
+            if (cameras := card.cameras)
+            else {}
+        ),
         files=_files(card, path, checkpoint),
         terms=_terms(card, robot, specs),
         observations=tuple(_observation(card, spec) for spec in specs),

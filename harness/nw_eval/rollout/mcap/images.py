@@ -14,6 +14,7 @@ from PIL import Image as PillowImage
 
 from nw_eval.clean import clean
 from nw_eval.files.pictures import open_picture
+from nw_eval.lens import Intrinsics
 from nw_eval.rollout.mcap.messages import stamp
 from nw_eval.sensors.drawing.palette import PALETTE
 
@@ -87,31 +88,28 @@ def image_of(message: CompressedImage | RawImage) -> NDArray[Any]:
         raise ValueError(f"a picture is damaged: {clean(error, at_most=100)}") from None
 
 
-def calibration_message(
-    time_ns: int,
-    frame_id: str,
-    *,
-    size: tuple[int, int],
-    focal: tuple[float, float],
-    center: tuple[float, float],
-) -> CameraCalibration:
-    """Return the calibration of a pinhole camera without distortion.
+def calibration_message(time_ns: int, frame_id: str, lens: Intrinsics) -> CameraCalibration:
+    """Return the calibration of a camera, with distortion in ROS' words.
 
     Args:
         time_ns: simulated time.
         frame_id: the camera's frame in `/tf`.
-        size: width and height, pixels.
-        focal: focal lengths along x and y, pixels.
-        center: the principal point, pixels.
+        lens: of the pictures.
     """
-    (width, height), (fx, fy), (cx, cy) = size, focal, center
+    fx, fy, cx, cy, bent = lens.fx, lens.fy, lens.cx, lens.cy, lens.distortion
+    D = [0.0] * 5 if bent is None else list(bent.coefficients)
+    if bent is not None and bent.model == "fisheye":
+        model = "kannala_brandt"
+    else:
+        D += [0.0] * (5 - len(D))
+        model = "plumb_bob" if len(D) == 5 else "rational_polynomial"
     return CameraCalibration(
         timestamp=stamp(time_ns),
         frame_id=frame_id,
-        width=width,
-        height=height,
-        distortion_model="plumb_bob",
-        D=[0.0] * 5,
+        width=lens.width,
+        height=lens.height,
+        distortion_model=model,
+        D=D,
         K=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
         R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         P=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],

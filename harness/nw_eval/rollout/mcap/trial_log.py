@@ -17,6 +17,7 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from nw_eval.clean import clean
+from nw_eval.lens import Intrinsics
 from nw_eval.robots import RobotSpec
 from nw_eval.rollout.mcap.drawn import (
     Discs,
@@ -225,15 +226,11 @@ class TrialLog:
         topic: str,
         *,
         mount: str,
-        size: tuple[int, int],
-        focal: tuple[float, float],
-        center: tuple[float, float],
+        lens: Intrinsics,
     ) -> None:
-        """Write the calibration of a topic's pictures, all in pixels; `mount` is the camera."""
+        """Write the calibration of a topic's pictures; `mount` is the camera."""
         when = nanoseconds(time)
-        message = calibration_message(
-            when, camera_frame(mount), size=size, focal=focal, center=center
-        )
+        message = calibration_message(when, camera_frame(mount), lens)
         self._out.add(f"{topic}/calib", when, message)
 
     @_costs_only_the_log

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
+from nw_eval.lens import Intrinsics
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.cones import Cones
 from nw_eval.sensors.drawing.insert import insert
@@ -80,9 +81,8 @@ class Spectator:
         self, world: World, trail: NDArray[np.float64], camera: str, *, width: int, height: int
     ) -> Bytes:
         """Return the view of one of the robot's own cameras, (height, width, 3)."""
-        fovy = world.robot.cameras[camera].fovy
-        pose = world.camera_pose(camera)
-        return self.view(pose, fovy, world, trail, width=width, height=height, is_aboard=True)
+        lens = world.robot.cameras[camera].lens(width, height)
+        return self._view(world.camera_pose(camera), lens, world, trail, is_aboard=True)
 
     def view(
         self,
@@ -93,7 +93,6 @@ class Spectator:
         *,
         width: int,
         height: int,
-        is_aboard: bool = False,
     ) -> Bytes:
         """Return the view of any camera, (height, width, 3).
 
@@ -104,15 +103,24 @@ class Spectator:
             trail: (K, 3) m, where the cones stand.
             width: pixels.
             height: pixels.
-            is_aboard: the robot carries the camera, so its trunk is left out.
         """
+        lens = Intrinsics.from_fovy(width, height, fovy)
+        return self._view(T_world_camera, lens, world, trail)
+
+    def _view(
+        self,
+        T_world_camera: NDArray[np.float64],
+        lens: Intrinsics,
+        world: World,
+        trail: NDArray[np.float64],
+        *,
+        is_aboard: bool = False,
+    ) -> Bytes:
+        """Return the view through a lens; `is_aboard`: the trunk carries it, and is left out."""
+        width, height = lens.width, lens.height
         T = np.linalg.inv(self._scene.T_world_splat) @ T_world_camera
-        camera = Camera.from_fovy(
-            width=width * _OVERSAMPLING,
-            height=height * _OVERSAMPLING,
-            fovy=fovy,
-            T_world_camera=T,
-        )
+        lens = lens.resized(width * _OVERSAMPLING, height * _OVERSAMPLING)
+        camera = Camera.of(lens, T)
         directions = ray_directions(camera, Pixels())
         overlay = draw(
             directions,

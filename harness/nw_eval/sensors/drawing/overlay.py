@@ -33,11 +33,9 @@ class Overlay:
 
 def ray_directions(camera: Camera, pixels: Pixels) -> NDArray[np.float64]:
     """Return unit directions through pixel centres in camera axes, (H, W, 3)."""
-    x = (pixels.indices(camera.width) + 0.5 - camera.cx) / camera.fx
-    y = (pixels.indices(camera.height) + 0.5 - camera.cy) / camera.fy
+    x, y = pixels.indices(camera.width) + 0.5, pixels.indices(camera.height) + 0.5
     directions = np.ones((len(y), len(x), 3))
-    directions[..., 0] = x
-    directions[..., 1] = y[:, np.newaxis]
+    directions[..., :2] = camera.lens.slopes(*np.meshgrid(x, y))
     return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
 
 
