@@ -166,6 +166,7 @@ def init_policy(
     from nw_eval.onboarding.beside import files_beside_checkpoint, find_checkpoint
     from nw_eval.onboarding.draft import draft_of, files_beside
     from nw_eval.onboarding.notation import plain
+    from nw_eval.onboarding.vecnormalize import statistics_beside
     from nw_eval.robots import find_robot
     from nw_eval.rollout.confined.access import inspecting_rules
     from nw_eval.rollout.confined.isolated import call_isolated
@@ -178,25 +179,26 @@ def init_policy(
     card = out or folder / CARD_FILE
     if what_is(followed(card)) == "file":
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
-    found = find_robot(robot)
+    found, statistics = find_robot(robot), statistics_beside(checkpoint)
     text = str(
         call_isolated(
             draft_of,
             subject=str(checkpoint),
-            rules=inspecting_rules(checkpoint, robot=found.folder),
+            rules=inspecting_rules(checkpoint, robot=found.folder, also=statistics),
             checkpoint=str(checkpoint),
             robot=found.reference,
             robot_folder=None if found.folder is None else str(found.folder),
             folder=str(card.parent),
             layout=layout,
             beside=files_beside_checkpoint(checkpoint),
+            statistics=None if statistics is None else str(statistics),
         )
     )
     if others:
         shown = ", ".join(others[:6]) + f" and {len(others) - 6} more" * (len(others) > 6)
         newest = f"{plain(checkpoint.name)} is the newest checkpoint here, beside {plain(shown)}."
         text = f"# {newest}\n{text}"
-    elif card.parent.resolve() == checkpoint.parent.resolve():
+    elif card.parent.resolve() == checkpoint.parent.resolve() and "\nnetworks:" not in text:
         text += files_beside(checkpoint)
     with atomic_path(followed(card)) as temporary:
         temporary.write_text(text, encoding="utf-8")

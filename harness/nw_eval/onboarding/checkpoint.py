@@ -496,17 +496,7 @@ def script_inputs(
         where: its path, for errors.
         tensors: the file's, for sizes.
     """
-    archive = open_archive(data, where)
-    index = archive.read("data.pkl", at_most=FileLimits().index_bytes)
-    module = read_objects(index, where)
-    if not isinstance(module, Record):
-        return ()
-    file, _, name = module.name.rpartition(".")
-    try:
-        code = archive.read(f"code/{file.replace('.', '/')}.py", at_most=_CODE_BYTES)
-    except PolicyError:  # Absent or long: then it says nothing.
-        return ()
-    body = _forward_code(code.decode("utf-8", "replace"), name)
+    body = forward_code(data, where)
     signature = re.match(r"  def forward\(\w+: [\w.]+(?:,\s*([^)]*))?\) ->", body)
     if signature is None or signature[1] is None:
         return ()
@@ -520,6 +510,21 @@ def script_inputs(
             images = _image_channels(parts[1], body, tensors) if parts[2] == "List[Tensor]" else ()
             found.append(ScriptInput(name=parts[1], kind=parts[2], size=size, images=images))
     return tuple(found)
+
+
+def forward_code(data: bytes, where: str) -> str:
+    """Return the lines of `forward` of a TorchScript file; "" where it does not show them."""
+    archive = open_archive(data, where)
+    index = archive.read("data.pkl", at_most=FileLimits().index_bytes)
+    module = read_objects(index, where)
+    if not isinstance(module, Record):
+        return ""
+    file, _, name = module.name.rpartition(".")
+    try:
+        code = archive.read(f"code/{file.replace('.', '/')}.py", at_most=_CODE_BYTES)
+    except PolicyError:  # Absent or long: then it says nothing.
+        return ""
+    return _forward_code(code.decode("utf-8", "replace"), name)
 
 
 def _forward_code(code: str, name: str) -> str:
