@@ -206,20 +206,23 @@ def init_policy(
 
 
 def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
-    """Write an ONNX graph and the weights in files beside it as one file, without running it.
+    """Write a checkpoint of several files as one file, without running it.
 
     Args:
-        checkpoint: the graph.
+        checkpoint: an ONNX graph whose weights lie in files beside it; or the folder of a step that
+            Orbax saved, which becomes a safetensors file.
         out: the file to write.
 
     Raises:
-        PolicyError: the graph or a file that it names cannot be read, or is not safe to run.
+        PolicyError: it cannot be read, or is not safe to run.
+        PrerequisiteError: it is of Orbax, and the extra `orbax` is not installed.
         UsageError: `out` exists already, or is no file's path.
         StoreError: `out` cannot be written.
     """
     from nw_eval.files.cache import followed
     from nw_eval.files.inside import what_is
     from nw_eval.policies.onnx_fold import fold
+    from nw_eval.policies.orbax_fold import fold_orbax
     from nw_eval.rollout.confined.access import folding_rules
     from nw_eval.rollout.confined.isolated import call_isolated
     from nw_eval.rollout.replaying.apart import fetch, scratch_folder
@@ -229,7 +232,7 @@ def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
     with scratch_folder() as folder:
         folded = folder / "folded.onnx"
         size = call_isolated(
-            fold,
+            fold_orbax if what_is(checkpoint) == "folder" else fold,
             subject=str(checkpoint),
             rules=folding_rules(checkpoint, folder),
             checkpoint=str(checkpoint),

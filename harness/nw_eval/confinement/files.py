@@ -103,6 +103,13 @@ FILES: tuple[StrangersFile, ...] = (
         refused="paths that leave its folder, files over 1 MiB, more than 17 nodes",
     ),
     StrangersFile(
+        kind="folder of an Orbax checkpoint, for `policies fold`",
+        read_by="TensorStore",
+        where="a confined process",
+        may="give arrays by their names",
+        refused="files outside of its folder, other types than numbers, sizes over the limits",
+    ),
+    StrangersFile(
         kind="`VecNormalize` of Stable-Baselines3 (a pickle), for `policies init`",
         read_by="a reader of our own",
         where="a confined process",

@@ -22,6 +22,7 @@ from nw_eval.onboarding.leapp import pipeline_checkpoint
 from nw_eval.onboarding.notation import plain
 from nw_eval.onboarding.vectors import sized_terms
 from nw_eval.plural import plural
+from nw_eval.policies.orbax_fold import newest_orbax
 from nw_eval.robots import RobotSpec
 
 _LARGEST = 2**20
@@ -110,6 +111,12 @@ def find_checkpoint(folder: Path) -> tuple[Path, tuple[str, ...]]:
         for place in dict.fromkeys(path.parent for path in found):
             if (node := pipeline_checkpoint(place)) is not None:
                 return node, ()
+    if not found and (step := newest_orbax(folder)) is not None:
+        raise PolicyError(
+            f"{step}: this is a checkpoint of Orbax, a folder of files",
+            fix=f"write it as one file, and draft the card of that: `nw-eval policies fold {step} "
+            "--out policy.safetensors`",
+        )
     if not found:
         raise PolicyError(
             f"{folder}: no checkpoint lies in it, or in a folder of it",

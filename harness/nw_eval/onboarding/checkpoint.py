@@ -241,7 +241,7 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
                 recurrent=_recurrent_weights(tensors),
                 parameters=sum(math.prod(tensor.shape) for tensor in tensors),
                 tensors=tensors,
-                metadata=_saved_settings(data, where) if kind == "stable-baselines3" else {},
+                metadata=_SETTINGS[kind](data, where) if kind in _SETTINGS else {},
             )
         case "unknown":
             raise PolicyError(
@@ -261,6 +261,17 @@ def _saved_settings(data: bytes, where: str) -> dict[str, str]:
     except (ValueError, LookupError, TypeError, RecursionError):
         return {}
     return {} if named is None else {"activation": named[1]}
+
+
+def _header_settings(data: bytes, _: str) -> dict[str, str]:
+    """Return the texts in the header of a safetensors file, which has been checked."""
+    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    found = header.get("__metadata__")
+    items = cast("dict[str, Any]", found).items() if isinstance(found, dict) else ()
+    return {key: value for key, value in items if isinstance(value, str)}
+
+
+_SETTINGS = {"stable-baselines3": _saved_settings, "safetensors": _header_settings}
 
 
 def _onnx(data: bytes, path: Path, sha256: str) -> CheckpointFacts:

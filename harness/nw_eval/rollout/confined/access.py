@@ -40,9 +40,10 @@ def inspecting_rules(
 
 
 def folding_rules(checkpoint: Path, folder: Path) -> Rules:
-    """Return the rules of a process that writes a checkpoint with files beside it into a folder."""
+    """Return the rules of a process that writes a checkpoint of several files into a folder."""
+    place = checkpoint.resolve()
     return Rules(
-        reads=(checkpoint.resolve().parent,),
+        reads=(place if place.is_dir() else place.parent,),
         writes=(folder.resolve(),),
         memory=memory_to_open(FileLimits().file_bytes),
         seconds=OPENING_SECONDS,
