@@ -279,9 +279,17 @@ def test_an_input_is_either_observed_or_recurrent(tmp_path):
     assert "'obs' is in `recurrent` too" in problems_of(tmp_path, text)[0]
 
 
-def test_recurrent_pairs_are_for_graphs_that_pass_their_state_along(tmp_path):
-    text = MINIMAL.replace("adapter: onnx", "adapter: torchscript") + "recurrent: {h: h_out}\n"
-    assert "`torchscript` keeps its state itself" in problems_of(tmp_path, text)[0]
+@pytest.mark.parametrize(
+    ("adapter", "recurrent", "said"),
+    [
+        ("torch-export", "h_out", "`torch-export` keeps its state itself; remove it"),
+        ("torchscript", "h_out", "have no names, .* write `recurrent: {h: {output: 1, shape:"),
+        ("onnx", "{output: 1, shape: [1, 2]}", "has names for its outputs; write `recurrent: {in"),
+    ],
+)
+def test_what_is_fed_back_is_said_as_the_file_names_it(tmp_path, adapter, recurrent, said):
+    text = MINIMAL.replace("adapter: onnx", f"adapter: {adapter}")
+    assert re.search(said, problems_of(tmp_path, f"{text}recurrent: {{h: {recurrent}}}\n")[0])
 
 
 @pytest.mark.parametrize(

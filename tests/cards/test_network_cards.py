@@ -135,11 +135,11 @@ def test_networks_in_a_circle_are_refused_with_the_way_round(tmp_path, name, tak
         load_card(written(tmp_path, text))
 
 
-def test_recurrence_of_a_script_is_its_own(tmp_path):
+def test_what_a_script_feeds_back_has_a_place_and_a_shape(tmp_path):
     text = CARD.replace("adapter: onnx", "adapter: torchscript").replace(
         "rate: 5", "recurrent: {h: h_out}"
     )
-    with pytest.raises(PolicyError, match=r":16:5: .*`torchscript` keeps its state itself; remove"):
+    with pytest.raises(PolicyError, match=r":16:5: .*have no names, and its inputs no sizes; wri"):
         load_card(written(tmp_path, text))
 
 

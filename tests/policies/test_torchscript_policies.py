@@ -34,9 +34,9 @@ def untrusted():
     return trusting(all_=False)
 
 
-def bundle_of(folder, data):
+def bundle_of(folder, data, more=""):
     (folder / "policy.pt").write_bytes(data)
-    (folder / "policy.yaml").write_text(CARD % hashlib.sha256(data).hexdigest())
+    (folder / "policy.yaml").write_text(CARD % hashlib.sha256(data).hexdigest() + more)
     return load_bundle(folder)
 
 
@@ -287,6 +287,44 @@ def test_the_state_of_another_script_does_not_fit(tmp_path):
     other = open_policy(bundle_of(tmp_path, scripted(Doubling())))
     with pytest.raises(TrialError, match="does not fit policy 'mine'"):
         other.restore(saved)
+
+
+class FedBack(torch.nn.Module):
+    """What LEAPP exports of a policy that sees its last action: state goes in and comes out."""
+
+    def forward(self, h: torch.Tensor, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        h += 1.0  # What it is given is a copy.
+        return h * 2.0, x + h
+
+
+FEEDS = "inputs: {x: [body]}\nrecurrent: {h: {output: 0, shape: [1, 12]}}\n"
+
+
+def test_an_output_that_feeds_an_input_is_reset_saved_and_restored(tmp_path):
+    policy = open_policy(bundle_of(tmp_path, scripted(FedBack()), FEEDS))
+    observation = {"body": np.zeros(12, np.float32)}
+    assert [policy.act(observation)[0] for _ in range(3)] == [1, 3, 7]
+    saved = policy.state()
+    assert policy.act(observation)[0] == 15
+    policy.restore(saved)
+    assert policy.act(observation)[0] == 15
+    policy.reset(0)
+    assert policy.state() == b""
+    assert policy.act(observation)[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "said"),
+    [
+        ("{h:", "{g:", "takes no 'g', which `recurrent` names"),
+        ("[1, 12]", "[1, 11]", "correct `recurrent`|size of tensor"),
+        ("output: 0", "output: 5", "none at place 5"),
+    ],
+)
+def test_what_is_fed_back_otherwise_than_the_card_says_is_named(tmp_path, was, becomes, said):
+    bundle = bundle_of(tmp_path, scripted(FedBack()), FEEDS.replace(was, becomes))
+    with pytest.raises((PolicyError, TrialError), match=said):
+        open_policy(bundle).act({"body": np.zeros(12, np.float32)})
 
 
 class Cnn(torch.nn.Sequential):

@@ -40,6 +40,17 @@ def test_yaw_is_the_angle_of_the_nose_on_the_ground(world, read):
     assert both == pytest.approx([np.sin(yaw), np.cos(yaw)], abs=1e-6)
 
 
+def test_the_orientation_turns_the_trunks_axes_into_the_worlds(world, read):
+    # Isaac Lab's projected gravity from x, y, z, w (its export_annotator.py).
+    x, y, z, w = read(world, {"term": "orientation", "order": "xyzw"})
+    assert read(world, "orientation") == pytest.approx([w, x, y, z], abs=0)
+    down, axis = np.array([0.0, 0.0, -1.0]), np.array([x, y, z])
+    twice = 2.0 * np.cross(axis, down)
+    projected = down - w * twice + np.cross(axis, twice)
+    assert projected == pytest.approx(read(world, "gravity"), abs=1e-6)
+    assert abs(x) + abs(y) > 0.01, "it leans"
+
+
 @pytest.mark.parametrize(("start", "now", "expected"), [(0.4, 0.1, -0.3), (3.0, -3.0, 0.2831853)])
 def test_yaw_can_count_from_the_start_and_stays_within_half_a_turn(
     world, read, start, now, expected

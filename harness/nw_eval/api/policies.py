@@ -166,6 +166,7 @@ def init_policy(
     from nw_eval.onboarding.beside import files_beside_checkpoint, find_checkpoint
     from nw_eval.onboarding.draft import draft_of, files_beside
     from nw_eval.onboarding.notation import plain
+    from nw_eval.onboarding.vecnormalize import statistics_beside
     from nw_eval.robots import find_robot
     from nw_eval.rollout.confined.access import inspecting_rules
     from nw_eval.rollout.confined.isolated import call_isolated
@@ -178,25 +179,26 @@ def init_policy(
     card = out or folder / CARD_FILE
     if what_is(followed(card)) == "file":
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
-    found = find_robot(robot)
+    found, statistics = find_robot(robot), statistics_beside(checkpoint)
     text = str(
         call_isolated(
             draft_of,
             subject=str(checkpoint),
-            rules=inspecting_rules(checkpoint, robot=found.folder),
+            rules=inspecting_rules(checkpoint, robot=found.folder, also=statistics),
             checkpoint=str(checkpoint),
             robot=found.reference,
             robot_folder=None if found.folder is None else str(found.folder),
             folder=str(card.parent),
             layout=layout,
             beside=files_beside_checkpoint(checkpoint),
+            statistics=None if statistics is None else str(statistics),
         )
     )
     if others:
         shown = ", ".join(others[:6]) + f" and {len(others) - 6} more" * (len(others) > 6)
         newest = f"{plain(checkpoint.name)} is the newest checkpoint here, beside {plain(shown)}."
         text = f"# {newest}\n{text}"
-    elif card.parent.resolve() == checkpoint.parent.resolve():
+    elif card.parent.resolve() == checkpoint.parent.resolve() and "\nnetworks:" not in text:
         text += files_beside(checkpoint)
     with atomic_path(followed(card)) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -204,20 +206,23 @@ def init_policy(
 
 
 def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
-    """Write an ONNX graph and the weights in files beside it as one file, without running it.
+    """Write a checkpoint of several files as one file, without running it.
 
     Args:
-        checkpoint: the graph.
+        checkpoint: an ONNX graph whose weights lie in files beside it; or the folder of a step that
+            Orbax saved, which becomes a safetensors file.
         out: the file to write.
 
     Raises:
-        PolicyError: the graph or a file that it names cannot be read, or is not safe to run.
+        PolicyError: it cannot be read, or is not safe to run.
+        PrerequisiteError: it is of Orbax, and the extra `orbax` is not installed.
         UsageError: `out` exists already, or is no file's path.
         StoreError: `out` cannot be written.
     """
     from nw_eval.files.cache import followed
     from nw_eval.files.inside import what_is
     from nw_eval.policies.onnx_fold import fold
+    from nw_eval.policies.orbax_fold import fold_orbax
     from nw_eval.rollout.confined.access import folding_rules
     from nw_eval.rollout.confined.isolated import call_isolated
     from nw_eval.rollout.replaying.apart import fetch, scratch_folder
@@ -227,7 +232,7 @@ def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
     with scratch_folder() as folder:
         folded = folder / "folded.onnx"
         size = call_isolated(
-            fold,
+            fold_orbax if what_is(checkpoint) == "folder" else fold,
             subject=str(checkpoint),
             rules=folding_rules(checkpoint, folder),
             checkpoint=str(checkpoint),

@@ -15,7 +15,14 @@ from nw_eval.cards.checkpoint import Adapter, Checkpoint
 from nw_eval.cards.command import Command, WaypointCommand
 from nw_eval.cards.control import CameraMounting, Control
 from nw_eval.cards.model import CONTROL_RATE, CardModel, Line, is_whole
-from nw_eval.cards.networks import Inputs, Network, OutputKey, input_parts
+from nw_eval.cards.networks import (
+    Inputs,
+    Network,
+    OutputKey,
+    Recurrent,
+    input_parts,
+    recurrent_fault,
+)
 from nw_eval.cards.observations import (
     DirectionObservation,
     Observation,
@@ -93,9 +100,10 @@ class Card(CardModel):
     output: OutputKey | None = None
     """Which output of the checkpoint is the action: its name, or its place (from 0) among those
     that feed no recurrent state; None = its only or first one."""
-    recurrent: dict[str, str] | None = None
+    recurrent: Recurrent | None = None
     """Inputs of the checkpoint that an output of its last step feeds, and that output: `{h_in:
-    h_out}`. None = the pairs that its names show. Only `onnx` needs to be told."""
+    h_out}`; of a TorchScript file `{h: {output: 1, shape: [1, 12]}}`. None = the pairs that the
+    names of an ONNX graph show, and nothing of another file."""
 
     @model_validator(mode="before")
     @classmethod
@@ -130,9 +138,8 @@ class Card(CardModel):
             raise ValueError("`observations` is empty; name what the checkpoint sees")
         self._check_terms()
         self._check_rates()
-        if self.recurrent and self.adapter != "onnx":
-            message = f"`recurrent` is for adapter onnx; `{self.adapter}` keeps its state itself"
-            raise ValueError(f"{message}; remove it")
+        if (fault := recurrent_fault(self.adapter, self.recurrent)) is not None:
+            raise ValueError("; ".join(fault))
         return self
 
     def _check_rates(self) -> None:

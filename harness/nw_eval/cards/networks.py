@@ -28,6 +28,35 @@ OutputKey = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=0)]
 """An output of a file: its name, or its place, from 0."""
 
 
+class Feedback(CardModel):
+    """What a TorchScript file gives back to one of its own inputs at the next step."""
+
+    output: Annotated[int, Field(ge=0)]
+    """Its place, from 0, among all that `forward` returns."""
+    shape: Annotated[list[Annotated[int, Field(ge=1, le=100_000)]], Field(max_length=5)]
+    """Shape of the zeros that a trial begins with: these files do not declare it."""
+
+
+Recurrent = dict[str, str | Feedback]
+"""By input of a file, the output of the last step that feeds it."""
+
+
+def recurrent_fault(adapter: str, recurrent: Recurrent | None) -> tuple[str, str] | None:
+    """Return what is wrong with `recurrent` of a file that an adapter runs, and the fix."""
+    if not recurrent or (adapter == "onnx" and all(isinstance(o, str) for o in recurrent.values())):
+        return None
+    if adapter == "onnx":
+        return "an ONNX graph has names for its outputs", "write `recurrent: {input: output}`"
+    if adapter != "torchscript":
+        words = f"`recurrent` is for adapters onnx and torchscript; `{adapter}` keeps its state"
+        return f"{words} itself", "remove it"
+    name = next((name for name, one in recurrent.items() if isinstance(one, str)), None)
+    if name is None:
+        return None
+    words = "the outputs of a TorchScript file have no names, and its inputs no sizes"
+    return words, f"write `recurrent: {{{name}: {{output: 1, shape: [1, 12]}}}}`"
+
+
 class NetworkOutput(CardModel):
     """Numbers that a network gives, under a name of their own."""
 
@@ -61,7 +90,7 @@ class Network(CardModel):
     rate: Rate | None = None
     """How often a second it is asked, Hz, beginning with the first action; in between, what it
     gave is held. None = at every action."""
-    recurrent: dict[str, str] | None = None
+    recurrent: Recurrent | None = None
     """As the card's own `recurrent`."""
 
     @field_validator("outputs", mode="before")

@@ -20,7 +20,13 @@ from nw_eval.cards.joints import (
     short_name,
 )
 from nw_eval.cards.model import is_whole
-from nw_eval.cards.networks import feeding_order, input_parts, listed_inputs, way_back
+from nw_eval.cards.networks import (
+    feeding_order,
+    input_parts,
+    listed_inputs,
+    recurrent_fault,
+    way_back,
+)
 from nw_eval.cards.observations import ProprioObservation
 from nw_eval.cards.terms import FootContacts, check_feet, named_places
 from nw_eval.errors import PolicyError, Problem, UsageError, nearest
@@ -28,7 +34,7 @@ from nw_eval.robots import get_robot
 
 if TYPE_CHECKING:
     from nw_eval.cards.card import Card
-    from nw_eval.cards.networks import Inputs
+    from nw_eval.cards.networks import Inputs, Recurrent
     from nw_eval.files.yaml_file import Location, YamlFile
     from nw_eval.robots import RobotSpec
 
@@ -75,11 +81,8 @@ class _Checked:
             used |= self._inputs(
                 (*place, "inputs"), network.inputs, network.recurrent, network.adapter
             )
-            if network.recurrent and network.adapter != "onnx":
-                words = (
-                    f"`recurrent` is for adapter onnx; `{network.adapter}` keeps its state itself"
-                )
-                self._tell((*place, "recurrent"), words, "remove it")
+            if (fault := recurrent_fault(network.adapter, network.recurrent)) is not None:
+                self._tell((*place, "recurrent"), *fault)
             if network.rate is not None and not is_whole(card.control.rate / network.rate):
                 words = f"{network.rate} Hz, the policy acts at {card.control.rate} Hz"
                 self._tell((*place, "rate"), words, "give a rate that divides it")
@@ -103,7 +106,7 @@ class _Checked:
                 self._tell(where, f"{one!r} is not a valid name", fix)
 
     def _inputs(
-        self, place: Location, inputs: Inputs, recurrent: dict[str, str] | None, adapter: str
+        self, place: Location, inputs: Inputs, recurrent: Recurrent | None, adapter: str
     ) -> set[str]:
         """Check the inputs of one file; return all that they are made of."""
         used: set[str] = set()

@@ -87,6 +87,14 @@ class Yaw(_Term):
     """`angle`: (1). `sine_cosine`: (2), without the jump."""
 
 
+class Orientation(_Term):
+    """Orientation of the trunk in the world: a unit quaternion (4) q_world_trunk."""
+
+    term: Literal["orientation"]
+    order: Literal["wxyz", "xyzw"] = "wxyz"
+    """Which number stands where: Isaac Lab from 3 and ROS have `xyzw`, MuJoCo has `wxyz`."""
+
+
 class Acceleration(_Term):
     """What an accelerometer reads, m/s^2 (3) along the axes of the IMU, or else the trunk.
 
@@ -262,6 +270,7 @@ AnyTerm = (
     | RollPitch
     | Imu
     | Yaw
+    | Orientation
     | Acceleration
     | DeltaYaw
     | Command
@@ -327,6 +336,8 @@ def term_size(term: AnyTerm, joints: Sequence[str]) -> int:  # noqa: C901 - one 
     match term:
         case AngularVelocity() | LinearVelocity() | Gravity() | Imu() | Acceleration() | Command():
             return 3
+        case Orientation():
+            return 4
         case RollPitch():
             return 2
         case Speed():

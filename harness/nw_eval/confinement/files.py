@@ -96,6 +96,27 @@ FILES: tuple[StrangersFile, ...] = (
         "number are left out",
     ),
     StrangersFile(
+        kind="YAML of a LEAPP bundle, and the state that it begins with, for `policies init`",
+        read_by="ruamel.yaml, a reader of our own",
+        where="both",
+        may="say which file of its folder is the policy, and what the drafted card says",
+        refused="paths that leave its folder, files over 1 MiB, more than 17 nodes",
+    ),
+    StrangersFile(
+        kind="folder of an Orbax checkpoint, for `policies fold`",
+        read_by="TensorStore",
+        where="a confined process",
+        may="give arrays by their names",
+        refused="files outside of its folder, other types than numbers, sizes over the limits",
+    ),
+    StrangersFile(
+        kind="`VecNormalize` of Stable-Baselines3 (a pickle), for `policies init`",
+        read_by="a reader of our own",
+        where="a confined process",
+        may="say the numbers of a normaliser",
+        refused="calls that arrays do not need, files over 4 MiB",
+    ),
+    StrangersFile(
         kind="scene: YAML, XML, meshes",
         read_by="readers of our own, trimesh",
         where="the main process",

@@ -18,9 +18,11 @@ from nw_eval.files.inside import what_is
 from nw_eval.files.yaml_file import YamlProblems, parse_yaml
 from nw_eval.onboarding.checkpoint import CheckpointFacts, ExporterMetadata
 from nw_eval.onboarding.configs import Data, reader_of, reordered
+from nw_eval.onboarding.leapp import pipeline_checkpoint
 from nw_eval.onboarding.notation import plain
 from nw_eval.onboarding.vectors import sized_terms
 from nw_eval.plural import plural
+from nw_eval.policies.orbax_fold import newest_orbax
 from nw_eval.robots import RobotSpec
 
 _LARGEST = 2**20
@@ -91,17 +93,30 @@ def find_checkpoint(folder: Path) -> tuple[Path, tuple[str, ...]]:
     """Return the newest checkpoint in a folder of a training, and the names of the others.
 
     The highest step is the newest (`model_1500.pt`, `agent_16000.pt`); without steps, what is
-    called best; else what was exported.
+    called best; else what was exported. Of a pipeline of LEAPP it is the file that gives the
+    action.
 
     Raises:
-        PolicyError: there is none.
+        PolicyError: there is none, or the pipeline cannot be used.
     """
+    if (node := pipeline_checkpoint(folder)) is not None:
+        return node, ()
     found = [
         path
         for pattern in ("*", "*/*")
         for path in sorted(folder.glob(pattern))
         if (path.suffix in _SUFFIXES or path.name == "params") and what_is(path) == "file"
     ]
+    if found and all(path.parent != folder for path in found):
+        for place in dict.fromkeys(path.parent for path in found):
+            if (node := pipeline_checkpoint(place)) is not None:
+                return node, ()
+    if not found and (step := newest_orbax(folder)) is not None:
+        raise PolicyError(
+            f"{step}: this is a checkpoint of Orbax, a folder of files",
+            fix=f"write it as one file, and draft the card of that: `nw-eval policies fold {step} "
+            "--out policy.safetensors`",
+        )
     if not found:
         raise PolicyError(
             f"{folder}: no checkpoint lies in it, or in a folder of it",

@@ -241,7 +241,7 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
                 recurrent=_recurrent_weights(tensors),
                 parameters=sum(math.prod(tensor.shape) for tensor in tensors),
                 tensors=tensors,
-                metadata=_saved_settings(data, where) if kind == "stable-baselines3" else {},
+                metadata=_SETTINGS[kind](data, where) if kind in _SETTINGS else {},
             )
         case "unknown":
             raise PolicyError(
@@ -261,6 +261,17 @@ def _saved_settings(data: bytes, where: str) -> dict[str, str]:
     except (ValueError, LookupError, TypeError, RecursionError):
         return {}
     return {} if named is None else {"activation": named[1]}
+
+
+def _header_settings(data: bytes, _: str) -> dict[str, str]:
+    """Return the texts in the header of a safetensors file, which has been checked."""
+    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    found = header.get("__metadata__")
+    items = cast("dict[str, Any]", found).items() if isinstance(found, dict) else ()
+    return {key: value for key, value in items if isinstance(value, str)}
+
+
+_SETTINGS = {"stable-baselines3": _saved_settings, "safetensors": _header_settings}
 
 
 def _onnx(data: bytes, path: Path, sha256: str) -> CheckpointFacts:
@@ -496,17 +507,7 @@ def script_inputs(
         where: its path, for errors.
         tensors: the file's, for sizes.
     """
-    archive = open_archive(data, where)
-    index = archive.read("data.pkl", at_most=FileLimits().index_bytes)
-    module = read_objects(index, where)
-    if not isinstance(module, Record):
-        return ()
-    file, _, name = module.name.rpartition(".")
-    try:
-        code = archive.read(f"code/{file.replace('.', '/')}.py", at_most=_CODE_BYTES)
-    except PolicyError:  # Absent or long: then it says nothing.
-        return ()
-    body = _forward_code(code.decode("utf-8", "replace"), name)
+    body = forward_code(data, where)
     signature = re.match(r"  def forward\(\w+: [\w.]+(?:,\s*([^)]*))?\) ->", body)
     if signature is None or signature[1] is None:
         return ()
@@ -520,6 +521,21 @@ def script_inputs(
             images = _image_channels(parts[1], body, tensors) if parts[2] == "List[Tensor]" else ()
             found.append(ScriptInput(name=parts[1], kind=parts[2], size=size, images=images))
     return tuple(found)
+
+
+def forward_code(data: bytes, where: str) -> str:
+    """Return the lines of `forward` of a TorchScript file; "" where it does not show them."""
+    archive = open_archive(data, where)
+    index = archive.read("data.pkl", at_most=FileLimits().index_bytes)
+    module = read_objects(index, where)
+    if not isinstance(module, Record):
+        return ""
+    file, _, name = module.name.rpartition(".")
+    try:
+        code = archive.read(f"code/{file.replace('.', '/')}.py", at_most=_CODE_BYTES)
+    except PolicyError:  # Absent or long: then it says nothing.
+        return ""
+    return _forward_code(code.decode("utf-8", "replace"), name)
 
 
 def _forward_code(code: str, name: str) -> str:

@@ -26,6 +26,8 @@ from nw_eval.onboarding.checkpoint import (
 )
 from nw_eval.onboarding.inputs import known_observations, parts_of, wanted_inputs
 from nw_eval.onboarding.layouts import Frame, is_scan
+from nw_eval.onboarding.leapp import pipeline_of
+from nw_eval.onboarding.leapp_card import PipelineDraft, with_pipeline
 from nw_eval.onboarding.notation import (
     CHECK,
     in_brackets,
@@ -37,6 +39,7 @@ from nw_eval.onboarding.notation import (
     slug,
 )
 from nw_eval.onboarding.trained import KNOWN_ACTIVATIONS, network_lines, trained_network
+from nw_eval.onboarding.vecnormalize import normalised
 from nw_eval.onboarding.vectors import (
     Likely,
     ObservationDraft,
@@ -57,6 +60,7 @@ def write_card_draft(
     folder: Path | None = None,
     layout: str | None = None,
     beside: Mapping[str, str] | None = None,
+    statistics: Path | None = None,
 ) -> str:
     """Return the text of a card, to be saved as policy.yaml beside the checkpoint.
 
@@ -70,21 +74,26 @@ def write_card_draft(
             it gets a card for `--checkpoint`, and a comment that says so.
         layout: name of the published layout that the card is to have; None = the likeliest.
         beside: name and text of files beside the checkpoint that may say what it does not.
+        statistics: the `VecNormalize` of Stable-Baselines3 that was saved with it.
 
     Raises:
         PolicyError: the file holds weights of a network that is not known here, does not fit
-            `layout`, or is of another robot.
+            `layout`, or is of another robot; `statistics` cannot be read.
     """
     widths = [array.shape[-1] or 0 for array in facts.inputs if array.shape]
     widths = widths or [argument.size or 0 for argument in facts.script]
     size = widths[0] if len(widths) == 1 else 0
     known = read_beside(beside or {}, robot, facts.path.name, facts.exporter, size)
+    pipeline = pipeline_of(beside or {}, facts.path.name)
+    if pipeline is not None:
+        known = with_pipeline(*pipeline, facts, known)
     refuse_another_robot(facts, known, robot)
     facts = replace(facts, exporter=known)
     network = trained_network(facts, len(robot.joints)) if facts.adapter is None else None
     if network is not None:
         size = ArrayFacts(name="obs", shape=(1, network.layers[0].inputs), dtype="float32")
         facts = replace(facts, adapter="mlp", inputs=(size,))
+        network = normalised(network, statistics)
     if facts.adapter is None:
         shown = ", ".join(f"{tensor.name} {tensor.shape}" for tensor in facts.tensors[:3])
         raise PolicyError(
@@ -92,7 +101,15 @@ def write_card_draft(
             fix=f"{EXPORT}, which hold the network too; layers in a row with "
             f"{len(robot.joints)} outputs, one for each joint, would be run as they are",
         )
-    body, parts = _body(facts, layout, robot)
+    notes = known.notes if known else ()
+    if pipeline is None:
+        body, parts = _body(facts, layout, robot)
+    else:
+        draft = PipelineDraft(*pipeline, facts, layout)
+        body, parts, notes = draft.lines(folder), draft.parts, (*notes, *draft.notes)
+        _refuse_unknown(layout, parts, facts.path)
+        if draft.is_commanded:
+            body = [_follower(known), "", *body]
     frames = [part.fits[0][0] for part in parts if part.fits]
     # What one of them feeds back clipped, `control` must clip.
     frame = next((f for f in frames if f.clip is not None), frames[0] if frames else None)
@@ -107,7 +124,7 @@ def write_card_draft(
         f"adapter: {facts.adapter}",
         *_checkpoint(facts, folder),
         *([] if network is None else network_lines(network, *_activation(facts))),
-        *(f"{CHECK} {note}" for note in (known.notes if known else ())),
+        *(f"{CHECK} {note}" for note in notes),
         "",
         *control_lines(facts.exporter, robot, frame, clip=network.clip if network else None),
         "",
@@ -137,6 +154,7 @@ def draft_of(
     robot_folder: str | None = None,
     layout: str | None = None,
     beside: Mapping[str, str] | None = None,
+    statistics: str | None = None,
 ) -> str:
     """Return the card of a checkpoint; as `write_card_draft`, from plain values.
 
@@ -149,7 +167,12 @@ def draft_of(
     know_robot(robot, None if robot_folder is None else Path(robot_folder))
     facts = inspect_checkpoint(Path(checkpoint))
     return write_card_draft(
-        facts, get_robot(robot), folder=Path(folder), layout=layout, beside=beside
+        facts,
+        get_robot(robot),
+        folder=Path(folder),
+        layout=layout,
+        beside=beside,
+        statistics=None if statistics is None else Path(statistics),
     )
 
 

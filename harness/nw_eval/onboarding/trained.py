@@ -43,6 +43,8 @@ class TrainedNetwork:
     """Numbers of the last layer that are the action; None = all."""
     normaliser: str = ""
     """As the card writes it; empty where the file has none."""
+    normaliser_of: str = ""
+    """The file beside it that has the normaliser; empty where the checkpoint has it."""
     notes: tuple[str, ...] = ()
     """Sentences that the author of the card must read."""
     clip: float | None = None
@@ -294,8 +296,9 @@ def network_lines(network: TrainedNetwork, activation: str = "", source: str = "
     if network.outputs is not None:
         given = network.layers[-1].outputs
         lines.append(f"  outputs: {network.outputs}  # of {given}: the others are deviations")
+    said = network.normaliser_of or f"as {network.trainer}"
     if network.normaliser:
-        lines.append(f"  normaliser: {network.normaliser}  # as {network.trainer}")
+        lines.append(f"  normaliser: {network.normaliser}  # {said}")
     else:
         lines.append(f"  # normaliser: none  {CHECK} the file has none")
     kinds = {"linear": "", "norm": " (normalised)"}

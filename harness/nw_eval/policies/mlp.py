@@ -11,7 +11,7 @@ skrl, or (x - mean) / sqrt(variance + eps) as in rl_games; then a clip.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
 from pydantic import Field, model_validator
@@ -47,13 +47,17 @@ _ACTIVATIONS: dict[str, Callable[[Tensor], Tensor]] = {
 }
 
 
-class Normaliser(CardModel):
-    """How observations are normalised before the first layer; names are those of tensors."""
+Row = str | Annotated[list[float], Field(min_length=1, max_length=100_000)]
+"""Numbers, one for each that the policy sees: the name of a tensor, or the numbers themselves."""
 
-    mean: str
-    std: str | None = None
+
+class Normaliser(CardModel):
+    """How observations are normalised before the first layer."""
+
+    mean: Row
+    std: Row | None = None
     """Standard deviations; `variance` in their place where the file has those."""
-    variance: str | None = None
+    variance: Row | None = None
     eps: float = Field(default=0.0, ge=0.0)
     """Added to the divisor."""
     eps_in: Literal["std", "variance"] = "std"
@@ -204,7 +208,14 @@ def _normalise(
     if options is None:
         return lambda x: x
 
-    def numbers(name: str) -> Tensor:
+    def numbers(name: Row) -> Tensor:
+        if isinstance(name, list):
+            if len(name) != size:
+                raise PolicyError(
+                    f"{where}: `normaliser` has {len(name)} numbers, the first layer takes {size}",
+                    fix="correct `normaliser`: it is another network's",
+                )
+            return torch.tensor([name], dtype=torch.float32)
         if name not in tensors:
             raise PolicyError(
                 f"{where}: no tensor is called {name!r}",

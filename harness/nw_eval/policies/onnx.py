@@ -160,7 +160,8 @@ def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict
         observed = {name for name, _ in bundle.card.input_parts()}
         pairs = state_pairs(inputs, targets)
         return {source: target for source, target in pairs.items() if source not in observed}
-    for source, target in named.items():
+    pairs = {source: str(target) for source, target in named.items()}
+    for source, target in pairs.items():
         for kind, name, known in (("input", source, inputs), ("output", target, targets)):
             if name not in known:
                 raise PolicyError(
@@ -173,7 +174,7 @@ def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict
                 f"output {target!r} {targets[target]}",
                 fix="name the output that is the input's next value",
             )
-    return dict(named)
+    return pairs
 
 
 _DRAWING = (b"Random", b"Bernoulli", b"Multinomial", b"Dropout")

@@ -1,6 +1,7 @@
 """TorchScript checkpoints, run on the CPU on one thread.
 
-The recurrent state of a module is its buffers, and attributes that its code sets.
+The recurrent state of a module is its buffers, and attributes that its code sets; and inputs that
+its own outputs feed, where the card says so.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from numpy.typing import NDArray
 
 from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
-from nw_eval.cards.networks import listed_inputs
+from nw_eval.cards.networks import Feedback, Recurrent, listed_inputs
 from nw_eval.clean import clean
-from nw_eval.errors import PolicyError, TrialError
+from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.plural import plural
 from nw_eval.policies.apart import check_program
 from nw_eval.policies.bundle import Bundle
@@ -30,6 +31,8 @@ from nw_eval.policies.safety.archive import kind_said
 
 _SETS = re.compile(r'prim::SetAttr\[name="(\w+)"\]')
 
+_KEPT = "input "
+"""Begins the names of what is fed back in a state; no path of a module has a space."""
 _Slots = dict[str, tuple[str, str]]
 """Paths of state to (path of the submodule, name of its attribute)."""
 
@@ -38,7 +41,8 @@ class TorchScriptNetwork:
     """A scripted or traced module that takes tensors and returns one, or a tuple of them.
 
     Buffers, and whatever else its code writes to, are its recurrent state, as rsl_rl exports it:
-    a trial begins with what the file holds of them.
+    a trial begins with what the file holds of them. Inputs that the card's `recurrent` names begin
+    as zeros.
 
     It is a program, which torch runs as it is: in a process that is fenced in, or where the caller
     trusts it. Inputs are passed in the order of the card's `inputs`.
@@ -60,13 +64,19 @@ class TorchScriptNetwork:
         # More threads change the order of sums, and with it the last bits of an action.
         torch.set_num_threads(1)
         self._module: Any = _open(bundle)
-        _check_signature(self._module, bundle)
+        self._arguments = _check_signature(self._module, bundle)
         self._assemble = InputAssembler(bundle.card, self.inputs)
         self._slots = _state_slots(self._module, str(bundle.checkpoint))
-        self._first = read_state(self._module, self._slots)
+        self._fed = _fed(bundle.card.recurrent)
+        feeding = [one.output for one in self._fed.values()]
+        self._places = [_free(place, feeding) for place in self._places]
+        self._zeros = {_KEPT + n: np.zeros(f.shape, np.float32) for n, f in self._fed.items()}
+        self._memory: dict[str, NDArray[Any]] = dict(self._zeros)
+        self._first = read_state(self._module, self._slots) | self._zeros
 
     def reset(self, seed: int) -> None:  # noqa: ARG002 - `DrawingPolicy` seeds the generator.
         """Begin a trial with the state that the file holds."""
+        self._memory = dict(self._zeros)
         if self._module is not None:
             _write_state(self._module, self._slots, self._first)
 
@@ -74,11 +84,14 @@ class TorchScriptNetwork:
         """Run the module once."""
         if self._module is None:
             raise TrialError(f"{self._subject} is closed", fix="open it again")
+        arrays = self._with_memory(self._assemble.in_order(observation))
         tensors = [
             [torch.from_numpy(array) for array in one]
             if isinstance(one, list)
+            else None
+            if one is None
             else torch.from_numpy(one)
-            for one in self._assemble.in_order(observation)
+            for one in arrays
         ]
         try:
             with torch.inference_mode():
@@ -88,7 +101,29 @@ class TorchScriptNetwork:
             fix = "export it in float32: module.float()" if "dtype" in reason else None
             raise TrialError(f"{self._subject} failed: {reason}", fix=fix) from error
         outputs = raw if isinstance(raw, tuple | list) else [raw]
+        for name, one in self._fed.items():
+            value = self._picked(outputs, one.output)
+            if value.shape != tuple(one.shape) or value.dtype != np.float32:
+                raise TrialError(
+                    f"{self._subject}: what feeds its input {name!r} is {value.dtype} of shape "
+                    f"{list(value.shape)}",
+                    fix=f"correct `recurrent`, which says {one.shape}",
+                )
+            self._memory[_KEPT + name] = value.copy()
         return tuple(self._picked(outputs, place) for place in self._places)
+
+    def _with_memory(
+        self, arrays: Sequence[NDArray[Any] | list[NDArray[Any]]]
+    ) -> list[NDArray[Any] | list[NDArray[Any]] | None]:
+        """Return what is observed and what is fed back, in the module's order; else None."""
+        if not self._fed:
+            return list(arrays)
+        observed = iter(arrays)
+        return [
+            # The module may write into what it is given.
+            self._memory[_KEPT + name].copy() if name in self._fed else next(observed, None)
+            for name in self._arguments
+        ]
 
     def _picked(self, outputs: Sequence[Any], place: int) -> NDArray[Any]:
         if place >= len(outputs):
@@ -105,7 +140,7 @@ class TorchScriptNetwork:
         """Return the state where it differs from the file's, as bytes."""
         if self._module is None:
             return b""
-        now = read_state(self._module, self._slots)
+        now = read_state(self._module, self._slots) | self._memory
         return pack(
             {path: array for path, array in now.items() if not same(array, self._first[path])}
         )
@@ -120,6 +155,9 @@ class TorchScriptNetwork:
             for path, array in arrays.items():
                 if path not in self._first or self._first[path].dtype != array.dtype:
                     raise unfitting(self._name, f"it has {path!r} of {array.dtype}")
+                if path in self._zeros and self._zeros[path].shape != array.shape:
+                    raise unfitting(self._name, f"it has {path!r} of shape {array.shape}")
+            self._memory = {path: arrays.get(path, zeros) for path, zeros in self._zeros.items()}
             if self._module is not None:
                 _write_state(self._module, self._slots, self._first | arrays)
 
@@ -136,8 +174,20 @@ class TorchScriptPolicy(ActingNetwork):
         super().__init__(network, joints=joints, policy=bundle.name)
 
 
-def _check_signature(module: Any, bundle: Bundle) -> None:
-    """Compare what `forward` takes with the inputs of the card.
+def _fed(recurrent: Recurrent | None) -> dict[str, Feedback]:
+    """Return the inputs that outputs feed; the card has been checked."""
+    return {n: one for n, one in (recurrent or {}).items() if isinstance(one, Feedback)}
+
+
+def _free(place: int, feeding: Sequence[int]) -> int:
+    """Return the place among all outputs from that among those that feed no state."""
+    for taken in sorted(set(feeding)):
+        place += taken <= place
+    return place
+
+
+def _check_signature(module: Any, bundle: Bundle) -> tuple[str, ...]:
+    """Compare what `forward` takes with the inputs of the card; return what it takes, in order.
 
     Raises:
         PolicyError: it takes something that no card can feed, or the card feeds something else.
@@ -151,6 +201,14 @@ def _check_signature(module: Any, bundle: Bundle) -> None:
     arguments = [(a.name, str(a.type), a.has_default_value()) for a in schema.arguments[1:]]
     shown = ", ".join(f"{name}: {kind}" for name, kind, _ in arguments)
     where = f"{bundle.where}: the checkpoint's `forward({clean(shown, at_most=200)})`"
+    every = tuple(name for name, _, _ in arguments)
+    fed = _fed(bundle.card.recurrent)
+    for name in fed:
+        if name not in every:
+            raise PolicyError(
+                f"{where} takes no {name!r}, which `recurrent` names", fix=nearest(name, every)
+            )
+    arguments = [argument for argument in arguments if argument[0] not in fed]
     needed = [name for name, _, is_optional in arguments if not is_optional]
     for name, kind, is_optional in arguments:
         if kind not in {"Tensor", "Optional[Tensor]", "List[Tensor]"} and not is_optional:
@@ -173,6 +231,7 @@ def _check_signature(module: Any, bundle: Bundle) -> None:
                 f"{'one array' if is_list else 'a list'}",
                 fix=f"write `inputs: {{{own or name}: {one}}}`",
             )
+    return every
 
 
 def _place(wanted: str | int | None, bundle: Bundle) -> int:

@@ -450,6 +450,8 @@ def _parts(term: AnyTerm, joints: Names) -> Sequence[str]:
             return [f"{kind} {foot}" for kind in term.values for foot in range(len(term.offsets))]
         case terms.Yaw():
             return ("",) if term.values == "angle" else ("sine", "cosine")
+        case terms.Orientation():
+            return tuple(term.order)
         case terms.Speed() | terms.DeltaYaw() | terms.Constant():
             size = term_size(term, joints)
             return ("",) if size == 1 else [str(number) for number in range(size)]

@@ -73,6 +73,9 @@ def reader(  # noqa: C901, PLR0912 - one short case for each term.
             return lambda moment: (*moment.roll_pitch_yaw[:2], 0.0)
         case terms.Yaw():
             return _yaw(term)
+        case terms.Orientation():
+            places = [0, 1, 2, 3] if term.order == "wxyz" else [1, 2, 3, 0]
+            return lambda moment: moment.world.trunk_quat[places]
         case terms.Acceleration():
             return lambda moment: moment.world.specific_force(term.at)
         case terms.DeltaYaw():

@@ -130,10 +130,11 @@ class Init:
 
 @dataclass(frozen=True, kw_only=True)
 class Fold:
-    """Write an ONNX graph whose weights lie in a second file as one file, without running it."""
+    """Write a checkpoint of several files as one file, without running it."""
 
     checkpoint: tyro.conf.Positional[Path]
-    """The ONNX file; what it names lies beside it."""
+    """An ONNX file whose weights lie in a second file beside it, or the folder of a step that Orbax
+    saved, which becomes a safetensors file."""
     out: Path
     """The file to write."""
 
@@ -141,7 +142,7 @@ class Fold:
         from nw_eval import api
 
         folded = api.fold_policy(self.checkpoint, out=self.out)
-        print(f"{folded.file}: {folded.bytes / 1e6:.2f} MB, graph and weights")
+        print(f"{folded.file}: {folded.bytes / 1e6:.2f} MB in one file")
         return 0
 
 

@@ -135,8 +135,16 @@ _OPAQUE = {
     "numpy.core.multiarray.scalar",
     "numpy._core.multiarray.scalar",
     "numpy.dtype",
+    # Of the random generator that a space of Gymnasium keeps.
+    "numpy.random._pickle.__generator_ctor",
+    "numpy.random._pickle.__bit_generator_ctor",
+    "numpy.random.bit_generator.__pyx_unpickle_SeedSequence",
 }
-_OBJECTS = re.compile(r"(brax|flax|optax)\.[\w.]+")
+_OBJECTS = re.compile(
+    r"(brax|flax|optax|gymnasium\.spaces|gym\.spaces)\.[\w.]+"
+    r"|stable_baselines3\.common\.(vec_env\.vec_normalize\.VecNormalize"
+    r"|running_mean_std\.RunningMeanStd)"
+)
 """Classes of a pickled training whose attributes are read; nothing is imported."""
 _RECONSTRUCT = {"numpy.core.multiarray._reconstruct", "numpy._core.multiarray._reconstruct"}
 _ARRAY = "numpy.ndarray"

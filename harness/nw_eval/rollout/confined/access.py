@@ -22,22 +22,28 @@ OPENING_SECONDS = 25
 """Of processor time to open a checkpoint in: imports take 2 to 5 s of it, 100 MB another 1."""
 
 
-def inspecting_rules(checkpoint: Path, *, robot: Path | None = None) -> Rules:
+def inspecting_rules(
+    checkpoint: Path, *, robot: Path | None = None, also: Path | None = None
+) -> Rules:
     """Return the rules of a process that reads one checkpoint, without a card.
 
-    It may read the folder of the robot that the checkpoint drives.
+    It may read the folder of the robot that the checkpoint drives, a file that `also` names, and
+    what LEAPP wrote beside it of the state that a pipeline begins with.
     """
+    beside = sorted(checkpoint.parent.glob("*_initial_values.safetensors"))[:4]
+    paths = (checkpoint, robot, also, *beside)
     return Rules(
-        reads=(checkpoint.resolve(), *(() if robot is None else (robot.resolve(),))),
+        reads=tuple(path.resolve() for path in paths if path is not None),
         memory=memory_to_open(_size(checkpoint)),
         seconds=OPENING_SECONDS,
     )
 
 
 def folding_rules(checkpoint: Path, folder: Path) -> Rules:
-    """Return the rules of a process that writes a checkpoint with files beside it into a folder."""
+    """Return the rules of a process that writes a checkpoint of several files into a folder."""
+    place = checkpoint.resolve()
     return Rules(
-        reads=(checkpoint.resolve().parent,),
+        reads=(place if place.is_dir() else place.parent,),
         writes=(folder.resolve(),),
         memory=memory_to_open(FileLimits().file_bytes),
         seconds=OPENING_SECONDS,
