@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.twin.packages import package
-from nw_eval.twin.reconstruct.depth import DepthMap, unlike
+from nw_eval.twin.reconstruct.depth import DepthMap, darker
 from nw_eval.twin.reconstruct.mesh import ColourMesh, parts_of
 from nw_eval.twin.reconstruct.views import F64
 
@@ -50,7 +50,7 @@ _NEAREST = 8
 _LIKE = 0.85
 """Cosine between a patch and the samples about it, in the mean: it goes on as they do."""
 _OTHER = 0.3
-"""Share of the vertices of a patch that photographs may show in another colour than about it."""
+"""Share of the vertices of a patch that photographs may show darker than what is about it."""
 _KNOWN = 0.33
 """Share of what looks at a place that has to know it there: edges seen from afar join over gaps
 that nearer photographs leave open."""
@@ -232,8 +232,8 @@ def _looks(points: F64, normals: F64, maps: Sequence[DepthMap]) -> tuple[F64, F6
 
     A pixel shows a plane. A point lies on it, behind it, where the pixel says nothing of it, or
     before it and nearer than the pixel is: then it is looked through. A pixel of no known depth
-    looks at something else if its colour is another than that of what is known about it. Each view counts by how many
-    of its pixels an area there has: a near one from above sees what many from afar cannot.
+    looks at something else if it is darker than what is known about it. Each view counts by how
+    many of its pixels an area there has: a near one from above sees what many from afar cannot.
     """
     views, through, on = (np.zeros(len(points)) for _ in range(3))
     for each in maps:
@@ -252,7 +252,7 @@ def _looks(points: F64, normals: F64, maps: Sequence[DepthMap]) -> tuple[F64, F6
         shown = _rays(view.K, x + 0.5, y + 0.5) * depth[:, None]
         off = ((local[rows] - shown) * each.normal[y, x]).sum(axis=1) / z[rows]
         known = depth > 0.0
-        other = ~known & unlike(each)[y, x]
+        other = ~known & darker(each)[y, x]
         through[rows] += weight * (known & (off > _OFF) & (depth > z[rows] * (1.0 + _OFF)))
         on[rows] += weight * (known & (np.abs(off) <= _OFF))
         views[rows] += weight * (other | (known & (off >= -_OFF)))
