@@ -70,8 +70,9 @@ _MATCH_BYTES = (60, 40)
 _STEP_S = (0.02, 0.7e-6, 0.9e-6)
 """Seconds of one core for a step of training: at least, for a Gaussian, and for a pixel."""
 _GAUSSIAN_BYTES = 1500
-_LISTED_PITS = 5
 """Of a Gaussian in training: values, gradients, moments, and room to grow."""
+_LISTED_PITS = 5
+"""Pits that are named, the largest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
