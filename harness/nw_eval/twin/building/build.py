@@ -52,8 +52,9 @@ from nw_eval.twin.calibrate.footage import Footage
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import Capture, read_capture
 from nw_eval.twin.moved import moved_capture, moved_mesh
+from nw_eval.twin.pits import with_pits
 from nw_eval.twin.place import SUITE, Route, write_place
-from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh
+from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh, write_mesh
 from nw_eval.twin.reconstruct.options import ReconstructOptions
 from nw_eval.twin.reconstruct.reconstruct import reconstruct
 from nw_eval.twin.trail import FLOOR, TrailProposal, propose_free_trail, propose_trail
@@ -70,6 +71,8 @@ _STEP_S = (0.02, 0.7e-6, 0.9e-6)
 """Seconds of one core for a step of training: at least, for a Gaussian, and for a pixel."""
 _GAUSSIAN_BYTES = 1500
 """Of a Gaussian in training: values, gradients, moments, and room to grow."""
+_LISTED_PITS = 5
+"""Pits that are named, the largest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,8 +264,16 @@ class Build:
         folder = self.folder
         aligned = read_alignment(folder.align)
         world = aligned.T_metric_capture
-        mesh = read_colour_mesh(folder.mesh / "mesh.ply")
+        mesh_file = folder.mesh / "mesh.ply"
+        mesh = read_colour_mesh(mesh_file)
         capture = read_capture(folder.capture)
+        depths = folder.mesh / "depth"
+        if depths.is_dir():
+            mesh, pits = with_pits(mesh, capture, folder.capture, depths, world)
+            mesh_file = folder.mesh / "ground.ply"
+            write_mesh(mesh, mesh_file)
+            for pit in pits[:_LISTED_PITS]:
+                self._say(f"place: {pit}")
         try:
             proposal = self._proposal(world, mesh, capture, robot)
             height = proposal.spawn.position[2]
@@ -278,7 +289,7 @@ class Build:
             folder.scene,
             name=name,
             licence=licence,
-            mesh=folder.mesh / "mesh.ply",
+            mesh=mesh_file,
             splat=folder.splat / "splat.ply",
             T_world_capture=world,
             capture=capture,

@@ -21,10 +21,10 @@ Another scale needs no other splat."""
 
 _FORMATS: dict[Stage, int] = {
     "calibrate": 5,
-    "reconstruct": 5,
+    "reconstruct": 6,
     "align": 4,
     "splat": 5,
-    "place": 8,
+    "place": 9,
 }
 """Each changes with what its stage makes of the same inputs."""
 _MOST_BYTES = 1_000_000

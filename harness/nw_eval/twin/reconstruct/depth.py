@@ -50,6 +50,12 @@ _TEXTURE = 16.0
 
 _ALIKE = float(np.cos(np.deg2rad(15.0)))
 """Cosine of the angle by which a plain pixel's normal may be off the plane around it."""
+_OWN = 100.0
+"""Variance about a pixel, grey levels squared, from which on it has texture of its own."""
+DARKER = 0.15
+"""Logarithm by which a pixel is darker than those about it, and may be no part of theirs."""
+_FEW = 0.02
+"""Share of the square about a pixel that has to be known for a colour."""
 _PLAIN_OFF = 0.01
 """Share of its depth, likewise."""
 
@@ -212,10 +218,12 @@ def _known(
     prior = expected(view, own, known, reach)
     off = np.abs(own.planes[..., 0] - prior[..., 0])
     alike = (own.planes[..., 1:] * prior[..., 1:]).sum(axis=-1) > _ALIKE
-    known |= (count >= least) & alike & (off <= _PLAIN_OFF * prior[..., 0])
     grey, side = view.grey, (11, 11)
     texture = cv2.blur(grey * grey, side) - cv2.blur(grey, side) ** 2
-    one = (count > 0) & (own.costs <= _BY_POINTS) & (texture > _TEXTURE) & ~known
+    same = darkness(view, known) < DARKER
+    known &= same | (_variance(grey, 5) > _OWN)
+    known |= (count >= least) & alike & (off <= _PLAIN_OFF * prior[..., 0]) & same
+    one = (count > 0) & (own.costs <= _BY_POINTS) & (texture > _TEXTURE) & ~known & same
     known[one] = ground.near(view, own.planes, one)
     _, label, facts, _ = cv2.connectedComponentsWithStats(known.astype(np.uint8), connectivity=8)
     known &= facts[label, cv2.CC_STAT_AREA] >= _ISLE * known.size
@@ -227,6 +235,35 @@ def _known(
     depth = np.where(known, own.planes[..., 0], np.float32(0.0))
     normal = np.where(known[..., None], own.planes[..., 1:], np.float32(0.0))
     return DepthMap(view=view, depth=depth, confidence=confidence, normal=normal)
+
+
+def _variance(grey: F32, side: int) -> F32:
+    """Return the variance (H, W) of the square about each pixel."""
+    cv2, size = package("cv2"), (side, side)
+    return cv2.blur(grey * grey, size) - cv2.blur(grey, size) ** 2
+
+
+def darker(found: DepthMap) -> NDArray[np.bool_]:
+    """Return which pixels (H, W) are darker than the known ones about them."""
+    return darkness(found.view, found.depth > 0.0) >= DARKER
+
+
+def darkness(view: WorkingView, known: NDArray[np.bool_]) -> F32:
+    """Return how much darker each pixel is than the known ones about it, a logarithm (H, W).
+
+    0 where none is near. A dark stripe between two edges may be painted on what lies on both sides
+    of it, or be what shows in the gap between: without texture of its own nothing tells.
+
+    Args:
+        view: a picture.
+        known: (H, W) pixels of one surface.
+    """
+    cv2 = package("cv2")
+    colour = np.log(cv2.blur(view.rgb, (3, 3)).astype(np.float32) + np.float32(4.0)).mean(axis=-1)
+    side = 2 * (max(view.size) // 16) + 1
+    weight = cv2.blur(known.astype(np.float32), (side, side))
+    about = cv2.blur(colour * known, (side, side)) / np.maximum(weight, np.float32(1e-6))
+    return np.where(weight > _FEW, about - colour, np.float32(0.0))
 
 
 def write_map(capture: Capture, found: DepthMap, out: Path) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.twin.packages import package
-from nw_eval.twin.reconstruct.depth import DepthMap
+from nw_eval.twin.reconstruct.depth import DepthMap, darkness
 from nw_eval.twin.reconstruct.options import DepthOptions
 from nw_eval.twin.reconstruct.plane_kernels import (
     COST,
@@ -48,6 +48,8 @@ _COLOUR, _LEVELS = 0.5, 25.0
 """Cost of another colour, and the difference from which on it is quite another."""
 _OFF = 0.5
 """Cost of a depth that is known and off the plane."""
+_LOOKS, _SHADE = 0.4, 0.15
+"""Cost of being darker than a plane is about there, and the logarithm from which it counts."""
 _THROUGH, _SEEN = 0.6, 0.15
 """Cost of two neighbours that look through, and what two that see the same surface take off."""
 _NEVER = 5.0
@@ -177,6 +179,8 @@ def labelled(
         cost = likeness.cost(depth, row) + plane.prior
         off = np.abs(depth - own.depth) / np.maximum(_ON * own.depth, 1e-9)
         cost += np.where(own.depth > 0.0, _OFF * np.minimum(off, 1.0), 0.0)
+        on = (own.depth > 0.0) & (off < 1.0)
+        cost += _LOOKS * np.clip((darkness(view, on) - _SHADE) / _SHADE, 0.0, 1.0)
         cost[depth <= 0.0] = _NEVER
         volume[..., label] = np.round(COST * np.maximum(cost, 0.0))
     none = np.where(own.depth > 0.0, _KNOWN, _PLAIN - (_PLAIN - _TEXTURED) * likeness.texture)

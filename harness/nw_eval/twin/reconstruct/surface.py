@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.twin.packages import package
-from nw_eval.twin.reconstruct.depth import DepthMap
+from nw_eval.twin.reconstruct.depth import DepthMap, darker
 from nw_eval.twin.reconstruct.mesh import ColourMesh, parts_of
 from nw_eval.twin.reconstruct.views import F64
 
@@ -49,6 +49,11 @@ _NEAREST = 8
 """Samples whose mean normal a place of the surface is compared with."""
 _LIKE = 0.85
 """Cosine between a patch and the samples about it, in the mean: it goes on as they do."""
+_OTHER = 0.3
+"""Share of the vertices of a patch that photographs may show darker than what is about it."""
+_KNOWN = 0.33
+"""Share of what looks at a place that has to know it there: edges seen from afar join over gaps
+that nearer photographs leave open."""
 _OPEN = 0.1
 """Share of the vertices of a patch that photographs may look through."""
 
@@ -164,8 +169,8 @@ def samples(maps: Sequence[DepthMap], voxel: float) -> Samples:
             known &= ~np.isin(_cells_of(means[:, :3], low, finest, number), taken)
         kept.append((means[known], np.full(int(known.sum()), finest * 2**number)))
     means, cells = (np.concatenate(part) for part in zip(*kept, strict=True))
-    views, through, on = _looks(means[:, :3], maps)
-    real = ~_open(views, through, on)
+    views, through, on = _looks(means[:, :3], means[:, 3:6], maps)
+    real = ~_open(views, through, on) & (on >= _KNOWN * views)
     means, cells = means[real], cells[real]
     length = np.linalg.norm(means[:, 3:6], axis=1, keepdims=True)
     return Samples(
@@ -222,15 +227,15 @@ def _summed(rows: F64, cells: NDArray[np.int64]) -> F64:
     return sums
 
 
-def _looks(
-    points: F64, maps: Sequence[DepthMap]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return how many maps look at points or through them, how many through, and how many at.
+def _looks(points: F64, normals: F64, maps: Sequence[DepthMap]) -> tuple[F64, F64, F64]:
+    """Return what looks at points or through them, what looks through, and what at, (N,) weights.
 
     A pixel shows a plane. A point lies on it, behind it, where the pixel says nothing of it, or
-    before it and nearer than the pixel is: then it is looked through.
+    before it and nearer than the pixel is: then it is looked through. A pixel of no known depth
+    looks at something else if it is darker than what is known about it. Each view counts by how
+    many of its pixels an area there has: a near one from above sees what many from afar cannot.
     """
-    views, through, on = (np.zeros(len(points), np.int64) for _ in range(3))
+    views, through, on = (np.zeros(len(points)) for _ in range(3))
     for each in maps:
         view, T = each.view, each.view.T_camera_world
         local = points @ T[:3, :3].T + T[:3, 3]
@@ -238,24 +243,25 @@ def _looks(
         u = view.K[0, 0] * local[:, 0] / z + view.K[0, 2]
         v = view.K[1, 1] * local[:, 1] / z + view.K[1, 2]
         height, width = view.size
+        facing = -((normals @ T[:3, :3].T) * local).sum(axis=1) / np.linalg.norm(local, axis=1)
         inside = (local[:, 2] > 0.0) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
-        rows = np.flatnonzero(inside)
+        rows = np.flatnonzero(inside & (facing > 0.0))
         x, y = u[rows].astype(np.int64), v[rows].astype(np.int64)
+        weight = np.maximum(facing[rows], _GRAZED) * (view.K[0, 0] / z[rows]) ** 2
         depth = each.depth[y, x].astype(np.float64)
         shown = _rays(view.K, x + 0.5, y + 0.5) * depth[:, None]
         off = ((local[rows] - shown) * each.normal[y, x]).sum(axis=1) / z[rows]
         known = depth > 0.0
-        through[rows] += known & (off > _OFF) & (depth > z[rows] * (1.0 + _OFF))
-        on[rows] += known & (np.abs(off) <= _OFF)
-        views[rows] += ~known | (off >= -_OFF)
+        other = ~known & darker(each)[y, x]
+        through[rows] += weight * (known & (off > _OFF) & (depth > z[rows] * (1.0 + _OFF)))
+        on[rows] += weight * (known & (np.abs(off) <= _OFF))
+        views[rows] += weight * (other | (known & (off >= -_OFF)))
     return views, through, on
 
 
-def _open(
-    views: NDArray[np.int64], through: NDArray[np.int64], on: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def _open(views: F64, through: F64, on: F64) -> Flags:
     """Return what is seen through; one wrong depth among many is none."""
-    return through > np.maximum(on, views // 8)
+    return through > np.maximum(on, views / 8.0)
 
 
 def _poisson(found: Samples) -> tuple[ColourMesh, F64]:
@@ -289,7 +295,9 @@ def _supported(whole: ColourMesh, normals: F64, found: Samples, maps: Sequence[D
     off = off[:, 0] / found.cells[nearest[:, 0]]
     about = found.normals[nearest].mean(axis=1)
     about /= np.maximum(np.linalg.norm(about, axis=1, keepdims=True), 1e-300)
-    open_ = _open(*_looks(whole.vertices, maps))
+    views, through, on = _looks(whole.vertices, normals, maps)
+    open_ = _open(views, through, on)
+    other = (views > 0.0) & (on < _KNOWN * views)
     like = (normals * about).sum(axis=1)
     kept = ((off <= _NEAR) & (like > 0.0) & ~open_)[faces].all(axis=1)
     rest = faces[~kept]
@@ -298,12 +306,13 @@ def _supported(whole: ColourMesh, normals: F64, found: Samples, maps: Sequence[D
     # A patch of a hole ends at what is kept: none of its vertices is at an end of the surface.
     beyond = np.bincount(part, (off > _FAR) | _ends(faces, count), minlength=parts) > 0
     looked_through = np.bincount(part, open_, minlength=parts) > _OPEN * size
-    unlike = np.bincount(part, like, minlength=parts) < _LIKE * size
+    looked_through |= np.bincount(part, other, minlength=parts) > _OTHER * size
+    bent = np.bincount(part, like, minlength=parts) < _LIKE * size
     areas, own = whole.normals[~kept], part[rest[:, 0]]
     whole_area = np.bincount(own, np.linalg.norm(areas, axis=1), minlength=parts)
     total = np.stack([np.bincount(own, axis, minlength=parts) for axis in areas.T])
     flat = np.linalg.norm(total, axis=0) > _FLAT * whole_area
-    kept[~kept] = (~beyond & ~looked_through & ~unlike & flat)[own]
+    kept[~kept] = (~beyond & ~looked_through & ~bent & flat)[own]
     return kept
 
 

@@ -1,0 +1,165 @@
+"""Holes of a surface that photographs look into: open beside lower ground, and closed elsewhere."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.scenes.rays import RayScene
+from nw_eval.splat.camera import Camera, look_at
+from nw_eval.twin.capture import Capture, PlacedShot, read_capture, write_capture
+from nw_eval.twin.pits import with_pits
+from nw_eval.twin.reconstruct.depth import array_file, write_arrays
+from nw_eval.twin.reconstruct.mesh import ColourMesh
+
+HIGH, RIM, FAR_RIM = 0.4, 1.0, 1.3
+"""Two platforms 0.4 m high with 0.3 m between them."""
+PATCH = ((-1.9, -0.2), (-1.5, 0.2))
+"""Of the floor, painted dark."""
+BRIGHT, FLOOR, SHADE = (200, 170, 120), (90, 110, 160), (80, 60, 40)
+
+
+def rectangle(low, high, z):
+    """Return vertices and faces of a level rectangle seen from above."""
+    (x, y), (X, Y) = low, high
+    return [[x, y, z], [X, y, z], [X, Y, z], [x, Y, z]]
+
+
+def boxes():
+    """The place as it is: floor, tops, and walls of the platforms; and the colour of each sheet."""
+    sheets = [(rectangle((-3, -3), (5, 3), 0.0), FLOOR), (rectangle(*PATCH, 0.001), SHADE)]
+    for x, X in ((-1.0, RIM), (FAR_RIM, 3.0)):
+        sheets.append((rectangle((x, -0.6), (X, 0.6), HIGH), BRIGHT))
+        for a, b in (((x, -0.6), (X, -0.6)), ((X, 0.6), (x, 0.6))):
+            sheets.append(([[*a, 0], [*b, 0], [*b, HIGH], [*a, HIGH]], SHADE))
+        for e in (x, X):
+            wall = [[e, -0.6, 0], [e, 0.6, 0], [e, 0.6, HIGH], [e, -0.6, HIGH]]
+            sheets.append((wall, SHADE))
+    return sheets
+
+
+def mesh_of(quads):
+    vertices = np.array(quads, float).reshape(-1, 3)
+    first = 4 * np.arange(len(quads))[:, None]
+    faces = np.concatenate([first + np.array(k) for k in ((0, 1, 2), (0, 2, 3))]).astype(np.int32)
+    return vertices, faces
+
+
+def rays_of(vertices, faces):
+    return RayScene(
+        TriangleMesh(vertices=vertices, faces=faces, kinds=np.zeros(len(faces), np.uint8))
+    )
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A capture of six photographs from rims and sides, in whose depths dark pixels are unknown."""
+    folder = tmp_path_factory.mktemp("platforms")
+    sheets = boxes()
+    vertices, faces = mesh_of([quad for quad, _ in sheets])
+    rays, colours = rays_of(vertices, faces), np.array([c for _, c in sheets] * 2, np.uint8)
+    eyes = [(-1.5, 0.3, 1.5), (-0.6, -0.5, 1.6), (2.9, 0.2, 1.5), (3.6, -0.4, 1.6)]
+    eyes += [(1.1, 2.2, 1.5), (1.2, -2.3, 1.6), (-3.0, 0.0, 1.5)]
+    shots = []
+    for number, eye in enumerate(eyes):
+        target = (-1.7, 0.0, 0.0) if number == 6 else (1.15, 0.0, 0.3)
+        camera = Camera.from_fovy(
+            width=160,
+            height=90,
+            fovy=0.9,
+            T_world_camera=look_at(np.array(eye, float), np.array(target, float)),
+        )
+        x, y = np.meshgrid(np.arange(160) + 0.5, np.arange(90) + 0.5)
+        local = np.stack(
+            [(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], axis=-1
+        ).reshape(-1, 3)
+        away = local @ camera.T_world_camera[:3, :3].T
+        length = np.linalg.norm(away, axis=1)
+        origin = np.broadcast_to(np.array(eye, float), away.shape)
+        depth, face = rays.cast(origin, away / length[:, None])
+        shown = np.isfinite(depth)
+        rgb = np.where(shown[:, None], colours[face], 230).astype(np.uint8)
+        known = shown & (rgb != np.array(SHADE)).any(axis=1)
+        z = np.where(known, depth / length, 0.0).reshape(90, 160).astype(np.float32)
+        name = f"{number}.png"
+        Image.fromarray(rgb.reshape(90, 160, 3)).save(folder / name)
+        write_arrays(
+            array_file(folder / "depth", name), depth=z, confidence=(z > 0).astype(np.float32)
+        )
+        shots.append(PlacedShot(name=name, file=name, camera=camera, seen=np.zeros(0, np.int32)))
+    none = np.zeros((0, 3))
+    write_capture(
+        Capture(
+            shots=tuple(shots),
+            points=none,
+            colours=none.astype(np.uint8),
+            errors=np.zeros(0, np.float32),
+            metric=True,
+            up=(0.0, 0.0, 1.0),
+        ),
+        folder,
+    )
+    return folder, read_capture(folder)
+
+
+def surface():
+    """What a reconstruction knows of it: tops and floor, with holes at the gap and at the patch."""
+    (x, y), (X, Y) = PATCH
+    quads = [
+        rectangle((-1.0, -0.6), (RIM, 0.6), HIGH),
+        rectangle((FAR_RIM, -0.6), (3.0, 0.6), HIGH),
+        rectangle((-3, 0.6), (5, 3), 0.0),
+        rectangle((-3, -3), (5, -0.6), 0.0),
+        rectangle((3.0, -0.6), (5, 0.6), 0.0),
+        rectangle((-3, -0.6), (x, 0.6), 0.0),
+        rectangle((X, -0.6), (-1.0, 0.6), 0.0),
+        rectangle((x, -0.6), (X, y), 0.0),
+        rectangle((x, Y), (X, 0.6), 0.0),
+    ]
+    vertices, faces = mesh_of(quads)
+    return ColourMesh(
+        vertices=vertices, faces=faces, colours=np.full((len(vertices), 3), 128, np.uint8)
+    )
+
+
+@pytest.fixture(scope="module")
+def dug(place):
+    folder, capture = place
+    return with_pits(surface(), capture, folder, folder / "depth", np.eye(4))
+
+
+def heights(mesh, places):
+    points = np.array(places, float)
+    return rays_of(mesh.vertices, mesh.faces).height(points, z_from=np.full(len(points), 1.0))
+
+
+def test_a_gap_between_platforms_is_as_deep_as_the_floor_beside_them(dug):
+    mesh, pits = dug
+    (pit,) = pits
+    assert pit.depth == pytest.approx(HIGH, abs=0.01)
+    assert pit.area == pytest.approx(0.3 * 1.2, rel=0.15)
+    across = [(RIM + 0.05 * k, y) for k in range(1, 6) for y in (-0.4, 0.0, 0.4)]
+    assert heights(mesh, across) == pytest.approx(0.0, abs=0.01)
+    rims = [(RIM - 0.05, 0.0), (FAR_RIM + 0.05, 0.0)]
+    assert heights(mesh, rims) == pytest.approx(HIGH, abs=0.01)
+
+
+def test_a_dark_patch_of_the_floor_stays_a_hole_that_nobody_has_seen_into(dug):
+    mesh, _ = dug
+    assert not np.isfinite(heights(mesh, [(-1.7, 0.0)])).any()
+
+
+def test_a_pit_says_where_it_is_and_how_deep(dug):
+    _, (pit,) = dug
+    assert str(pit).startswith("a hole of 0.3")
+    assert "at (1.1, " in str(pit) or "at (1.2, " in str(pit)
+    assert "0.40 m deep, as low as the ground beside it" in str(pit)
+
+
+def test_a_surface_without_holes_stays_as_it_is(place):
+    folder, capture = place
+    whole = mesh_of([rectangle((-6, -6), (8, 6), 0.0)])
+    flat = ColourMesh(vertices=whole[0], faces=whole[1], colours=np.full((4, 3), 128, np.uint8))
+    mesh, pits = with_pits(flat, capture, folder, folder / "depth", np.eye(4))
+    assert mesh is flat
+    assert pits == []
