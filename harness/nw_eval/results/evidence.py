@@ -213,14 +213,16 @@ class Gathered:
             order: places of the rows by trial.
         """
         trials, leaves = self.results.trials, self.leaves
-        ordered = b"".join(leaves[32 * place : 32 * place + 32] for place in order)
+        ordered = bytearray()
+        for place in order:  # To join them would hold each as an object of its own.
+            ordered += leaves[32 * place : 32 * place + 32]
         return Digests(run=run, rows=_Leaves([trials[place] for place in order], ordered))
 
 
 class _Leaves(Mapping[str, str]):
     """Hashes of many rows by trial: 32 bytes each, behind one another in the order of names."""
 
-    def __init__(self, names: Sequence[str], leaves: bytes) -> None:
+    def __init__(self, names: Sequence[str], leaves: bytearray) -> None:
         self._names, self._leaves = names, leaves
 
     def __getitem__(self, name: str) -> str:
@@ -247,12 +249,15 @@ def root_of(leaves: Iterable[bytes]) -> bytes:
     Args:
         leaves: the `leaf_hash` of every entry, in order.
     """
-    trees = list(leaves)
+    trees: list[tuple[int, bytes]] = []  # Whole ones, each smaller than the one before it.
+    for leaf in leaves:
+        size, node = 1, leaf
+        while trees and trees[-1][0] == size:
+            size, node = 2 * size, sha256(b"\x01" + trees.pop()[1] + node).digest()
+        trees.append((size, node))
     if not trees:
         return sha256().digest()
-    while len(trees) > 1:  # All but the last one are of one size, a power of two.
-        alone = trees[len(trees) & ~1 :]
-        pairs = zip(trees[::2], trees[1::2], strict=False)
-        trees = [sha256(b"\x01" + left + right).digest() for left, right in pairs]
-        trees += alone
-    return trees[0]
+    _, root = trees.pop()
+    while trees:
+        root = sha256(b"\x01" + trees.pop()[1] + root).digest()
+    return root
