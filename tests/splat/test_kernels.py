@@ -143,7 +143,7 @@ def _project_all(store, camera, ray=None):
     for chunk in range(store.chunks):
         count = project.project_chunk(
             layout.geometry, layout.dc, layout.sh, layout.sh_count, layout.bounds, chunk, chunk,
-            view, EPS2D, True, np.float32(0), ray, records, count,
+            view, EPS2D, True, np.float32(0), ray, None, records, count,
         )  # fmt: skip
     return view, records.reshape(-1, RECORD)[:count]
 
@@ -230,7 +230,7 @@ def test_culling_never_drops_a_chunk_that_draws(ray):
         for chunk in range(store.chunks):
             count = project.project_chunk(
                 layout.geometry, layout.dc, layout.sh, 1, layout.bounds, chunk, chunk, view,
-                EPS2D, True, np.float32(0), ray, scratch, 0,
+                EPS2D, True, np.float32(0), ray, None, scratch, 0,
             )  # fmt: skip
             if count:
                 depth = scratch.reshape(-1, RECORD)[:count, project.DEPTH].min()
@@ -252,7 +252,7 @@ def test_a_chunk_is_hidden_only_when_every_block_it_touches_is_finished(ray):
     for chunk in range(store.chunks):
         count = project.project_chunk(
             layout.geometry, layout.dc, layout.sh, 1, layout.bounds, chunk, chunk, view,
-            EPS2D, True, np.float32(0), ray, scratch, 0,
+            EPS2D, True, np.float32(0), ray, None, scratch, 0,
         )  # fmt: skip
         boxes = scratch.view(np.int32).reshape(-1, RECORD)[:count]
         live = np.ones((HEIGHT // 8 + 1, stride), dtype=np.int64)
@@ -291,7 +291,7 @@ def _blend(records, view, width, height, *, some=1 << 30):
         part = order[start : start + some]
         left, _, now = blend(
             np.ascontiguousarray(records).reshape(-1), part, len(part), columns, rows, light, paint,
-            stride, live, blocks, view, np.float32(0.999), None, CURVE,
+            stride, live, blocks, view, np.float32(0.999), None, None, CURVE,
         )  # fmt: skip
         drawn += now
     inside = np.s_[:height, :width]

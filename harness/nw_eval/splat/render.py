@@ -28,6 +28,7 @@ from nw_eval.splat.kernels import draw as frame
 from nw_eval.splat.kernels.blend import CHANNELS, CURVE, PIXELS, SLACK_COLUMNS, SLACK_ROWS
 from nw_eval.splat.kernels.project import RECORD
 from nw_eval.splat.kernels.sort import HISTOGRAM
+from nw_eval.splat.lens_map import lens_map
 from nw_eval.splat.store import CHUNK, GROUP, Store
 from nw_eval.words import PROJECTIONS, Backend, Projection
 
@@ -81,7 +82,8 @@ class CpuRenderer:
     the greatest response of a Gaussian along the pixel's own ray instead (kernels/project.py has
     the closed form), and draws no Gaussian whose centre lies beyond 88 degrees from the axis. Both
     are one where Gaussians are small against their distance. The bits of a pixel do not depend on
-    the threads or the pixel set that it is rendered with.
+    the threads or the pixel set that it is rendered with. A camera with distortion is always drawn
+    along the ray, each pixel at its own.
 
     With one sample a pixel, every footprint is widened by the preset's low-pass (.3 pixels
     squared), and antialiased mode takes from the opacity what the blur added. With four, each pixel
@@ -168,11 +170,6 @@ class CpuRenderer:
                 f"{pixels} selects no pixel of {camera.width}x{camera.height}",
                 fix="use a larger image or a smaller stride",
             )
-        if camera.distortion is not None:
-            raise UsageError(
-                "splats are drawn through pinholes only, not through a lens with distortion",
-                fix="remove `distortion` from the intrinsics, or use depth",
-            )
         if self._side > 1:
             if self._side * max(camera.width, camera.height) > MAX_SIDE:
                 raise UsageError(
@@ -208,18 +205,29 @@ class CpuRenderer:
     ) -> None:
         layout, preset = self.store.layout, self._preset
         is_sampled = self._side > 1
+        columns, rows = _centres(pixels, *window[:2]), _centres(pixels, *window[2:])
+        ray, lens = self._ray, None
+        if camera.distortion is None:
+            view = view_vector(camera, pixels, window, near=self._near, samples=self._side)
+        else:
+            seen = lens_map(camera.lens, pixels, window, self._side)
+            columns, rows = seen.columns, seen.rows
+            ray, lens = True, (seen.tables, seen.blur, seen.place)
+            pinhole = seen.camera(camera, camera.near if self._near is None else self._near)
+            view = view_vector(pinhole, Pixels(), (0, pinhole.width, 0, pinhole.height))
         frame.draw(
             (layout.geometry, layout.dc, layout.sh, layout.bounds),
             layout.sh_count,
-            view_vector(camera, pixels, window, near=self._near, samples=self._side),
-            _centres(pixels, *window[:2]),
-            _centres(pixels, *window[2:]),
+            view,
+            columns,
+            rows,
             (
                 np.float32(SAMPLED_EPS2D if is_sampled else preset.eps2d),
                 self._antialiased or is_sampled,
                 np.float32(preset.min_compensation**2),
                 np.float32(preset.max_alpha),
-                self._ray,
+                ray,
+                lens,
                 CURVE,
                 self._background,
                 _SLAB_CHUNKS,

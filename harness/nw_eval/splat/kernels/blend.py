@@ -262,9 +262,6 @@ def _drawing(shape: LaneShape) -> Any:
 
 
 _draw_square, _draw_flat, _draw_line = _drawing(SQUARE), _drawing(FLAT), _drawing(LINE)
-_square_columns, _square_rows = SQUARE.columns, SQUARE.rows
-_flat_columns, _flat_rows = FLAT.columns, FLAT.rows
-_line_columns = LINE.columns
 
 
 @kernel
@@ -324,6 +321,48 @@ def _of_columns(ray: Any, dx: Any, a: Any, b: Any, log_opacity: Any, slope_x: An
     return dx * a * dx, dx * b, fma(dx, slope_x, 1.0)
 
 
+def _placing(shape: LaneShape) -> Any:
+    columns, rows, load = shape.columns, shape.rows, shape.load
+
+    @inlined
+    def across(lens: Any, xs: Any, x: Any, o: Any, stride: Any) -> Any:
+        """Return where the pixels of a block lie from left to right."""
+        if lens is None:
+            return columns(xs, x)
+        return load(xs, o, stride)
+
+    @inlined
+    def down(lens: Any, ys: Any, y: Any, o: Any, stride: Any) -> Any:
+        """Return likewise from the top."""
+        if lens is None:
+            return rows(ys, y)
+        return load(ys, o, stride)
+
+    @inlined
+    def next_columns(
+        lens: Any, before: Any, ray: Any, xs: Any, o: Any, stride: Any, splat: Any
+    ) -> Any:
+        """Return `_of_columns` for the next rows: the same ones, but through a lens."""
+        if lens is None:
+            return before
+        u, a, b, log_opacity, slope_x = splat
+        return _of_columns(ray, load(xs, o, stride) - u, a, b, log_opacity, slope_x)
+
+    @inlined
+    def next_rows(lens: Any, before: Any, ys: Any, o: Any, stride: Any, v: Any) -> Any:
+        """Return where the next columns lie from the top: as those before, but through a lens."""
+        if lens is None:
+            return before
+        return load(ys, o, stride) - v
+
+    return across, down, next_columns, next_rows
+
+
+_square_across, _square_down, _square_next, _ = _placing(SQUARE)
+_flat_across, _flat_down, _flat_next, _ = _placing(FLAT)
+_line_across, _line_down, _line_next, _line_along = _placing(LINE)
+
+
 @inlined
 def _power(ray: Any, dy: Any, of_columns: Any, splat: Any) -> Any:
     """Return log2 of the alpha of pixels: the formulas of project.py, always in this order."""
@@ -381,6 +420,17 @@ def _row_spans(ray: Any, dy: Any, outline: Any, view: Any, xa: Any, xb: Any) -> 
     return pack_range(first, maximum(last, -1.0))
 
 
+@inlined
+def _spans(
+    lens: Any, ray: Any, ys: Any, y: Any, v: Any, outline: Any, view: Any, xa: Any, xb: Any
+) -> Any:
+    """As `_row_spans`, from row y on; through a lens all of the box."""
+    below = load(ys, y) - v
+    if lens is None:
+        return _row_spans(ray, below, outline, view, xa, xb)
+    return pack_range(below * 0.0 + np.float32(xa), below * 0.0 + np.float32(xb))
+
+
 @kernel
 def clear(
     light: Any, paint: Any, stride: Any, width: Any, height: Any, live: Any, live_stride: Any
@@ -411,6 +461,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
     view: Any,
     most_alpha: Any,
     ray: Any,
+    lens: Any,
     numbers: Any,
 ) -> Any:
     """Blend splats into a window.
@@ -430,6 +481,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
         view: (SIZE,) float32 of view.py.
         most_alpha: alpha is clamped to it.
         ray: None for EWA, anything else along the ray: two compiled kernels.
+        lens: None for a pinhole, else columns and rows have a value for each pixel of the window.
         numbers: `CURVE`.
 
     Returns:
@@ -500,28 +552,31 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
                 log_opacity if ray is None else broadcast(peek(splats, j + SLOPE_Y)),
                 log_opacity if ray is None else broadcast(peek(splats, j + BEND)),
             )
+            place_of = (u, ca, cb, log_opacity, slope_x)
             colour = repeat4(splats, j + RED)
             o = ya * stride + xa
             if xb - xa < 4:
-                dx = _square_columns(xs, xa) - u
+                dx = _square_across(lens, xs, xa, o, stride) - u
                 of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
                 # Most need one: outside the loop, whose places would be laid out for many.
-                dy = _square_rows(ys, ya) - v
+                dy = _square_down(lens, ys, ya, o, stride) - v
                 power = _power(ray, dy, of_columns, splat)
                 _draw_square(T, colours, o, stride, power, curve, colour)
                 vectors += 1
                 for y in range(ya + 4, yb + 1, 4):
                     o += 4 * stride
-                    dy = _square_rows(ys, y) - v
+                    dy = _square_down(lens, ys, y, o, stride) - v
+                    of_columns = _square_next(lens, of_columns, ray, xs, o, stride, place_of)
                     power = _power(ray, dy, of_columns, splat)
                     _draw_square(T, colours, o, stride, power, curve, colour)
                     vectors += 1
             elif xb - xa < 8:
-                dx = _flat_columns(xs, xa) - u
+                dx = _flat_across(lens, xs, xa, o, stride) - u
                 of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
                 y = ya
                 while True:
-                    dy = _flat_rows(ys, y) - v
+                    dy = _flat_down(lens, ys, y, o, stride) - v
+                    of_columns = _flat_next(lens, of_columns, ray, xs, o, stride, place_of)
                     power = _power(ray, dy, of_columns, splat)
                     _draw_flat(T, colours, o, stride, power, curve, colour)
                     o += 2 * stride
@@ -530,10 +585,11 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
                     if y > yb:
                         break
             elif xb - xa < 16:
-                dx = _line_columns(xs, xa) - u
+                dx = _line_across(lens, xs, xa, o, stride) - u
                 of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
                 for y in range(ya, yb + 1):
-                    dy = broadcast(peek(ys, y)) - v
+                    dy = _line_down(lens, ys, y, o, stride) - v
+                    of_columns = _line_next(lens, of_columns, ray, xs, o, stride, place_of)
                     power = _power(ray, dy, of_columns, splat)
                     _draw_line(T, colours, o, stride, power, curve, colour)
                     o += stride
@@ -551,15 +607,16 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
                             peek(splats, j + SLOPE_Y),
                             peek(splats, j + BEND),
                         )
-                        below = load(ys, y) - peek(splats, j + V)
-                        store(spans, 0, _row_spans(ray, below, outline, view, xa, xb))
+                        below = peek(splats, j + V)
+                        store(spans, 0, _spans(lens, ray, ys, y, below, outline, view, xa, xb))
                     packed = int(peek(span_bits, (y - ya) & 7))
-                    dy = broadcast(peek(ys, y)) - v
+                    dy = _line_down(lens, ys, y, y * stride, stride) - v
                     for x in range(packed & 0xFFFF, (packed >> 16) + 1, 16):
                         bits = word_at(rowwise, y * width + (x >> 3)) >> (x & 7)
                         if bits & 0xFFFF == 0:
                             continue
-                        dx = _line_columns(xs, x) - u
+                        dy = _line_along(lens, dy, ys, y * stride + x, stride, v)
+                        dx = _line_across(lens, xs, x, y * stride + x, stride) - u
                         of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
                         power = _power(ray, dy, of_columns, splat)
                         _draw_line(T, colours, y * stride + x, stride, power, curve, colour)

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.machine_code import inlined, kernel
+from nw_eval.machine_code import inlined, kernel, part
 from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.blend import CHANNELS, SLACK_COLUMNS, blend, clear
 from nw_eval.splat.kernels.cull import is_hidden, visible_chunks
 from nw_eval.splat.kernels.math8 import bits_of, clock_nanoseconds, float_of
 from nw_eval.splat.kernels.memory import load, peek, poke, store
-from nw_eval.splat.kernels.project import RECORD, project_chunk
+from nw_eval.splat.kernels.project import COLUMNS, RECORD, ROWS, project_chunk, widest
 from nw_eval.splat.kernels.sort import note_depths, sort_keys, sort_nearer
 
 # Places in the statistics vector (int64); stages in nanoseconds of the given clock.
@@ -86,6 +86,72 @@ def _resolve(
             depth[y0 + y, x0 + x] = peek(paint, CHANNELS * o + 3) / max(covered, np.float32(1e-10))
 
 
+@part
+def _place_of(lens: Any, view: Any) -> Any:
+    """Return the first column and row of the window, its width and its height."""
+    if lens is None:
+        x0, y0 = int(view[at.COLUMN0]), int(view[at.ROW0])
+        return x0, y0, int(view[at.COLUMN1]) - x0, int(view[at.ROW1]) - y0
+    place = lens[2]
+    return place[0], place[1], place[2], place[3]
+
+
+@part
+def _blur_of(lens: Any) -> Any:
+    if lens is None:
+        return None
+    return lens[1]
+
+
+@part
+def _widest_of(eps2d: Any, blur: Any) -> Any:
+    return widest(eps2d, blur)
+
+
+@part
+def _is_hidden(
+    lens: Any, bounds: Any, chunk: Any, view: Any, eps2d: Any, ray: Any, live: Any, live_stride: Any
+) -> Any:
+    """As `is_hidden`; through a lens no chunk is known to be."""
+    if lens is None:
+        return is_hidden(bounds, chunk, view, eps2d, ray, live, live_stride)
+    return False
+
+
+@kernel
+def _through_lens(lens: Any, records: Any, first: Any, end: Any) -> Any:
+    """Turn boxes of a pinhole's picture into boxes of pixels; records without a pixel go.
+
+    Args:
+        lens: None, or (tables, ...) of lens_map.py.
+        records: float32 records.
+        first: the first one.
+        end: behind the last one.
+
+    Returns:
+        The new end.
+    """
+    if lens is None:
+        return end
+    first_columns, last_columns, first_rows, last_rows = lens[0]
+    kept = first
+    for i in range(first, end):
+        source, target = i * RECORD, kept * RECORD
+        packed_x = int(bits_of(peek(records, source + COLUMNS)))
+        packed_y = int(bits_of(peek(records, source + ROWS)))
+        xa, xb = first_columns[packed_x & 0xFFFF], last_columns[packed_x >> 16]
+        ya, yb = first_rows[packed_y & 0xFFFF], last_rows[packed_y >> 16]
+        if xa > xb or ya > yb:
+            continue
+        front, back = load(records, source), load(records, source + 8)
+        store(records, target, front)
+        store(records, target + 8, back)
+        poke(records, target + COLUMNS, float_of(xa | xb << 16))
+        poke(records, target + ROWS, float_of(ya | yb << 16))
+        kept += 1
+    return kept
+
+
 @kernel
 def draw(
     store_arrays: Any,
@@ -108,8 +174,9 @@ def draw(
         columns: float32 pixel-centre coordinates of the window's columns, eight of slack.
         rows: likewise of its rows.
         options: (eps2d, antialiased, floor of the compensation squared, most alpha, None for EWA
-            or True along the ray, numbers of the alpha curve, background (3,) float32, chunks in a
-            slab).
+            or True along the ray, None for a pinhole or (tables, blur, place) of lens_map.py,
+            numbers of the alpha curve, background (3,) float32, chunks in a slab). Through a lens
+            the view is its pinhole's, and columns and rows are of all pixels.
         work: (keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light,
             paint, live): the workspace of render.py.
         out: (rgb, depth, alpha) of the whole image; the window's part is written.
@@ -117,17 +184,18 @@ def draw(
         clock: POSIX clock for the stages, or -1 to take no time.
     """
     geometry, dc, sh, bounds = store_arrays
-    eps2d, antialiased, floor2, most_alpha, ray, numbers, background, slab = options
+    eps2d, antialiased, floor2, most_alpha, ray, lens, numbers, background, slab = options
     keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light, paint, live = (
         work
     )
-    width, height = int(view[at.COLUMN1] - view[at.COLUMN0]), int(view[at.ROW1] - view[at.ROW0])
+    x0, y0, width, height = _place_of(lens, view)
+    blur = _blur_of(lens)
     stride = width + SLACK_COLUMNS
     live_stride = (width + 7) // 8 + 1
     statistics[:] = 0
     started = clock_nanoseconds(clock) if clock >= 0 else 0
     clear(light, paint, stride, width, height, live, live_stride)
-    visible = visible_chunks(bounds, view, eps2d, chunk_keys, nearest)
+    visible = visible_chunks(bounds, view, _widest_of(eps2d, blur), chunk_keys, nearest)
     least = _order_chunks(nearest, visible, chunk_keys, scratch, histogram) if visible else 0
     statistics[VISIBLE_CHUNKS] = visible
     now = clock_nanoseconds(clock) if clock >= 0 else 0
@@ -139,7 +207,7 @@ def draw(
         for i in range(taken, end):
             chunk = chunk_keys[i] & 0xFFFFFFFF
             following = chunk_keys[min(i + 1, visible - 1)] & 0xFFFFFFFF
-            if taken > 0 and is_hidden(bounds, chunk, view, eps2d, ray, live, live_stride):
+            if taken > 0 and _is_hidden(lens, bounds, chunk, view, eps2d, ray, live, live_stride):
                 statistics[HIDDEN_CHUNKS] += 1
                 continue
             before = count
@@ -156,9 +224,11 @@ def draw(
                 antialiased,
                 floor2,
                 ray,
+                blur,
                 records,
                 count,
             )
+            count = _through_lens(lens, records, before, count)
             note_depths(records, before, count, depths)
             statistics[RECORDS] += count - before
         taken = end
@@ -189,6 +259,7 @@ def draw(
             view,
             most_alpha,
             ray,
+            blur,
             numbers,
         )
         statistics[VECTORS] += vectors
@@ -198,7 +269,6 @@ def draw(
         now = clock_nanoseconds(clock) if clock >= 0 else 0
         statistics[BLEND] += now - started
     started = now
-    x0, y0 = int(view[at.COLUMN0]), int(view[at.ROW0])
     _resolve(light, paint, stride, width, height, background, out, x0, y0)
     now = clock_nanoseconds(clock) if clock >= 0 else 0
     statistics[BLEND] += now - started

@@ -115,6 +115,7 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
     antialiased: Any,
     least_compensation: Any,
     ray: Any,
+    lens: Any,
     records: Any,
     count: Any,
 ) -> Any:
@@ -133,6 +134,7 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
         antialiased: whether opacity is compensated for it.
         least_compensation: floor of the compensation's square.
         ray: None for EWA, anything else along the ray: two compiled kernels.
+        lens: None, or float32 `blur` of lens_map.py: then boxes are of whole pinhole pixels.
         records: float32, 16 per record, with eight records of slack.
         count: records that are there already.
 
@@ -154,7 +156,7 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
         view[at.ROW0],
         view[at.ROW1],
     )
-    blur = REACH * math.sqrt(eps2d) + 1.0
+    blur = REACH * math.sqrt(widest(eps2d, lens)) + 1.0
     left, right = cx - view[at.LEFT] + blur, view[at.RIGHT] - cx + blur
     top, bottom = cy - view[at.TOP] + blur, view[at.BOTTOM] - cy + blur
     two = np.float32(2.0)
@@ -218,7 +220,7 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
         yy = fma(u0, s0, fma(u1, s1, u2 * s2))
         yz = inverse_z * fma(r6, s0, fma(r7, s1, r8 * s2))
         before = fma(xx, yy, negate(xy * xy))
-        xx, yy = xx + eps2d, yy + eps2d
+        xx, xy, yy = _low_pass(lens, xx, xy, yy, eps2d, slope_x, slope_y)
         after = fma(xx, yy, negate(xy * xy))
         inverse_det = 1.0 / after
         log_opacity = load_group(geometry, g + 9 * GROUP)
@@ -250,8 +252,8 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
             else:
                 to_left, to_right = _ray_side_nearby(q, xx, xz, depth)
                 above, below = _ray_side_nearby(q, yy, yz, depth)
-        c_low, c_high = ceil(u - to_left - 0.5), floor(u + to_right + 0.5)
-        r_low, r_high = ceil(v - above - 0.5), floor(v + below + 0.5)
+        c_low, c_high = _within(lens, u - to_left, u + to_right)
+        r_low, r_high = _within(lens, v - above, v + below)
         if stride != 1.0:  # Where every pixel is taken, an index is its own.
             c_low = taken_below(c_low, stride, inverse, offset, block)
             c_high = taken_below(c_high, stride, inverse, offset, block)
@@ -308,6 +310,36 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
             if bits >> LANES:
                 count = append_upper(records, count, bits, bent)
     return count
+
+
+@inlined
+def widest(eps2d: Any, lens: Any) -> Any:
+    """Return the largest variance of the low-pass."""
+    if lens is None:
+        return eps2d
+    return eps2d * lens[11]
+
+
+@inlined
+def _low_pass(lens: Any, xx: Any, xy: Any, yy: Any, eps2d: Any, x: Any, y: Any) -> Any:
+    """Return a footprint's covariance behind the low-pass; through a lens by lens_map.py's text."""
+    if lens is None:
+        return xx + eps2d, xy, yy + eps2d
+    square = fma(x, x, y * y)
+    w = minimum(square / (square + 1.0), lens[10])
+    times = eps2d / (1.0 - w)
+    t = fma(fma(fma(fma(w, lens[4], lens[3]), w, lens[2]), w, lens[1]), w, lens[0])
+    d = fma(fma(fma(fma(w, lens[9], lens[8]), w, lens[7]), w, lens[6]), w, lens[5])
+    t, d = maximum(t, 1e-6) * times, d * times
+    return fma(d * x, x, xx + t), fma(d * x, y, xy), fma(d * y, y, yy + t)
+
+
+@inlined
+def _within(lens: Any, low: Any, high: Any) -> Any:
+    """Return the first and the end of the pixels whose centres lie between; of a lens, any part."""
+    if lens is None:
+        return ceil(low - 0.5), floor(high + 0.5)
+    return floor(low), floor(high) + 1.0
 
 
 @inlined
