@@ -222,7 +222,7 @@ def test_its_command_folds_the_weights_into_the_graph(tmp_path):
     onnx.save(
         model, tmp_path / "policy.onnx", save_as_external_data=True, location="policy.onnx.data"
     )
-    (words,) = re.findall(r"^    nw-eval (policies fold .*)$", PAGE, re.MULTILINE)
+    words, _ = re.findall(r"^    nw-eval (policies fold .*)$", PAGE, re.MULTILINE)
     subprocess.run([*NW_EVAL, *words.split()], cwd=tmp_path, check=True)
     (tmp_path / "policy.onnx.data").unlink()
     (folded,) = onnx.load(tmp_path / "one.onnx").graph.initializer

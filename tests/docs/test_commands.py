@@ -120,6 +120,9 @@ NOT_RUN = MappingProxyType(
             "scans of somebody; tests/twin/scans imports and levels some",
         ),
         "nw-eval policies fold policy.onnx --out one.onnx": "test_policies_page.py folds a graph",
+        "nw-eval policies fold checkpoints/000150000000 --out policy.safetensors": (
+            "needs the extra orbax; tests/policies/test_orbax.py folds a checkpoint"
+        ),
         "nw-eval train student student-rgb-small": (
             "minutes; tests/learn/student trains smaller ones"
         ),

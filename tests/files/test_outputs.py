@@ -37,6 +37,7 @@ ELSEWHERE = {
     "learn/student/trajectory.py": "writes a part file in its own data folder and renames it",
     "machine_code.py": "marks a folder of the cache",
     "policies/onnx_fold.py": "runs confined, in a scratch folder, and may not set rights",
+    "policies/orbax_fold.py": "likewise",
     "pytest_plugin/runs.py": "holds a lock, and writes nothing",
     "reporting/github.py": "appends to a file of GitHub's runner",
     "reporting/trackers/mlflow.py": "writes into a temporary folder",

@@ -13,6 +13,7 @@ import json
 import math
 import re
 from collections.abc import Iterable
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -106,7 +107,7 @@ def fold_orbax(*, checkpoint: str, out: str) -> int:
 def _arrays(folder: Path) -> Iterable[tuple[str, NDArray[np.generic]]]:
     """Give each array with its name, in the order of the names."""
     try:
-        import tensorstore
+        tensorstore: Any = import_module("tensorstore")
     except ImportError:
         raise PrerequisiteError(
             f"{folder}: tensorstore is not installed, which reads checkpoints of Orbax",
