@@ -317,7 +317,7 @@ def _any_live(live: Any, live_stride: Any, x0: Any, x1: Any, y0: Any, y1: Any) -
 
 
 @inlined
-def _of_columns(ray: Any, dx: Any, a: Any, b: Any, log_opacity: Any, slope_x: Any) -> Any:
+def columns_part(ray: Any, dx: Any, a: Any, b: Any, log_opacity: Any, slope_x: Any) -> Any:
     """Return what a pixel's column adds to its power: along x, for each row, and m's part."""
     if ray is None:
         return fma(negate(dx * a), dx, log_opacity), dx * b, dx
@@ -337,7 +337,7 @@ def _power(ray: Any, dy: Any, of_columns: Any, splat: Any) -> Any:
 
 
 @inlined
-def _row_spans(ray: Any, dy: Any, outline: Any, view: Any, xa: Any, xb: Any) -> Any:
+def row_spans(ray: Any, dy: Any, outline: Any, view: Any, xa: Any, xb: Any) -> Any:
     """Return, for eight rows, the first and last column that a splat may reach, packed.
 
     Solves A dx^2 + (B dy) dx + C dy^2 = limit for dx; along the ray, with the right side
@@ -504,7 +504,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
             o = ya * stride + xa
             if xb - xa < 4:
                 dx = _square_columns(xs, xa) - u
-                of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
+                of_columns = columns_part(ray, dx, ca, cb, log_opacity, slope_x)
                 # Most need one: outside the loop, whose places would be laid out for many.
                 dy = _square_rows(ys, ya) - v
                 power = _power(ray, dy, of_columns, splat)
@@ -518,7 +518,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
                     vectors += 1
             elif xb - xa < 8:
                 dx = _flat_columns(xs, xa) - u
-                of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
+                of_columns = columns_part(ray, dx, ca, cb, log_opacity, slope_x)
                 y = ya
                 while True:
                     dy = _flat_rows(ys, y) - v
@@ -531,7 +531,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
                         break
             elif xb - xa < 16:
                 dx = _line_columns(xs, xa) - u
-                of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
+                of_columns = columns_part(ray, dx, ca, cb, log_opacity, slope_x)
                 for y in range(ya, yb + 1):
                     dy = broadcast(peek(ys, y)) - v
                     power = _power(ray, dy, of_columns, splat)
@@ -552,7 +552,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
                             peek(splats, j + BEND),
                         )
                         below = load(ys, y) - peek(splats, j + V)
-                        store(spans, 0, _row_spans(ray, below, outline, view, xa, xb))
+                        store(spans, 0, row_spans(ray, below, outline, view, xa, xb))
                     packed = int(peek(span_bits, (y - ya) & 7))
                     dy = broadcast(peek(ys, y)) - v
                     for x in range(packed & 0xFFFF, (packed >> 16) + 1, 16):
@@ -560,7 +560,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
                         if bits & 0xFFFF == 0:
                             continue
                         dx = _line_columns(xs, x) - u
-                        of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
+                        of_columns = columns_part(ray, dx, ca, cb, log_opacity, slope_x)
                         power = _power(ray, dy, of_columns, splat)
                         _draw_line(T, colours, y * stride + x, stride, power, curve, colour)
                         vectors += 1

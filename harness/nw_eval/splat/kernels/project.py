@@ -85,7 +85,7 @@ _TWO_LN2 = 2.0 * math.log(2.0)
 _WIDEN, _WIDEN_PIXELS = 1.00002, 0.002
 _RAY_WIDEN, _RAY_WIDEN_PIXELS = 1.0001, 0.01
 
-_STEEPEST = 30.0**2
+STEEPEST = 30.0**2
 """Square of the slope from the axis (88 degrees) from which on a centre counts as beside the eye,
 like one behind it: there the frame is so skew that float32 loses what the closed form needs."""
 
@@ -236,7 +236,7 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
             s1 = fma(c01, w0, fma(c11, w1, c12 * w2))
             s2 = fma(c02, w0, fma(c12, w1, c22 * w2))
             zz = fma(w0, s0, fma(w1, s1, w2 * s2))
-            ok = ok & (fma(slope_x, slope_x, slope_y * slope_y) < _STEEPEST)
+            ok = ok & (fma(slope_x, slope_x, slope_y * slope_y) < STEEPEST)
             q = fma(q, _RAY_WIDEN, 1e-6)
             to_left, to_right = _ray_side(q, xx, xz, zz)
             above, below = _ray_side(q, yy, yz, zz)
