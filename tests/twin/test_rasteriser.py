@@ -54,7 +54,7 @@ def _relative(value, truth):
         pytest.param("ewa", 1, False, 1.0, marks=pytest.mark.nightly),
         pytest.param("ray", 2, True, 2.5, marks=pytest.mark.nightly),
         ("ray", 3, False, 1.0),
-        ("ewa", 3, True, 1.0),
+        pytest.param("ewa", 3, True, 1.0, marks=pytest.mark.nightly),
     ],
 )
 def test_gradients_are_those_of_torch_in_double_precision(projection, degree, antialiased, scale):
@@ -78,14 +78,15 @@ def test_gradients_are_those_of_torch_in_double_precision(projection, degree, an
         assert _relative(getattr(gradients, name), truth) < 1e-4, name
 
 
-def test_gradients_hold_for_opaque_walls_and_splats_as_wide_as_the_image():
+@pytest.mark.parametrize("projection", ["ewa", pytest.param("ray", marks=pytest.mark.nightly)])
+def test_gradients_hold_for_opaque_walls_and_splats_as_wide_as_the_image(projection):
     gaussians = room(3000, degree=1)
-    camera = eye_camera(2, 80, 45)
-    rasteriser = Rasteriser()
+    camera = eye_camera(2, 112, 63)
+    rasteriser = Rasteriser(projection=projection)
     images = rasteriser.render(gaussians, camera)
     upstream = _upstream(images)
     gradients = rasteriser.backward(upstream)
-    _, p = _reference_gradients(gaussians, camera, upstream, ray=True)
+    _, p = _reference_gradients(gaussians, camera, upstream, ray=projection == "ray")
     assert (images.alpha > 0.999).any()  # Pixels that finish early are among them.
     for name in reference.NAMES:
         assert _relative(getattr(gradients, name), p[name].grad.numpy()) < 1e-4, name
