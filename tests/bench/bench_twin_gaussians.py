@@ -1,10 +1,11 @@
 """Training of Gaussians: run `python tests/bench/bench_twin_gaussians.py [--quick] [--lenient]`.
 
+Gaussians are evaluated along the ray; what that costs against EWA is measured in the same process.
 Times of one thread are its CPU time, the least of several; the torch reference of
-tests/twin/twin_reference.py, with the same loss, runs between the engine's repeats in the same
-process. Steps a second on two threads are by the clock, so that other work on the machine counts
-against them. With --pictures FOLDER a built-in place is learnt from 24 views of it and views that
-no step saw are written there beside the truth. Exits 1 when a target is missed, unless --lenient.
+tests/twin/twin_reference.py, with the same loss, runs between the engine's repeats. Steps a second
+on two threads are by the clock, so that other work on the machine counts against them. With
+--pictures FOLDER a built-in place is learnt from 24 views of it and views that no step saw are
+written there beside the truth. Exits 1 when a target is missed, unless --lenient.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import os
 import platform
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -66,24 +68,26 @@ def _torch_seconds(gaussians, photo):
     p = reference.parameters(gaussians, torch.float32)
     wanted = torch.tensor(photo.planes())
     started = time.thread_time()
-    rgb, _, inverse = reference.render(p, photo.camera)
+    rgb, _, inverse = reference.render(p, photo.camera)  # By EWA: its tiles leave most out.
     reference.loss(rgb, inverse, wanted).backward()
     return time.thread_time() - started
 
 
 def _case(count, width, repeats, *, with_torch):
-    """Return milliseconds of (render, loss, gradient, whole step), steps/s by threads, ratio."""
+    """Return milliseconds of (render, loss, gradient, whole step), ray / EWA of all but the loss,
+    steps/s by threads, ratio."""
     gaussians = room(count, degree=1)
-    renderer = CpuRenderer(memory_store(gaussians))
+    renderer = CpuRenderer(memory_store(gaussians), projection="ray")
     views = [eye_camera(pose, width, width * 9 // 16) for pose in range(4)]
     photos = [_photo(renderer, view, f"{i}") for i, view in enumerate(views)]
     rng = np.random.default_rng(0)
     points = gaussians.means + rng.normal(0, 0.02, gaussians.means.shape)
     colours = np.clip(0.5 + 0.28209479177387814 * gaussians.sh[:, 0], 0, 1)
     start = gaussians_at(points, colours, sh_degree=1)
-    rasteriser, photo = Rasteriser(), photos[0]
+    rasteriser, tangent, photo = Rasteriser(), Rasteriser(projection="ewa"), photos[0]
     wanted = photo.planes()
     picture = rasteriser.render(gaussians, photo.camera).rgb
+    tangent.render(gaussians, photo.camera)
     slope = photo_loss(picture, wanted).gradient
     zeros = Images.zeros(width, width * 9 // 16)
     upstream = Images(rgb=slope, alpha=zeros.alpha, inverse_depth=zeros.inverse_depth)
@@ -93,17 +97,23 @@ def _case(count, width, repeats, *, with_torch):
             _least(lambda: rasteriser.render(gaussians, photo.camera), repeats),
             _least(lambda: photo_loss(picture, wanted), repeats),
             _least(lambda: rasteriser.backward(upstream), repeats),
+            _least(lambda: tangent.render(gaussians, photo.camera), repeats),
+            _least(lambda: tangent.backward(upstream), repeats),
         ]
 
     before = parts()
     torch_seconds = _torch_seconds(gaussians, photo) if with_torch else math.nan
-    ms = np.minimum(before, parts())
+    *ms, ewa_render, ewa_back = np.minimum(before, parts())
     rates = []
     config = TrainConfig(iterations=3000, strategy="fixed")
     trainers = [Trainer(photos, start, config, threads=threads) for threads in (1, 2)]
     for trainer in trainers:
         trainer.run(8)
-    step = _least(trainers[0].step, 2 * repeats)
+    by_ewa = Trainer(photos, start, replace(config, projection="ewa"))
+    by_ewa.run(8)
+    steps = [[_least(each.step, repeats) for each in (trainers[0], by_ewa)] for _ in range(2)]
+    step, ewa_step = np.min(steps, axis=0)
+    costs = [ms[0] / ewa_render, ms[2] / ewa_back, step / ewa_step]
     for trainer in trainers:
         blocks = []
         for _ in range(3):
@@ -111,7 +121,7 @@ def _case(count, width, repeats, *, with_torch):
             trainer.run(trainer.iteration + 8)
             blocks.append(8 / (time.perf_counter() - started))
         rates.append(max(blocks))
-    return [*ms, step], rates, 1e3 * torch_seconds / ms.sum()
+    return [*ms, step], costs, rates, 1e3 * torch_seconds / sum(ms)
 
 
 def _hand(number, count):
@@ -152,7 +162,7 @@ def _seen_points(renderer, photos, count, rng):
 
 def _demonstrate(folder, iterations, strategy, width=320, count=12_000):
     """Learn a built-in place; return held-out PSNR of a person's and of a robot's views."""
-    renderer = CpuRenderer(open_store(get_scene(SCENE).splat_store()))
+    renderer = CpuRenderer(open_store(get_scene(SCENE).splat_store()), projection="ray")
     photos = [_photo(renderer, _view(*_hand(i, 24), width), f"{i:02d}") for i in range(24)]
     kinds = {
         "person": [_photo(renderer, _view(*_hand(6 * i + 0.5, 24), width), "") for i in range(4)],
@@ -202,14 +212,18 @@ def main():
     torch.set_num_threads(1)
     machine = platform.processor() or platform.machine()
     print(f"{machine}, torch {torch.__version__}, load {os.getloadavg()[0]:.1f}")
-    print(" Gaussians    image  render    loss    back    step  1 thread  2 threads   torch/ours")
+    print(
+        " Gaussians    image  render    loss    back    step"
+        "  ray/EWA: render, back, step  1 thread  2 threads   torch/ours"
+    )
     misses = []
     cases = [(count, width) for count in (10_000, 50_000, 100_000) for width in (160, 320, 640)]
     for count, width in [TARGET] if options.quick else cases:
         is_target = (count, width) == TARGET
-        ms, rates, ratio = _case(count, width, 5, with_torch=is_target)
+        ms, costs, rates, ratio = _case(count, width, 5, with_torch=is_target)
         row = [f"{count:>10,}", f"{width:>4}x{width * 9 // 16:<3}"]
         row += [f"{value:>7.1f}" for value in ms]
+        row += ["        ", *(f"{cost:>6.2f}" for cost in costs)]
         row += [f"{rate:>6.1f}/s" for rate in rates]
         print(*row, f"{ratio:>10.0f}" if is_target else "")
         if is_target and rates[1] < LEAST_RATE:

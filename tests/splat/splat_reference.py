@@ -117,7 +117,7 @@ def project(
     }  # fmt: skip
 
 
-def _squared_distances(directions, spheres, points):
+def squared_distances(directions, spheres, points):
     """Least squared Mahalanobis distances of half rays (p, 3) to Gaussians: (p, n)."""
     ray = torch.einsum("nij,pj->pni", spheres, directions)
     centre = torch.einsum("nij,nj->ni", spheres, points)
@@ -168,7 +168,7 @@ def render(
                 if ray:
                     x, y = (px - camera.cx) / camera.fx, (py - camera.cy) / camera.fy
                     to = torch.cat([x, y, torch.ones_like(x)], dim=1)
-                    sigma = 0.5 * _squared_distances(to, s["spheres"][j], s["point"][j])
+                    sigma = 0.5 * squared_distances(to, s["spheres"][j], s["point"][j])
                 else:
                     dx, dy = s["u"][j] - px, s["v"][j] - py
                     sigma = 0.5 * (s["a"][j] * dx * dx + s["c"][j] * dy * dy) + s["b"][j] * dx * dy

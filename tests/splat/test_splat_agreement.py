@@ -273,15 +273,27 @@ def test_a_comment_says_what_a_ply_was_trained_for(tmp_path, comment):
     assert read_splat(tmp_path / "a.ply").rasterize_mode == MODES[comment]
 
 
+@pytest.mark.parametrize(
+    ("comment", "projection"),
+    [("SplatProjection=ray", "ray"), ("SplatProjection: EWA", "ewa"), ("SplatProjection=x", None)],
+)
+def test_a_comment_says_how_a_ply_became_pixels_in_training(tmp_path, comment, projection):
+    _columns(tmp_path / "a.ply", THREE, comment=comment)
+    assert read_splat(tmp_path / "a.ply").projection == projection
+
+
 @pytest.mark.parametrize("mode", ["classic", "antialiased", None])
 def test_the_mark_survives_files_stores_and_frames(tmp_path, mode):
-    gaussians = replace(cloud(20), rasterize_mode=mode)
+    projection = {"classic": "ewa", "antialiased": "ray"}.get(mode)
+    gaussians = replace(cloud(20), rasterize_mode=mode, projection=projection)
     write_splat(tmp_path / "a.ply", gaussians)
     assert read_splat(tmp_path / "a.ply").rasterize_mode == mode
+    assert read_splat(tmp_path / "a.ply").projection == projection
     write_splat(tmp_path / "a.spz", gaussians)
     assert read_splat(tmp_path / "a.spz").rasterize_mode == (mode or "antialiased")
     compile_store(gaussians, tmp_path / "a.nwsplat")
     assert open_store(tmp_path / "a.nwsplat").rasterize_mode == mode
+    assert open_store(tmp_path / "a.nwsplat").projection == projection
     assert read_splat(tmp_path / "a.nwsplat").rasterize_mode == mode
     assert transformed(gaussians.take(slice(3)), np.diag([2, 2, 2, 1.0])).rasterize_mode == mode
 

@@ -54,7 +54,7 @@ def camera(number, count, width=72, height=48):
 
 def photos(count=6, *, gains=None, depth=False, first=0.0, background=(1.0, 1.0, 1.0)):
     """Return photographs by the shipped renderer, each with a gain of its own if some are given."""
-    renderer, found = CpuRenderer(memory_store(PLACE), background=background), []
+    renderer, found = CpuRenderer(memory_store(PLACE), projection="ray", background=background), []
     for i in range(count):
         view = camera(i + first, count)
         rgb = renderer.render(view).rgb * (1.0 if gains is None else gains[i % len(gains)])

@@ -11,6 +11,7 @@ from nw_eval.arrays import pack
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import sealed_path
 from nw_eval.splat.gaussians import ARRAYS, concatenate
+from nw_eval.twin.gaussians import trainer as training
 from nw_eval.twin.gaussians.initial import gaussians_at
 from nw_eval.twin.gaussians.trainer import Trainer, resume_training, save_training
 
@@ -67,10 +68,17 @@ def test_other_photographs_another_beginning_and_other_wishes_are_noticed(saved)
     whole = beginning()
     wishes = [(taken, whole, BUSY) for taken in (photos(3), other, masked)]
     wishes.append((photos(2), whole, replace(BUSY, seed=5)))
+    wishes.append((photos(2), whole, replace(BUSY, projection="ewa")))
     wishes.append((photos(2), replace(whole, means=whole.means + np.float32(0.01)), BUSY))
     for taken, start, config in wishes:
         with pytest.raises(StoreError, match="other photographs or another mesh, or asked"):
             resume_training(saved, taken, start, config)
+
+
+def test_a_training_of_another_version_is_begun_anew(saved, monkeypatch):
+    monkeypatch.setattr(training, "FORMAT", training.FORMAT + 1)
+    with pytest.raises(StoreError, match="begin anew"):
+        resume_training(saved, photos(2), beginning(), BUSY)
 
 
 @pytest.mark.parametrize(

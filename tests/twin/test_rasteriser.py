@@ -48,23 +48,27 @@ def _relative(value, truth):
 
 
 @pytest.mark.parametrize(
-    ("degree", "antialiased", "scale"),
+    ("projection", "degree", "antialiased", "scale"),
     [
-        (0, True, 1.0),
-        pytest.param(1, False, 1.0, marks=pytest.mark.nightly),
-        pytest.param(2, True, 2.5, marks=pytest.mark.nightly),
-        (3, False, 1.0),
+        ("ray", 0, True, 1.0),
+        pytest.param("ewa", 1, False, 1.0, marks=pytest.mark.nightly),
+        pytest.param("ray", 2, True, 2.5, marks=pytest.mark.nightly),
+        ("ray", 3, False, 1.0),
+        pytest.param("ewa", 3, True, 1.0, marks=pytest.mark.nightly),
     ],
 )
-def test_gradients_are_those_of_torch_in_double_precision(degree, antialiased, scale):
+def test_gradients_are_those_of_torch_in_double_precision(projection, degree, antialiased, scale):
     gaussians = cloud(400, degree=degree)
     camera = _camera(scale=scale)
-    rasteriser = Rasteriser(antialiased=antialiased, background=(0.3, 0.9, 0.1))
+    rasteriser = Rasteriser(
+        antialiased=antialiased, projection=projection, background=(0.3, 0.9, 0.1)
+    )
     images = rasteriser.render(gaussians, camera)
     upstream = _upstream(images)
     gradients = rasteriser.backward(upstream)
+    options = {"antialiased": antialiased, "background": (0.3, 0.9, 0.1)}
     pictures, p = _reference_gradients(
-        gaussians, camera, upstream, antialiased=antialiased, background=(0.3, 0.9, 0.1)
+        gaussians, camera, upstream, ray=projection == "ray", **options
     )
     for mine, truth in zip(images.arrays(), pictures, strict=True):
         assert np.abs(mine - truth).max() < 1e-4
@@ -74,17 +78,38 @@ def test_gradients_are_those_of_torch_in_double_precision(degree, antialiased, s
         assert _relative(getattr(gradients, name), truth) < 1e-4, name
 
 
-def test_gradients_hold_for_opaque_walls_and_splats_as_wide_as_the_image():
+@pytest.mark.parametrize("projection", ["ewa", pytest.param("ray", marks=pytest.mark.nightly)])
+def test_gradients_hold_for_opaque_walls_and_splats_as_wide_as_the_image(projection):
     gaussians = room(3000, degree=1)
     camera = eye_camera(2, 112, 63)
-    rasteriser = Rasteriser()
+    rasteriser = Rasteriser(projection=projection)
     images = rasteriser.render(gaussians, camera)
     upstream = _upstream(images)
     gradients = rasteriser.backward(upstream)
-    _, p = _reference_gradients(gaussians, camera, upstream)
+    _, p = _reference_gradients(gaussians, camera, upstream, ray=projection == "ray")
     assert (images.alpha > 0.999).any()  # Pixels that finish early are among them.
     for name in reference.NAMES:
         assert _relative(getattr(gradients, name), p[name].grad.numpy()) < 1e-4, name
+
+
+def test_gradients_along_the_ray_hold_before_a_low_wide_camera():
+    ground = cloud(300, degree=1, spread=(1.5, 1.5, 0.02), centre=(0.8, 0.0, -0.05))
+    ground = replace(ground, log_scales=ground.log_scales + np.float32([2.5, 2.5, -1.0]))
+    focal = 48.0 / np.tan(np.radians(60.5))
+    camera = Camera(
+        width=96, height=54, fx=focal, fy=focal, cx=48.0, cy=27.0,
+        T_world_camera=look_at((0.0, 0.0, 0.25), (1.0, 0.2, 0.0)),
+    )  # fmt: skip
+    rasteriser = Rasteriser()
+    images = rasteriser.render(ground, camera)
+    upstream = _upstream(images)
+    gradients = rasteriser.backward(upstream)
+    pictures, p = _reference_gradients(ground, camera, upstream, ray=True)
+    assert np.abs(images.rgb - pictures[0]).max() < 4.5e-3  # A splat more or less at 1/255.
+    for name in reference.NAMES:
+        assert _relative(getattr(gradients, name), p[name].grad.numpy()) < 1e-3, name
+    tangent = Rasteriser(projection="ewa").render(ground, camera)
+    assert psnr((tangent.rgb, pictures[0])) < 30.0, "which EWA does not"
 
 
 # A footprint ends where alpha is 1/255, and its edge moves with its shape: that gives each step a
@@ -129,11 +154,14 @@ def test_gradients_predict_what_a_small_step_changes(name, tolerance):
     assert slope == pytest.approx(length, rel=tolerance)
 
 
-@pytest.mark.parametrize("antialiased", [True, False])
-def test_the_picture_is_the_shipped_renderers(antialiased):
+@pytest.mark.parametrize(
+    ("projection", "antialiased"), [("ray", True), ("ray", False), ("ewa", True)]
+)
+def test_the_picture_is_the_shipped_renderers(projection, antialiased):
     gaussians, pairs = room(20_000, degree=0), []
-    shipped = CpuRenderer(memory_store(gaussians), antialiased=antialiased)
-    rasteriser = Rasteriser(antialiased=antialiased)
+    options = {"projection": projection, "antialiased": antialiased}
+    shipped = CpuRenderer(memory_store(gaussians), **options)
+    rasteriser = Rasteriser(**options)
     for pose in range(3):
         camera = eye_camera(pose, 160, 90)
         mine, theirs = rasteriser.render(gaussians, camera), shipped.render(camera)
@@ -147,7 +175,8 @@ def test_the_picture_is_the_shipped_renderers(antialiased):
 def test_harmonics_differ_from_the_shipped_renderers_by_its_half_precision_only():
     gaussians, camera = room(20_000, degree=3), eye_camera(0, 160, 90)
     mine = Rasteriser().render(gaussians, camera).rgb.transpose(1, 2, 0)
-    assert psnr((mine, CpuRenderer(memory_store(gaussians)).render(camera).rgb)) > 80.0
+    shipped = CpuRenderer(memory_store(gaussians), projection="ray")
+    assert psnr((mine, shipped.render(camera).rgb)) > 80.0
 
 
 def test_no_bit_depends_on_the_number_of_threads():
@@ -172,7 +201,7 @@ def test_windows_of_one_column_and_images_of_one_row_have_their_gradients(width,
     images = rasteriser.render(gaussians, camera)
     upstream = _upstream(images)
     gradients = rasteriser.backward(upstream)
-    pictures, p = _reference_gradients(gaussians, camera, upstream)
+    pictures, p = _reference_gradients(gaussians, camera, upstream, ray=True)
     for mine, truth in zip(images.arrays(), pictures, strict=True):
         assert np.abs(mine - truth).max() < 1e-4
     assert _relative(gradients.means, p["means"].grad.numpy()) < 1e-4

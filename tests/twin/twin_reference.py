@@ -1,12 +1,13 @@
 """The differentiable renderer and its loss once more, in plain torch, for torch to differentiate.
 
 It shares no code with the engine: footprints by matrix algebra, pixels tile by tile by cumulative
-products, structural similarity by torch's own convolution. `dtype` is that of the parameters:
-float64 for the truth, float32 to race against.
+products, structural similarity by torch's own convolution. With `ray`, the Mahalanobis distance is
+that of a half ray from the centre, in the space that makes each Gaussian a unit sphere. `dtype` is
+that of the parameters: float64 for the truth, float32 to race against.
 """
 
 import torch
-from splat_reference import ALPHA_MIN, NEAR, T_MIN, basis, rotations
+from splat_reference import ALPHA_MIN, NEAR, STEEPEST, T_MIN, basis, rotations, squared_distances
 
 NAMES = ("means", "log_scales", "quats", "opacity_logits", "sh")
 
@@ -19,7 +20,7 @@ def parameters(gaussians, dtype=torch.float64):
     }
 
 
-def project(p, camera, *, antialiased=True, degree=3):
+def project(p, camera, *, antialiased=True, degree=3, ray=False):
     """Return the splats that touch the image as a dict of tensors, nearest first."""
     dtype = p["means"].dtype
     view = torch.tensor(camera.T_camera_world, dtype=dtype)
@@ -29,12 +30,17 @@ def project(p, camera, *, antialiased=True, degree=3):
     point = offset @ linear.T
     z = point[:, 2]
     fx, fy, width, height = camera.fx, camera.fy, camera.width, camera.height
-    kept = (z >= NEAR).nonzero()[:, 0]
+    is_ahead = z >= NEAR
+    if ray:
+        is_ahead &= torch.hypot(point[:, 0], point[:, 1]) < STEEPEST * z
+    kept = is_ahead.nonzero()[:, 0]
     point, z = point[kept], z[kept]
     slope_x, slope_y = point[:, 0] / z, point[:, 1] / z
     bound = 0.15 * width / fx, 0.15 * height / fy
-    sx = slope_x.clamp(-camera.cx / fx - bound[0], (width - camera.cx) / fx + bound[0])
-    sy = slope_y.clamp(-camera.cy / fy - bound[1], (height - camera.cy) / fy + bound[1])
+    sx, sy = slope_x, slope_y
+    if not ray:
+        sx = slope_x.clamp(-camera.cx / fx - bound[0], (width - camera.cx) / fx + bound[0])
+        sy = slope_y.clamp(-camera.cy / fy - bound[1], (height - camera.cy) / fy + bound[1])
     nil = torch.zeros_like(z)
     jacobian = torch.stack(
         [
@@ -44,7 +50,11 @@ def project(p, camera, *, antialiased=True, degree=3):
         dim=1,
     )
     half = rotations(p["quats"][kept]) * torch.exp(p["log_scales"][kept])[:, None, :]
-    half = jacobian @ linear @ half
+    half = linear @ half
+    solid = half @ half.transpose(1, 2)
+    blur = torch.stack([0.3 * (z / fx) ** 2, 0.3 * (z / fy) ** 2, nil], -1)
+    spheres = torch.linalg.inv(torch.linalg.cholesky(solid + torch.diag_embed(blur)))
+    half = jacobian @ half
     flat = half @ half.transpose(1, 2)
     before = flat[:, 0, 0] * flat[:, 1, 1] - flat[:, 0, 1] ** 2
     xx, yy, xy = flat[:, 0, 0] + 0.3, flat[:, 1, 1] + 0.3, flat[:, 0, 1]
@@ -55,6 +65,8 @@ def project(p, camera, *, antialiased=True, degree=3):
     u, v = fx * slope_x + camera.cx, fy * slope_y + camera.cy
     reach = torch.sqrt(2 * torch.log((opacity.detach() * 255).clamp(min=1.0))) + 1e-3
     rx, ry = reach * xx.detach().sqrt() + 1, reach * yy.detach().sqrt() + 1
+    if ray:
+        rx, ry = torch.full_like(rx, torch.inf), torch.full_like(ry, torch.inf)
     seen = (opacity >= ALPHA_MIN) & (u + rx > 0) & (u - rx < width)
     seen &= (v + ry > 0) & (v - ry < height)
     rows = seen.nonzero()[:, 0]
@@ -65,12 +77,12 @@ def project(p, camera, *, antialiased=True, degree=3):
     return {
         "u": u[rows], "v": v[rows], "rx": rx[rows], "ry": ry[rows],
         "a": (yy / after)[rows], "b": (-xy / after)[rows], "c": (xx / after)[rows],
-        "opacity": opacity[rows],
+        "opacity": opacity[rows], "spheres": spheres[rows] if ray else None, "point": point[rows],
         "values": torch.cat([colour, 1 / z[rows][:, None]], dim=1),
     }  # fmt: skip
 
 
-def _composite(s, j, px, py):
+def _composite(s, j, px, py, camera):
     """Return (n, 4) sums of weight * value of the splats j at n pixels, and the light that is left.
 
     256 splats at a time, until no pixel takes more.
@@ -80,7 +92,12 @@ def _composite(s, j, px, py):
     total = torch.zeros(len(px), 4, dtype=px.dtype)
     for part in j.split(256) if len(j) else ():
         dx, dy = s["u"][part] - px, s["v"][part] - py
-        sigma = 0.5 * (s["a"][part] * dx * dx + s["c"][part] * dy * dy) + s["b"][part] * dx * dy
+        if s["spheres"] is None:
+            sigma = 0.5 * (s["a"][part] * dx * dx + s["c"][part] * dy * dy) + s["b"][part] * dx * dy
+        else:
+            x, y = (px - camera.cx) / camera.fx, (py - camera.cy) / camera.fy
+            to = torch.cat([x, y, torch.ones_like(x)], dim=1)
+            sigma = 0.5 * squared_distances(to, s["spheres"][part], s["point"][part])
         alpha = (s["opacity"][part] * torch.exp(-sigma)).clamp(max=0.999)
         alpha = torch.where((alpha >= ALPHA_MIN) & going[:, None], alpha, 0.0)
         passed = T.detach()[:, None] * torch.cumprod(1 - alpha.detach(), dim=1) > T_MIN
@@ -113,7 +130,7 @@ def render(p, camera, *, background=(1.0, 1.0, 1.0), tile=16, **options):
                 indexing="ij",
             )
             j = touches.nonzero()[:, 0]
-            total, light = _composite(s, j, px.reshape(-1, 1), py.reshape(-1, 1))
+            total, light = _composite(s, j, px.reshape(-1, 1), py.reshape(-1, 1), camera)
             part = torch.cat([total, light[:, None]], dim=1)
             row.append(part.T.reshape(5, y1 - y0, x1 - x0))
         rows.append(torch.cat(row, dim=2))

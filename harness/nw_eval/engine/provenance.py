@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from nw_eval.built_in.entries import parted
 from nw_eval.built_in.splits import split_of
@@ -30,7 +30,7 @@ from nw_eval.scenes.folder import FileSplat
 from nw_eval.scenes.neverwhere import reference_path
 from nw_eval.suite.model import PUBLISHED
 from nw_eval.tasks.registry import declared_by
-from nw_eval.words import Backend, RasterizeMode
+from nw_eval.words import Backend
 
 if TYPE_CHECKING:
     from nw_eval.cards import Card
@@ -176,19 +176,20 @@ def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
             trials=trials[found.scene.name],
             split=split_for(plan.bundle.card, found),
             fetched=_fetched(reference_path(found.reference)),
-            rasterize_mode=_rasterize_mode(found.scene) if plan.renders else None,
+            **(_marks(found.scene) if plan.renders else {}),
         )
         for found in plan.found
     }
 
 
-def _rasterize_mode(scene: Scene) -> RasterizeMode | None:
-    """Return what a scene's splat file says that it was trained for, or scene.yaml does."""
+def _marks(scene: Scene) -> dict[str, Any]:
+    """Return what a scene's splat file says of its training, or scene.yaml does."""
     if not isinstance(scene.splat, FileSplat):
-        return None
+        return {}
     from nw_eval.splat.store import open_store
 
-    return open_store(scene.splat_store()).rasterize_mode
+    store = open_store(scene.splat_store())
+    return {"rasterize_mode": store.rasterize_mode, "projection": store.projection}
 
 
 def _fetched(path: Path) -> FetchedInfo | None:

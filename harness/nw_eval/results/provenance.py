@@ -14,7 +14,7 @@ from nw_eval.files.inside import bounded_bytes
 from nw_eval.request import Request
 from nw_eval.results.seal import seal, unseal
 from nw_eval.scores import ScoreSpec
-from nw_eval.words import PanelKind, RasterizeMode
+from nw_eval.words import PanelKind, Projection, RasterizeMode
 
 _MOST = 16 * 2**20
 """Bytes of a run.json that is read: some 50,000 scenes."""
@@ -70,6 +70,7 @@ class SceneInfo(_Saved):
     split: Literal["train", "eval"] | None = None
     fetched: FetchedInfo | None = None  # None: it lay on the machine.
     rasterize_mode: RasterizeMode | None = None  # Of a splat file that says one, where it is drawn.
+    projection: Projection | None = None  # Likewise: how its Gaussians became pixels in training.
 
 
 class PolicyInfo(_Saved):

@@ -6,14 +6,14 @@ Also here: its figures, and the conversions between opacities, logits and bytes.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
-from nw_eval.words import RasterizeMode
+from nw_eval.words import Projection, RasterizeMode
 
 SH_COUNTS = (1, 4, 9, 16)
 """Spherical-harmonic coefficients per channel at degree 0, 1, 2, 3."""
@@ -45,6 +45,7 @@ class Gaussians:
             Colour seen along unit direction d = max(0, 0.5 + sum_k Y_k(d) sh[:, k]).
         rasterize_mode: what they were trained for, by the file's own mark; None where there is
             none: such are drawn antialiased.
+        projection: how they became pixels in training, likewise; a suite says how it draws them.
     """
 
     means: F32
@@ -53,6 +54,7 @@ class Gaussians:
     opacity_logits: F32
     sh: F32
     rasterize_mode: RasterizeMode | None = None
+    projection: Projection | None = None
 
     def __post_init__(self) -> None:
         """Make arrays contiguous float32 and check shapes.
@@ -96,8 +98,7 @@ class Gaussians:
         return self._map(lambda array: array[selection])
 
     def _map(self, change: Callable[[F32], F32]) -> Gaussians:
-        arrays = {name: change(getattr(self, name)) for name in ARRAYS}
-        return Gaussians(**arrays, rasterize_mode=self.rasterize_mode)
+        return replace(self, **{name: change(getattr(self, name)) for name in ARRAYS})
 
 
 def check_count(origin: object, count: int) -> None:
@@ -113,19 +114,19 @@ def check_count(origin: object, count: int) -> None:
 def concatenate(*parts: Gaussians) -> Gaussians:
     """Join sets; harmonics of lower degree are padded with zeros to the highest degree.
 
-    Of sets with different marks the first one's counts.
+    Of sets with different marks the first one's count.
     """
     if not parts:
         raise SceneError("no Gaussians to concatenate", fix="give at least one set")
     most = max(part.sh.shape[1] for part in parts)
     sh = [np.pad(part.sh, ((0, 0), (0, most - part.sh.shape[1]), (0, 0))) for part in parts]
-    return Gaussians(
+    return replace(
+        parts[0],
         means=np.concatenate([part.means for part in parts]),
         log_scales=np.concatenate([part.log_scales for part in parts]),
         quats=np.concatenate([part.quats for part in parts]),
         opacity_logits=np.concatenate([part.opacity_logits for part in parts]),
         sh=np.concatenate(sh),
-        rasterize_mode=parts[0].rasterize_mode,
     )
 
 
@@ -139,6 +140,7 @@ class SplatFigures:
         not_finite: those with a value that is not finite.
         sh_degree: degree of the harmonics, 0 to 3.
         rasterize_mode: what the file says that they were trained for; None: nothing.
+        projection: likewise, how they became pixels in training.
         bounds: (low, high) corners of all finite centres, x y z each.
         bulk: the same for the middle 98 % along each axis: floaters left out.
         scale_percentiles: 1, 50 and 99 % of the largest standard deviation, in file units.
@@ -150,6 +152,7 @@ class SplatFigures:
     not_finite: int
     sh_degree: int
     rasterize_mode: RasterizeMode | None
+    projection: Projection | None
     bounds: tuple[tuple[float, ...], tuple[float, ...]]
     bulk: tuple[tuple[float, ...], tuple[float, ...]]
     scale_percentiles: tuple[float, float, float]
@@ -174,6 +177,7 @@ def describe(gaussians: Gaussians) -> SplatFigures:
         not_finite=int((~finite).sum()),
         sh_degree=gaussians.sh_degree,
         rasterize_mode=gaussians.rasterize_mode,
+        projection=gaussians.projection,
         bounds=(_point(centres.min(axis=0)), _point(centres.max(axis=0))),
         bulk=(
             _point(np.percentile(centres, 1, axis=0)),

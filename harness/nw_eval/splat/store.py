@@ -30,7 +30,7 @@ from nw_eval.errors import SceneError
 from nw_eval.files.cache import DamagedError, read_sealed, sealed_path
 from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians
 from nw_eval.splat.transform import quaternions
-from nw_eval.words import RASTERIZE_MODES, RasterizeMode
+from nw_eval.words import PROJECTIONS, RASTERIZE_MODES, Projection, RasterizeMode
 
 FORMAT = 4
 """Changes with the layout of the arrays; part of every cache key."""
@@ -70,6 +70,7 @@ class Store:
         path: the file behind them; None when they live in memory.
         key: what was compiled, as given to `compile_store`.
         rasterize_mode: see `Gaussians`; None is drawn antialiased.
+        projection: see `Gaussians`.
     """
 
     count: int
@@ -78,6 +79,7 @@ class Store:
     path: Path | None
     key: str
     rasterize_mode: RasterizeMode | None = None
+    projection: Projection | None = None
 
     @property
     def chunks(self) -> int:
@@ -100,6 +102,7 @@ def memory_store(gaussians: Gaussians) -> Store:
         path=None,
         key="",
         rasterize_mode=gaussians.rasterize_mode,
+        projection=gaussians.projection,
     )
 
 
@@ -131,6 +134,7 @@ def compile_store(gaussians: Gaussians, path: Path, *, key: str = "") -> None:
         "chunks": store.chunks,
         "arrays": places,
         "rasterize_mode": store.rasterize_mode,
+        "projection": store.projection,
     }
     with sealed_path(path) as temporary, temporary.open("wb") as file:
         file.write(json.dumps(header).encode().ljust(_HEADER_LIMIT - 1) + b"\n")
@@ -182,6 +186,7 @@ def open_store(path: Path, *, key: str | None = None) -> Store:
         path=path,
         key=header["key"],
         rasterize_mode=header.get("rasterize_mode"),
+        projection=header.get("projection"),
     )
 
 
@@ -199,7 +204,8 @@ def _read_header(raw: bytes, path: Path) -> dict[str, Any]:
         )
     if not all(isinstance(header.get(k), int) for k in ("count", "sh_count")):
         raise SceneError(f"{path}: its header is incomplete", fix=_REBUILD)
-    if header.get("rasterize_mode") not in (None, *RASTERIZE_MODES):
+    modes, projections = (None, *RASTERIZE_MODES), (None, *PROJECTIONS)
+    if not (header.get("rasterize_mode") in modes and header.get("projection") in projections):
         raise SceneError(f"{path}: its header names no way to draw it", fix=_REBUILD)
     return header
 
@@ -213,6 +219,8 @@ def digest(gaussians: Gaussians) -> str:
         total.update(array.data)
     if gaussians.rasterize_mode is not None:
         total.update(gaussians.rasterize_mode.encode())
+    if gaussians.projection is not None:
+        total.update(gaussians.projection.encode())
     return total.hexdigest()
 
 
@@ -237,6 +245,7 @@ def read_compiled(path: Path) -> Gaussians:
         opacity_logits=np.log(opacities / (1.0 - opacities)).astype(np.float32),
         sh=held.sh[whole],
         rasterize_mode=store.rasterize_mode,
+        projection=store.projection,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,13 +37,12 @@ def transformed(gaussians: Gaussians, T: NDArray[np.float64]) -> Gaussians:
         )
     w, x, y, z = quaternions(rotation)
     left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
-    return Gaussians(
+    return replace(
+        gaussians,
         means=(gaussians.means @ linear.T + T[:3, 3]).astype(np.float32),
         log_scales=gaussians.log_scales + np.float32(math.log(scale)),
         quats=(gaussians.quats @ left.T).astype(np.float32),
-        opacity_logits=gaussians.opacity_logits,
         sh=rotate_harmonics(gaussians.sh, rotation),
-        rasterize_mode=gaussians.rasterize_mode,
     )
 
 

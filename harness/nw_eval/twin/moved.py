@@ -1,4 +1,4 @@
-"""An alignment at work: points, meshes, cameras and Gaussians in metres.
+"""An alignment at work: points, meshes and cameras in metres.
 
 A scene need not move its splat: `scene.yaml` has a similarity from splat to world, which leaves the
 file as its trainer wrote it.
@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from nw_eval.scenes.mesh import FACE_KINDS, FaceKind, TriangleMesh
 from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.splat.camera import Camera
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.splat.transform import quaternions, transformed
+from nw_eval.splat.transform import quaternions
 from nw_eval.twin.capture import Capture
 
 Values = NDArray[np.float64]
@@ -67,15 +66,6 @@ def moved_capture(T: Values, capture: Capture) -> Capture:
     shots = tuple(replace(s, camera=moved_camera(T, s.camera)) for s in capture.shots)
     points = moved_points(T, capture.points)
     return replace(capture, shots=shots, points=points, metric=True, up=(0.0, 0.0, 1.0))
-
-
-def moved_gaussians(T: Values, gaussians: Gaussians) -> Gaussians:
-    """Return Gaussians in metres, harmonics turned with them; see the module's first lines.
-
-    Raises:
-        SceneError: T is no similarity.
-    """
-    return transformed(gaussians, T)
 
 
 def similarity_entry(T: Values) -> dict[str, Any]:

@@ -326,6 +326,7 @@ class SplatWithBoxes:
                 for name in ARRAYS
             },
             rasterize_mode=place.rasterize_mode,
+            projection=place.projection,
         )
 
 

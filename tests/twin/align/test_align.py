@@ -10,12 +10,12 @@ from rooms import capture, room, similarity, walk
 
 from nw_eval.errors import SceneError
 from nw_eval.splat.gaussians import Gaussians
+from nw_eval.splat.transform import transformed
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
 from nw_eval.twin.moved import (
     moved_camera,
     moved_capture,
-    moved_gaussians,
     moved_mesh,
     moved_points,
     similarity_entry,
@@ -105,7 +105,7 @@ def test_a_mesh_and_gaussians_follow_the_points():
         means=POINTS[:3], log_scales=np.zeros((3, 3)), quats=np.eye(4)[[0, 0, 0]],
         opacity_logits=np.zeros(3), sh=np.zeros((3, 1, 3)),
     )  # fmt: skip
-    moved = moved_gaussians(T, gaussians)
+    moved = transformed(gaussians, T)
     np.testing.assert_allclose(moved.means, moved_points(T, POINTS[:3]), rtol=1e-5, atol=1e-5)
     scale = math.log(np.linalg.det(T[:3, :3])) / 3
     np.testing.assert_allclose(moved.log_scales, scale, rtol=1e-5)

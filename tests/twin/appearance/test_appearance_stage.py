@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 import trimesh
 from small_capture import PLACE
+from splat_rooms import psnr
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.splat.files import read_splat
 from nw_eval.splat.gaussians import SH0
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.store import memory_store
 from nw_eval.twin.building import appearance as the_stage
 from nw_eval.twin.building.appearance import (
     AppearanceOptions,
@@ -23,6 +26,7 @@ from nw_eval.twin.building.appearance import (
     train_splat,
 )
 from nw_eval.twin.capture import read_capture
+from nw_eval.twin.gaussians.rasteriser import Rasteriser
 
 QUICK = AppearanceOptions(
     iterations=120, longest=72, begin=700, most=933, held_out_every=4, strategy="fixed"
@@ -49,6 +53,7 @@ def test_a_splat_of_a_capture_shows_photographs_that_it_never_saw(build, tmp_pat
     assert 30 < len(sky) < 75
     assert 0.5 + SH0 * sky.sh[:, 0] == pytest.approx(1.0, abs=0.15)
     assert 0.01 < report.sky < 0.1
+    assert (splat.rasterize_mode, splat.projection) == ("antialiased", "ray")
     facts = json.loads((tmp_path / "out" / "report.json").read_text())
     assert facts["psnr"] == pytest.approx(report.psnr)
     assert facts["options"]["iterations"] == 120
@@ -56,6 +61,14 @@ def test_a_splat_of_a_capture_shows_photographs_that_it_never_saw(build, tmp_pat
         f"splat: {len(splat)} Gaussians of 6 photographs, "
         f"{report.psnr:.1f} dB on 2 photographs kept from it"
     )
+
+
+def test_the_file_is_drawn_along_the_ray_as_the_training_saw_it(build, tmp_path):
+    trained(build, tmp_path)
+    splat = read_splat(tmp_path / "splat.ply")
+    photo = photos_of(read_capture(build / "capture"), build / "capture", None, longest=72)[0]
+    shipped = CpuRenderer(memory_store(splat), projection="ray").render(photo.camera).rgb
+    assert psnr((shipped, Rasteriser().render(splat, photo.camera).rgb.transpose(1, 2, 0))) > 75.0
 
 
 def test_a_training_that_was_cut_off_ends_in_the_same_bytes(build, tmp_path, monkeypatch):

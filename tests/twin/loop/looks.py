@@ -64,8 +64,10 @@ def looks(original, twin, mesh, T_twin_original, cameras):
         T_twin_original: similarity.
         cameras: in the original's frame.
     """
-    there = CpuRenderer(open_store(original.splat_store()))
-    here = CpuRenderer(open_store(twin.splat_store()))
+    there, here = (
+        CpuRenderer(store, projection=store.projection or "ray")
+        for store in (open_store(scene.splat_store()) for scene in (original, twin))
+    )
     T_splat_original = np.linalg.inv(twin.T_world_splat) @ T_twin_original
     T_splat_world = np.linalg.inv(original.T_world_splat)  # Gaps' splats lie a platform lower.
     drawn = MeshRenderer(mesh)

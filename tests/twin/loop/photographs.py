@@ -30,7 +30,8 @@ class Phone:
     """
 
     def __init__(self, scene, tag=None, seed=0):
-        self._renderer = CpuRenderer(open_store(scene.splat_store()), threads=2)
+        store = open_store(scene.splat_store())
+        self._renderer = CpuRenderer(store, projection="ray", threads=2)
         self._T_splat_world = np.linalg.inv(scene.T_world_splat)
         self._tag, self._paper = tag, _paper()
         self._seed = seed

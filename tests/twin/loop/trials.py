@@ -79,6 +79,7 @@ def outcomes(places, policy, out, *, duration, trials=20, workers=1):
         "seed": _SEED,
         "scenes": list(names.values()),
         "episode": {"duration": duration},
+        "render": {"projection": "ray"},
     }
     suite = out / "loop.yaml"
     with suite.open("w") as file:

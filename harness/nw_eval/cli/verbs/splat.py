@@ -120,6 +120,7 @@ def splat_page(figures: SplatFigures) -> str:
         f"Gaussians  {figures.count:,} ({seen}, {broken})",
         f"harmonics  degree {figures.sh_degree}",
         f"drawn      {figures.rasterize_mode or 'antialiased (the file does not say)'}",
+        *([] if figures.projection is None else [f"trained    by {figures.projection}"]),
         f"bounds     {_box(figures.bounds)}",
         f"bulk (98%) {_box(figures.bulk)}",
         "size       1% {:.4g}, median {:.4g}, 99% {:.4g}".format(*figures.scale_percentiles),

@@ -8,7 +8,8 @@ then of the second. Nothing in such a file says so, but the three channels of a 
 one another much more than any other three values, which tells the two apart.
 
 A comment `SplatRenderMode: default | mip` (Brush) says whether they were trained classic or
-antialiased. A column filter_3D (Mip-Splatting, https://arxiv.org/abs/2311.16493, section 4.1) is a
+antialiased, and one `SplatProjection=ewa | ray` (nw-eval) how they became pixels in training. A
+column filter_3D (Mip-Splatting, https://arxiv.org/abs/2311.16493, section 4.1) is a
 smoothing that was applied while training: it is folded into scales and opacities.
 
 **SuperSplat's compressed PLY** has 16 bytes per Gaussian, quantised within chunks of 256. Element
@@ -29,7 +30,7 @@ import json
 import math
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ from nw_eval.files.ply import Ply
 from nw_eval.splat.files.format import SplatFormat
 from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians, check_count, logit
 from nw_eval.splat.transform import transformed
-from nw_eval.words import RasterizeMode
+from nw_eval.words import PROJECTIONS, Projection, RasterizeMode
 
 RestOrder = Literal["detect", "channel", "coefficient"]
 """How f_rest is arranged: channel-major, coefficient-major, or to be found out."""
@@ -49,6 +50,7 @@ _SAMPLE = 20_000
 _MARGIN = 0.8
 _COMMENT = "f_rest order: channel"
 _MODES: dict[str, RasterizeMode] = {"default": "classic", "mip": "antialiased"}
+_PROJECTIONS: dict[str, Projection] = {name: name for name in PROJECTIONS}
 
 _CHUNK = 256
 _THREE = ((21, 11), (11, 10), (0, 11))
@@ -59,6 +61,11 @@ _TRANSFORMS = "dataparser_transforms.json"
 _FIX_EXPORT = (
     "give the folder that `ns-export gaussian-splat` wrote, with that file beside splat.ply"
 )
+
+
+class _Marks(TypedDict):
+    rasterize_mode: RasterizeMode | None
+    projection: Projection | None
 
 
 def read_threedgs_ply(ply: Ply, *, rest_order: RestOrder = "detect") -> Gaussians:
@@ -97,28 +104,29 @@ def read_threedgs_ply(ply: Ply, *, rest_order: RestOrder = "detect") -> Gaussian
             sh[:, 1:] = values.reshape(n, rest // 3, 3)
     log_scales = ply.columns("vertex", ["scale_0", "scale_1", "scale_2"])
     opacity_logits = ply.columns("vertex", ["opacity"])[:, 0]
-    mode = mode_of(ply)
+    marks = marks_of(ply)
     if "filter_3D" in names:
         filters = ply.columns("vertex", ["filter_3D"])
         log_scales, opacity_logits = _smoothed(log_scales, opacity_logits, filters)
-        mode = mode or "antialiased"
+        marks["rasterize_mode"] = marks["rasterize_mode"] or "antialiased"
     return Gaussians(
         means=ply.columns("vertex", ["x", "y", "z"]),
         log_scales=log_scales,
         quats=ply.columns("vertex", ["rot_0", "rot_1", "rot_2", "rot_3"]),
         opacity_logits=opacity_logits,
         sh=sh,
-        rasterize_mode=mode,
+        **marks,
     )
 
 
-def mode_of(ply: Ply) -> RasterizeMode | None:
-    """Return what a comment says the Gaussians were trained for."""
-    for comment in ply.comments:
-        words = comment.replace(":", " ").split()
-        if len(words) == 2 and words[0] == "SplatRenderMode":
-            return _MODES.get(words[1].lower())
-    return None
+def marks_of(ply: Ply) -> _Marks:
+    """Return what comments say of the training of the Gaussians."""
+    said = [re.split(r"[\s:=]+", comment.strip(), maxsplit=1) for comment in ply.comments]
+    found = {words[0]: words[1].lower() for words in reversed(said) if len(words) == 2}
+    return {
+        "rasterize_mode": _MODES.get(found.get("SplatRenderMode", "")),
+        "projection": _PROJECTIONS.get(found.get("SplatProjection", "")),
+    }
 
 
 def _smoothed(
@@ -167,6 +175,11 @@ def write_threedgs_ply(path: Path, gaussians: Gaussians) -> None:
         "format binary_little_endian 1.0",
         f"comment {_COMMENT}",
         *(f"comment SplatRenderMode: {m}" for m in _MODES if _MODES[m] == gaussians.rasterize_mode),
+        *(
+            []
+            if gaussians.projection is None
+            else [f"comment SplatProjection={gaussians.projection}"]
+        ),
         f"element vertex {n}",
     ]
     header += [f"property float {name}" for name in names] + ["end_header", ""]
@@ -217,7 +230,7 @@ def read_compressed_ply(ply: Ply) -> Gaussians:
         quats=_quats(_packed(ply, "packed_rotation")),
         opacity_logits=logit(colour[:, 3]),
         sh=np.concatenate([dc[:, None], _rest(ply, n)], axis=1),
-        rasterize_mode=mode_of(ply),
+        **marks_of(ply),
     )
 
 

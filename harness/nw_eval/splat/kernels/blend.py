@@ -314,7 +314,7 @@ def _any_live(live: Any, live_stride: Any, x0: Any, x1: Any, y0: Any, y1: Any) -
 
 
 @inlined
-def _of_columns(ray: Any, dx: Any, a: Any, b: Any, log_opacity: Any, slope_x: Any) -> Any:
+def columns_part(ray: Any, dx: Any, a: Any, b: Any, log_opacity: Any, slope_x: Any) -> Any:
     """Return what a pixel's column adds to its power: along x, for each row, and m's part."""
     if ray is None:
         return fma(negate(dx * a), dx, log_opacity), dx * b, dx
@@ -342,11 +342,11 @@ def _placing(shape: LaneShape) -> Any:
     def next_columns(
         lens: Any, before: Any, ray: Any, xs: Any, o: Any, stride: Any, splat: Any
     ) -> Any:
-        """Return `_of_columns` for the next rows: the same ones, but through a lens."""
+        """Return `columns_part` for the next rows: the same ones, but through a lens."""
         if lens is None:
             return before
         u, a, b, log_opacity, slope_x = splat
-        return _of_columns(ray, load(xs, o, stride) - u, a, b, log_opacity, slope_x)
+        return columns_part(ray, load(xs, o, stride) - u, a, b, log_opacity, slope_x)
 
     @inlined
     def next_rows(lens: Any, before: Any, ys: Any, o: Any, stride: Any, v: Any) -> Any:
@@ -376,7 +376,7 @@ def _power(ray: Any, dy: Any, of_columns: Any, splat: Any) -> Any:
 
 
 @inlined
-def _row_spans(ray: Any, dy: Any, outline: Any, view: Any, xa: Any, xb: Any) -> Any:
+def row_spans(ray: Any, dy: Any, outline: Any, view: Any, xa: Any, xb: Any) -> Any:
     """Return, for eight rows, the first and last column that a splat may reach, packed.
 
     Solves A dx^2 + (B dy) dx + C dy^2 = limit for dx; along the ray, with the right side
@@ -424,10 +424,10 @@ def _row_spans(ray: Any, dy: Any, outline: Any, view: Any, xa: Any, xb: Any) -> 
 def _spans(
     lens: Any, ray: Any, ys: Any, y: Any, v: Any, outline: Any, view: Any, xa: Any, xb: Any
 ) -> Any:
-    """As `_row_spans`, from row y on; through a lens all of the box."""
+    """As `row_spans`, from row y on; through a lens all of the box."""
     below = load(ys, y) - v
     if lens is None:
-        return _row_spans(ray, below, outline, view, xa, xb)
+        return row_spans(ray, below, outline, view, xa, xb)
     return pack_range(below * 0.0 + np.float32(xa), below * 0.0 + np.float32(xb))
 
 
@@ -557,7 +557,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
             o = ya * stride + xa
             if xb - xa < 4:
                 dx = _square_across(lens, xs, xa, o, stride) - u
-                of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
+                of_columns = columns_part(ray, dx, ca, cb, log_opacity, slope_x)
                 # Most need one: outside the loop, whose places would be laid out for many.
                 dy = _square_down(lens, ys, ya, o, stride) - v
                 power = _power(ray, dy, of_columns, splat)
@@ -572,7 +572,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
                     vectors += 1
             elif xb - xa < 8:
                 dx = _flat_across(lens, xs, xa, o, stride) - u
-                of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
+                of_columns = columns_part(ray, dx, ca, cb, log_opacity, slope_x)
                 y = ya
                 while True:
                     dy = _flat_down(lens, ys, y, o, stride) - v
@@ -586,7 +586,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
                         break
             elif xb - xa < 16:
                 dx = _line_across(lens, xs, xa, o, stride) - u
-                of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
+                of_columns = columns_part(ray, dx, ca, cb, log_opacity, slope_x)
                 for y in range(ya, yb + 1):
                     dy = _line_down(lens, ys, y, o, stride) - v
                     of_columns = _line_next(lens, of_columns, ray, xs, o, stride, place_of)
@@ -617,7 +617,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
                             continue
                         dy = _line_along(lens, dy, ys, y * stride + x, stride, v)
                         dx = _line_across(lens, xs, x, y * stride + x, stride) - u
-                        of_columns = _of_columns(ray, dx, ca, cb, log_opacity, slope_x)
+                        of_columns = columns_part(ray, dx, ca, cb, log_opacity, slope_x)
                         power = _power(ray, dy, of_columns, splat)
                         _draw_line(T, colours, y * stride + x, stride, power, curve, colour)
                         vectors += 1

@@ -86,7 +86,7 @@ _TWO_LN2 = 2.0 * math.log(2.0)
 _WIDEN, _WIDEN_PIXELS = 1.00002, 0.002
 _RAY_WIDEN, _RAY_WIDEN_PIXELS = 1.0001, 0.01
 
-_STEEPEST = 30.0**2
+STEEPEST = 30.0**2
 """Square of the slope from the axis (88 degrees) from which on a centre counts as beside the eye,
 like one behind it: there the frame is so skew that float32 loses what the closed form needs."""
 
@@ -242,7 +242,7 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
                 c00, r66, fma(c01, r67, fma(c02, r68, fma(c11, r77, fma(c12, r78, c22 * r88))))
             )
             zz = maximum(zz, 0.0) * (inverse_z * inverse_z)
-            ok = ok & (fma(slope_x, slope_x, slope_y * slope_y) < _STEEPEST)
+            ok = ok & (fma(slope_x, slope_x, slope_y * slope_y) < STEEPEST)
             q = fma(q, _RAY_WIDEN, 1e-6)
             depth = fma(q, negate(zz), 1.0)
             if mask_bits(ok & (depth <= _LEAST_DEPTH)) == 0:

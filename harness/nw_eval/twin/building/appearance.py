@@ -187,7 +187,10 @@ def train_splat(
     config = replace(config, most=options.most, widest=widest)
     trainer = _trained(out / _STATE, learnt, start, config, threads, say)
     rasteriser = Rasteriser(
-        preset=config.preset, antialiased=config.antialiased, background=config.background
+        preset=config.preset,
+        antialiased=config.antialiased,
+        projection=config.projection,
+        background=config.background,
     )
     views = tuple(view_figures(trainer.gaussians, photo, rasteriser) for photo in held)
     removed = trainer.floaters
@@ -205,7 +208,7 @@ def train_splat(
         learnt_after=again,
     )
     with atomic_path(out / SPLAT) as temporary:
-        write_splat(temporary, trainer.gaussians)
+        write_splat(temporary, trainer.marked())
     with atomic_path(out / REPORT) as temporary:
         facts = {"options": asdict(options), **asdict(report)}
         figures = {"psnr": report.psnr, "ssim": report.ssim}

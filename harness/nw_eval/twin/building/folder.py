@@ -23,7 +23,7 @@ _FORMATS: dict[Stage, int] = {
     "calibrate": 5,
     "reconstruct": 6,
     "align": 4,
-    "splat": 5,
+    "splat": 6,
     "place": 9,
 }
 """Each changes with what its stage makes of the same inputs."""

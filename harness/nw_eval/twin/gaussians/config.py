@@ -7,6 +7,7 @@ from typing import Literal
 
 from nw_eval.errors import UsageError
 from nw_eval.splat.camera import PresetName
+from nw_eval.words import Projection
 
 PAPER_ITERATIONS = 30_000
 """Steps of the 3DGS paper, which its schedules are for."""
@@ -118,6 +119,7 @@ class TrainConfig:
         mcmc: of that strategy.
         preset: which gsplat's numerical choices.
         antialiased: whether opacity is compensated for the blur of small splats.
+        projection: how Gaussians become pixels, and should be drawn afterwards.
         background: colour behind everything; the shipped renderer's.
     """
 
@@ -136,6 +138,7 @@ class TrainConfig:
     mcmc: Mcmc = field(default_factory=Mcmc)
     preset: PresetName = "gsplat-1.5"
     antialiased: bool = True
+    projection: Projection = "ray"
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:

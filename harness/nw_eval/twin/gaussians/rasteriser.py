@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from nw_eval.errors import UsageError
 from nw_eval.splat.camera import Camera, Pixels, PresetName, get_preset, view_vector
 from nw_eval.splat.gaussians import SH_COUNTS, Gaussians
+from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.blend import (
     CHANNELS,
     CURVE,
@@ -44,6 +45,7 @@ from nw_eval.twin.gaussians.kernels.blend import (
 )
 from nw_eval.twin.gaussians.kernels.project import project
 from nw_eval.twin.gaussians.kernels.project_back import project_back
+from nw_eval.words import Projection
 
 WINDOW = 80
 """Columns of a window, a multiple of the renderer's 8-pixel blocks: four at 320 pixels share out
@@ -59,6 +61,7 @@ class Rasteriser:
     Args:
         preset: which gsplat's numerical choices.
         antialiased: compensate opacity for the blur of small splats.
+        projection: "ray" or "ewa"; see the shipped renderer.
         background: colour behind everything.
         workers: the threads that share a frame; by default none but the caller's.
     """
@@ -68,11 +71,14 @@ class Rasteriser:
         *,
         preset: PresetName = "gsplat-1.5",
         antialiased: bool = True,
+        projection: Projection = "ray",
         background: tuple[float, float, float] = (1.0, 1.0, 1.0),
         workers: Threads | None = None,
     ) -> None:
         self._preset = get_preset(preset)
-        self._options = (self._preset.eps2d, antialiased, self._preset.min_compensation**2)
+        self._ray = None if projection == "ewa" else True
+        floor2 = self._preset.min_compensation**2
+        self._options = (self._preset.eps2d, antialiased, floor2, self._ray)
         self._background = np.asarray(background, dtype=np.float32)
         self._workers = workers or Threads()
         self._room = _Room(0)
@@ -92,6 +98,8 @@ class Rasteriser:
         room = self._room
         used = min(SH_COUNTS[sh_degree], gaussians.sh.shape[1])
         view = view_vector(camera, Pixels(), (0, width, 0, camera.height)).astype(np.float64)
+        if self._ray is not None:
+            view[at.X_LOW : at.Y_HIGH + 1] = -np.inf, np.inf, -np.inf, np.inf
         arrays = _arrays(gaussians)
 
         def block(first: int, end: int) -> None:
@@ -101,7 +109,7 @@ class Rasteriser:
         shown, ordered = room.sort(n)
         images = Images.empty(width, camera.height)
         windows = [
-            Window(camera, left, min(left + WINDOW, width), self._preset.max_alpha)
+            Window(camera, left, min(left + WINDOW, width), self._preset.max_alpha, self._ray)
             for left in range(0, width, WINDOW)
         ]
 
@@ -201,13 +209,16 @@ class Window:
         left: first column, a multiple of 8.
         right: behind the last one.
         most_alpha: alpha is clamped to it.
+        ray: None for EWA, True along the ray.
     """
 
-    def __init__(self, camera: Camera, left: int, right: int, most_alpha: float) -> None:
+    def __init__(
+        self, camera: Camera, left: int, right: int, most_alpha: float, ray: bool | None
+    ) -> None:
         self._place = (left, right, camera.height)
         self._view = view_vector(camera, Pixels(), (left, right, 0, camera.height))
         self._columns, self._rows = _centres(left, right), _centres(0, camera.height)
-        self._most_alpha = np.float32(most_alpha)
+        self._most_alpha, self._ray = np.float32(most_alpha), ray
         self._stride = right - left + SLACK_COLUMNS
         self._size = (camera.height + SLACK_ROWS) * self._stride
         self._records = self._gradient = np.empty(0, dtype=np.float32)
@@ -249,7 +260,7 @@ class Window:
             blocks,
             self._view,
             self._most_alpha,
-            None,
+            self._ray,
             CURVE,
         )
         resolve(light, paint, self._place, background, images.arrays())
@@ -268,10 +279,11 @@ class Window:
             self._records,
             self._count,
             (self._columns, self._rows),
-            self._place[0],
+            self._view,
             planes,
             self._stride,
             self._most_alpha,
+            self._ray,
             CURVE,
             self._gradient,
         )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,7 @@ _LIMIT_EVERY = 10
 _PRUNED = frozenset({5, 6, 7, 8, 9})
 """Tenths of a training after which floaters are removed; what is left learns on."""
 
-FORMAT = 3
+FORMAT = 4
 """Changes with the arrays of a checkpoint, and with what a step does to them."""
 
 _PARTS = ("values", "mean", "square")
@@ -111,6 +111,7 @@ class Trainer:
         self._rasteriser = Rasteriser(
             preset=config.preset,
             antialiased=config.antialiased,
+            projection=config.projection,
             background=config.background,
             workers=self._workers,
         )
@@ -119,6 +120,14 @@ class Trainer:
     def gaussians(self) -> Gaussians:
         """The Gaussians as they are; the next step changes them."""
         return self.population.gaussians
+
+    def marked(self) -> Gaussians:
+        """Return the Gaussians with what they are trained for."""
+        return replace(
+            self.gaussians,
+            rasterize_mode="antialiased" if self.config.antialiased else "classic",
+            projection=self.config.projection,
+        )
 
     @property
     def is_done(self) -> bool:
@@ -292,7 +301,11 @@ def _restored(
     arrays: dict[str, NDArray[Any]], photos: Sequence[Photo], config: TrainConfig, threads: int
 ) -> Trainer:
     values, mean, square = (
-        Gaussians(**{name: arrays[f"{part}.{name}"] for name in ARRAYS}, rasterize_mode=None)
+        Gaussians(
+            **{name: arrays[f"{part}.{name}"] for name in ARRAYS},
+            rasterize_mode=None,
+            projection=None,
+        )
         for part in _PARTS
     )
     trainer = Trainer(photos, values, config, threads=threads)

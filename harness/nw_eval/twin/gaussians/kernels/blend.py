@@ -13,6 +13,10 @@ splat adds is taken from it as the splats are walked in the order in which they 
 nothing needs to be kept from the forward pass, and the arithmetic that decides which splat finishes
 a pixel is the renderer's own, bit for bit.
 
+Along the ray, log2 alpha = log_opacity - e / D with D = k e + m^2 (see the renderer's project.py),
+and its partials are -m^2 / D^2 by e, e^2 / D^2 by k, and 2 e m / D^2 by m, which moves with the
+centre and with (a, b). With m^2 / D^2 = 1 and no k and m, that is EWA.
+
 Planes are six rows of floats for each row of pixels: T, R, and the gradients of red, green, blue
 and inverse depth. A finished pixel holds -T, pixels outside the window -1. As in the renderer, each
 splat is walked with the shape of vector that fits it.
@@ -35,10 +39,13 @@ from nw_eval.splat.kernels.blend import (
     SLACK_ROWS,
     SQUARE,
     LaneShape,
+    columns_part,
+    row_spans,
 )
 from nw_eval.splat.kernels.math8 import bits_of, exp2, float_of
 from nw_eval.splat.kernels.memory import load, peek, poke, store
 from nw_eval.splat.kernels.project import (
+    BEND,
     BLUE,
     COLUMNS,
     GREEN,
@@ -46,6 +53,8 @@ from nw_eval.splat.kernels.project import (
     RECORD,
     RED,
     ROWS,
+    SLOPE_X,
+    SLOPE_Y,
     THRESHOLD,
     A,
     B,
@@ -60,6 +69,7 @@ from nw_eval.splat.kernels.simd import (
     intrinsic,
     lane_list,
     mask_bits,
+    maximum,
     minimum,
     minus_abs,
     negate,
@@ -71,9 +81,11 @@ from nw_eval.twin.gaussians.kernels.project import INVERSE_DEPTH, LN2
 PLANES = 6
 """Rows of floats for each row of pixels."""
 
-# Places in a row of gradients: with respect to colour, inverse depth, log2 opacity, centre, conic.
+# Places in a row of gradients: with respect to colour, inverse depth, log2 opacity, centre, conic,
+# and what the ray form adds.
 G_RED, G_INVERSE, G_OPACITY, G_U, G_V, G_A, G_B, G_C = 0, 3, 4, 5, 6, 7, 8, 9
-GRADIENT = 10
+G_SLOPE_X, G_SLOPE_Y, G_BEND = 10, 11, 12
+GRADIENT = 13
 """Floats in a row of gradients."""
 _square_columns, _square_rows = SQUARE.columns, SQUARE.rows
 _flat_columns, _flat_rows = FLAT.columns, FLAT.rows
@@ -134,14 +146,30 @@ def scatter(gradients: Any, owners: Any, count: Any, out: Any, width: Any) -> No
             poke(out, target + k, peek(out, target + k) + peek(gradients, source + k))
 
 
+@inlined
+def _power(ray: Any, dy: Any, of_columns: Any, splat: Any) -> Any:
+    """Return log2 of alpha, to the bit as the renderer has it, and what its partials need."""
+    across, slope, lean = of_columns
+    c, log_opacity, slope_y, bend = splat
+    if ray is None:
+        return fma(negate(fma(dy, c, slope)), dy, across), None
+    e = fma(fma(dy, c, slope), dy, across)
+    m = maximum(fma(dy, slope_y, lean), 0.0)
+    whole = fma(e, bend, m * m)
+    return log_opacity - e / whole, (e, m, whole)
+
+
 def _stepping(shape: LaneShape) -> Any:
     load, store = shape.load, shape.store
 
     @inlined
-    def step(planes: Any, o: Any, stride: Any, d: Any, power: Any, splat: Any, sums: Any) -> Any:
+    def step(
+        ray: Any, planes: Any, o: Any, stride: Any, d: Any, exponent: Any, splat: Any, sums: Any
+    ) -> Any:
         """Walk sixteen pixels, the first at o: take the splat from R and T, add to the sums."""
         threshold, finished, most_alpha, numbers, red, green, blue, inverse = splat
         dx, dy = d
+        power, of_ray = exponent
         step = PLANES * stride
         T = load(planes, o, step)
         live = (power >= threshold) & (T > 0.0)
@@ -162,20 +190,29 @@ def _stepping(shape: LaneShape) -> Any:
         # weight is 0 where nothing was blended; a clamped alpha does not move.
         moved = where(full < most_alpha, weight, 0.0)
         slope = moved * (shade - rest / (T - alpha * T))
-        sr, sg, sb, sd, s0, sx, sy, sxx, sxy, syy = sums
+        (sr, sg, sb, sd, s0, sx, sy, sxx, sxy, syy), of_m = sums
+        s0 = s0 + slope
+        if ray is not None:
+            e, m, whole = of_ray
+            sm, smx, smy, sk = of_m
+            # Where nothing is blended, the whole may be 0.
+            scaled = where(live, slope / (whole * whole), 0.0)
+            along = scaled * (e * m)
+            of_m = sm + along, fma(along, dx, smx), fma(along, dy, smy), fma(scaled * e, e, sk)
+            slope = scaled * (m * m)
         tx, ty = slope * dx, slope * dy
         return (
             fma(weight, gr, sr),
             fma(weight, gg, sg),
             fma(weight, gb, sb),
             fma(weight, gd, sd),
-            s0 + slope,
+            s0,
             sx + tx,
             sy + ty,
             fma(tx, dx, sxx),
             fma(tx, dy, sxy),
             fma(ty, dy, syy),
-        )
+        ), of_m
 
     return step
 
@@ -217,31 +254,16 @@ def lay_planes(planes: Any, stride: Any, window: Any, gradients: Any, pictures: 
             planes[row + 5 * stride + x] = g_inverse[y, c]
 
 
-@inlined
-def _row_span(records: Any, j: Any, dy: Any, xa: Any, xb: Any) -> Any:
-    """Return the first and last column that a splat may reach in a row; a little wide."""
-    u, a, b = peek(records, j + U), peek(records, j + A), peek(records, j + B)
-    limit = peek(records, j + LOG_OPACITY) - np.float32(THRESHOLD)
-    half = np.float32(0.5) * b * dy
-    inside = half * half * np.float32(1.000001)
-    inside -= a * (peek(records, j + C) * dy * dy - limit)
-    if inside <= 0.0:
-        return 1, 0
-    root = np.sqrt(inside)
-    low = np.ceil(u - np.float32(0.502) - (half + root) / a)
-    high = np.floor(u - np.float32(0.498) + (root - half) / a)
-    return max(xa, int(max(low, np.float32(-1)))), min(xb, int(min(high, np.float32(32767))))
-
-
 @kernel
 def blend_back(
     records: Any,
     count: Any,
     centres: Any,
-    origin: Any,
+    view: Any,
     planes: Any,
     stride: Any,
     most_alpha: Any,
+    ray: Any,
     numbers: Any,
     out: Any,
 ) -> None:
@@ -251,15 +273,18 @@ def blend_back(
         records: float32, nearest first.
         count: how many.
         centres: (columns, rows) float32 pixel centres of the window, with slack.
-        origin: first column of the window.
+        view: (SIZE,) float32 of the window, as it was blended with.
         planes: float32 of `lay_planes`; used up.
         stride: pixels in a row, slack included.
         most_alpha: alpha is clamped to it.
+        ray: None for EWA, anything else along the ray, as it was blended.
         numbers: the renderer's CURVE.
         out: (count * GRADIENT,) float32, out.
     """
     columns, rows = centres
     row_step = PLANES * stride
+    spans = np.empty(8, np.float32)
+    span_bits = spans.view(np.int32)
     curve = (
         broadcast(numbers[0]),
         broadcast(numbers[1]),
@@ -283,8 +308,14 @@ def blend_back(
         ya, yb = packed_y & 0xFFFF, packed_y >> 16
         u, v = broadcast(peek(records, j + U)), broadcast(peek(records, j + V))
         ca, cb = broadcast(peek(records, j + A)), broadcast(peek(records, j + B))
-        cc = broadcast(peek(records, j + C))
         log_opacity = broadcast(peek(records, j + LOG_OPACITY))
+        slope_x = log_opacity if ray is None else broadcast(peek(records, j + SLOPE_X))
+        form = (
+            broadcast(peek(records, j + C)),
+            log_opacity,
+            log_opacity if ray is None else broadcast(peek(records, j + SLOPE_Y)),
+            log_opacity if ray is None else broadcast(peek(records, j + BEND)),
+        )
         splat = (
             curve[0],
             curve[1],
@@ -295,46 +326,63 @@ def blend_back(
             broadcast(peek(records, j + BLUE)),
             broadcast(peek(records, j + INVERSE_DEPTH)),
         )
-        sums = (zero, zero, zero, zero, zero, zero, zero, zero, zero, zero)
+        sums = (
+            (zero, zero, zero, zero, zero, zero, zero, zero, zero, zero),
+            None if ray is None else (zero, zero, zero, zero),
+        )
         if xb - xa < 4:
             dx = _square_columns(columns, xa) - u
-            across = fma(negate(dx * ca), dx, log_opacity)
-            slope = dx * cb
+            of_columns = columns_part(ray, dx, ca, cb, log_opacity, slope_x)
             for y in range(ya, yb + 1, 4):
                 dy = _square_rows(rows, y) - v
-                power = fma(negate(fma(dy, cc, slope)), dy, across)
-                sums = _step_square(planes, y * row_step + xa, stride, (dx, dy), power, splat, sums)
+                power = _power(ray, dy, of_columns, form)
+                sums = _step_square(
+                    ray, planes, y * row_step + xa, stride, (dx, dy), power, splat, sums
+                )
         elif xb - xa < 8:
             dx = _flat_columns(columns, xa) - u
-            across = fma(negate(dx * ca), dx, log_opacity)
-            slope = dx * cb
+            of_columns = columns_part(ray, dx, ca, cb, log_opacity, slope_x)
             for y in range(ya, yb + 1, 2):
                 dy = _flat_rows(rows, y) - v
-                power = fma(negate(fma(dy, cc, slope)), dy, across)
-                sums = _step_flat(planes, y * row_step + xa, stride, (dx, dy), power, splat, sums)
+                power = _power(ray, dy, of_columns, form)
+                sums = _step_flat(
+                    ray, planes, y * row_step + xa, stride, (dx, dy), power, splat, sums
+                )
         else:
+            outline = (
+                peek(records, j + U),
+                peek(records, j + A),
+                peek(records, j + B),
+                peek(records, j + C),
+                peek(records, j + LOG_OPACITY) - THRESHOLD,
+                peek(records, j + SLOPE_X),
+                peek(records, j + SLOPE_Y),
+                peek(records, j + BEND),
+            )
             for y in range(ya, yb + 1):
                 dy = broadcast(peek(rows, y)) - v
                 low, high = xa, xb
                 if xb - xa >= 16:
-                    below = peek(rows, y) - peek(records, j + V)
-                    low, high = _row_span(records, j, below, xa + origin, xb + origin)
-                    low, high = low - origin, high - origin
+                    if (y - ya) & 7 == 0:
+                        below = load(rows, y) - peek(records, j + V)
+                        store(spans, 0, row_spans(ray, below, outline, view, xa, xb))
+                    packed = int(peek(span_bits, (y - ya) & 7))
+                    low, high = packed & 0xFFFF, packed >> 16
                 for x in range(low, high + 1, 16):
                     dx = _line_columns(columns, x) - u
-                    across = fma(negate(dx * ca), dx, log_opacity)
-                    power = fma(negate(fma(dy, cc, dx * cb)), dy, across)
+                    of_columns = columns_part(ray, dx, ca, cb, log_opacity, slope_x)
+                    power = _power(ray, dy, of_columns, form)
                     sums = _step_line(
-                        planes, y * row_step + x, stride, (dx, dy), power, splat, sums
+                        ray, planes, y * row_step + x, stride, (dx, dy), power, splat, sums
                     )
-        _write(out, i * GRADIENT, records, j, sums)
+        _write(ray, out, i * GRADIENT, records, j, sums)
 
 
 @inlined
-def _write(out: Any, g: Any, records: Any, j: Any, sums: Any) -> None:
-    """Write a row: power = log_opacity - A dx^2 - B dx dy - C dy^2, alpha = 2^power."""
+def _write(ray: Any, out: Any, g: Any, records: Any, j: Any, sums: Any) -> None:
+    """Write a row: alpha = 2^(log_opacity - e / D), e = A dx^2 + B dx dy + C dy^2; EWA: D = 1."""
     ln2 = np.float32(LN2)
-    sr, sg, sb, sd, s0, sx, sy, sxx, sxy, syy = sums
+    (sr, sg, sb, sd, s0, sx, sy, sxx, sxy, syy), of_m = sums
     poke(out, g + G_RED, total(sr))
     poke(out, g + G_RED + 1, total(sg))
     poke(out, g + G_RED + 2, total(sb))
@@ -342,8 +390,23 @@ def _write(out: Any, g: Any, records: Any, j: Any, sums: Any) -> None:
     poke(out, g + G_OPACITY, ln2 * total(s0))
     across, down = ln2 * total(sx), ln2 * total(sy)
     a, b, c = peek(records, j + A), peek(records, j + B), peek(records, j + C)
-    poke(out, g + G_U, np.float32(2) * a * across + b * down)
-    poke(out, g + G_V, np.float32(2) * c * down + b * across)
+    g_u = np.float32(2) * a * across + b * down
+    g_v = np.float32(2) * c * down + b * across
+    if ray is None:
+        poke(out, g + G_SLOPE_X, np.float32(0))
+        poke(out, g + G_SLOPE_Y, np.float32(0))
+        poke(out, g + G_BEND, np.float32(0))
+    else:
+        sm, smx, smy, sk = of_m
+        twice = np.float32(2) * ln2
+        g_m = twice * total(sm)
+        g_u -= peek(records, j + SLOPE_X) * g_m
+        g_v -= peek(records, j + SLOPE_Y) * g_m
+        poke(out, g + G_SLOPE_X, twice * total(smx))
+        poke(out, g + G_SLOPE_Y, twice * total(smy))
+        poke(out, g + G_BEND, ln2 * total(sk))
+    poke(out, g + G_U, g_u)
+    poke(out, g + G_V, g_v)
     poke(out, g + G_A, -ln2 * total(sxx))
     poke(out, g + G_B, -ln2 * total(sxy))
     poke(out, g + G_C, -ln2 * total(syy))

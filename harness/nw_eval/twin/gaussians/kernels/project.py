@@ -5,7 +5,8 @@ record, which the blend treats as a fourth colour, holds 1 / z, so that the four
 expected inverse depth sum_i w_i / z_i, which training compares with depth maps.
 
 With M = R diag(s) and the rows t, u of J R_view, the footprint's covariance t' M M' t etc. is taken
-as products of p = M' t and q = M' u: no covariance is formed, and none can lose its rank.
+as products of p = M' t and q = M' u: no covariance is formed, and none can lose its rank. Along the
+ray, xz, yz and zz are products with M' w, w = r2 / z, likewise; the rows have no bounds then.
 
 Rotations are from quaternions w x y z of any length. Real spherical harmonics are in the order and
 with the signs of the renderer's harmonics.py. The polynomials are taken as they stand, off the unit
@@ -24,12 +25,16 @@ from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.math8 import float_of
 from nw_eval.splat.kernels.memory import poke
 from nw_eval.splat.kernels.project import (
+    BEND,
     COLUMNS,
     DEPTH,
     LOG_OPACITY,
     RECORD,
     RED,
     ROWS,
+    SLOPE_X,
+    SLOPE_Y,
+    STEEPEST,
     THRESHOLD,
     A,
     B,
@@ -48,6 +53,8 @@ LEAST_KEPT = 1e-30
 """Least square of the antialiasing factor, as in the renderer."""
 
 _WIDEN, _WIDEN_PIXELS = 1.00002, 0.002
+_RAY_WIDEN, _RAY_WIDEN_PIXELS = 1.0001, 0.01
+_UNBOUNDED = 1e9
 
 C0 = 0.28209479177387814
 _C1 = 0.4886025119029199
@@ -93,6 +100,12 @@ def screen_rows(view: Any, x: Any, y: Any, z: Any) -> Any:
 
 
 @inlined
+def ahead_row(view: Any, z: Any) -> Any:
+    """Return the row w: what moves the depth, as a share of it, three numbers."""
+    return view[at.R + 6] / z, view[at.R + 7] / z, view[at.R + 8] / z
+
+
+@inlined
 def own_axes(turn: Any, scales: Any, row: Any) -> Any:
     """Return M' row, three numbers; `turn` is a rotation, `scales` standard deviations."""
     return (
@@ -103,13 +116,43 @@ def own_axes(turn: Any, scales: Any, row: Any) -> Any:
 
 
 @inlined
+def dot(p: Any, q: Any) -> Any:
+    """Return the product of three numbers with three."""
+    return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+
+
+@inlined
+def bending(xx: Any, xy: Any, yy: Any, xz: Any, yz: Any, zz: Any) -> Any:
+    """Return a, b and k of the ray form; the footprint includes the blur."""
+    after = xx * yy - xy * xy
+    a, b = (xy * yz - yy * xz) / after, (xy * xz - xx * yz) / after
+    return a, b, zz + a * xz + b * yz
+
+
+@inlined
+def _ray_side(reach: Any, variance: Any, lean: Any, depth: Any) -> Any:
+    """Return how far a Gaussian reaches before and behind its centre along a side of the image."""
+    along, span = reach * lean, reach * variance
+    root = math.sqrt(max(reach * (variance * (1.0 - reach * depth) + lean * along), 0.0))
+    before = behind = _UNBOUNDED
+    # Where rounding might decide whether there is a bound, there is none.
+    if root > 1e-5 * span:
+        least = 1e-3 * root
+        if root - along > least:
+            before = span / (root - along)
+        if root + along > least:
+            behind = span / (root + along)
+    return before + _RAY_WIDEN_PIXELS, behind + _RAY_WIDEN_PIXELS
+
+
+@inlined
 def log2_opacity(logit: Any) -> Any:
     """Return log2 of 1 / (1 + exp(-logit)) without overflow."""
     return -(math.log1p(math.exp(-abs(logit))) + max(-logit, 0.0)) / LN2
 
 
 @kernel
-def project(
+def project(  # noqa: C901 - two projections in one loop.
     gaussians: Any,
     count: Any,
     view: Any,
@@ -126,20 +169,23 @@ def project(
             (N, K, 3), all float32.
         count: harmonics per channel that are in use: 1, 4, 9 or 16, at most K.
         view: (SIZE,) float64, view.py's vector of the whole image.
-        options: (eps2d, antialiased, least square of the compensation).
+        options: (eps2d, antialiased, least square of the compensation, None for EWA or anything
+            else along the ray).
         first: first Gaussian.
         end: behind the last one.
         records: (N * RECORD,) float32, out.
         depths: (N,) float32, out: z, infinite for those that the image does not show.
     """
     means, log_scales, quats, logits, sh = gaussians
-    eps2d, antialiased, floor2 = options
+    eps2d, antialiased, floor2, ray = options
     values = np.empty(16)
     scales = np.empty(3)
     for i in range(first, end):
         depths[i] = np.inf
         x, y, z = camera_point(view, means[i])
         if not (z >= view[at.NEAR] and z <= view[at.FAR]):
+            continue
+        if ray is not None and not x * x + y * y < STEEPEST * z * z:
             continue
         lo = log2_opacity(float(logits[i]))
         if lo < THRESHOLD:
@@ -150,9 +196,7 @@ def project(
         rows = screen_rows(view, x, y, z)
         p = own_axes(turn, scales, rows[:3])
         q = own_axes(turn, scales, rows[3:])
-        xx = p[0] * p[0] + p[1] * p[1] + p[2] * p[2]
-        xy = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
-        yy = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
+        xx, xy, yy = dot(p, p), dot(p, q), dot(q, q)
         before = xx * yy - xy * xy
         xx, yy = xx + eps2d, yy + eps2d
         after = xx * yy - xy * xy
@@ -163,12 +207,24 @@ def project(
             continue
         u = view[at.FX] * x / z + view[at.CX]
         v = view[at.FY] * y / z + view[at.CY]
-        rx = math.sqrt(reach * xx) * _WIDEN + _WIDEN_PIXELS
-        ry = math.sqrt(reach * yy) * _WIDEN + _WIDEN_PIXELS
-        x0 = max(math.ceil(u - rx - 0.5), 0.0)
-        x1 = min(math.floor(u + rx - 0.5), view[at.COLUMN1] - 1.0)
-        y0 = max(math.ceil(v - ry - 0.5), 0.0)
-        y1 = min(math.floor(v + ry - 0.5), view[at.ROW1] - 1.0)
+        if ray is None:
+            to_left = to_right = math.sqrt(reach * xx) * _WIDEN + _WIDEN_PIXELS
+            above = below = math.sqrt(reach * yy) * _WIDEN + _WIDEN_PIXELS
+        else:
+            w = own_axes(turn, scales, ahead_row(view, z))
+            xz, yz, zz = dot(p, w), dot(q, w), dot(w, w)
+            wide = reach * _RAY_WIDEN + 1e-6
+            to_left, to_right = _ray_side(wide, xx, xz, zz)
+            above, below = _ray_side(wide, yy, yz, zz)
+            a, b, k = bending(xx, xy, yy, xz, yz, zz)
+            j = i * RECORD
+            poke(records, j + SLOPE_X, np.float32(a))
+            poke(records, j + SLOPE_Y, np.float32(b))
+            poke(records, j + BEND, np.float32(max(k, 0.0) * 2.0 * LN2))
+        x0 = max(math.ceil(u - to_left - 0.5), 0.0)
+        x1 = min(math.floor(u + to_right - 0.5), view[at.COLUMN1] - 1.0)
+        y0 = max(math.ceil(v - above - 0.5), 0.0)
+        y1 = min(math.floor(v + below - 0.5), view[at.ROW1] - 1.0)
         if not (x0 <= x1 and y0 <= y1):
             continue
         depths[i] = z
