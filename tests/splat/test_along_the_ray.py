@@ -32,15 +32,15 @@ def _near_camera(width, height, *, eye=(0.0, 0.0, 0.25)):
 def near():
     """Discs on the ground and needles around the camera, large against their distance."""
     rng = np.random.default_rng(4)
-    ground = cloud(1500, degree=1, seed=2, spread=(1.5, 1.5, 0.02), centre=(0.8, 0.0, -0.05))
-    discs = rng.normal(-2.0, 0.4, (1500, 3))
+    ground = cloud(800, degree=1, seed=2, spread=(1.5, 1.5, 0.02), centre=(0.8, 0.0, -0.05))
+    discs = rng.normal(-2.0, 0.4, (800, 3))
     discs[:, 2] -= 3.0
     ground = dataclasses.replace(
         ground,
         log_scales=discs.astype(np.float32),
-        quats=np.tile(np.float32([1, 0, 0, 0]), (1500, 1)),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (800, 1)),
     )
-    return concatenate(ground, cloud(500, degree=1, seed=3, centre=(0.5, 0.0, 0.5)))
+    return concatenate(ground, cloud(300, degree=1, seed=3, centre=(0.5, 0.0, 0.5)))
 
 
 def _same(a, b):
@@ -51,7 +51,7 @@ def _same(a, b):
 
 @pytest.mark.parametrize("antialiased", [True, False])
 def test_pictures_agree_with_the_least_distance_along_the_ray_in_float64(near, antialiased):
-    camera = _near_camera(96, 54)
+    camera = _near_camera(64, 36)
     renderer = CpuRenderer(memory_store(near), antialiased=antialiased, projection="ray")
     rgb, depth, alpha = render(near, camera, antialiased=antialiased, dtype=torch.float64, ray=True)
     image = renderer.render(camera)
@@ -64,11 +64,11 @@ def test_pictures_agree_with_the_least_distance_along_the_ray_in_float64(near, a
 
 
 def test_four_samples_are_the_mean_of_smaller_pixels_with_hardly_any_low_pass(near):
-    camera = _near_camera(48, 27)
-    fine = _near_camera(96, 54)
+    camera = _near_camera(32, 18)
+    fine = _near_camera(64, 36)
     image = CpuRenderer(memory_store(near), projection="ray", samples=4).render(camera)
     rgb, depth, alpha = (
-        values.reshape(27, 2, 48, 2, -1)
+        values.reshape(18, 2, 32, 2, -1)
         for values in render(
             near, fine, antialiased=True, dtype=torch.float64, ray=True, eps2d=SAMPLED_EPS2D
         )
@@ -107,16 +107,6 @@ def test_pixel_sets_threads_and_slabs_change_no_bit(store, samples, monkeypatch)
     assert _same(CpuRenderer(store, threads=3, **options).render(camera), full)
     monkeypatch.setattr(render_module, "_SLAB_CHUNKS", 2)
     assert _same(CpuRenderer(store, **options).render(camera), full)
-
-
-def test_chunks_behind_a_near_wall_are_skipped_and_change_nothing(near, monkeypatch):
-    wall = dataclasses.replace(near, opacity_logits=near.opacity_logits + 8)
-    there = memory_store(concatenate(wall, room(20_000, degree=1)))
-    camera = _near_camera(160, 90)
-    usual, stages = CpuRenderer(there, projection="ray").render_timed(camera)
-    monkeypatch.setattr(render_module, "_SLAB_CHUNKS", 10**6)
-    assert _same(CpuRenderer(there, projection="ray").render(camera), usual)
-    assert stages.visible_chunks > 0
 
 
 def test_near_drops_gaussians_by_their_centre(store):

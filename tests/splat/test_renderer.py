@@ -136,7 +136,8 @@ def test_the_size_of_a_slab_does_not_change_a_bit(store, chunks, monkeypatch):
     assert _same(CpuRenderer(store).render(camera), usual)
 
 
-def test_chunks_behind_a_wall_are_skipped_and_change_nothing(monkeypatch):
+@pytest.mark.parametrize("projection", ["ewa", "ray"])
+def test_chunks_behind_a_wall_are_skipped_and_change_nothing(projection, monkeypatch):
     rng = np.random.default_rng(3)
     n = 4000
     wall = Gaussians(
@@ -150,10 +151,11 @@ def test_chunks_behind_a_wall_are_skipped_and_change_nothing(monkeypatch):
     behind.log_scales[:] -= 2
     store = memory_store(concatenate(behind, wall))
     monkeypatch.setattr(render_module, "_SLAB_CHUNKS", 4)
-    image, stages = CpuRenderer(store).render_timed(_ahead(96, 64, 60.0))
+    renderer = CpuRenderer(store, projection=projection)
+    image, stages = renderer.render_timed(_ahead(96, 64, 60.0))
     assert stages.hidden_chunks > 0
     monkeypatch.setattr(render_module, "_SLAB_CHUNKS", 10**6)
-    assert _same(CpuRenderer(store).render(_ahead(96, 64, 60.0)), image)
+    assert _same(renderer.render(_ahead(96, 64, 60.0)), image)
 
 
 def test_moving_camera_and_splat_together_changes_nothing():

@@ -268,7 +268,8 @@ def _refuse_other_pictures(options: dict[str, Any]) -> None:
         asked = options.pop(name, value)
         if asked != value and (name, asked) != ("near", Camera.near):
             raise UsageError(
-                f"--render cuda cannot draw with {name} {asked}", fix="use --render cpu"
+                f"--render cuda cannot draw with {name} {asked}",
+                fix=f"use --render cpu, or {name} {value or Camera.near}",
             )
 
 
