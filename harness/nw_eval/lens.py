@@ -23,8 +23,8 @@ _STEPS = 50  # of Newton's method; it takes 4 to 8
 _EXACT = 1e-9  # of a slope
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+class _Part(BaseModel, frozen=True):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 class Distortion(_Part, frozen=True):
