@@ -23,11 +23,11 @@ _STEPS = 50  # of Newton's method; it takes 4 to 8
 _EXACT = 1e-9  # of a slope
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+class _Part(BaseModel, frozen=True):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-class Distortion(_Part):
+class Distortion(_Part, frozen=True):
     """How a lens bends straight lines, by OpenCV's formulas.
 
     `radial_tangential` is OpenCV's own model (Brown-Conrady; `plumb_bob` and `rational_polynomial`
@@ -138,7 +138,7 @@ class Distortion(_Part):
         return np.where(good[..., None], np.stack([a, b], axis=-1), np.nan)
 
 
-class Intrinsics(_Part):
+class Intrinsics(_Part, frozen=True):
     """What a camera sees: the size of its image, and where its pixels look."""
 
     width: Annotated[int, Field(ge=1, le=16384)]

@@ -102,12 +102,12 @@ def test_cropping_and_resizing_move_the_camera_s_centre():
         {"wrapper": "resize", "width": 3, "height": 12},
     ]
     spec = DepthObservation(sensor="depth", **SIZE, wrap=wraps)
-    seen = view(spec).pinhole(_ego())
+    seen = view(spec).lens(_ego())
     # 90 degrees from top to bottom: a focal length of half the height, 4 pixels.
     assert (seen.width, seen.height) == (3, 12)
     assert (seen.fx, seen.fy) == pytest.approx((4.0 * 3 / 6, 4.0 * 12 / 6))
     assert (seen.cx, seen.cy) == pytest.approx(((5 - 4) * 3 / 6, (4 - 2) * 12 / 6))
-    assert view(DepthObservation(sensor="depth", wrap=["flatten"])).pinhole(_ego()) is None
+    assert view(DepthObservation(sensor="depth", wrap=["flatten"])).lens(_ego()) is None
 
 
 def _ego():

@@ -97,19 +97,19 @@ def calibration_message(time_ns: int, frame_id: str, lens: Intrinsics) -> Camera
         lens: of the pictures.
     """
     fx, fy, cx, cy, bent = lens.fx, lens.fy, lens.cx, lens.cy, lens.distortion
-    D = [0.0] * 5 if bent is None else list(bent.coefficients)
+    bends = [] if bent is None else list(bent.coefficients)
     if bent is not None and bent.model == "fisheye":
         model = "kannala_brandt"
     else:
-        D += [0.0] * (5 - len(D))
-        model = "plumb_bob" if len(D) == 5 else "rational_polynomial"
+        bends += [0.0] * (5 - len(bends))
+        model = "plumb_bob" if len(bends) == 5 else "rational_polynomial"
     return CameraCalibration(
         timestamp=stamp(time_ns),
         frame_id=frame_id,
         width=lens.width,
         height=lens.height,
         distortion_model=model,
-        D=D,
+        D=bends,
         K=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
         R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         P=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
