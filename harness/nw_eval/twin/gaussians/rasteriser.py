@@ -261,6 +261,7 @@ class Window:
             self._view,
             self._most_alpha,
             self._ray,
+            None,
             CURVE,
         )
         resolve(light, paint, self._place, background, images.arrays())
