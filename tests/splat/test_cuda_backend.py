@@ -9,7 +9,7 @@ import torch
 from splat_reference import basis
 from splat_rooms import cloud, eye_camera, psnr, room
 
-from nw_eval.errors import PrerequisiteError
+from nw_eval.errors import PrerequisiteError, UsageError
 from nw_eval.splat.camera import Pixels
 from nw_eval.splat.render import CpuRenderer, open_renderer
 from nw_eval.splat.store import memory_store, unpack
@@ -27,7 +27,9 @@ def gsplat(monkeypatch):
         height, width = arguments["height"], arguments["width"]
         ramp = torch.arange(height * width, dtype=torch.float32).reshape(1, height, width, 1)
         colours = torch.cat([ramp, ramp + 0.25, ramp + 0.5, ramp + 7], dim=-1)
-        return colours, torch.full((1, height, width, 1), 0.75), {}
+        # Each camera's picture is brighter by how far its centre is along x.
+        along = arguments["viewmats"][:, 0, 3].reshape(-1, 1, 1, 1)
+        return colours + along, torch.full((len(along), height, width, 1), 0.75), {}
 
     fake.rasterization = rasterization
     monkeypatch.setitem(sys.modules, "gsplat", fake)
@@ -92,9 +94,29 @@ def test_what_comes_back_is_composed_and_cut():
     image = renderer.render(eye_camera(0, 16, 8), pixels)
     assert image.rgb.shape == (4, 8, 3)
     index = 1 * 16 + 5  # Row 1, column 5: the third column taken.
-    assert image.rgb[0, 2] == pytest.approx([index, index + 0.25 + 0.125, index + 0.5 + 0.25])
-    assert image.depth[0, 2] == index + 7
+    along = eye_camera(0, 16, 8).T_camera_world[0, 3]
+    shown = [index, index + 0.25 + 0.125, index + 0.5 + 0.25]
+    assert image.rgb[0, 2] == pytest.approx([each + along for each in shown], rel=1e-5)
+    assert image.depth[0, 2] == pytest.approx(index + 7 + along, rel=1e-5)
     assert (image.alpha == 0.75).all()
+
+
+def test_cameras_of_one_size_are_drawn_in_one_call_and_come_back_in_their_order(gsplat):
+    renderer = open_renderer(memory_store(cloud(10)), "cuda", device="cpu")
+    cameras = [eye_camera(number, 16, 8) for number in (2, 0, 1)]
+    images = renderer.render_batch(cameras)
+    (call,) = gsplat.calls
+    assert tuple(call["viewmats"].shape) == (3, 4, 4)
+    assert tuple(call["Ks"].shape) == (3, 3, 3)
+    for camera, image in zip(cameras, images, strict=True):
+        assert (image.rgb == renderer.render(camera).rgb).all()
+
+
+@pytest.mark.usefixtures("gsplat")
+def test_cameras_of_two_sizes_are_no_batch():
+    renderer = open_renderer(memory_store(cloud(10)), "cuda", device="cpu")
+    with pytest.raises(UsageError, match="a batch of 2 cameras has 2 sizes and planes"):
+        renderer.render_batch([eye_camera(0, 16, 8), eye_camera(0, 8, 8)])
 
 
 def test_without_gsplat_the_error_has_the_pip_line(monkeypatch):
@@ -117,6 +139,23 @@ def test_without_a_device_the_error_says_so(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(PrerequisiteError, match="no CUDA device; use --render cpu"):
         open_renderer(memory_store(cloud(10)), "cuda")
+
+
+@pytest.mark.cuda
+def test_a_picture_has_the_same_bits_in_any_batch():
+    pytest.importorskip("gsplat")
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    renderer = open_renderer(memory_store(room(100_000)), "cuda")
+    cameras = [eye_camera(number, 80, 45) for number in range(8)]
+    alone = [renderer.render(camera) for camera in cameras]
+    for order in (range(8), (5, 2, 7), (3, 3, 0, 6, 1)):
+        for number, image in zip(
+            order, renderer.render_batch([cameras[n] for n in order]), strict=True
+        ):
+            assert (image.rgb == alone[number].rgb).all()
+            assert (image.depth == alone[number].depth).all()
+            assert (image.alpha == alone[number].alpha).all()
 
 
 @pytest.mark.cuda

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -71,18 +71,42 @@ class CudaRenderer:
         """Return the image of a camera, or a pixel set of it; the caller owns the arrays.
 
         Raises:
-            UsageError: when the pixel set selects no pixel of the image.
+            UsageError: when the pixel set selects no pixel of the image, or the camera's lens
+                distorts.
         """
-        if pixels.count(camera.width) == 0 or pixels.count(camera.height) == 0:
-            raise UsageError(f"{pixels} selects no pixel of {camera.width}x{camera.height}")
+        return self.render_batch([camera], pixels)[0]
+
+    def render_batch(self, cameras: Sequence[Camera], pixels: Pixels = Pixels()) -> list[Image]:  # noqa: B008
+        """Return the images of cameras of one size, drawn in one call.
+
+        An image has the same bits in any batch and at any place in it: gsplat sorts by camera
+        first, and each pixel sums its own splats in their order.
+
+        Args:
+            cameras: at least one; all with the same size and the same near and far planes.
+            pixels: what is taken of each image.
+
+        Raises:
+            UsageError: as `render`; or cameras of several sizes or planes.
+        """
+        kinds = {(each.width, each.height, each.near, each.far) for each in cameras}
+        if len(kinds) != 1:
+            raise UsageError(
+                f"a batch of {len(cameras)} cameras has {len(kinds)} sizes and planes",
+                fix="draw cameras of each kind by themselves",
+            )
+        width, height, near, far = kinds.pop()
+        if pixels.count(width) == 0 or pixels.count(height) == 0:
+            raise UsageError(f"{pixels} selects no pixel of {width}x{height}")
         torch = self._torch
-        if camera.distortion is not None:
+        if any(each.distortion is not None for each in cameras):
             raise UsageError(
                 "--render cuda cannot draw through a lens with distortion", fix="use --render cpu"
             )
-        view = camera.T_camera_world.astype(np.float32)
+        views = np.stack([each.T_camera_world for each in cameras]).astype(np.float32)
         K = np.array(
-            [[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], dtype=np.float32
+            [[[each.fx, 0, each.cx], [0, each.fy, each.cy], [0, 0, 1]] for each in cameras],
+            dtype=np.float32,
         )
         with torch.no_grad():
             colours, alphas, _ = self._rasterize(
@@ -93,12 +117,12 @@ class CudaRenderer:
                 opacities=self._opacities,
                 colors=self._sh,
                 sh_degree=self._sh_degree,
-                viewmats=torch.as_tensor(view, device=self._device)[None],
-                Ks=torch.as_tensor(K, device=self._device)[None],
-                width=camera.width,
-                height=camera.height,
-                near_plane=camera.near,
-                far_plane=camera.far,
+                viewmats=torch.as_tensor(views, device=self._device),
+                Ks=torch.as_tensor(K, device=self._device),
+                width=width,
+                height=height,
+                near_plane=near,
+                far_plane=far,
                 eps2d=self._preset.eps2d,
                 radius_clip=0.0,
                 packed=False,
@@ -106,15 +130,18 @@ class CudaRenderer:
                 render_mode="RGB+ED",
                 rasterize_mode="antialiased" if self._antialiased else "classic",
             )
+        values = colours.float().cpu().numpy()
+        alpha = alphas[..., 0].float().cpu().numpy()
         # The background is added here: versions differ in how many channels they want of it.
-        values = colours[0].float().cpu().numpy()
-        alpha = alphas[0, ..., 0].float().cpu().numpy()
         rgb = values[..., :3] + (1.0 - alpha)[..., None] * self._background
-        return Image(
-            rgb=np.ascontiguousarray(pixels.crop(rgb), dtype=np.float32),
-            depth=np.ascontiguousarray(pixels.crop(values[..., 3])),
-            alpha=np.ascontiguousarray(pixels.crop(alpha)),
-        )
+        return [
+            Image(
+                rgb=np.ascontiguousarray(pixels.crop(rgb[n]), dtype=np.float32),
+                depth=np.ascontiguousarray(pixels.crop(values[n, ..., 3])),
+                alpha=np.ascontiguousarray(pixels.crop(alpha[n])),
+            )
+            for n in range(len(cameras))
+        ]
 
 
 def _load() -> tuple[Any, Callable[..., Any], str]:
