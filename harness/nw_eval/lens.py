@@ -7,7 +7,7 @@ OpenCV and ROS put it at (0, 0), so that their `cx` and `cy` are half a pixel le
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -195,9 +195,9 @@ class Intrinsics(_Part, frozen=True):
             ends = (-float(slopes[0, 1]), float(slopes[1, 1]))
         return math.atan(ends[0]) + math.atan(ends[1])
 
-    def slopes(self, x: Array, y: Array) -> Array:
+    def slopes(self, x: NDArray[np.floating[Any]], y: NDArray[np.floating[Any]]) -> Array:
         """Return x / z and y / z (..., 2) of the rays through points (...) of the image, pixels."""
-        seen = np.stack([(x - self.cx) / self.fx, (y - self.cy) / self.fy], axis=-1)
+        seen = np.stack([(x - self.cx) / self.fx, (y - self.cy) / self.fy], axis=-1).astype(float)
         return seen if self.distortion is None else self.distortion.straight(seen)
 
     def resized(self, width: int, height: int) -> Self:

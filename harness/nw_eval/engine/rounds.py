@@ -63,7 +63,7 @@ class RunStanding:
 class RunOutcome:
     """What became of a run."""
 
-    rows: tuple[Row, ...]  # the latest of every trial that finished, in this run or before
+    rows: Sequence[Row]  # the latest of every trial that finished, in this run or before
     missing: tuple[str, ...]  # trials that were to be run and have no row, by id
     enough: RunStanding | None  # trials that were; None = no trial of the plan was left out
     interrupted: signal.Signals | None  # which signal stopped it

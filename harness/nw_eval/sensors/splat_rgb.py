@@ -168,11 +168,14 @@ class SplatRgb(Measurement):
         image: Image | None = moment.shared.get(self._key)
         if image is None:
             # The splat's scale stays in the matrix: the renderer then measures depth in metres.
-            camera = Camera.of(self._lens, self._T_splat_world @ T_world_camera)
+            camera = self._camera(self._T_splat_world @ T_world_camera)
             image = moment.shared[self._key] = self._renderer.render(camera, self._pixels)
             for part in (image.rgb, image.depth, image.alpha):
                 part.flags.writeable = False
         return image
+
+    def _camera(self, T_splat_camera: NDArray[np.float64]) -> Camera:
+        return Camera.of(self._lens, T_splat_camera)
 
 
 def image_shape(observation: SplatRgbObservation) -> tuple[int, ...]:
