@@ -7,7 +7,7 @@ OpenCV and ROS put it at (0, 0), so that their `cx` and `cy` are half a pixel le
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,6 +199,11 @@ class Intrinsics(_Part, frozen=True):
         """Return x / z and y / z (..., 2) of the rays through points (...) of the image, pixels."""
         seen = np.stack([(x - self.cx) / self.fx, (y - self.cy) / self.fy], axis=-1)
         return seen if self.distortion is None else self.distortion.straight(seen)
+
+    def grid(self, x: NDArray[Any], y: NDArray[Any]) -> Array:
+        """Return `slopes` (rows, columns, 2) of columns at x (columns,) and rows at y (rows,)."""
+        columns, rows = np.broadcast_arrays(x, y[:, np.newaxis])
+        return self.slopes(columns, rows)
 
     def resized(self, width: int, height: int) -> Self:
         """Return those of the same view in an image of another size."""
