@@ -200,6 +200,11 @@ class Intrinsics(_Part, frozen=True):
         seen = np.stack([(x - self.cx) / self.fx, (y - self.cy) / self.fy], axis=-1).astype(float)
         return seen if self.distortion is None else self.distortion.straight(seen)
 
+    def grid(self, x: NDArray[Any], y: NDArray[Any]) -> Array:
+        """Return `slopes` (rows, columns, 2) of columns at x (columns,) and rows at y (rows,)."""
+        columns, rows = np.broadcast_arrays(x, y[:, np.newaxis])
+        return self.slopes(columns, rows)
+
     def resized(self, width: int, height: int) -> Self:
         """Return those of the same view in an image of another size."""
         across, down = width / self.width, height / self.height

@@ -79,7 +79,7 @@ def lens_map(lens: Intrinsics, pixels: Pixels, window: Window, samples: int) -> 
     column0, column1, row0, row1 = window
     x = np.array([pixels.index(i) + 0.5 for i in range(column0, column1)]) / samples
     y = np.array([pixels.index(i) + 0.5 for i in range(row0, row1)]) / samples
-    slopes = lens.slopes(*np.meshgrid(x, y))
+    slopes = lens.grid(x, y)
     fx, fy = samples * lens.fx, samples * lens.fy
     spans = np.ptp(slopes, axis=(0, 1)) * (fx, fy)
     scale = min(1.0, _ROOM / float(spans.max()))

@@ -144,7 +144,7 @@ class _Looker:
         self._camera = Camera.of(lens, np.eye(4))
         columns = np.arange(width, dtype=np.float64) + 0.5
         rows = np.arange(height, dtype=np.float64) + 0.5
-        slopes = lens.slopes(*np.meshgrid(columns, rows))
+        slopes = lens.grid(columns, rows)
         toward = np.concatenate([slopes, np.ones((height, width, 1))], axis=-1).reshape(-1, 3)
         self._directions = toward / np.linalg.norm(toward, axis=1, keepdims=True)
         self._rays, self._renderer, self._captures = rays, renderer, scene.captures

@@ -35,7 +35,7 @@ def ray_directions(camera: Camera, pixels: Pixels) -> NDArray[np.float64]:
     """Return unit directions through pixel centres in camera axes, (H, W, 3)."""
     x, y = pixels.indices(camera.width) + 0.5, pixels.indices(camera.height) + 0.5
     directions = np.ones((len(y), len(x), 3))
-    directions[..., :2] = camera.lens.slopes(*np.meshgrid(x, y))
+    directions[..., :2] = camera.lens.grid(x, y)
     return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
 
 
