@@ -74,6 +74,10 @@ class EvaluationProtocol:
 
     # What the policy sees.
 
+    fixed_pictures: bool
+    """Splats are drawn as gsplat draws them, whatever a suite asks for: by EWA, one sample a pixel,
+    from 0.01 m on. Source: `neverwhere/tasks`, which renders by gsplat's `rasterization`."""
+
     first_step_is_blind: bool
     """Zeros are applied in the first control step and the policy is not asked before it is over.
     Source: the evaluation loop, which steps first, renders in `step` alone, and queues what the
@@ -101,6 +105,7 @@ STRICT = EvaluationProtocol(
     reach_timer_forgets=True,
     ends_when_stuck=True,
     ends_off_course=True,
+    fixed_pictures=False,
     first_step_is_blind=False,
     spoils_first_observation=False,
     scandots_from_height_image=False,
@@ -119,6 +124,7 @@ NEVERWHERE_2026 = EvaluationProtocol(
     reach_timer_forgets=False,
     ends_when_stuck=False,
     ends_off_course=False,
+    fixed_pictures=True,
     first_step_is_blind=True,
     spoils_first_observation=True,
     scandots_from_height_image=True,

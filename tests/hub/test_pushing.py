@@ -21,7 +21,8 @@ def folder(tmp_path):
     layout = [("xyz", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)]
     splat = np.zeros(count, layout)
     splat["xyz"] = np.random.default_rng(3).uniform((-1, -1, 0), (3, 1, 0.05), (count, 3))
-    splat["scale"], splat["rgba"], splat["quat"] = 0.03, 255, (255, 128, 128, 128)
+    splat["scale"] = (0.06, 0.06, 0.01)
+    splat["rgba"], splat["quat"] = 255, (255, 128, 128, 128)
     splat.tofile(place / "splat.splat")
     (place / "scene.yaml").write_bytes(SCENE + b"splat: splat.splat\n")
     (place / "collision.yaml").write_bytes(BOXES)

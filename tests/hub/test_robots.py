@@ -1,6 +1,7 @@
 """Robots from elsewhere: a folder on a hub, and a model of MuJoCo Menagerie."""
 
 import json
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -113,6 +114,8 @@ def menagerie(tmp_path, monkeypatch):
     It is packed and fetched by the package itself, from a folder of this machine.
     """
     package = pytest.importorskip("mujoco_menagerie", reason="needs the extra robots")
+    if not hasattr(tarfile, "data_filter"):
+        pytest.skip("the package needs Python 3.11.4 or newer")
     from mujoco_menagerie._archive import sha256_file, write_archive
 
     shelf = tmp_path / "shelf"
@@ -238,6 +241,8 @@ def test_without_the_package_the_extra_is_named(monkeypatch):
 
 def test_the_package_and_its_list_are_the_real_ones():
     package = pytest.importorskip("mujoco_menagerie", reason="needs the extra robots")
+    if not hasattr(tarfile, "data_filter"):
+        pytest.skip("the package needs Python 3.11.4 or newer")
     robot = package.get("unitree_go1")
     assert (robot.default_model, len(robot.oid)) == ("go1", 40)
     assert Path(robot.entry(robot.default_model).file).suffix == ".xml"

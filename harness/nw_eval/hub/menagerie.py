@@ -7,7 +7,9 @@ folder like what comes from a hub, with a robot.yaml that has the name; the rest
 
 from __future__ import annotations
 
+import platform
 import shutil
+import tarfile
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -44,6 +46,11 @@ def bring(reference: Reference) -> Fetched:
             f"{reference.text} needs the package mujoco-menagerie: {error}",
             fix="pip install 'nw-eval[robots]'",
         ) from None
+    if not hasattr(tarfile, "data_filter"):  # The package unpacks archives with it.
+        raise PrerequisiteError(
+            f"{reference.text} needs Python 3.11.4 or newer, this is {platform.python_version()}",
+            fix="use a newer Python, or give robot.yaml and its model as a folder",
+        )
     name, installed = reference.label, f"mujoco-menagerie {version('mujoco-menagerie')}"
     try:
         robot = module.get(name)

@@ -39,6 +39,7 @@ from nw_eval.plugins import (
     version_of,
     warn_if_built_in,
 )
+from nw_eval.protocol import protocol_named
 from nw_eval.request import Request
 from nw_eval.scores import ScoreSpec, specs_of
 from nw_eval.scores.own import (
@@ -459,10 +460,10 @@ class Suite(_Strict):
     @field_validator("render")
     @classmethod
     def _drawn_by_the_protocol(cls, render: Rendering, info: ValidationInfo) -> Rendering:
-        if info.data.get("protocol") == "neverwhere-2026" and render != PUBLISHED:
+        name = info.data.get("protocol")  # None where it is at fault itself.
+        if name is not None and protocol_named(name).fixed_pictures and render != PUBLISHED:
             raise ValueError(
-                "neverwhere-2026 draws with ewa, 1 sample and near 0.01; remove it, or set "
-                "protocol: strict"
+                f"{name} draws with ewa, 1 sample and near 0.01; remove it, or set protocol: strict"
             )
         return render
 

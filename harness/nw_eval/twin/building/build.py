@@ -38,6 +38,7 @@ from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
 from nw_eval.twin.building.appearance import AppearanceOptions, train_splat
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
+from nw_eval.twin.building.pits import with_pits
 from nw_eval.twin.building.unlike import (
     SURE,
     DepthDifferences,
@@ -52,7 +53,6 @@ from nw_eval.twin.calibrate.footage import Footage
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import Capture, read_capture
 from nw_eval.twin.moved import moved_capture, moved_mesh
-from nw_eval.twin.pits import with_pits
 from nw_eval.twin.place import SUITE, Route, write_place
 from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh, write_mesh
 from nw_eval.twin.reconstruct.options import ReconstructOptions
@@ -268,7 +268,8 @@ class Build:
         mesh = read_colour_mesh(mesh_file)
         capture = read_capture(folder.capture)
         depths = folder.mesh / "depth"
-        if depths.is_dir():
+        pictures = all((folder.capture / shot.file).is_file() for shot in capture.shots)
+        if depths.is_dir() and pictures:  # Else somebody has cleared them away.
             mesh, pits = with_pits(mesh, capture, folder.capture, depths, world)
             mesh_file = folder.mesh / "ground.ply"
             write_mesh(mesh, mesh_file)

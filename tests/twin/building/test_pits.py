@@ -7,8 +7,8 @@ from PIL import Image
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.camera import Camera, look_at
+from nw_eval.twin.building.pits import with_pits
 from nw_eval.twin.capture import Capture, PlacedShot, read_capture, write_capture
-from nw_eval.twin.pits import with_pits
 from nw_eval.twin.reconstruct.depth import array_file, write_arrays
 from nw_eval.twin.reconstruct.mesh import ColourMesh
 
