@@ -151,6 +151,7 @@ NOT_RUN = MappingProxyType(
         "nw-eval run corridor/suite.yaml": "of that place; test_label_browser.py runs one by night",
         "nw-eval train student student-rgb": "hours",
         "nw-eval train student student-rgb-further": "an hour",
+        "nw-eval train student student-rgb-ray": "an hour",
         "nw-eval train student --resume runs/student-rgb": "hours",
         "nw-eval run hurdles --policy runs/student-rgb/policies/round-16": (
             "the policy is there after hours; tests/learn/student runs smaller ones"
