@@ -423,7 +423,7 @@ def _mask(shot: PlacedShot, folder: Path, size: tuple[int, int]) -> NDArray[np.b
     path = inside(folder, shot.mask)
     try:
         with open_picture(path) as image:
-            return _nearest(np.asarray(image.convert("L")) > 0, size)
+            return nearest_pixels(np.asarray(image.convert("L")) > 0, size)
     except _DAMAGE as error:
         raise SceneError(f"{path} cannot be read: {error}", fix="calibrate again") from None
 
@@ -434,11 +434,11 @@ def _depth(
     """Return inverse depth and confidence, 0 where nothing is known."""
     if depths is None:
         return None, None
-    depth, confidence = (_nearest(array, size) for array in read_depth(depths, shot.name))
+    depth, confidence = (nearest_pixels(array, size) for array in read_depth(depths, shot.name))
     return np.divide(1.0, depth, out=np.zeros_like(depth), where=depth > 0.0), confidence
 
 
-def _nearest(array: NDArray[_T], size: tuple[int, int]) -> NDArray[_T]:
+def nearest_pixels(array: NDArray[_T], size: tuple[int, int]) -> NDArray[_T]:
     """Return an array (H, W) with another number of rows and columns: the nearest pixel's.
 
     Depth is not averaged: between two surfaces there is none.

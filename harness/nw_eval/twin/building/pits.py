@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.scenes.rays import RayScene
+from nw_eval.twin.building.appearance import nearest_pixels
 from nw_eval.twin.capture import Capture
 from nw_eval.twin.moved import moved_mesh, moved_points
 from nw_eval.twin.packages import package
 from nw_eval.twin.reconstruct.depth import DARKER, darkness, read_depth
 from nw_eval.twin.reconstruct.mesh import ColourMesh
-from nw_eval.twin.reconstruct.views import WorkingView, read_view
+from nw_eval.twin.reconstruct.views import read_view
 
 F64 = NDArray[np.float64]
 Cells = NDArray[np.bool_]
@@ -108,10 +109,9 @@ def with_pits(
     highest = ndimage.maximum_filter(np.where(known, plan.heights, -np.inf), size=side)
     row, column = nearest
     level = np.maximum(plan.heights[row, column], highest - _STEP)[hole]
-    level = np.minimum(level, highest[hole])
     points = np.column_stack([plan.places(np.argwhere(hole)), level])
     deep = np.zeros(hole.shape, np.bool_)
-    deep[hole] = _behind(points, capture, folder, depths, T) > 0.0
+    deep[hole] = _behind(points, capture, folder, depths, T)
     label, count = ndimage.label(deep)
     sizes = np.bincount(label.ravel(), minlength=count + 1) * plan.cell**2
     fits = (sizes >= _LEAST) & (sizes <= _LARGEST)
@@ -161,8 +161,8 @@ class _Plan:
         return self.origin + self.cell * (cells[:, ::-1] + 0.5)
 
 
-def _behind(points: F64, capture: Capture, folder: Path, depths: Path, T: F64) -> F64:
-    """Return 1 for each place (N, 3), metres, that photographs show something behind, else 0.
+def _behind(points: F64, capture: Capture, folder: Path, depths: Path, T: F64) -> Cells:
+    """Return behind which places (N, 3), metres, photographs show something.
 
     Each counts by how finely it shows level ground there.
     """
@@ -172,7 +172,7 @@ def _behind(points: F64, capture: Capture, folder: Path, depths: Path, T: F64) -
     up = T[2, :3] / scale
     for shot in capture.shots:
         view = read_view(shot, folder, _SIDE)
-        depth = _resized(read_depth(depths, shot.name)[0], view)
+        depth = nearest_pixels(read_depth(depths, shot.name)[0], view.size)
         dark = darkness(view, depth > 0.0) >= DARKER
         C = view.T_camera_world
         local = local_points @ C[:3, :3].T + C[:3, 3]
@@ -190,16 +190,7 @@ def _behind(points: F64, capture: Capture, folder: Path, depths: Path, T: F64) -
         looks[rows] += weight * ~hidden
         at[rows] += weight * (np.abs(there - 1.0) <= _OFF)
         behind[rows] += weight * ((there > 1.0 + _OFF) | ((there == 0.0) & dark[y, x]))
-    return ((behind > at) & (behind > _SHARE * looks)).astype(np.float64)
-
-
-def _resized(depth: NDArray[np.float32], view: WorkingView) -> NDArray[np.float32]:
-    """Return the nearest depths at a view's size."""
-    rows, columns = (
-        np.minimum(((np.arange(new) + 0.5) * old / new).astype(np.int64), old - 1)
-        for new, old in zip(view.size, depth.shape, strict=True)
-    )
-    return depth[rows][:, columns]
+    return (behind > at) & (behind > _SHARE * looks)
 
 
 def _dug(mesh: ColourMesh, plan: _Plan, deep: Cells, T: F64) -> tuple[ColourMesh, list[Pit]]:
