@@ -1,5 +1,7 @@
 """What is plain is measured by the planes that edges around it show."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,8 +10,8 @@ from nw_eval.twin.reconstruct import planes as supposing
 from nw_eval.twin.reconstruct.depth import DepthMap
 from nw_eval.twin.reconstruct.mesh import ColourMesh
 from nw_eval.twin.reconstruct.options import DepthOptions
-from nw_eval.twin.reconstruct.planar import planar_maps
-from nw_eval.twin.reconstruct.planes import SupposedPlane, hypotheses
+from nw_eval.twin.reconstruct.planar import labelled, planar_maps
+from nw_eval.twin.reconstruct.planes import Measured, SupposedPlane, hypotheses
 from nw_eval.twin.reconstruct.views import WorkingView
 
 DECK, LOW, HIGH = 0.3, np.array([-0.5, -0.5]), np.array([0.5, 0.5])
@@ -143,6 +145,59 @@ def test_the_plain_top_of_a_striped_ramp_is_supposed(monkeypatch):
     about = rng.uniform((0, 0, 0.05), (4, 2.9, 1.5), (4000, 3))
     drawn = np.concatenate([stripes, joints, rim, about]) + rng.normal(0, 0.004, (85_500, 3))
     monkeypatch.setattr(supposing, "_points_of_edges", lambda _: drawn)
+    none = Measured(points=np.empty((0, 3)), normals=np.empty((0, 3)), weight=np.empty(0))
+    monkeypatch.setattr(Measured, "of", lambda _: none)
     found = hypotheses(surface, [None], voxel)
     level = [plane.offset for plane in found if abs(plane.normal[2]) > 0.999]
     assert np.abs(np.abs(level) - high).min() < 0.25 * voxel
+
+
+def test_a_plane_lies_where_pixels_are_and_not_where_a_leaning_one_was_found():
+    maps = []
+    for eye in ((1.5, 0.2, 1.2), (-0.4, 1.6, 1.3)):
+        view, depth = photographed(eye)
+        floor = -eye[2] / (rays_of(view) @ [0.0, 0.0, 1.0])
+        known = np.where(np.abs(depth - floor) < 1e-4, depth, 0.0).astype(np.float32)
+        noise = np.random.default_rng(0).normal(1.0, 0.001, depth.shape)
+        up = np.broadcast_to(view.T_camera_world[:3, 2].astype(np.float32), (*depth.shape, 3))
+        sure = (known > 0).astype(np.float32)
+        depth = (known * noise).astype(np.float32)
+        maps.append(DepthMap(view=view, depth=depth, confidence=sure, normal=up))
+    leaning = np.array([np.sin(0.007), 0.0, np.cos(0.007)])
+    normal, offset = Measured.of(maps).fitted(leaning, 0.012, voxel=0.03)
+    assert np.degrees(np.arccos(min(1.0, normal[2]))) < 0.02
+    assert abs(offset) < 0.0003
+
+
+def rays_of(view):
+    """Directions (H, W, 3) of a view's pixels in the world, 1 along the optical axis."""
+    height, width = view.size
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    local = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(view.K).T
+    return local @ view.T_camera_world[:3, :3]
+
+
+@pytest.mark.parametrize(("grey", "shown"), [(118, True), (70, False)])
+def test_edges_alone_make_no_ground_of_a_stripe_that_is_darker_than_all_about_it(grey, shown):
+    """The gap between two rims looks like a stripe 5 cm below them, as the ground far off is."""
+    maps = []
+    for eye in ((0.3, -1.5, 1.2), (-0.3, -1.5, 1.2), (0.0, -1.4, 1.3)):
+        view, _ = photographed(eye)
+        depth = (-eye[2] / (rays_of(view) @ [0.0, 0.0, 1.0])).astype(np.float32)
+        lower = 1.0 + 0.05 / eye[2]
+        at = np.array(eye) + depth[..., None] * rays_of(view)
+        stripe = np.abs(at[..., 1]) < 0.15
+        rgb = np.where(stripe[..., None], grey, 120).astype(np.uint8) * np.ones(3, np.uint8)
+        known = np.where(stripe, 0.0, np.where(at[..., 1] > 0.8, lower * depth, depth))
+        known = known.astype(np.float32)
+        maps.append(
+            DepthMap(
+                view=replace(view, rgb=rgb),
+                depth=known,
+                confidence=(known > 0).astype(np.float32),
+                normal=np.zeros((*known.shape, 3), np.float32),
+            )
+        )
+    plane = SupposedPlane(normal=FLOOR.normal, offset=-0.05, prior=0.0, one_sided=False)
+    found = labelled(maps[2], maps[:2], [plane], farthest=9.0)
+    assert bool(found.planar[stripe].mean() > 0.5) is shown

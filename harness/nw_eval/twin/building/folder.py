@@ -21,7 +21,7 @@ Another scale needs no other splat."""
 
 _FORMATS: dict[Stage, int] = {
     "calibrate": 5,
-    "reconstruct": 6,
+    "reconstruct": 7,
     "align": 4,
     "splat": 6,
     "place": 9,

@@ -78,7 +78,9 @@ class FlatPlane:
     moved: float
 
 
-def flatten(mesh: ColourMesh, voxel: float) -> tuple[ColourMesh, list[FlatPlane]]:
+def flatten(
+    mesh: ColourMesh, voxel: float, measured: Sequence[SupposedPlane] = ()
+) -> tuple[ColourMesh, list[FlatPlane]]:
     """Return the mesh with flat planes flat, and the planes, the largest first.
 
     No vertex moves by more than a voxel. The same mesh gives the same bits.
@@ -86,11 +88,12 @@ def flatten(mesh: ColourMesh, voxel: float) -> tuple[ColourMesh, list[FlatPlane]
     Args:
         mesh: of about one vertex to a voxel's face, not simplified.
         voxel: edge of a voxel.
+        measured: planes whose place is known better than the mesh shows it: pixels' depths gave it.
     """
     mesh = _one_sheet(mesh, voxel)
     search = PlaneSearch.of(mesh, voxel)
     vertices, planes = mesh.vertices.copy(), list[FlatPlane]()
-    for normal, offset, near in _large_planes(search):
+    for normal, offset, near in _large_planes(search, [p for p in measured if p.one_sided]):
         shift, flat = flattened(search, near, normal, offset)
         vertices += shift
         planes.append(flat)
@@ -98,10 +101,20 @@ def flatten(mesh: ColourMesh, voxel: float) -> tuple[ColourMesh, list[FlatPlane]
     return ColourMesh(vertices=vertices, faces=mesh.faces, colours=mesh.colours), planes
 
 
-def _large_planes(search: PlaneSearch) -> Iterator[tuple[F64, float, NDArray[np.bool_]]]:
-    """Yield normal, offset and vertices (V,) of the large planes, about the largest first."""
+def _large_planes(
+    search: PlaneSearch, measured: Sequence[SupposedPlane] = ()
+) -> Iterator[tuple[F64, float, NDArray[np.bool_]]]:
+    """Yield normal, offset and vertices (V,) of the large planes: measured ones, then others.
+
+    Either are about the largest first.
+    """
     area, rng = search.area, np.random.default_rng(0)
     free = area > 0
+    for plane in measured:
+        near = free & search.near(plane.normal, plane.offset)
+        if area[near].sum() >= _LEAST_AREA * area.sum():
+            free &= ~near
+            yield plane.normal, plane.offset, near
     for _ in range(_PLANES):
         plane = search.best(free, rng)
         if plane is None:
@@ -333,19 +346,17 @@ def holes(mesh: ColourMesh) -> list[Hole]:
 
 
 def simplify(mesh: ColourMesh, most: int) -> ColourMesh:
-    """Return the mesh with about `most` faces at most.
+    """Return the mesh with about `most` faces at most, and none that a file cannot hold.
 
     Raises:
         PrerequisiteError: Open3D is not installed.
     """
-    if len(mesh.faces) <= most:
-        return mesh
     o3d = package("open3d")
     shape = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(mesh.vertices), o3d.utility.Vector3iVector(mesh.faces)
     )
     shape.vertex_colors = o3d.utility.Vector3dVector(mesh.colours / 255.0)
-    simple = shape.simplify_quadric_decimation(most)
+    simple = shape.simplify_quadric_decimation(most) if len(mesh.faces) > most else shape
     # As a file has them: what its single precision makes one vertex is one.
     simple.vertices = o3d.utility.Vector3dVector(np.asarray(simple.vertices).astype(np.float32))
     simple.remove_duplicated_vertices().remove_duplicated_triangles()

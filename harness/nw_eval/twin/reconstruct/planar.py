@@ -175,12 +175,17 @@ def labelled(
     shown = _shown(own, others, planes, farthest)
     volume = np.empty((height, width, len(shown) + 1), np.uint16)
     likeness = _Likeness(own, others)
+    # Edges alone do not tell a surface from a gap between them: it may be no darker than the rest.
+    about = darkness(view, own.depth > 0.0)
     for label, (plane, depth, row) in enumerate(shown):
         cost = likeness.cost(depth, row) + plane.prior
         off = np.abs(depth - own.depth) / np.maximum(_ON * own.depth, 1e-9)
         cost += np.where(own.depth > 0.0, _OFF * np.minimum(off, 1.0), 0.0)
         on = (own.depth > 0.0) & (off < 1.0)
-        cost += _LOOKS * np.clip((darkness(view, on) - _SHADE) / _SHADE, 0.0, 1.0)
+        dark = darkness(view, on)
+        if not plane.one_sided:
+            dark = np.maximum(dark, about)
+        cost += _LOOKS * np.clip((dark - _SHADE) / _SHADE, 0.0, 1.0)
         cost[depth <= 0.0] = _NEVER
         volume[..., label] = np.round(COST * np.maximum(cost, 0.0))
     none = np.where(own.depth > 0.0, _KNOWN, _PLAIN - (_PLAIN - _TEXTURED) * likeness.texture)

@@ -60,6 +60,8 @@ _FIRST = 8.0
 """Voxels about a seed that its first plane is fitted to."""
 _LEAST_FIT = 8
 """Vertices that a plane is fitted to."""
+_PIXELS, _LEAST_PIXELS = 1_000_000, 400
+"""Of all pictures that planes are fitted to in the end, and of one plane."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -93,7 +95,11 @@ def hypotheses(surface: ColourMesh, maps: Sequence[DepthMap], voxel: float) -> l
         maps: that it came from.
         voxel: edge of a voxel.
     """
-    found = _of_surface(surface, voxel)
+    measured = Measured.of(maps)
+    found = [
+        (*measured.fitted(normal, offset, voxel), squares)
+        for normal, offset, squares in _of_surface(surface, voxel)
+    ]
     axes = _axes([normal for normal, _, _ in found])
     planes = [
         SupposedPlane(
@@ -110,7 +116,8 @@ def hypotheses(surface: ColourMesh, maps: Sequence[DepthMap], voxel: float) -> l
     other = points[~_of_large(points, found, voxel)]
     known = [(plane.normal, plane.offset) for plane in planes]
     for axis in axes:
-        for offset in (*_crowds(other @ axis, voxel), *_crowds(points @ axis, voxel)):
+        for crowd in (*_crowds(other @ axis, voxel), *_crowds(points @ axis, voxel)):
+            offset = measured.shifted(axis, crowd, voxel)
             if not any(_is_same(axis, offset, *one, _SAME * voxel) for one in known):
                 known.append((axis, offset))
                 prior = _SQUARE_SHARE * _prior(_SUPPOSED)
@@ -118,6 +125,73 @@ def hypotheses(surface: ColourMesh, maps: Sequence[DepthMap], voxel: float) -> l
                     SupposedPlane(normal=axis, offset=offset, prior=prior, one_sided=False)
                 )
     return planes
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measured:
+    """What pixels of all maps show, at most `_PIXELS` of them, in the capture's frame.
+
+    Attributes:
+        points: (N, 3).
+        normals: (N, 3) of unit length.
+        weight: (N,) by confidence, and by how exact a depth is.
+    """
+
+    points: F64
+    normals: F64
+    weight: F64
+
+    @classmethod
+    def of(cls, maps: Sequence[DepthMap]) -> Measured:
+        """Return every n-th of the pixels whose depth is known."""
+        step = max(1, -(-sum(int((each.depth > 0).sum()) for each in maps) // _PIXELS))
+        points, normals, weights = [np.empty((0, 3))], [np.empty((0, 3))], [np.empty(0)]
+        for each in maps:
+            rows, columns = (index[::step] for index in np.nonzero(each.depth > 0))
+            depth = each.depth[rows, columns].astype(np.float64)
+            points.append(_points(each, rows, columns))
+            turn = each.view.T_camera_world[:3, :3]
+            normals.append(each.normal[rows, columns].astype(np.float64) @ turn)
+            # The error of a depth by matching grows with its square.
+            weights.append(each.confidence[rows, columns] / depth**4)
+        return cls(
+            points=np.concatenate(points),
+            normals=np.concatenate(normals),
+            weight=np.concatenate(weights),
+        )
+
+    def fitted(self, normal: F64, offset: float, voxel: float) -> tuple[F64, float]:
+        """Return a plane fitted to the pixels on it; as it is where they are few.
+
+        A surface is smooth where it bends, so that a plane of its vertices leans towards what it
+        ends at; a pixel's own depth does not.
+        """
+        for band in (BAND, *(0.5 * BAND,) * 2):
+            near = np.abs(self.points @ normal - offset) < band * voxel
+            near &= self.normals @ normal > COSINE
+            if near.sum() < _LEAST_PIXELS:
+                break
+            normal, offset = _middle(
+                self.points[near], self.weight[near], normal, offset, 0.1 * voxel
+            )
+        return normal, offset
+
+    def shifted(self, axis: F64, offset: float, voxel: float) -> float:
+        """Return the offset of a plane of edges by the pixels that face along its axis."""
+        off = self.points @ axis - offset
+        near = (np.abs(off) < BAND * voxel) & (np.abs(self.normals @ axis) > COSINE)
+        return offset + (float(np.median(off[near])) if near.sum() >= _LEAST_PIXELS else 0.0)
+
+
+def _middle(
+    points: F64, weight: F64, normal: F64, offset: float, least: float
+) -> tuple[F64, float]:
+    """Return a plane fitted again to those of the points near it that are not off their middle."""
+    off = points @ normal - offset
+    middle = float(np.median(off))
+    spread = 1.4826 * float(np.median(np.abs(off - middle)))
+    near = np.abs(off - middle) <= max(2.0 * spread, least)
+    return _fitted(points[near], weight[near], normal)
 
 
 def _of_surface(surface: ColourMesh, voxel: float) -> list[tuple[F64, float, float]]:
@@ -187,6 +261,12 @@ def _points_of_edges(each: DepthMap) -> F64:
     grey = cv2.GaussianBlur(view.grey, (0, 0), 1.0)
     slope = np.hypot(cv2.Sobel(grey, -1, 1, 0), cv2.Sobel(grey, -1, 0, 1)) / 8.0
     rows, columns = np.nonzero((slope > _EDGE) & (each.depth > 0))
+    return _points(each, rows, columns)
+
+
+def _points(each: DepthMap, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> F64:
+    """Return the points (N, 3) of pixels of a map, capture's frame."""
+    view = each.view
     z = each.depth[rows, columns].astype(np.float64)
     x = (columns + 0.5 - view.K[0, 2]) / view.K[0, 0] * z
     y = (rows + 0.5 - view.K[1, 2]) / view.K[1, 1] * z
@@ -297,10 +377,7 @@ def _grown(points: F64, normals: F64, weight: F64, seed: int, voxel: float) -> t
         near = (np.abs(off) < band) & (normals @ normal > COSINE)
         if near.sum() < _LEAST_FIT:
             break
-        middle = float(np.median(off[near]))
-        spread = 1.4826 * float(np.median(np.abs(off[near] - middle)))
-        near &= np.abs(off - middle) <= max(2.0 * spread, 0.1 * voxel)
-        normal, offset = _fitted(points[near], weight[near], normal)
+        normal, offset = _middle(points[near], weight[near], normal, offset, 0.1 * voxel)
     return normal, offset
 
 

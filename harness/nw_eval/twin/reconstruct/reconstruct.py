@@ -143,7 +143,7 @@ def reconstruct(
     for each in maps:
         write_map(capture, each, out)
     say(f"cleans {len(whole.faces)} faces")
-    flat, planes = flatten(whole, voxel) if options.flatten else (whole, [])
+    flat, planes = flatten(whole, voxel, supposed) if options.flatten else (whole, [])
     flat, small = flatten_small(flat, planes, supposed, voxel) if options.flatten else (flat, [])
     both = [turned for plane in supposed for turned in (plane, plane.turned())]
     islands = on_planes(flat, [*planes, *both], voxel)
