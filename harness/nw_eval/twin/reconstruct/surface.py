@@ -299,7 +299,7 @@ def _supported(whole: ColourMesh, normals: F64, found: Samples, maps: Sequence[D
     open_ = _open(views, through, on)
     other = (views > 0.0) & (on < _KNOWN * views)
     like = (normals * about).sum(axis=1)
-    kept = ((off <= _NEAR) & (like > 0.0) & ~open_)[faces].all(axis=1)
+    kept = ((off <= _NEAR) & (like > 0.0) & ~open_ & ~other)[faces].all(axis=1)
     rest = faces[~kept]
     parts, part = parts_of(rest, count)
     size = np.bincount(part, minlength=parts)
