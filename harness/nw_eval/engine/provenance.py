@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from nw_eval.built_in.entries import parted
 from nw_eval.built_in.splits import split_of
+from nw_eval.cards import mounted_robot
 from nw_eval.cards.card import LEFT_OUT
 from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
@@ -26,6 +27,7 @@ from nw_eval.results.machine import (
     usable_cores,
 )
 from nw_eval.results.provenance import FetchedInfo, PolicyInfo, RunInfo, SceneInfo
+from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.access import why_off
 from nw_eval.scenes.folder import FileSplat
 from nw_eval.scenes.neverwhere import reference_path
@@ -90,7 +92,7 @@ def run_info(
         shard=plan.shard,
         baseline=None if plan.against is None else plan.against.info,
         workers=usable_cores() if workers is None else workers,
-        renderer=_renderer(plan.render) + _pictures(suite.render),
+        renderer=_renderer(plan.render) + _pictures(suite.render) + _through_lenses(plan),
         fence=fence_of(
             plan.bundle.card.adapter,
             code=plan.request.allow_code and senses_by_code(plan.bundle.card),
@@ -227,6 +229,19 @@ def _pictures(rendering: Rendering) -> str:
         return ""
     said = f", {rendering.projection}, {plural(rendering.samples, 'sample')}"
     return said if rendering.near == PUBLISHED.near else f"{said}, near {rendering.near:g} m"
+
+
+def _through_lenses(plan: Plan) -> str:
+    """Return which cameras are drawn along the ray though the suite says `ewa`, and why."""
+    if plan.suite.render.projection == "ray":
+        return ""
+    cameras = mounted_robot(get_robot(plan.suite.robot), plan.bundle.card).cameras
+    bent = [
+        name
+        for name, mount in sorted(cameras.items())
+        if mount.intrinsics is not None and mount.intrinsics.distortion is not None
+    ]
+    return f"; with distortion, along the ray: {', '.join(bent)}" if bent else ""
 
 
 def fence_of(adapter: str, *, code: bool, render: Backend, in_process: bool = False) -> str:
