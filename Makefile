@@ -65,7 +65,7 @@ $(BIN)/python:
 PIP := $(BIN)/pip install -q --no-compile --disable-pip-version-check
 WARM_UP := from nw_eval.splat.warmup import warmup; warmup()
 $(VENV)/.installed: $(BIN)/python pyproject.toml constraints.txt
-	$(PIP) -c constraints.txt numba numpy
+	$(PIP) -c constraints.txt numba numpy pydantic
 	PYTHONPATH=harness $(BIN)/python -c '$(WARM_UP)' >/dev/null 2>&1 & \
 	  $(PIP) torch==$(shell sed -n 's/^torch==//p' constraints.txt) \
 	  && $(PIP) -c constraints.txt -e .; code=$$?; wait; exit $$code

@@ -3,7 +3,8 @@
 No simulator runs: rows are drawn. Each part is written by a process of its own, as `run --shard`
 writes what the cache of trials has: the rows are there together, and are on disk together. Then
 `nw-eval merge` puts the parts together, judges the run by a bar, and writes its pages. The seconds
-of all of it, and the most memory that any of its processes had. What a row that comes alone waits
+of all of it, and the most memory that any of its processes had. `nw-eval verify` looks at its files
+then, which is no part of it. What a row that comes alone waits
 for the disk is said beside it, and how fast the machine is at this moment: a bare loop.
 
     python tests/bench/bench_merge.py [ROWS]
@@ -192,7 +193,9 @@ def main():
     with TemporaryDirectory() as name:
         parts = [str(Path(name) / f"part-{index}") for index in range(1, PARTS + 1)]
         written = [timed(sys.executable, __file__, part, part[-1]) for part in parts]
-        _, merging, merger = timed(NW_EVAL, "merge", *parts, "--out", str(Path(name) / "merged"))
+        merged = str(Path(name) / "merged")
+        _, merging, merger = timed(NW_EVAL, "merge", *parts, "--out", merged)
+        _, verifying, verifier = timed(NW_EVAL, "verify", merged, "--offline")
     numbers = np.array([[float(x) for x in printed.split()] for printed, _, _ in written])
     shares, single = numbers[:, :-1].sum(axis=0).reshape(3, 2), numbers[:, -1].mean()
     writer = max(size for _, _, size in written)
@@ -205,6 +208,7 @@ def main():
         ("parquet", shares[2], writer),
         ("merge and judge", merging, merger),
         ("all", total, most),
+        ("verify", verifying, verifier),
     ):
         print(f"{what:16} {wall:7.1f} {used:11.1f} {size / 1e6:6.0f}")
     seconds = SECONDS * SCENES * ROUNDS / 1e5

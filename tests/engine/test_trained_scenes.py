@@ -25,6 +25,9 @@ def card(*trained_on):
         (("split:train~3",), ("train", "train", "eval")),
         (("hurdles/*",), ("train", "train", "train")),
         (("gaps/*",), ("eval", "eval", "eval")),
+        (("hurdles/*~3", "!split:eval"), ("train", "train", "eval")),
+        (("hurdles/*~3", "!hurdles/one_*~3"), ("eval", "eval", "train")),
+        (("hurdles/*", "hurdles/*~3", "!hurdles/one_*~3"), ("train", "train", "train")),
     ],
 )
 def test_a_scene_is_train_where_the_card_names_it_and_else_eval(trained_on, splits):

@@ -11,12 +11,15 @@ import pytest
 from tests.sensors.prop_scene import DOOR, SCENE, write_scene
 
 from nw_eval.errors import SceneError
+from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.robots import find_robot
 from nw_eval.scenes.folder import folder_files, load_folder
 from nw_eval.scenes.rays import RayScene
+from nw_eval.sensors import build_sensors
 from nw_eval.sensors.drawing.overlay import Overlay, ray_directions
 from nw_eval.sensors.drawing.palette import CLASSES
 from nw_eval.sensors.drawing.props import PropPictures, joined
+from nw_eval.sensors.heights import ground_under
 from nw_eval.sensors.ray_sensors import Surroundings
 from nw_eval.sim import World
 from nw_eval.splat.camera import Camera, Pixels, look_at
@@ -131,6 +134,62 @@ def test_rays_meet_props_where_they_are_and_tell_their_class(scene, world):
     assert around.distance(moment, origin, rays)[0] == pytest.approx(0.85)
     put(world, door=-1.4, crate=(0.0, -1.0, 0.3))
     np.testing.assert_allclose(around.distance(moment, origin, rays), [3.4, 0.95], atol=1e-5)
+
+
+def heights(scene, world, *points):
+    """Return the heights at points, (x, y) m."""
+    return ground_under(
+        lambda: RayScene(scene.mesh()), SimpleNamespace(world=world), np.array(points)
+    )
+
+
+def test_heights_are_those_of_props_where_they_are_now(scene, world):
+    door, block, ground = (2.4, 0.05), (1.9, 0.9), (1.0, -1.0)
+    np.testing.assert_allclose(
+        heights(scene, world, door, block, ground), [DOOR[2][1], 0.5, 0.0], atol=1e-6
+    )
+    put(world, door=-1.4, crate=(1.9, 0.9, 0.65))  # The crate stands on the block.
+    np.testing.assert_allclose(
+        heights(scene, world, door, block, ground), [0.0, 0.8, 0.0], atol=1e-6
+    )
+
+
+def test_a_crate_that_lies_on_its_edge_has_the_height_of_its_edge(scene, world):
+    put(world, crate=(1.0, -1.0, 0.3))
+    start = int(world._model.joint("prop/crate").qposadr[0])
+    world._data.qpos[start + 3 : start + 7] = [np.cos(np.pi / 8), np.sin(np.pi / 8), 0.0, 0.0]
+    mujoco.mj_forward(world._model, world._data)
+    edge = 0.3 + 0.15 * np.sqrt(2.0)
+    np.testing.assert_allclose(
+        heights(scene, world, (1.0, -1.0), (1.0, -0.9), (1.0, -0.78)),
+        [edge, edge - 0.1, 0.0],
+        atol=1e-6,
+    )
+
+
+@pytest.mark.parametrize("protocol", [STRICT, NEVERWHERE_2026])
+@pytest.mark.parametrize(
+    ("sensor", "shift"),
+    [
+        ({"sensor": "heightmap", "relative_to": "world"}, 0.3),
+        ({"sensor": "heightmap", "relative_to": "ground"}, 0.3),
+        ({"sensor": "scandots"}, -0.3),
+    ],
+)
+def test_every_sensor_of_heights_sees_a_crate_come(
+    scene, sensor, shift, protocol, card_of, moment_of
+):
+    grid = {"x": [0.45, 1.05, 3], "y": [-0.1, 0.1, 2], **sensor}
+    with World(find_robot("go1").spec, scene, protocol=protocol) as world:
+        world.reset(position=(0.0, 0.0, 0.3), yaw=0.0)
+        sensors = build_sensors(card_of({"grid": grid}), world)["grid"]
+        measured = []
+        for middle in ((3.0, 2.0, 0.15), (0.75, 0.0, 0.15)):
+            put(world, crate=middle)
+            sensors.reset(0)
+            measured.append(np.array(sensors.read(moment_of(world))).reshape(3, 2))
+    change = [[0.0, 0.0], [shift, shift], [0.0, 0.0]]
+    np.testing.assert_allclose(measured[1] - measured[0], change, atol=1e-4)
 
 
 def test_a_crate_falls_and_a_hinge_keeps_its_axis_and_its_range(world):

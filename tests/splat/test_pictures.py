@@ -1,6 +1,11 @@
 """Descriptions, framing cameras, PNG and GIF, warm-up."""
 
 import math
+import re
+import subprocess
+import sys
+from importlib.metadata import packages_distributions, requires
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -101,6 +106,54 @@ def test_bytes_are_truncated_as_the_published_pipeline_does():
 def test_warming_up_twice_is_quick_the_second_time():
     warmup()
     assert warmup() < 0.5
+
+
+def test_after_warming_up_no_camera_compiles_anything():
+    program = """\
+from dataclasses import replace
+import numpy as np
+from nw_eval.lens import Distortion
+from nw_eval.splat.camera import Camera, Pixels
+from nw_eval.splat.render import CpuRenderer
+from nw_eval.splat.kernels.draw import draw
+from nw_eval.splat.warmup import warmup
+from splat_rooms import room
+from nw_eval.splat.store import memory_store
+
+warmup()
+kinds = len(draw.signatures)
+straight = Camera.from_fovy(width=40, height=24, fovy=1.0, T_world_camera=np.eye(4))
+brown = Distortion(model="radial_tangential", coefficients=(-0.1, 0.01, 0.0, 0.0, 0.0))
+fisheye = Distortion(model="fisheye", coefficients=(0.01, 0.0, 0.0, 0.0))
+store = memory_store(room(300, degree=1))
+for lens in (None, brown, fisheye):
+    for samples in (1, 4):
+        for projection in ("ewa", "ray"):
+            renderer = CpuRenderer(store, projection=projection, samples=samples, threads=2)
+            renderer.render(replace(straight, distortion=lens), Pixels(stride=2))
+print(kinds, len(draw.signatures))
+"""
+    out = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=Path(__file__).parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    before, after = out.stdout.split()
+    assert before == after
+
+
+def test_the_first_install_compiles_with_the_packages_that_it_has_by_then():
+    makefile = (Path(__file__).parents[2] / "Makefile").read_text()
+    (early,) = re.findall(r"\$\(PIP\) -c constraints.txt (numba .*)", makefile)
+    needed = [each for each in requires("nw-eval") if "extra ==" not in each]
+    late = {re.match(r"[\w.-]+", each)[0] for each in needed} - set(early.split())
+    modules = [name for name, of in packages_distributions().items() if late & set(of)]
+    assert "torch" in modules
+    program = f"import sys; sys.modules.update(dict.fromkeys({modules}))\n"
+    program += "import nw_eval.splat.warmup, nw_eval.splat.render"
+    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_a_camera_from_a_view_angle_has_the_published_focal_length():

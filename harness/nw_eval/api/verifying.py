@@ -156,7 +156,7 @@ def verify(
         repeats = run_again(
             folder,
             info,
-            {name: row for name, row in rows.items() if name in planned},
+            rows,
             Request.of(None, policy=policy, checkpoint=checkpoint, allow_code=allow_code),
             sample=sample,
             seed=unforeseen_seed() if seed is None else seed,

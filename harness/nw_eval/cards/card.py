@@ -34,6 +34,9 @@ from nw_eval.cards.terms import Command as CommandTerm
 
 SceneWords = Annotated[str, Field(min_length=1, max_length=1024)]
 
+LEFT_OUT = "!"
+"""What `trained_on` has before scenes that others of its words name, but the training left out."""
+
 _HEARD = {"command": "command", "speed": "speed", "delta_yaw": "way"}
 """Terms by which a policy is told what to do."""
 
@@ -59,8 +62,8 @@ class Card(CardModel):
     licence: Line = ""
     """Terms under which others may use the checkpoint."""
     trained_on: Annotated[tuple[SceneWords, ...], Field(max_length=1000)] = ()
-    """The built-in scenes that it was trained in, as suites name them, such as `split:train`.
-    Reports mark them; no part of the digest."""
+    """The built-in scenes that it was trained in, as suites name them, such as `split:train`; with
+    `!` before it, those of them that were left out. Reports mark them; no part of the digest."""
     trained_speeds: dict[SpeedName, tuple[float, float]] = Field(
         default_factory=dict[SpeedName, tuple[float, float]]
     )

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from nw_eval.built_in.entries import parted
 from nw_eval.built_in.splits import split_of
+from nw_eval.cards import mounted_robot
+from nw_eval.cards.card import LEFT_OUT
 from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
 from nw_eval.engine.machine import cpu_kind
@@ -25,6 +27,7 @@ from nw_eval.results.machine import (
     usable_cores,
 )
 from nw_eval.results.provenance import FetchedInfo, PolicyInfo, RunInfo, SceneInfo
+from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.access import why_off
 from nw_eval.scenes.folder import FileSplat
 from nw_eval.scenes.neverwhere import reference_path
@@ -89,7 +92,7 @@ def run_info(
         shard=plan.shard,
         baseline=None if plan.against is None else plan.against.info,
         workers=usable_cores() if workers is None else workers,
-        renderer=_renderer(plan.render) + _pictures(suite.render),
+        renderer=_renderer(plan.render) + _pictures(suite.render) + _through_lenses(plan),
         fence=fence_of(
             plan.bundle.card.adapter,
             code=plan.request.allow_code and senses_by_code(plan.bundle.card),
@@ -151,7 +154,8 @@ def split_for(card: Card, found: FoundScene) -> Literal["train", "eval"] | None:
     """Return whether a policy was trained in a scene, by what its card says.
 
     Args:
-        card: the policy's; `trained_on` names scenes as suites do.
+        card: the policy's; `trained_on` names scenes as suites do, and with `!` before a name
+            those that were left out.
         found: the scene. A variant (`NAME~2`) counts as the scene that it is a variant of: it is
             the same course.
 
@@ -161,10 +165,21 @@ def split_for(card: Card, found: FoundScene) -> Literal["train", "eval"] | None:
     if not card.trained_on or not is_built_in(found.reference):
         return None
     name, _ = parted(found.scene.name)
-    named = any(is_meant(name, parted(pattern)[0]) for pattern in card.trained_on)
-    if named:
+    if _was_trained(name, card.trained_on):
         return "train"
     return None if split_of(name) is None else "eval"
+
+
+def _was_trained(name: str, trained_on: Sequence[str]) -> bool:
+    """Whether a scene, or a variant of it, is named by `trained_on` and not left out there."""
+    out = [parted(words.removeprefix(LEFT_OUT)) for words in trained_on if words[0] == LEFT_OUT]
+    numbers_out = {number for pattern, number in out if is_meant(name, pattern)}
+    if None in numbers_out:  # With all of its variants.
+        return False
+    return any(
+        is_meant(name, pattern) and number not in numbers_out
+        for pattern, number in map(parted, trained_on)
+    )
 
 
 def _scene_infos(plan: Plan) -> dict[str, SceneInfo]:
@@ -214,6 +229,19 @@ def _pictures(rendering: Rendering) -> str:
         return ""
     said = f", {rendering.projection}, {plural(rendering.samples, 'sample')}"
     return said if rendering.near == PUBLISHED.near else f"{said}, near {rendering.near:g} m"
+
+
+def _through_lenses(plan: Plan) -> str:
+    """Return which cameras are drawn along the ray though the suite says `ewa`, and why."""
+    if plan.suite.render.projection == "ray":
+        return ""
+    cameras = mounted_robot(get_robot(plan.suite.robot), plan.bundle.card).cameras
+    bent = [
+        name
+        for name, mount in sorted(cameras.items())
+        if mount.intrinsics is not None and mount.intrinsics.distortion is not None
+    ]
+    return f"; with distortion, along the ray: {', '.join(bent)}" if bent else ""
 
 
 def fence_of(adapter: str, *, code: bool, render: Backend, in_process: bool = False) -> str:

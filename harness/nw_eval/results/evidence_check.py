@@ -8,9 +8,11 @@ again.
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import chain, compress, islice
 from pathlib import Path
 from typing import Literal
 
@@ -20,10 +22,11 @@ from nw_eval.files.inside import OutsideError, inside, what_is
 from nw_eval.plural import plural
 from nw_eval.results.evidence import Digests, log_sha256, read_digests, row_leaves, run_leaf
 from nw_eval.results.journal import read_journal
-from nw_eval.results.parquet_apart import read_rows_apart
+from nw_eval.results.parquet_apart import rows_apart
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import COLUMNS, Row, rows_digest, texts_of
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.results.stored import stored
 
 What = Literal["changed", "missing", "extra", "unreadable"]
 
@@ -60,20 +63,23 @@ class CheckedFiles:
 
 def check_files(
     folder: RunFolder, info: RunInfo, planned: Collection[str]
-) -> tuple[CheckedFiles, dict[str, Row]]:
-    """Return what a run's files show, and its rows by trial, as far as they can be believed.
+) -> tuple[CheckedFiles, Mapping[str, Row]]:
+    """Return what a run's files show, and the rows of its plan, as far as they can be believed.
+
+    The rows of one file are held in little memory, of the other one those that differ.
 
     Args:
         folder: of the run.
         info: its run.json.
         planned: ids of the trials of its plan.
     """
-    copies = _copies_of(folder, planned, ended=bool(info.rows_digest))
+    places = {name: place for place, name in enumerate(sorted(planned))}
+    kept, findings = _kept(folder, places) if info.merkle_root else (None, [])
+    copies = _copies_of(folder, places, ended=bool(info.rows_digest))
     remarks = [copy.remark for copy in copies if copy.remark]
-    findings: list[Discrepancy] = []
     sealed = None
     if info.merkle_root:
-        sealed, findings = _sealed(folder, info, copies)
+        sealed = _sealed(folder, info, copies, kept, findings)
         findings += _of_what(info, sealed)
         findings += _row_findings(copies, sealed)
         findings += _lines_besides(copies[0], info, findings)
@@ -81,13 +87,13 @@ def check_files(
         remarks.append(_without_root(info))
         findings += _by_rows_digest(copies, info)
     rows = believed(copies, sealed)
-    if absent := len({*planned} - rows.keys()):
+    if absent := sum(name not in rows for name in places):
         remarks.append(f"{plural(absent, 'planned trial')} without a row")
     # In a run that goes on, a trial that ended in an error may be running again.
-    still = [row for row in rows.values() if info.merkle_root or row.status == "ok"]
+    still = (row for row in rows.values() if info.merkle_root or row.status == "ok")
     looked = look_at_logs(folder, still)
-    findings += (each.finding for each in looked if each.finding is not None)
-    extra = [*_unnamed_logs(folder, [*rows.values(), *copies[0].others])]
+    findings += looked.findings
+    extra = [*_unnamed_logs(folder, chain(rows.values(), copies[0].others))]
     if info.merkle_root and not info.interrupted:
         findings += (Discrepancy(what="extra", file=name) for name in extra)
     elif extra:  # Of trials that were under way.
@@ -99,40 +105,50 @@ def check_files(
         findings=tuple(findings),
         remarks=tuple(remarks),
         rows=len(rows),
-        logs=len(looked),
-        log_bytes=sum(each.bytes for each in looked),
+        logs=looked.logs,
+        log_bytes=looked.bytes,
         root=info.merkle_root,
     )
-    return evidence, rows
+    return evidence, rows.of(places)
+
+
+def _kept(folder: RunFolder, places: Mapping[str, int]) -> tuple[Digests | None, list[Discrepancy]]:
+    """Return what digests.json has, or None and why it cannot be read."""
+    try:
+        read = read_digests(folder.digests)
+    except StoreError as error:
+        what = "unreadable" if what_is(folder.digests) == "file" else "missing"
+        about = error.message if what == "unreadable" else ""
+        return None, [Discrepancy(what=what, file=folder.digests.name, about=about)]
+    leaves = _Leaves(places)
+    leaves.update(read.rows)
+    return Digests(run=read.run, rows=leaves), []
 
 
 def _sealed(
-    folder: RunFolder, info: RunInfo, copies: Sequence[Copy]
-) -> tuple[Digests, list[Discrepancy]]:
-    """Return the digests of the run's end, and what is wrong with the files that have them.
+    folder: RunFolder,
+    info: RunInfo,
+    copies: Sequence[Copy],
+    kept: Digests | None,
+    findings: list[Discrepancy],
+) -> Digests:
+    """Return the digests of the run's end, and add what is wrong with the files that have them.
 
     They are those whose root run.json has: from digests.json, or else from rows that are as they
     were. Where nothing has that root, digests.json is what is left to go by.
     """
     name = folder.digests.name
-    kept, findings = None, list[Discrepancy]()
-    try:
-        kept = read_digests(folder.digests)
-    except StoreError as error:
-        what = "unreadable" if what_is(folder.digests) == "file" else "missing"
-        about = error.message if what == "unreadable" else ""
-        findings.append(Discrepancy(what=what, file=name, about=about))
     of_rows = [Digests(run=run_leaf(info), rows=copy.leaves) for copy in copies if not copy.fault]
     of_any = of_rows if kept is None else [kept, *of_rows]
     for each in of_any:
         if each.root == info.merkle_root:
             if kept is not None and each is not kept:
                 findings.append(Discrepancy(what="changed", file=name, about="the rows were not"))
-            return each, findings
+            return each
     about = f"merkle_root is {info.merkle_root[:12]}"
     about += "" if kept is None else f", {name} gives {kept.root[:12]}"
     findings.append(Discrepancy(what="changed", file=folder.run_json.name, about=about))
-    return next(iter(of_any), Digests(run=run_leaf(info), rows={})), findings
+    return next(iter(of_any), Digests(run=run_leaf(info), rows={}))
 
 
 def _of_what(info: RunInfo, sealed: Digests) -> Iterator[Discrepancy]:
@@ -166,12 +182,100 @@ def _by_rows_digest(copies: Sequence[Copy], info: RunInfo) -> Iterator[Discrepan
     for copy in copies:
         if copy.fault:
             yield Discrepancy(what="unreadable", file=copy.file, about=copy.fault)
-        elif info.rows_digest not in {"", actual := rows_digest(copy.rows.values())}:
+        elif info.rows_digest not in {"", actual := rows_digest(copy.all_rows())}:
             about = f"rows_digest is {info.rows_digest[:12]}, its rows give {actual[:12]}"
             yield Discrepancy(what="changed", file=copy.file, about=about)
 
 
 _SHOWN = 4  # columns that a sentence names
+
+
+class _Leaves(Mapping[str, str]):
+    """Hashes of rows by trial: 32 bytes for each trial of a plan, whether it has a row or not.
+
+    Args:
+        places: of the plan's trials, by name.
+    """
+
+    def __init__(self, places: Mapping[str, int]) -> None:
+        self._places = places
+        self._hashes, self._known = bytearray(32 * len(places)), bytearray(len(places))
+        self._others: dict[str, str] = {}
+
+    def update(self, leaves: Mapping[str, str]) -> None:
+        """Add hashes."""
+        for name, leaf in leaves.items():
+            place = self._places.get(name)
+            if place is None:
+                self._others[name] = leaf
+            else:
+                self._hashes[32 * place : 32 * place + 32] = bytes.fromhex(leaf)
+                self._known[place] = True
+
+    def __getitem__(self, name: str) -> str:
+        place = self._places.get(name)
+        if place is None:
+            return self._others[name]
+        if not self._known[place]:
+            raise KeyError(name)
+        return self._hashes[32 * place : 32 * place + 32].hex()
+
+    def __iter__(self) -> Iterator[str]:
+        yield from compress(self._places, self._known)
+        yield from self._others
+
+    def __len__(self) -> int:
+        return sum(self._known) + len(self._others)
+
+
+class _Rows(Mapping[str, Row]):
+    """Rows by trial, in their order, those of a plan.
+
+    Args:
+        rows: one of each trial.
+        places: of the plan's trials, by name.
+    """
+
+    def __init__(self, rows: Sequence[Row], places: Mapping[str, int]) -> None:
+        self._rows, self._places = rows, places
+        self._at = array("q", [-1]) * len(places)
+        for at, row in enumerate(rows):
+            if (place := places.get(row.trial_id)) is not None:
+                self._at[place] = at
+
+    def __getitem__(self, name: str) -> Row:
+        at = self._at[self._places[name]]
+        if at < 0:
+            raise KeyError(name)
+        return self._rows[at]
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for row in self._rows if (name := row.trial_id) in self._places)
+
+    def __len__(self) -> int:
+        return len(self._at) - self._at.count(-1)
+
+
+class _Either(Mapping[str, Row]):
+    """Rows by trial: some, and for all other trials those of a copy."""
+
+    def __init__(self, some: Mapping[str, Row], copy: Mapping[str, Row]) -> None:
+        self._some, self._copy = some, copy
+
+    def of(self, names: Collection[str]) -> Mapping[str, Row]:
+        """Return it without other trials, of which the copy has none."""
+        return _Either({n: row for n, row in self._some.items() if n in names}, self._copy)
+
+    def __getitem__(self, name: str) -> Row:
+        row = self._some.get(name)
+        return self._copy[name] if row is None else row
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._copy
+        yield from (name for name in self._some if name not in self._copy)
+
+    def __len__(self) -> int:
+        return len(self._copy) + sum(name not in self._copy for name in self._some)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,9 +284,10 @@ class Copy:
 
     file: str
     rows: Mapping[str, Row]
-    """By trial; only those of the run's plan."""
+    """By trial; of the journal only those of the run's plan. It may have some of another copy, of
+    trials that have no hash here."""
     leaves: Mapping[str, str]
-    """Their hashes."""
+    """The hashes of its rows, by trial."""
     others: tuple[Row, ...] = ()
     """Those that are not of its plan: it was resumed with fewer trials."""
     fault: str = ""
@@ -192,11 +297,15 @@ class Copy:
     last_sum: str = ""
     """Of the journal's last line."""
 
+    def all_rows(self) -> Iterator[Row]:
+        """Return its rows."""
+        return map(self.rows.__getitem__, self.leaves)
 
-def _copies_of(folder: RunFolder, planned: Collection[str], *, ended: bool) -> tuple[Copy, ...]:
+
+def _copies_of(folder: RunFolder, places: Mapping[str, int], *, ended: bool) -> tuple[Copy, ...]:
     """Return the journal's rows and, once the run has ended, those of trials.parquet."""
-    journal = _journal(folder, planned)
-    return (journal, _parquet(folder)) if ended else (journal,)
+    journal = _journal(folder, places)
+    return (journal, _parquet(folder, places, journal)) if ended else (journal,)
 
 
 def _row_findings(copies: Collection[Copy], sealed: Digests) -> Iterator[Discrepancy]:
@@ -210,10 +319,9 @@ def _row_findings(copies: Collection[Copy], sealed: Digests) -> Iterator[Discrep
         if copy.fault:
             yield Discrepancy(what="unreadable", file=copy.file, about=copy.fault)
             continue
-        for trial in sorted({*copy.leaves, *sealed.rows}):
+        changed = {name for name, leaf in copy.leaves.items() if sealed.rows.get(name) != leaf}
+        for trial in sorted(changed.union(name for name in sealed.rows if name not in copy.leaves)):
             leaf, known = copy.leaves.get(trial), sealed.rows.get(trial)
-            if leaf == known:
-                continue
             if known is None:
                 yield Discrepancy(what="extra", file=copy.file, trial=trial)
             elif leaf is None:
@@ -223,46 +331,64 @@ def _row_findings(copies: Collection[Copy], sealed: Digests) -> Iterator[Discrep
                 yield Discrepancy(what="changed", file=copy.file, trial=trial, about=about)
 
 
-def believed(copies: Collection[Copy], sealed: Digests | None) -> dict[str, Row]:
+def believed(copies: Sequence[Copy], sealed: Digests | None) -> _Either:
     """Return the row of each trial that the digests speak for, or else what any copy says."""
-    found: dict[str, Row] = {}
-    for copy in copies:
-        for trial, row in copy.rows.items():
-            if trial not in found or (sealed and sealed.rows.get(trial) == copy.leaves[trial]):
-                found[trial] = row
-    return found
+    first, *others = copies
+    instead: dict[str, Row] = {}
+    for copy in others:
+        for trial, leaf in copy.leaves.items():
+            is_sealed = sealed is not None and sealed.rows.get(trial) == leaf
+            if trial not in first.leaves or (is_sealed and first.leaves[trial] != leaf):
+                instead[trial] = copy.rows[trial]
+    return _Either(instead, first.rows)
 
 
-def _journal(folder: RunFolder, planned: Collection[str]) -> Copy:
+def _journal(folder: RunFolder, places: Mapping[str, int]) -> Copy:
     name = folder.journal.name
     try:
         contents = read_journal(folder.journal)
     except StoreError as error:
         return Copy(file=name, rows={}, leaves={}, fault=error.message)
-    rows = [row for row in contents.rows if row.trial_id in planned]
-    return replace(
-        _copy(name, rows),
-        others=tuple(row for row in contents.rows if row.trial_id not in planned),
+    leaves, others = _Leaves(places), list[Row]()
+    for texts in texts_of(contents.rows):
+        found = row_leaves(texts)
+        leaves.update({trial: leaf for trial, leaf in found.items() if trial in places})
+        if not places.keys() >= found.keys():
+            others += (row for row in texts.rows if row.trial_id not in places)
+    return Copy(
+        file=name,
+        rows=_Rows(contents.rows, places),
+        leaves=leaves,
+        others=tuple(others),
         remark=contents.dropped or "",
         last_sum=contents.last_sum,
     )
 
 
-def _parquet(folder: RunFolder) -> Copy:
-    name = folder.trials.name
+def _parquet(folder: RunFolder, places: Mapping[str, int], journal: Copy) -> Copy:
+    """Return the rows of trials.parquet; what the journal has of them is not held once more."""
+    name, leaves, count = folder.trials.name, _Leaves(places), 0
+
+    def others() -> Iterator[list[Row]]:
+        nonlocal count
+        for rows in rows_apart(folder.trials):
+            count += len(rows)
+            for texts in texts_of(rows):
+                found = row_leaves(texts)
+                leaves.update(found)
+                yield [
+                    row
+                    for row in texts.rows
+                    if journal.leaves.get(row.trial_id) != found[row.trial_id]
+                ]
+
     try:
-        return _copy(name, read_rows_apart(folder.trials))
+        differing = {row.trial_id: row for row in stored(others())}
     except (StoreError, ValueError) as error:
         return Copy(file=name, rows={}, leaves={}, fault=clean(error))
-
-
-def _copy(file: str, rows: Collection[Row]) -> Copy:
-    by_trial = {row.trial_id: row for row in rows}
-    leaves: dict[str, str] = {}
-    for texts in texts_of(list(by_trial.values())):
-        leaves |= row_leaves(texts)
-    fault = "" if len(by_trial) == len(rows) else "it has two rows of one trial"
-    return Copy(file=file, rows=by_trial, leaves=leaves, fault=fault)
+    if count != len(leaves):
+        return Copy(file=name, rows={}, leaves={}, fault="it has two rows of one trial")
+    return Copy(file=name, rows=_Either(differing, journal.rows), leaves=leaves)
 
 
 def _against_the_other(copy: Copy, trial: str, leaf: str, copies: Collection[Copy]) -> str:
@@ -285,23 +411,36 @@ def _short(value: object) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _LookedAt:
-    """A log, and what was found of it."""
+class LookedAt:
+    """Logs, and what was found of them."""
 
-    bytes: int  # 0 where there is none.
-    finding: Discrepancy | None
+    logs: int
+    """Those whose digest a row has."""
+    bytes: int
+    """Of those that are there."""
+    findings: tuple[Discrepancy, ...]
 
 
-def look_at_logs(folder: RunFolder, rows: Iterable[Row]) -> list[_LookedAt]:
+_LOGS_AT_ONCE = 1000
+
+
+def look_at_logs(folder: RunFolder, rows: Iterable[Row]) -> LookedAt:
     """Compare the log of every row that has its digest.
 
     Args:
         folder: of the run.
         rows: of a plan, one for each trial.
     """
-    known = [row for row in rows if row.mcap_sha256]
+    known = (row for row in rows if row.mcap_sha256)
+    logs = size = 0
+    findings: list[Discrepancy] = []
     with ThreadPoolExecutor() as pool:  # Hashing holds no lock.
-        return list(pool.map(lambda row: _look_at(folder, row), known))
+        while some := list(islice(known, _LOGS_AT_ONCE)):
+            for of_log, finding in pool.map(lambda row: _look_at(folder, row), some):
+                size += of_log
+                findings += [] if finding is None else [finding]
+            logs += len(some)
+    return LookedAt(logs=logs, bytes=size, findings=tuple(findings))
 
 
 def _unnamed_logs(folder: RunFolder, rows: Iterable[Row]) -> Iterator[str]:
@@ -309,12 +448,11 @@ def _unnamed_logs(folder: RunFolder, rows: Iterable[Row]) -> Iterator[str]:
 
     Where a trial ended in an error, its worker may have left a log that it could not speak of.
     """
-    named = {row.mcap_path for row in rows}
-    named |= {
-        folder.relative(folder.mcap(row.scene, row.trial_id))
-        for row in rows
-        if row.status == "error"
-    }
+    named: set[str] = set()
+    for row in rows:
+        named.add(row.mcap_path)
+        if row.status == "error":
+            named.add(folder.relative(folder.mcap(row.scene, row.trial_id)))
     for log in sorted(folder.logs.rglob("*.mcap")):
         if (name := folder.relative(log)) not in named:
             yield name
@@ -343,7 +481,8 @@ def present_logs(folder: RunFolder, rows: Iterable[Row]) -> dict[str, Path]:
     return {trial: path for trial, path in paths if path is not None and what_is(path) == "file"}
 
 
-def _look_at(folder: RunFolder, row: Row) -> _LookedAt:
+def _look_at(folder: RunFolder, row: Row) -> tuple[int, Discrepancy | None]:
+    """Return the bytes of a row's log, 0 where there is none, and what is wrong with it."""
     path = log_path(folder, row)
     if path is None:
         return _wrong(row, "unreadable", "its row names no file of this folder")
@@ -360,9 +499,9 @@ def _look_at(folder: RunFolder, row: Row) -> _LookedAt:
         sizes = f"{size:,} bytes, not {row.mcap_bytes:,}; " if size != row.mcap_bytes else ""
         about = f"{sizes}SHA-256 {digest[:12]}, not {row.mcap_sha256[:12]}"
         return _wrong(row, "changed", about, size)
-    return _LookedAt(bytes=size, finding=None)
+    return size, None
 
 
-def _wrong(row: Row, what: What, about: str = "", size: int = 0) -> _LookedAt:
+def _wrong(row: Row, what: What, about: str = "", size: int = 0) -> tuple[int, Discrepancy | None]:
     finding = Discrepancy(what=what, file=row.mcap_path, trial=row.trial_id, about=about)
-    return _LookedAt(bytes=size, finding=finding)
+    return size, finding

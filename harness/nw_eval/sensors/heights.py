@@ -1,5 +1,7 @@
 """Heights of the ground on a grid that goes along with the robot: as a map, as scandots.
 
+The tops of the scene's props are ground, too, wherever they are now.
+
 The published evaluation reads scandots from a height image seen 25 m above.
 """
 
@@ -19,6 +21,7 @@ from nw_eval.cards.observations import (
     ScandotsObservation,
 )
 from nw_eval.scenes.rays import RayScene
+from nw_eval.sensors.drawing.props import height_of_prop
 from nw_eval.sensors.sensor import Measurement, Moment
 
 Array = NDArray[np.float64]
@@ -42,6 +45,22 @@ def grid(x: Axis, y: Axis, order: GridOrder = "y_fastest") -> Array:
     return np.stack(rows, axis=-1).reshape(-1, 2)
 
 
+def ground_under(rays: Rays, moment: Moment, xy: Array) -> Array:
+    """Return the height of the place and of its props at points, (N,) m, -inf where nothing is.
+
+    Args:
+        rays: of the scene's static geometry.
+        moment: where props are.
+        xy: (N, 2) world, m.
+    """
+    heights = rays().height(xy)
+    world = moment.world
+    if world.scene.props:
+        for prop, pose in zip(world.scene.props, world.prop_poses(), strict=True):
+            np.maximum(heights, height_of_prop(prop, pose, xy), out=heights)
+    return heights
+
+
 class HeightGrid:
     """Points around the trunk that turn with its yaw, and the ground under them.
 
@@ -63,7 +82,7 @@ class HeightGrid:
         turned = math.cos(yaw) * self._points
         turned += math.sin(yaw) * self._quarter
         turned += moment.position[:2]
-        return self._rays().height(turned)
+        return ground_under(self._rays, moment, turned)
 
 
 def limited(values: Array, low: float, high: float) -> NDArray[np.float32]:
@@ -98,7 +117,8 @@ class Heightmap(Measurement):
             case "world":
                 return 0.0
             case "ground":
-                below = float(self._rays().height(moment.position[np.newaxis, :2])[0])
+                at = moment.position[np.newaxis, :2]
+                below = float(ground_under(self._rays, moment, at)[0])
                 # Over a hole in the scan, the plane that everything stands on serves.
                 return below if np.isfinite(below) else moment.world.scene.ground.z
             case _:
@@ -169,7 +189,7 @@ class PublishedScandots(Measurement):
         # A pixel's ray is nearly vertical: where it meets the ground settles at once.
         for _ in range(2):
             points = camera[:2] + at_altitude * (depth / _ALTITUDE)[:, np.newaxis]
-            ground = self._rays().height(points)
+            ground = ground_under(self._rays, moment, points)
             depth = camera[2] - ground
             depth[~np.isfinite(depth)] = 2.0 * _ALTITUDE  # The image's far plane.
         values = depth - _ALTITUDE + self._offset

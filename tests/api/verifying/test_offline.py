@@ -9,7 +9,9 @@ import pytest
 
 from nw_eval import api
 from nw_eval.errors import StoreError, UsageError
+from nw_eval.results import evidence_check
 from nw_eval.results.parquet import read_rows, write_rows
+from nw_eval.results.stored import stored
 
 SUCCESS = {"success": 1.0, "completed": True, "waypoints_reached": 4, "outcome": "completed"}
 
@@ -71,6 +73,30 @@ def test_a_column_that_no_rows_digest_has_cannot_be_changed_either(run):
 def test_a_row_that_was_changed_in_trials_parquet_is_named(run):
     rewrite_parquet(run, run.changed(2, **SUCCESS))
     assert findings(run) == {("changed", "trials.parquet", "hurdles-one-002")}
+
+
+def test_rows_that_are_the_same_in_both_files_are_held_once(run, monkeypatch):
+    held = []
+
+    def counted(portions):
+        rows = stored(portions)
+        held.append([row.trial_id for row in rows])
+        return rows
+
+    monkeypatch.setattr(evidence_check, "stored", counted)
+    assert findings(run) == set()
+    rewrite_parquet(run, run.changed(2, **SUCCESS))
+    findings(run)
+    run.folder.journal.unlink()
+    findings(run)
+    assert held == [[], ["hurdles-one-002"], [f"hurdles-one-00{k}" for k in range(3)]]
+
+
+def test_two_rows_of_one_trial_in_trials_parquet_are_said(run):
+    rewrite_parquet(run, [*run.rows, run.rows[1]])
+    found, about = look(run)
+    assert found == {("unreadable", "trials.parquet", "")}
+    assert "two rows of one trial" in about
 
 
 def test_a_row_that_was_changed_in_both_is_named_by_the_digests_of_the_end(run):

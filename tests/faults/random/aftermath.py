@@ -51,9 +51,8 @@ def other_results(case, origin):
     rows = case.rows().values()
     if rows_digest(rows) != origin.digest:
         yield "other rows"
-    for each in look_at_logs(RunFolder(path=case.folder), rows):
-        if each.finding is not None:
-            yield f"log {each.finding.what}: {each.finding.file} {each.finding.about}"
+    for finding in look_at_logs(RunFolder(path=case.folder), rows).findings:
+        yield f"log {finding.what}: {finding.file} {finding.about}"
 
 
 def that_stay(found):

@@ -6,6 +6,8 @@ import pytest
 from student_parts import small_config
 
 from nw_eval.cards.load import card_of
+from nw_eval.catalogue import FoundScene, names
+from nw_eval.engine.provenance import split_for
 from nw_eval.errors import UsageError
 from nw_eval.learn.config import load_config
 from nw_eval.learn.student.card import check_teacher, student_card
@@ -86,6 +88,32 @@ def test_the_configs_that_are_shipped_can_be_trained(preset, teacher):
     assert body_size(config, teacher) == 337
     assert config.trajectories % len(training_scenes(config.scenes)) == 0
     assert config.start == NOTHING or (config.base / config.start).is_file()
+
+
+@pytest.mark.parametrize("preset", ["student-rgb", "student-rgb-ray", "student-depth-further"])
+def test_evaluation_scenes_are_held_out_by_the_card_of_a_student(preset, teacher):
+    scenes = load_config(TRAINING / f"{preset}.yaml", StudentConfig).scenes
+    written = student_card(
+        "pupil", small_config().sees, teacher.card, sha256=DIGESTS, scenes=scenes
+    )
+    card = card_of(written)
+    assert card.trained_on[: len(scenes)] == tuple(scenes)
+    told = {name: split_for(card, FoundScene.at(name)) for name in names()}
+    driven = {each.scene.name.partition("~")[0] for each in training_scenes(scenes)}
+    assert driven == {name for name, split in told.items() if split == "train"}
+    assert set(names("eval")) == {name for name, split in told.items() if split == "eval"}
+
+
+def test_a_students_card_names_no_folders_and_no_scenes_that_were_left_out(teacher):
+    sees = small_config().sees
+    for scenes, said in {
+        ("split:train", "split:eval", "mine/hall"): ["split:train"],
+        ("gaps/three_16in_hall", "flat/*"): ["flat/*"],
+        ("stairs/*~2",): ["stairs/*~2", "!split:eval"],
+        ("mine/hall",): None,
+    }.items():
+        card = student_card("pupil", sees, teacher.card, sha256=DIGESTS, scenes=scenes)
+        assert card.get("trained_on") == said
 
 
 @pytest.mark.parametrize("eyes", [{"rgb": True}, {"rgb": False, "depth": True}, {"depth": True}])

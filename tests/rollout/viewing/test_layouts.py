@@ -2,13 +2,17 @@
 
 import json
 import sys
+from types import SimpleNamespace
 
 import pytest
 
 from nw_eval.cli import main
 from nw_eval.errors import PrerequisiteError, StoreError, UsageError
+from nw_eval.lens import Distortion, Intrinsics
 from nw_eval.rollout.mcap.file import McapFile
+from nw_eval.rollout.mcap.images import calibration_message
 from nw_eval.rollout.mcap.reader import LogReader
+from nw_eval.viewing.recording.content import picture_view
 from nw_eval.viewing.recording.write import write_layout, write_recording
 
 
@@ -44,6 +48,17 @@ def test_a_log_without_pictures_or_names_is_laid_out_without_them(walked_log, tm
     assert not [name for name in panels if name.startswith("Image")]
     assert len([name for name in panels if name.startswith("Plot")]) == 2
     assert panels["RawMessages!observation"]["topicPath"] == "/observation/proprio"
+
+
+def test_the_view_of_a_camera_with_distortion_is_called_so():
+    lens = Intrinsics(width=40, height=24, fx=40.0, fy=40.0, cx=20.0, cy=12.0)
+    bent = lens.model_copy(
+        update={"distortion": Distortion(model="fisheye", coefficients=(0.01, 0.0, 0.0, 0.0))}
+    )
+    track = SimpleNamespace(entity=lambda *parts: "/" + "/".join(parts))
+    for seen, name in ((lens, "/world/camera/ego"), (bent, "/world/camera/ego, distorted")):
+        messages = {"/camera/ego/calib": [(0, calibration_message(0, "ego", seen))]}
+        assert picture_view(track, messages, "/camera/ego") == ("/world/camera/ego", name)
 
 
 @pytest.mark.parametrize("write", [write_layout, write_recording])

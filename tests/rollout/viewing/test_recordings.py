@@ -102,6 +102,7 @@ def test_pictures_are_those_of_the_log_at_their_camera(recorded, messages):
         time: message.data for time, message in messages["/camera/ego"]
     }
     assert camera["Pinhole:resolution"][1] == [[[160.0, 90.0]]]
+    assert not [name for name in camera if name.startswith("Distortion")]
     assert len(camera["Transform3D:translation"][1]) == len(messages["/tf"])
 
 
@@ -169,6 +170,29 @@ def test_depth_and_numbers_of_an_image_are_pictures_too(make_job, library, tmp_p
     assert found["/world/camera/ego\\ metres"]["DepthImage:meter"][1][0] == [1000.0]
     assert "Image:buffer" in found["/world/camera/ego\\ near"]
 
+
+def test_a_camera_with_distortion_says_what_its_pinhole_lacks(make_job, library, tmp_path):
+    (tmp_path / "policy.yaml").write_text(DEPTH_CARD + DISTORTED)
+    path = tmp_path / "bent.mcap"
+    run_trial(
+        make_job(policy=str(tmp_path), mcap=path, record="all", duration=0.1), library=library
+    )
+    camera = entities(write_recording(path, tmp_path / "bent.rrd").file)[
+        "/world/camera/ego\\ metres"
+    ]
+    assert camera["Pinhole:resolution"][1] == [[[40.0, 24.0]]]
+    assert camera["Distortion:coefficients"][1] == [[-0.1, 0.01, 0.0, 0.0, 0.0]]
+    assert camera["Distortion:model"][1] == [["plumb_bob"]]
+    assert "Rerun knows no distortion" in camera["Distortion:note"][1][0][0]
+
+
+DISTORTED = """\
+cameras:
+  ego:
+    intrinsics:
+      {width: 40, height: 24, fx: 40.0, fy: 40.0, cx: 20.0, cy: 12.0,
+       distortion: {model: radial_tangential, coefficients: [-0.1, 0.01, 0.0, 0.0]}}
+"""
 
 DEPTH_CARD = """\
 nw-policy: 1

@@ -7,7 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from ruamel.yaml import YAML
 
+from nw_eval.built_in.entries import parted
+from nw_eval.built_in.splits import split_of
+from nw_eval.cards.card import LEFT_OUT
 from nw_eval.cards.model import CONTROL_RATE
+from nw_eval.catalogue import is_meant, names, parse_reference
 from nw_eval.errors import UsageError
 
 if TYPE_CHECKING:
@@ -97,7 +101,7 @@ def student_card(
     *,
     sha256: Mapping[str, str],
     is_blind: bool = False,
-    trained_on: Sequence[str] = (),
+    scenes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the card of a student, as its file says it.
 
@@ -107,9 +111,10 @@ def student_card(
         teacher: whose motors, actions and command it has.
         sha256: of its files, which lie beside the card, by their names.
         is_blind: whether its network has one image for good, and takes none.
-        trained_on: the scenes of its training, as suites name them.
+        scenes: of its training, as its config names them.
     """
     seen = {name: spec for name, spec in observations(sees).items() if name in BODY or not is_blind}
+    trained_on = _trained_on(scenes)
     eyes = " and ".join(sees.cameras)
     title = f"ACT student of {teacher.name}, {eyes}"
     control = teacher.control.model_dump(mode="json", exclude_defaults=True)
@@ -123,7 +128,7 @@ def student_card(
         "name": name,
         "title": f"{title}: the mean image at all times" if is_blind else title,
         "licence": teacher.licence,
-        **({"trained_on": list(trained_on)} if trained_on else {}),
+        **({"trained_on": trained_on} if trained_on else {}),
         "robot": teacher.robot,
         "adapter": "onnx",
         "checkpoint": {"file": NETWORK_FILE, "sha256": sha256[NETWORK_FILE]},
@@ -143,3 +148,20 @@ def card_text(card: dict[str, Any]) -> str:
     stream = StringIO()
     yaml.dump(card, stream)
     return stream.getvalue()
+
+
+def _trained_on(patterns: Sequence[str]) -> list[str]:
+    """Return a training's scenes as a card names them: built-in ones, without evaluation scenes.
+
+    Globs name evaluation scenes too, which every training leaves out; and a glob over variants, as
+    `gaps/*~3`, is shorter than the names that it stands for. So the card says both.
+    """
+    plain = [parse_reference(pattern)[0] for pattern in patterns]
+    splits = {
+        pattern: {split_of(name) for name in names() if is_meant(name, parted(pattern)[0])}
+        for pattern in plain
+    }
+    kept = [pattern for pattern in splits if splits[pattern] - {"eval"}]
+    if any("eval" in splits[pattern] for pattern in kept):
+        kept.append(f"{LEFT_OUT}split:eval")
+    return kept

@@ -21,9 +21,7 @@ from typing import TYPE_CHECKING, Any, cast
 import torch
 from torch import Tensor, nn
 
-from nw_eval.built_in.entries import parted
 from nw_eval.cards.load import CARD_FILE
-from nw_eval.catalogue import is_meant, names
 from nw_eval.errors import PrerequisiteError
 from nw_eval.files.cache import atomic_path
 from nw_eval.learn.student.card import (
@@ -209,18 +207,13 @@ def write_policy(
         teacher,
         sha256={file: sha256(graph).hexdigest() for file, graph in graphs.items()},
         is_blind=is_blind,
-        trained_on=[each for each in config.scenes if _means_built_in(each)],
+        scenes=config.scenes,
     )
     for file, graph in graphs.items():
         with atomic_path(folder / file) as temporary:
             temporary.write_bytes(graph)
     with atomic_path(folder / CARD_FILE) as temporary:
         temporary.write_text(card_text(card), encoding="utf-8")
-
-
-def _means_built_in(pattern: str) -> bool:
-    """Whether a training's scenes are built-in ones: paths of others are no matter of a card."""
-    return any(is_meant(name, parted(pattern)[0]) for name in names())
 
 
 def graph_of(network: StudentNetwork, config: StudentConfig, *, is_blind: bool = False) -> bytes:

@@ -58,6 +58,25 @@ def cast_at_prop(
     return distance, face
 
 
+def height_of_prop(prop: Prop, T_world_prop: Array, xy: Array) -> Array:
+    """Return how high a prop is at points, (N,) m in the world, -inf where it is not.
+
+    Args:
+        prop: met as its `solid`, from above.
+        T_world_prop: (4, 4), where it is.
+        xy: (N, 2) world, m.
+    """
+    rays, middle, reach = _solid(prop)
+    R, at = T_world_prop[:3, :3], T_world_prop[:3, 3]
+    center = R @ middle + at
+    near = np.flatnonzero(((xy - center[:2]) ** 2).sum(axis=1) < reach**2)
+    heights = np.full(len(xy), -np.inf)
+    above = np.column_stack([xy[near], np.full(len(near), center[2] + reach)])
+    down = np.tile(-R[2], (len(near), 1))
+    heights[near] = above[:, 2] - rays.cast((above - at) @ R, down)[0]
+    return heights
+
+
 @lru_cache(maxsize=64)
 def _solid(prop: Prop) -> tuple[RayScene, Array, float]:
     """Return rays against a prop, and the ball round it: middle (3,) and radius, m, its frame."""

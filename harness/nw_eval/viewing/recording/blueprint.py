@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from nw_eval.viewing.recording.track import APPLICATION, rerun_sdk
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from nw_eval.viewing.shown import Line, Plot, Shown
@@ -63,7 +63,7 @@ def save_layout(shown: Shown, path: Path) -> None:
             start=shown.start,
             cameras=tuple(f"{topic}/calib" for topic in shown.pictures),
         ),
-        pictures=shown.pictures,
+        pictures={topic: topic for topic in shown.pictures},
         plots=plots,
         timeline=LOG_TIME,
     )
@@ -71,18 +71,18 @@ def save_layout(shown: Shown, path: Path) -> None:
 
 
 def blueprint(
-    *, place: PlaceScreen, pictures: Sequence[str], plots: Sequence[Any], timeline: str
+    *, place: PlaceScreen, pictures: Mapping[str, str], plots: Sequence[Any], timeline: str
 ) -> Any:
     """Return a layout.
 
     Args:
         place: where everything stands.
-        pictures: entities of images.
+        pictures: entities of images, and what their views are called.
         plots: views of numbers.
         timeline: by which it is played.
     """
     rrb = rerun_sdk().blueprint
-    images = [rrb.Spatial2DView(origin=entity, name=entity) for entity in pictures]
+    images = [rrb.Spatial2DView(origin=entity, name=name) for entity, name in pictures.items()]
     right = [rrb.Horizontal(*images)] if images else []
     return rrb.Blueprint(
         rrb.Horizontal(

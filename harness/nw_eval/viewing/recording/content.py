@@ -187,9 +187,16 @@ def picture_topics(messages: Messages) -> list[str]:
     return [t for t in messages if t.startswith("/camera/") and not t.endswith("/calib")]
 
 
-def picture_entity(track: Track, topic: str) -> str:
+def _picture_entity(track: Track, topic: str) -> str:
     """Return the entity of a topic's pictures; no camera stands under another."""
     return track.entity(WORLD, "camera", topic.removeprefix("/camera/").replace("/", " "))
+
+
+def picture_view(track: Track, messages: Messages, topic: str) -> tuple[str, str]:
+    """Return the entity of a topic's pictures, and what their view is called."""
+    entity = _picture_entity(track, topic)
+    bent = any(_is_distorted(each) for _, each in messages.get(f"{topic}/calib", ()))
+    return entity, f"{entity}, distorted" if bent else entity
 
 
 def write_pictures(track: Track, messages: Messages) -> None:
@@ -199,7 +206,7 @@ def write_pictures(track: Track, messages: Messages) -> None:
         ValueError: one is damaged.
     """
     for topic in picture_topics(messages):
-        entity, taken = picture_entity(track, topic), messages[topic]
+        entity, taken = _picture_entity(track, topic), messages[topic]
         for _, calibration in messages.get(f"{topic}/calib", ()):
             pinhole = track.rr.Pinhole(
                 image_from_camera=np.reshape(calibration.K, (3, 3)),
@@ -207,12 +214,32 @@ def write_pictures(track: Track, messages: Messages) -> None:
                 image_plane_distance=PLANE,
             )
             track.stays(entity, pinhole)
+            if _is_distorted(calibration):
+                track.stays(entity, _lens(track.rr, calibration))
         frames = {message.frame_id for _, message in taken}
         for times, at, quats in poses(messages, frames).values():
             columns = track.rr.Transform3D.columns(translation=at, quaternion=quats)
             track.moves(entity, times, columns)
         for time, message in taken:
             track.at(time, entity, _archetype(track.rr, message))
+
+
+def _is_distorted(calibration: Any) -> bool:
+    """Say whether a `foxglove.CameraCalibration` is of a lens that bends straight lines."""
+    return any(calibration.D)
+
+
+def _lens(rr: Any, calibration: Any) -> Any:
+    """Return the distortion that a pinhole lacks: Rerun 0.41 has no archetype for it.
+
+    See https://github.com/rerun-io/rerun/issues/2499.
+    """
+    note = (
+        "Rerun knows no distortion: frustum, depth in 3D and what is drawn over this picture are "
+        "those of a pinhole. The picture is as the lens sees it."
+    )
+    said = {"model": calibration.distortion_model, "coefficients": list(calibration.D)}
+    return rr.DynamicArchetype("Distortion", components={**said, "note": note})
 
 
 def _archetype(rr: Any, message: Any) -> Any:

@@ -21,8 +21,8 @@ from nw_eval.viewing.recording.blueprint import (
 from nw_eval.viewing.recording.content import (
     WORLD,
     first_pose,
-    picture_entity,
     picture_topics,
+    picture_view,
     place_splat,
     splat_archetype,
     term_entities,
@@ -128,7 +128,7 @@ def _layout(
             # Splat and mesh lie on each other: half of either shows through.
             hides=(f"/{WORLD}/place",) if has_splat else (),
         ),
-        pictures=[picture_entity(track, topic) for topic in topics],
+        pictures=dict(picture_view(track, messages, topic) for topic in topics),
         plots=plots,
         timeline=TIME,
     )
