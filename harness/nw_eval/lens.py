@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 WIDEST = math.radians(85.0)
 """How far from the axis a pixel may look, rad: there depth along the axis and splats end."""
 
+ShutterTime = Annotated[float, Field(ge=0.0, le=0.1, allow_inf_nan=False)]
+"""Of `readout` and `exposure` of a camera, s."""
+
 _COUNTS = {"radial_tangential": (4, 5, 8), "fisheye": (4,)}
 _STEPS = 50  # of Newton's method; it takes 4 to 8
 _EXACT = 1e-9  # of a slope

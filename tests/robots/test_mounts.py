@@ -298,3 +298,39 @@ def test_a_card_says_a_camera_once_and_keeps_its_digest_without(tmp_path):
     with pytest.raises(PolicyError, match="`field_of_view` and `intrinsics` both"):
         load_card(tmp_path / "policy.yaml")
     assert "intrinsics" not in CameraMounting(pitch=0.1).model_dump()
+
+
+def test_robot_yaml_and_a_card_say_how_long_a_camera_takes(tmp_path):
+    yaml = YAML.replace("pitch: 0.3}", "pitch: 0.3, readout: 0.02, exposure: 0.008}")
+    robot = robot_of(tmp_path, yaml)
+    left = robot.cameras["left"]
+    assert (left.readout, left.exposure) == (0.02, 0.008)
+    assert (robot.cameras["rear"].readout, robot.cameras["ego"].exposure) == (0.0, 0.0)
+    (tmp_path / "policy.yaml").write_text(
+        CARD + "cameras: {left: {readout: 0.0}, rear: {exposure: 0.004, height: 0.1}}\n"
+    )
+    card = load_card(tmp_path / "policy.yaml")
+    mounted = mounted_robot(robot, card).cameras
+    assert (mounted["left"].readout, mounted["left"].exposure) == (0.0, 0.008)
+    assert (mounted["rear"].readout, mounted["rear"].exposure) == (0.0, 0.004)
+    assert card.model_dump()["cameras"]["left"]["readout"] == 0.0, "the card's digest has it"
+    assert {"readout", "exposure"}.isdisjoint(CameraMounting(pitch=0.1).model_dump())
+    long = YAML.replace("pitch: 0.3}", "pitch: 0.3, readout: 20}")
+    said = "robot.yaml:7:100: cameras.left.readout: should be less than or equal to 0.1, got 20"
+    assert said in faults(tmp_path, long)
+
+
+@pytest.mark.parametrize("camera", ["mouth", "rear"])
+def test_a_camera_moves_as_its_places_of_two_instants_differ(tmp_path, camera):
+    with World(robot_of(tmp_path), FLAT) as world:
+        world.reset(position=(0.0, 0.0, 0.3), yaw=0.4, joint_positions=[0.5])
+        world._data.qvel[:] = [0.3, 0.1, -0.2, 0.5, -0.4, 0.6, 1.0]
+        world.push((0.0, 0.0))  # What follows from the velocities.
+        linear, angular = world.camera_velocity(camera)
+        before, later = world.camera_pose(camera), 1e-6
+        mujoco.mj_integratePos(world._model, world._data.qpos, world._data.qvel, later)
+        mujoco.mj_kinematics(world._model, world._data)
+        after = world.camera_pose(camera)
+    np.testing.assert_allclose(linear, (after[:3, 3] - before[:3, 3]) / later, atol=1e-5)
+    turn = (after[:3, :3] @ before[:3, :3].T - np.eye(3)) / later
+    np.testing.assert_allclose(angular, [turn[2, 1], turn[0, 2], turn[1, 0]], atol=1e-5)

@@ -31,6 +31,7 @@ robot: go1
 adapter: zero
 control: {action: joint_position_offset, scale: 0.25, delay_steps: 1}
 command: {source: trail_follower, speed: 0.7}
+cameras: {ego: {readout: 0.02, exposure: 0.01}}
 observations:
   body: {sensor: proprio, terms: [gravity, command, joint_pos], noise: {gaussian: 0.01}}
   past: {sensor: proprio, layout: parkour53, history: {steps: 3}, rate: 25, latency: 0.04}
@@ -229,6 +230,13 @@ def test_pictures_and_large_scans_go_where_images_go(folder, make_job, library, 
     assert "/observation/body" in topics
     assert "/observation/rays" not in topics
     assert not [topic for topic in topics if topic.startswith("/camera/")]
+
+
+def test_a_log_says_how_long_a_camera_takes_that_takes_time(watched, walked):
+    assert "nw.shutters" not in walked[0].metadata()
+    found = watched[0].metadata()["nw.shutters"]
+    assert json.loads(found.pop("ego")) == {"readout": 0.02, "exposure": 0.01}
+    assert found == {}
 
 
 def test_twist_is_the_simulator_s_velocity_in_the_frame_of_the_trunk(walked, library):

@@ -27,7 +27,7 @@ from pydantic import (
 
 from nw_eval.cards.joints import ActionKind, PerJoint
 from nw_eval.cards.model import CONTROL_RATE, CardModel, Limits, Rate
-from nw_eval.lens import Intrinsics
+from nw_eval.lens import Intrinsics, ShutterTime
 
 Array = NDArray[np.float64]
 
@@ -199,6 +199,10 @@ class CameraMounting(CardModel):
     intrinsics: Intrinsics | None = None
     """What it sees, in place of the robot's own: image size, focal lengths, principal point
     (pixels)."""
+    readout: ShutterTime | None = None
+    """Time from the reading of the first row to that of the last, s; None = as the robot's own."""
+    exposure: ShutterTime | None = None
+    """Time for which each row is exposed before it is read, s; None = as the robot's own."""
 
     @model_validator(mode="after")
     def _one_view(self) -> CameraMounting:
@@ -210,8 +214,9 @@ class CameraMounting(CardModel):
 
     @model_serializer(mode="wrap")
     def _without_the_robots_own(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave no `intrinsics` out, so that cards without the key keep their digest."""
+        """Leave out what is the robot's own, so that cards without these keys keep their digest."""
         fields = dump(self)
-        if self.intrinsics is None:
-            fields.pop("intrinsics", None)
+        for name in ("intrinsics", "readout", "exposure"):
+            if getattr(self, name) is None:
+                fields.pop(name, None)
         return fields

@@ -228,8 +228,13 @@ def mounted_robot(robot: RobotSpec, card: Card) -> RobotSpec:
                 fix=nearest(name, list(robot.cameras)),
             )
         own, lens = cameras[name], mounting.intrinsics
-        cameras[name] = remounted(
+        own = replace(
             own if lens is None else own.with_intrinsics(lens),
+            readout=own.readout if mounting.readout is None else mounting.readout,
+            exposure=own.exposure if mounting.exposure is None else mounting.exposure,
+        )
+        cameras[name] = remounted(
+            own,
             pitch=mounting.pitch,
             height=mounting.height,
             factor=mounting.field_of_view,

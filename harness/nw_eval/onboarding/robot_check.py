@@ -23,6 +23,7 @@ from nw_eval.robots.standing import Drop, LevelGround
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.replaying.third_person import Spectator
 from nw_eval.sensors.drawing.sheet import Cell, draw_sheet
+from nw_eval.sensors.shutter import shutter_words
 from nw_eval.sim import World
 from nw_eval.splat.camera import look_at
 
@@ -74,6 +75,10 @@ class RobotEye:
     """Vertical field of view, rad."""
     intrinsics: dict[str, Any] | None = None
     """As robot.yaml has them; None where it has none."""
+    readout: float = 0.0
+    """From the first row to the last, s."""
+    exposure: float = 0.0
+    """Of each row, s."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,6 +214,8 @@ def _eye(name: str, mount: CameraMount) -> RobotEye:
         pitch=pitch,
         fovy=mount.fovy,
         intrinsics=None if lens is None else lens.model_dump(mode="json", exclude_none=True),
+        readout=mount.readout,
+        exposure=mount.exposure,
     )
 
 
@@ -484,11 +491,13 @@ def eye_words(eye: RobotEye) -> str:
     place = (
         f"at {x:.2f} {y:.2f} {z:.2f} m of the root, {down}, {math.degrees(eye.fovy):.0f} degrees"
     )
+    taken = shutter_words(eye.readout, eye.exposure)
+    taken = taken and f", {taken}"
     if eye.intrinsics is None:
-        return place
+        return place + taken
     lens = Intrinsics.model_validate(eye.intrinsics)
     bent = "" if lens.distortion is None else f", {lens.distortion.model}"
     return (
         f"{place}, {lens.width} x {lens.height} with fx {lens.fx:g} fy {lens.fy:g} "
-        f"cx {lens.cx:g} cy {lens.cy:g}{bent}"
+        f"cx {lens.cx:g} cy {lens.cy:g}{bent}{taken}"
     )

@@ -32,7 +32,7 @@ from nw_eval.files.yaml_file import (
     read_yaml,
     validation_problems,
 )
-from nw_eval.lens import Intrinsics
+from nw_eval.lens import Intrinsics, ShutterTime
 
 Array = npt.NDArray[np.float64]
 
@@ -159,6 +159,10 @@ class Eye(_Part):
     """Vertical field of view, degrees."""
     intrinsics: Intrinsics | None = None
     """What it sees, in place of `fovy`: image size, focal lengths, principal point (pixels)."""
+    readout: ShutterTime = 0.0
+    """Time from the reading of the first row to that of the last, s, at most 0.1."""
+    exposure: ShutterTime = 0.0
+    """Time for which each row is exposed before it is read, s, at most 0.1."""
 
     @model_validator(mode="after")
     def _one_view(self) -> Eye:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import mujoco as _mujoco
@@ -115,6 +116,7 @@ class Mounts:
             carrier, T = self._carried(body)
             mount = _mount(T[:3, :3] @ position + T[:3, 3], T[:3, :3] @ axes, fovy, carrier)
         lens = camera.intrinsics
+        mount = replace(mount, readout=camera.readout, exposure=camera.exposure)
         return mount if lens is None else mount.with_intrinsics(lens)
 
     def _turn(self, quaternion: Sequence[float], key: tuple[str, ...]) -> Array:

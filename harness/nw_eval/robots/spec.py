@@ -86,6 +86,8 @@ class CameraMount:
     fovy: float
     body: str = ""  # that carries it; "" = the trunk
     intrinsics: Intrinsics | None = None  # None = square pixels, with the axis in the middle
+    readout: float = 0.0  # s from the upper border to the lower one; 0 = all rows at once
+    exposure: float = 0.0  # s for which each row is open; 0 = an instant
 
     def lens(self, width: int, height: int) -> Intrinsics:
         """Return what an image of so many pixels shows: always the whole view."""

@@ -17,6 +17,7 @@ trial, if the trial failed.
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -162,6 +163,16 @@ class Seen:
             if len(names) == prod(self._sensors[name].shape):
                 found[f"/observation/{self._names[name]}"] = names
         return {topic: ",".join(names) for topic, names in found.items()}
+
+    def shutters(self) -> dict[str, str]:
+        """Return how long those cameras of the views take that take time, by name, as JSON."""
+        cameras = self._world.robot.cameras
+        mounts = {view.mount: cameras[view.mount] for view in self.views}
+        return {
+            name: json.dumps({"readout": mount.readout, "exposure": mount.exposure})
+            for name, mount in mounts.items()
+            if mount.readout or mount.exposure
+        }
 
     def calibrate(self) -> None:
         """Write the calibration of every camera, if its pictures can be kept."""

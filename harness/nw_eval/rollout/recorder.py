@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.rollout.episode import Observer
 from nw_eval.rollout.mcap.steps import Call, StepNote
-from nw_eval.rollout.mcap.topics import ELEMENTS
+from nw_eval.rollout.mcap.topics import ELEMENTS, SHUTTERS
 from nw_eval.rollout.observed import LOG_CAMERA, LogCamera, Seen
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
 from nw_eval.rollout.result import policy_fault
@@ -84,6 +84,7 @@ class Recorder(Observer):
         if not self._log.is_open:
             return
         x, y, _ = self._episode.world.trunk_position.tolist()
+        shutters = self._seen.shutters()
         self._log.start(
             robot=self._trial.robot,
             mesh=self._trial.scene.mesh(),
@@ -98,6 +99,7 @@ class Recorder(Observer):
                 TRIAL: trial_metadata(job),
                 PROVENANCE: provenance(),
                 ELEMENTS: self._seen.elements(),
+                **({SHUTTERS: shutters} if shutters else {}),
             },
             attachments=job.attachments,
             props=self._trial.scene.props,

@@ -19,6 +19,7 @@ from nw_eval.sensors.drawing import pictures
 from nw_eval.sensors.drawing.pictures import Bytes
 from nw_eval.sensors.drawing.sheet import Cell, draw_sheet, text_strip
 from nw_eval.sensors.sensor import Moment, Sensor
+from nw_eval.sensors.shutter import shutter_words
 from nw_eval.sim import World
 from nw_eval.tasks import Course
 
@@ -76,6 +77,8 @@ class SeenObservation:
     low: float | None
     """The least of its numbers; None where none is finite."""
     high: float | None
+    shutter: str = ""
+    """How long its camera takes, in words; empty where that is no time, and without a camera."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,6 +143,10 @@ def draw_card(
         PolicyError: an observation cannot be made. StoreError: the PNG cannot be written.
     """
     sensors, seen = _observe(card, scene, code_from=code_from)
+    shutters = {
+        name: shutter_words(mount.readout, mount.exposure)
+        for name, mount in mounted_robot(get_robot(card.robot), card).cameras.items()
+    }
     found: list[SeenObservation] = []
     cells: list[Cell] = []
     for name, sample in seen.items():
@@ -154,6 +161,7 @@ def draw_card(
                 dtype=str(sample.dtype),
                 low=float(finite.min()) if finite.size else None,
                 high=float(finite.max()) if finite.size else None,
+                shutter=shutters.get(getattr(kind, "camera", ""), ""),
             )
         )
         is_grey = any(wrap.wrapper == "grayscale" for wrap in kind.wrap)

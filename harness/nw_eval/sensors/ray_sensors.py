@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, assert_never
 
 import numpy as np
@@ -25,7 +26,8 @@ from nw_eval.sensors.drawing.palette import CONE, FACE_CLASSES, NOTHING, PALETTE
 from nw_eval.sensors.drawing.props import cast_at_prop
 from nw_eval.sensors.heights import Rays
 from nw_eval.sensors.sensor import Measurement, Moment, Plain, Sample, Shot
-from nw_eval.splat.camera import Camera, Pixels
+from nw_eval.sensors.shutter import RobotView, Shutter
+from nw_eval.splat.camera import Camera, Pixels, Rows
 
 Array = NDArray[np.float64]
 
@@ -57,13 +59,16 @@ class Surroundings:
         self._cones = TrailCones() if cones else None
         self._robot = robot
 
-    def distance(self, moment: Moment, origin: Array, directions: Array) -> Array:
+    def distance(
+        self, moment: Moment, origin: Array, directions: Array, robot: RobotView | None = None
+    ) -> Array:
         """Return distances along rays, (N,) m, inf for a miss.
 
         Args:
-            moment: where robot and cones stand.
+            moment: where robot, cones and props stand.
             origin: (3,) of all rays, world, m.
             directions: (N, 3) unit vectors, world.
+            robot: met in place of the moment's.
         """
         starts = np.broadcast_to(origin, directions.shape)
         distance = self._rays().distance(starts, directions)
@@ -71,14 +76,15 @@ class Surroundings:
             cones = self._cones.on(moment.cones)
             distance = np.minimum(distance, cones.distance(origin, directions))
         if self._robot:
-            hit = moment.world.ray_robot(origin, directions, exclude="trunk")
+            body = moment.world if robot is None else robot
+            hit = body.ray_robot(origin, directions, exclude="trunk")
             distance = np.minimum(distance, hit.distance)
         for _, other in _at_props(moment, origin, directions):
             distance = np.minimum(distance, other)
         return distance
 
     def classes(
-        self, moment: Moment, origin: Array, directions: Array
+        self, moment: Moment, origin: Array, directions: Array, robot: RobotView | None = None
     ) -> tuple[Array, NDArray[np.uint8]]:
         """Return distances as `distance` does, and what was met: indices into `CLASSES`, (N,)."""
         rays = self._rays()
@@ -93,7 +99,8 @@ class Surroundings:
             cones = self._cones.on(moment.cones)
             others.append((CONE, cones.distance(origin, directions)))
         if self._robot:
-            hit = moment.world.ray_robot(origin, directions, exclude="trunk")
+            body = moment.world if robot is None else robot
+            hit = body.ray_robot(origin, directions, exclude="trunk")
             others.append((ROBOT, hit.distance))
         others += _at_props(moment, origin, directions)
         for number, other in others:
@@ -129,8 +136,31 @@ def require_camera(name: str, camera: str, robot: RobotSpec) -> None:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class RayBand:
+    """The rays of some rows of a picture, which start where the camera is meanwhile.
+
+    Attributes:
+        rows: of the picture, first and end.
+        origin: (3,) m, world.
+        directions: (N, 3) unit vectors, world, row by row.
+        along_axis: (N,) how far a ray gets along the optical axis in each metre of its own.
+        right: (3,) unit vector, world, along the image's rows.
+        robot: the robot, as rays from there meet it.
+    """
+
+    rows: Rows
+    origin: Array
+    directions: Array
+    along_axis: Array
+    right: Array
+    robot: RobotView
+
+
 class PixelRays:
     """One ray for each pixel of a camera, row by row from the top left.
+
+    A camera that takes time is asked in the middle of each row's exposure: geometry has no blur.
 
     Args:
         name: of the observation, for errors.
@@ -141,7 +171,6 @@ class PixelRays:
 
     Attributes:
         lens: of the image.
-        along_axis: (N,) how far a ray gets along the optical axis in each metre of its own.
 
     Raises:
         PolicyError: the robot has no such camera.
@@ -151,19 +180,25 @@ class PixelRays:
         self, name: str, camera: str, robot: RobotSpec, *, width: int, height: int
     ) -> None:
         require_camera(name, camera, robot)
-        self._camera = camera
-        self.lens = robot.cameras[camera].lens(width, height)
-        self._directions = ray_directions(Camera.of(self.lens, np.eye(4)), Pixels()).reshape(-1, 3)
-        self.along_axis = self._directions[:, 2].copy()
+        mount = robot.cameras[camera]
+        self.lens = mount.lens(width, height)
+        seen = Camera.of(self.lens, np.eye(4))
+        self._shutter = Shutter(camera, mount, seen, Pixels())
+        self._directions = ray_directions(seen, Pixels())
 
-    def rays(self, moment: Moment) -> tuple[Array, Array]:
-        """Return the origin (3,) m and unit directions (N, 3) in the world."""
-        T_world_camera = moment.world.camera_pose(self._camera)
-        return T_world_camera[:3, 3], self._directions @ T_world_camera[:3, :3].T
-
-    def right(self, moment: Moment) -> Array:
-        """Return the unit vector (3,) in the world along the image's rows."""
-        return moment.world.camera_pose(self._camera)[:3, 0]
+    def bands(self, moment: Moment) -> Iterator[RayBand]:
+        """Yield the rays of all rows, from the top down."""
+        for band in self._shutter.bands(moment.world):
+            T_world_camera = band.T_world_camera
+            directions = self._directions[slice(*band.rows)].reshape(-1, 3)
+            yield RayBand(
+                rows=band.rows,
+                origin=T_world_camera[:3, 3],
+                directions=directions @ T_world_camera[:3, :3].T,
+                along_axis=directions[:, 2],
+                right=T_world_camera[:3, 0],
+                robot=band.robot,
+            )
 
 
 class Depth(Measurement):
@@ -205,22 +240,23 @@ class Depth(Measurement):
 
     def measure(self, moment: Moment) -> NDArray[Any]:
         """Cast the rays."""
-        origin, directions = self._view.rays(moment)
-        distance = self._around.distance(moment, origin, directions)
-        depth = distance * self._view.along_axis
-        if self._baseline:
-            right = origin + self._view.right(moment) * self._baseline
-            depth[self._in_shadow(moment, origin, directions, distance, right)] = np.nan
-        return depth.astype(np.float32).reshape(self.shape)
+        found = np.empty(self.shape, dtype=np.float32)
+        for band in self._view.bands(moment):
+            distance = self._around.distance(moment, band.origin, band.directions, band.robot)
+            depth = distance * band.along_axis
+            if self._baseline:
+                depth[self._in_shadow(moment, band, distance)] = np.nan
+            found[slice(*band.rows)] = depth.reshape(-1, self.shape[1])
+        return found
 
-    def _in_shadow(
-        self, moment: Moment, origin: Array, directions: Array, distance: Array, right: Array
-    ) -> NDArray[np.intp]:
-        """Return the rays whose points something hides from an eye at `right` (3,)."""
+    def _in_shadow(self, moment: Moment, band: RayBand, distance: Array) -> NDArray[np.intp]:
+        """Return the rays whose points something hides from the right imager."""
+        right = band.origin + band.right * self._baseline
         met = np.flatnonzero(np.isfinite(distance))
-        back = origin + distance[met, np.newaxis] * directions[met] - right
+        back = band.origin + distance[met, np.newaxis] * band.directions[met] - right
         length = np.linalg.norm(back, axis=1)
-        seen = self._around.distance(moment, right, back / np.maximum(length, 1e-9)[:, np.newaxis])
+        towards = back / np.maximum(length, 1e-9)[:, np.newaxis]
+        seen = self._around.distance(moment, right, towards, band.robot)
         return met[seen < length - _SAME * (1.0 + length)]
 
 
@@ -315,8 +351,12 @@ class Semantics(Measurement):
 
     def measure(self, moment: Moment) -> NDArray[Any]:
         """Cast the rays."""
-        _, met = self._around.classes(moment, *self._view.rays(moment))
-        return (PALETTE[met] if self._in_colour else met).reshape(self.shape)
+        found = np.empty(self.shape, dtype=np.uint8)
+        for band in self._view.bands(moment):
+            _, met = self._around.classes(moment, band.origin, band.directions, band.robot)
+            part = found[slice(*band.rows)]
+            part[...] = (PALETTE[met] if self._in_colour else met).reshape(part.shape)
+        return found
 
 
 class Lidar(Measurement):

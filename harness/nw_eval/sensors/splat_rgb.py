@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,14 +17,16 @@ from nw_eval.cards.observations import SplatRgbObservation
 from nw_eval.memory import Arrays
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.scene import Nearness
+from nw_eval.sensors.drawing import overlay
 from nw_eval.sensors.drawing.cones import TrailCones
 from nw_eval.sensors.drawing.insert import insert
-from nw_eval.sensors.drawing.overlay import Overlay, cone_mask, draw, ray_directions
+from nw_eval.sensors.drawing.overlay import Overlay, ray_directions
 from nw_eval.sensors.drawing.props import PropPictures, joined
 from nw_eval.sensors.ray_sensors import require_camera
 from nw_eval.sensors.sensor import CLEAR, Measurement, Moment, Shot, TrialPlace
-from nw_eval.splat.camera import Camera, Pixels
-from nw_eval.splat.image import Image, paste
+from nw_eval.sensors.shutter import Band, Shutter, row_poses
+from nw_eval.splat.camera import Camera, Pixels, Rows
+from nw_eval.splat.image import Image, exposed, paste, stacked
 from nw_eval.splat.render import Renderer
 
 Bytes = NDArray[np.uint8]
@@ -65,6 +68,8 @@ class SplatRgb(Measurement):
         self._key = f"splat of {observation.camera}, {size}, {self._pixels}"
         self._directions = ray_directions(camera, self._pixels)
         self._pitch = (1.0 / camera.fx, 1.0 / camera.fy)
+        mount = robot.cameras[observation.camera]
+        self._shutter = Shutter(observation.camera, mount, camera, self._pixels)
         self._cones = TrailCones()
         self._renderer: Renderer | None = None
         self.shape: tuple[int, ...] = (observation.height, observation.width, 3)
@@ -91,63 +96,77 @@ class SplatRgb(Measurement):
 
     def measure(self, moment: Moment) -> NDArray[Any]:
         """Render an image."""
-        T_world_camera = moment.world.camera_pose(self._observation.camera)
-        image = self._rendered(moment, T_world_camera)
-        self.coverage = float(image.alpha.mean())
+        draws = self._shutter.draws(moment.world)
+        images = self._rendered(moment, draws)
+        self.coverage = sum(float(image.alpha.mean()) for image in images) / len(images)
         if self._captures is not None:
-            self.nearness = self._captures.nearest(T_world_camera)
-        trail = moment.cones
-        overlays = self._overlays(moment, T_world_camera) if self._props.props else []
-        if self._published and self._observation.cones:
-            image = self._with(image, overlays, T_world_camera)
-            seen = cone_mask(
-                self._directions,
-                T_world_camera,
-                cones=self._cones.on(trail),
-                static=self._rays(),
-                robot=moment.world,
-            )
-            image = paste(image, *seen)
-        elif self._observation.cones or self._observation.robot:
-            overlay = draw(
-                self._directions,
-                T_world_camera,
-                cones=self._cones.on(trail) if self._observation.cones else None,
-                robot=moment.world if self._observation.robot else None,
-                static=self._rays(),
-                pitch=self._pitch,
-            )
-            image = self._with(image, [overlay, *overlays], T_world_camera)
-        else:
-            image = self._with(image, overlays, T_world_camera)
-        if self._air is not CLEAR:
-            image = self._air.seen(image)
+            pose = moment.world.camera_pose(self._observation.camera)
+            self.nearness = self._captures.nearest(pose)
+        image = exposed(
+            [
+                self._air.seen(seen) if self._air is not CLEAR else seen
+                for seen in map(partial(self._furnished, moment), images, draws)
+            ]
+        )
         return average_blocks(image.bytes()) if self._published else image.bytes()
 
-    def _overlays(self, moment: Moment, T_world_camera: NDArray[np.float64]) -> list[Overlay]:
-        return self._props.overlays(
-            moment.world.prop_poses(),
-            self._camera,
-            directions=self._directions,
-            T_world_camera=T_world_camera,
-            static=self._rays(),
-            pixels=self._pixels,
-            pitch=self._pitch,
-        )
-
-    def _with(
-        self, image: Image, overlays: Sequence[Overlay], T_world_camera: NDArray[np.float64]
-    ) -> Image:
-        """Return a picture with drawn objects in it, as many as there are."""
-        if not overlays:
+    def _furnished(self, moment: Moment, image: Image, bands: Sequence[Band]) -> Image:
+        """Return a picture of the splat with cones, robot and props, as the card asks for them."""
+        parts = [self._overlays(moment, band) for band in bands]
+        if any(parts):
+            drawn = [
+                joined(part) if part else overlay.nothing(self._directions[slice(*band.rows)])
+                for part, band in zip(parts, bands, strict=True)
+            ]
+            image = insert(
+                image,
+                overlay.stacked(drawn),
+                directions=self._directions,
+                T_world_camera=row_poses(bands),
+                static=self._rays(),
+            )
+        if not (self._published and self._observation.cones):
             return image
-        return insert(
-            image,
-            joined(overlays),
-            directions=self._directions,
-            T_world_camera=T_world_camera,
-            static=self._rays(),
-        )
+        masks = [
+            overlay.cone_mask(
+                self._directions[slice(*band.rows)],
+                band.T_world_camera,
+                cones=self._cones.on(moment.cones),
+                static=self._rays(),
+                robot=band.robot,
+            )
+            for band in bands
+        ]
+        colours, seen = (np.concatenate(column) for column in zip(*masks, strict=True))
+        return paste(image, colours, seen)
+
+    def _overlays(self, moment: Moment, band: Band) -> list[Overlay]:
+        """Return what is drawn into rows of the picture: cones and robot, then props."""
+        card, found = self._observation, list[Overlay]()
+        directions, T_world_camera = self._directions[slice(*band.rows)], band.T_world_camera
+        if not self._published and (card.cones or card.robot):
+            found.append(
+                overlay.draw(
+                    directions,
+                    T_world_camera,
+                    cones=self._cones.on(moment.cones) if card.cones else None,
+                    robot=band.robot if card.robot else None,
+                    static=self._rays(),
+                    pitch=self._pitch,
+                )
+            )
+        if self._props.props:
+            found += self._props.overlays(
+                moment.world.prop_poses(),
+                self._camera,
+                directions=directions,
+                T_world_camera=T_world_camera,
+                static=self._rays(),
+                pixels=self._pixels,
+                rows=self._part(band),
+                pitch=self._pitch,
+            )
+        return found
 
     def state(self) -> Arrays:
         """Return the last coverage and nearness."""
@@ -162,17 +181,30 @@ class SplatRgb(Measurement):
         near = state.get("nearness")
         self.nearness = None if near is None else Nearness(*near.tolist())
 
-    def _rendered(self, moment: Moment, T_world_camera: NDArray[np.float64]) -> Image:
+    def _rendered(self, moment: Moment, draws: Sequence[Sequence[Band]]) -> list[Image]:
         """Return the splat alone; sensors that look the same way at a moment share a picture."""
         assert self._renderer is not None, "attach comes before measure"
-        image: Image | None = moment.shared.get(self._key)
-        if image is None:
-            # The splat's scale stays in the matrix: the renderer then measures depth in metres.
-            camera = self._camera(self._T_splat_world @ T_world_camera)
-            image = moment.shared[self._key] = self._renderer.render(camera, self._pixels)
-            for part in (image.rgb, image.depth, image.alpha):
-                part.flags.writeable = False
-        return image
+        images: list[Image] | None = moment.shared.get(self._key)
+        if images is None:
+            images = [stacked([self._drawn(band) for band in bands]) for bands in draws]
+            for image in images:
+                for part in (image.rgb, image.depth, image.alpha):
+                    part.flags.writeable = False
+            moment.shared[self._key] = images
+        return images
+
+    def _drawn(self, band: Band) -> Image:
+        # The splat's scale stays in the matrix: the renderer then measures depth in metres.
+        camera = self._camera(self._T_splat_world @ band.T_world_camera)
+        rows = self._part(band)
+        assert self._renderer is not None, "attach comes before measure"
+        if rows is None:
+            return self._renderer.render(camera, self._pixels)
+        return self._renderer.render(camera, self._pixels, rows)
+
+    def _part(self, band: Band) -> Rows | None:
+        """Return the rows of a band; None = all that there are."""
+        return None if band.rows == (0, len(self._directions)) else band.rows
 
     def _camera(self, T_splat_camera: NDArray[np.float64]) -> Camera:
         return Camera.of(self._lens, T_splat_camera)

@@ -140,6 +140,20 @@ class Body:
         T_world_body[:3, 3] = self._data.xpos[body]
         return T_world_body @ mount.T_trunk_camera
 
+    def camera_velocity(self, name: str) -> tuple[Array, Array]:
+        """Return how a camera of the robot moves: (3,) m / s and (3,) rad / s, world frame.
+
+        Raises:
+            UsageError: the robot has no such camera.
+        """
+        place = self.camera_pose(name)[:3, 3]
+        body = self._carrier(self.robot.cameras[name])
+        found = np.empty(6)  # Angular, then of the body's origin.
+        mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, body, found, 0)
+        x, y, z = found[:3]
+        turning = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return found[3:] + turning @ (place - self._data.xpos[body]), found[:3]
+
     def _carrier(self, mount: CameraMount | ImuMount) -> int:
         return int(self._model.body(mount.body).id) if mount.body else self._trunk
 

@@ -20,6 +20,9 @@ MAX_SIDE = 16384
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
+Rows = tuple[int, int]
+"""(first row, end row) of those that a pixel set takes."""
+
 Window = tuple[int, int, int, int]
 """(first column, end column, first row, end row) in taken pixels."""
 

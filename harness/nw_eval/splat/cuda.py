@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from nw_eval.errors import PrerequisiteError, UsageError
-from nw_eval.splat.camera import Camera, Pixels, PresetName, get_preset
+from nw_eval.splat.camera import Camera, Pixels, PresetName, Rows, get_preset
 from nw_eval.splat.image import Image
 from nw_eval.splat.store import Store, unpack
 
@@ -67,14 +67,20 @@ class CudaRenderer:
         self._opacities = torch.as_tensor(splats.opacities, device=device)
         self._sh = torch.as_tensor(splats.sh, device=device)
 
-    def render(self, camera: Camera, pixels: Pixels = Pixels()) -> Image:  # noqa: B008 (frozen)
+    def render(
+        self,
+        camera: Camera,
+        pixels: Pixels = Pixels(),  # noqa: B008 (frozen)
+        rows: Rows | None = None,
+    ) -> Image:
         """Return the image of a camera, or a pixel set of it; the caller owns the arrays.
 
         Raises:
             UsageError: when the pixel set selects no pixel of the image, or the camera's lens
                 distorts.
         """
-        return self.render_batch([camera], pixels)[0]
+        image = self.render_batch([camera], pixels)[0]
+        return image if rows is None else image.rows(*rows)
 
     def render_batch(self, cameras: Sequence[Camera], pixels: Pixels = Pixels()) -> list[Image]:  # noqa: B008
         """Return the images of cameras of one size, drawn in one call.

@@ -7,12 +7,16 @@ a real camera does to a picture: exposure, gain, blur and noise.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import UsageError
+
+Floating = TypeVar("Floating", np.float32, np.float64)
 
 _NO_COVERAGE = 1e-3
 """Coverage below which a splat's expected depth means nothing."""
@@ -36,6 +40,47 @@ class Image:
     def bytes(self) -> NDArray[np.uint8]:
         """Return (H, W, 3) uint8: clamped to 0..1, times 255, truncated as the field's tools do."""
         return (np.clip(self.rgb, 0.0, 1.0) * np.float32(255.0)).astype(np.uint8)
+
+    def rows(self, first: int, end: int) -> Image:
+        """Return rows first..end-1: views of these arrays."""
+        return Image(
+            rgb=self.rgb[first:end], depth=self.depth[first:end], alpha=self.alpha[first:end]
+        )
+
+
+def stacked(parts: Sequence[Image]) -> Image:
+    """Return images of one width, from the top down, as one; a single one is itself."""
+    if len(parts) == 1:
+        return parts[0]
+    return Image(
+        rgb=np.concatenate([part.rgb for part in parts]),
+        depth=np.concatenate([part.depth for part in parts]),
+        alpha=np.concatenate([part.alpha for part in parts]),
+    )
+
+
+def exposed(images: Sequence[Image]) -> Image:
+    """Return what a shutter that is open for all of these images lets in; a single one is itself.
+
+    A sensor adds light, not display values: colours are averaged between the sRGB curve's inverse
+    and the curve, as in "Gaussian Splatting on the Move" (Seiskari et al., arXiv 2403.13327), where
+    the curve is a power of 2.2. What is brighter than white is white in each image.
+    """
+    if len(images) == 1:
+        return images[0]
+    share = np.float32(1.0 / len(images))
+    light = np.zeros_like(images[0].rgb)
+    alpha, weighted = np.zeros_like(images[0].alpha), np.zeros_like(images[0].alpha)
+    for image in images:
+        light += _decode(np.clip(image.rgb, 0.0, 1.0)) * share
+        alpha += image.alpha * share
+        weighted += image.alpha * image.depth * share
+    # In double precision white stays white: bytes are truncated.
+    return Image(
+        rgb=_encode(light.astype(np.float64)).astype(np.float32),
+        depth=(weighted / np.maximum(alpha, np.float32(1e-10))).astype(np.float32, copy=False),
+        alpha=alpha,
+    )
 
 
 def composite(
@@ -171,7 +216,7 @@ def _decode(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
-def _encode(light: NDArray[np.float32]) -> NDArray[np.float32]:
+def _encode(light: NDArray[Floating]) -> NDArray[Floating]:
     """Turn linear light into sRGB."""
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
 

@@ -66,7 +66,7 @@ class LensMap:
         )
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=128)
 def lens_map(lens: Intrinsics, pixels: Pixels, window: Window, samples: int) -> LensMap:
     """Return the map of a window.
 

@@ -19,6 +19,7 @@ from nw_eval.splat.camera import (
     Camera,
     Pixels,
     PresetName,
+    Rows,
     Window,
     get_preset,
     view_vector,
@@ -46,8 +47,8 @@ Less gains nothing against truth in built-in scenes, and more blurs (tests/bench
 class Renderer(Protocol):
     """Renders one store; belongs to one thread."""
 
-    def render(self, camera: Camera, pixels: Pixels = ...) -> Image:
-        """Return the image of a camera, or a pixel set of it."""
+    def render(self, camera: Camera, pixels: Pixels = ..., rows: Rows | None = None) -> Image:
+        """Return the image of a camera, or a pixel set of it, or some rows of that."""
         ...
 
 
@@ -138,17 +139,27 @@ class CpuRenderer:
         self._works = [_Workspace(store) for _ in range(threads)]
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
-    def render(self, camera: Camera, pixels: Pixels = Pixels()) -> Image:  # noqa: B008 (frozen)
+    def render(
+        self,
+        camera: Camera,
+        pixels: Pixels = Pixels(),  # noqa: B008 (frozen)
+        rows: Rows | None = None,
+    ) -> Image:
         """Return the image of a camera, or a pixel set of it; the caller owns the arrays.
+
+        Args:
+            camera: of the whole image.
+            pixels: of it.
+            rows: of the pixel set, which are all that is drawn and returned; None = all.
 
         Raises:
             UsageError: when the pixel set selects no pixel of the image.
         """
-        return self._render(camera, pixels, clock=-1)
+        return self._render(camera, pixels, rows, clock=-1)
 
     def render_timed(self, camera: Camera, pixels: Pixels = Pixels()) -> tuple[Image, Stages]:  # noqa: B008
         """Render and tell what each stage cost, summed over threads."""
-        image = self._render(camera, pixels, clock=time.CLOCK_THREAD_CPUTIME_ID)
+        image = self._render(camera, pixels, None, clock=time.CLOCK_THREAD_CPUTIME_ID)
         total = np.sum([work.statistics for work in self._works], axis=0)
         ns = 1e-9
         return image, Stages(
@@ -163,7 +174,7 @@ class CpuRenderer:
             drawn=int(total[frame.DRAWN]),
         )
 
-    def _render(self, camera: Camera, pixels: Pixels, *, clock: int) -> Image:
+    def _render(self, camera: Camera, pixels: Pixels, rows: Rows | None, *, clock: int) -> Image:
         width, height = pixels.count(camera.width), pixels.count(camera.height)
         if width == 0 or height == 0:
             raise UsageError(
@@ -178,13 +189,14 @@ class CpuRenderer:
                 )
             pixels = pixels.times(self._side)
             width, height = self._side * width, self._side * height
+        first, end = (0, height) if rows is None else (self._side * row for row in rows)
         image = Image(
             rgb=np.empty((height, width, 3), dtype=np.float32),
             depth=np.empty((height, width), dtype=np.float32),
             alpha=np.empty((height, width), dtype=np.float32),
         )
         jobs = [
-            (work, camera, pixels, (*columns, 0, height), image, clock)
+            (work, camera, pixels, (*columns, first, end), image, clock)
             for work, columns in zip(self._works, _split(width, len(self._works)), strict=False)
         ]
         if self._pool is None or len(jobs) == 1:
@@ -192,6 +204,8 @@ class CpuRenderer:
                 self._draw(*job)
         else:
             list(self._pool.map(lambda job: self._draw(*job), jobs))
+        if rows is not None:
+            image = image.rows(first, end)
         return image if self._side == 1 else _mean_of_four(image)
 
     def _draw(

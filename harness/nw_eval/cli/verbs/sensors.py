@@ -65,4 +65,5 @@ def _line(observation: SeenObservation) -> str:
     span = "nothing finite"
     if observation.low is not None and observation.high is not None:
         span = f"{observation.low:.4g} to {observation.high:.4g}"
-    return f"{observation.name}: {observation.sensor}, {form}, {span}"
+    taken = observation.shutter and f", {observation.shutter}"
+    return f"{observation.name}: {observation.sensor}, {form}, {span}{taken}"

@@ -11,6 +11,10 @@ from dataclasses import dataclass
 ELEMENTS = "nw.elements"
 """The record of texts that names numbers: by topic, or topic and field, with commas between."""
 
+SHUTTERS = "nw.shutters"
+"""The record of texts that says, by camera, how long it takes: JSON, `readout` and `exposure`, s.
+There is one where a camera takes time."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Topic:

@@ -55,7 +55,7 @@ def insert(
         image: rendered, depth in m.
         overlay: at the same pixels, from `overlay.draw` with `static`.
         directions: (H, W, 3) from `ray_directions`.
-        T_world_camera: (4, 4), a rotation and metres.
+        T_world_camera: (4, 4), a rotation and metres; or (H, 4, 4), one for each row.
         static: the scene's geometry.
     """
     row, column = np.nonzero(overlay.coverage)
@@ -66,10 +66,17 @@ def insert(
     before = np.flatnonzero(depth < drawn)
     rays = directions[row[before], column[before]]
     along = depth[before].astype(np.float64) / rays[:, 2]
-    points = (rays * along[:, np.newaxis]) @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
+    seen = rays * along[:, np.newaxis]
+    if T_world_camera.ndim == 2:
+        points = seen @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
+        down = directions @ -T_world_camera[2, :3]
+    else:
+        T = T_world_camera[row[before]]
+        points = (T[:, :3, :3] @ seen[..., np.newaxis])[..., 0] + T[:, :3, 3]
+        down = -(directions * T_world_camera[:, np.newaxis, 2, :3]).sum(axis=-1)
     surface = before[_beside_surface(points, static)]
     depth[surface] = np.nextafter(drawn[surface], np.float32(np.inf))
-    light = light_around(image.rgb, directions @ -T_world_camera[2, :3], row, column)
+    light = light_around(image.rgb, down, row, column)
     if overlay.lit is not None:
         light = 1.0 + (light - 1.0) * overlay.lit[row, column, np.newaxis]
     blended = composite(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.overlay import ray_directions
 from nw_eval.sensors.drawing.palette import FACE_CLASSES, NOTHING, PALETTE
-from nw_eval.splat.camera import Camera, Pixels
+from nw_eval.splat.camera import Camera, Pixels, Rows
 from nw_eval.splat.image import Image
 
 _LIGHT = np.array([-0.35, -0.25, 0.9])
@@ -38,10 +38,15 @@ class MeshPicture:
         classes = PALETTE[FACE_CLASSES[rays.mesh.kinds]] / 255.0
         self._colour = _GREY + _TINT * (classes - classes.mean(axis=1, keepdims=True))
 
-    def render(self, camera: Camera, pixels: Pixels = Pixels()) -> Image:  # noqa: B008 (frozen)
-        """Return the image of a camera, or a pixel set of it; depth in m."""
+    def render(
+        self,
+        camera: Camera,
+        pixels: Pixels = Pixels(),  # noqa: B008 (frozen)
+        rows: Rows | None = None,
+    ) -> Image:
+        """Return the image of a camera, or a pixel set of it, or rows of that; depth in m."""
         T_world_camera = self._T_world_splat @ camera.T_world_camera
-        directions = ray_directions(camera, pixels)
+        directions = ray_directions(camera, pixels)[slice(*(rows or (None,)))]
         shape = directions.shape[:2]
         rays = directions.reshape(-1, 3) @ T_world_camera[:3, :3].T
         origin = T_world_camera[:3, 3]

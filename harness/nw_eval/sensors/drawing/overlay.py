@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.cones import Cones, shade
-from nw_eval.sim import World
+from nw_eval.sensors.shutter import RobotView
 from nw_eval.splat.camera import Camera, Pixels
 
 _THIRDS = (-1.0 / 3.0, 0.0, 1.0 / 3.0)
@@ -31,6 +32,29 @@ class Overlay:
     """(H, W), share of it on which the place's light falls, 0 to 1; None = all of it."""
 
 
+def nothing(directions: NDArray[np.float64]) -> Overlay:
+    """Return the overlay of pixels (H, W, 3) in which nothing is drawn."""
+    shape = directions.shape[:2]
+    return Overlay(
+        rgb=np.zeros((*shape, 3), np.float32),
+        depth=np.full(shape, np.inf, np.float32),
+        coverage=np.zeros(shape, np.float32),
+    )
+
+
+def stacked(parts: Sequence[Overlay]) -> Overlay:
+    """Return overlays of one width, from the top down, as one; a single one is itself."""
+    if len(parts) == 1:
+        return parts[0]
+    lit = [np.ones_like(part.coverage) if part.lit is None else part.lit for part in parts]
+    return Overlay(
+        rgb=np.concatenate([part.rgb for part in parts]),
+        depth=np.concatenate([part.depth for part in parts]),
+        coverage=np.concatenate([part.coverage for part in parts]),
+        lit=np.concatenate(lit),
+    )
+
+
 def ray_directions(camera: Camera, pixels: Pixels) -> NDArray[np.float64]:
     """Return unit directions through pixel centres in camera axes, (H, W, 3)."""
     x, y = pixels.indices(camera.width) + 0.5, pixels.indices(camera.height) + 0.5
@@ -44,7 +68,7 @@ def draw(
     T_world_camera: NDArray[np.float64],
     *,
     cones: Cones | None,
-    robot: World | None,
+    robot: RobotView | None,
     static: RayScene | None = None,
     is_aboard: bool = True,
     pitch: tuple[float, float] | None = None,
@@ -58,7 +82,7 @@ def draw(
         directions: (H, W, 3) from `ray_directions`.
         T_world_camera: (4, 4), a rotation and metres.
         cones: drawn unless None.
-        robot: the world whose robot is drawn.
+        robot: drawn unless None; a world stands for its robot.
         static: the scene's geometry, which hides objects; None = nothing does.
         is_aboard: the robot carries the camera, so its trunk is left out.
         pitch: 1 / fx and 1 / fy of the camera, for soft edges; None = hard ones.
@@ -105,7 +129,7 @@ def _nearest(
     rays: NDArray[np.float64],
     origin: NDArray[np.float64],
     cones: Cones | None,
-    robot: World | None,
+    robot: RobotView | None,
     is_aboard: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Return distance (N,), inf = nothing, and colour (N, 3) of the nearest object on each ray."""
@@ -151,7 +175,7 @@ def cone_mask(
     *,
     cones: Cones,
     static: RayScene,
-    robot: World,
+    robot: RobotView,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return cones as the published evaluation sees them: hidden by geometry, not by the splat.
 
@@ -160,7 +184,7 @@ def cone_mask(
         T_world_camera: (4, 4), a rotation and metres.
         cones: what is looked for.
         static: the scene's geometry, which hides cones.
-        robot: the world whose robot hides cones, but for the trunk that carries the camera.
+        robot: hides cones, but for the trunk that carries the camera.
 
     Returns:
         colour (H, W, 3), and (H, W) where a cone is the nearest thing.

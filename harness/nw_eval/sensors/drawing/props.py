@@ -17,7 +17,7 @@ from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.cones import shade
 from nw_eval.sensors.drawing.insert import insert
 from nw_eval.sensors.drawing.overlay import Overlay
-from nw_eval.splat.camera import Camera, Pixels
+from nw_eval.splat.camera import Camera, Pixels, Rows
 
 if TYPE_CHECKING:
     from nw_eval.scenes.prop import Prop
@@ -116,6 +116,7 @@ class PropPictures:
         T_world_camera: Array,
         static: RayScene,
         pixels: Pixels = Pixels(),  # noqa: B008 (frozen)
+        rows: Rows | None = None,
         pitch: tuple[float, float] | None = None,
     ) -> list[Overlay]:
         """Return each prop at the pixels of an image, as far as the scene's geometry shows it.
@@ -127,6 +128,7 @@ class PropPictures:
             T_world_camera: (4, 4), a rotation and metres.
             static: the scene's geometry.
             pixels: of the camera.
+            rows: of the pixels, those that `directions` are of; None = all.
             pitch: 1 / fx and 1 / fy of the camera, for soft edges of meshes; None = hard ones.
         """
         found: list[Overlay] = []
@@ -135,7 +137,12 @@ class PropPictures:
                 one = _of_mesh(prop, pose, directions, T_world_camera, static, pitch)
             else:
                 T = np.linalg.inv(pose @ prop.T_prop_splat) @ T_world_camera
-                image = self._renderer(prop).render(camera_at(T), pixels)
+                renderer, camera = self._renderer(prop), camera_at(T)
+                image = (
+                    renderer.render(camera, pixels)
+                    if rows is None
+                    else renderer.render(camera, pixels, rows)
+                )
                 one = _of_splat(image, directions, T_world_camera, static)
             if one is not None:
                 found.append(one)
