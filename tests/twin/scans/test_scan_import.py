@@ -287,6 +287,10 @@ def test_a_splat_of_another_place_is_refused_and_a_matrix_lays_it(tmp_path):
     options = ScanOptions(splat=tmp_path / "far.ply", splat_transform=matrix)
     written = import_scan(tmp_path / "app.ply", tmp_path / "mine", options)
     assert "splat laid by T.txt: half of its Gaussians lie within 0.0" in "\n".join(written.lines)
+    for far in ("1 0 0 500  0 1 0 0  0 0 1 0  0 0 0 1", "2 0 0 5  0 2 0 5  0 0 2 5  0 0 0 1"):
+        matrix.write_text(far)  # Half a kilometre aside, or the wrong way.
+        with pytest.raises(SceneError, match=r"T\.txt: it lays half of the Gaussians"):
+            import_scan(tmp_path / "app.ply", tmp_path / "other", options)
     matrix.write_text("1 0 0 0 0 1 0 0 0 0 2 0 0 0 0 1")
     with pytest.raises(SceneError, match=r"T\.txt"):
         import_scan(tmp_path / "app.ply", tmp_path / "other", options)
