@@ -67,6 +67,12 @@ class PlacedShot:
     mask: str | None = None
     lens: Lens | None = None
 
+    @property
+    def photographed(self) -> tuple[int, int]:
+        """Width and height of the photograph as it was taken, pixels."""
+        shape = self.camera if self.lens is None else self.lens
+        return shape.width, shape.height
+
 
 @dataclass(frozen=True, kw_only=True)
 class Capture:

@@ -27,7 +27,7 @@ from nw_eval.suite.written import check_has_policy
 from nw_eval.survey import Survey, footing_lines, survey_lines
 from nw_eval.survey.trail import stance_of
 from nw_eval.twin.align.ahead import (
-    check_names,
+    check_points,
     facts_of_source,
     later,
     read_facts,
@@ -154,7 +154,8 @@ class Build:
             self._say,
         ):
             lengths = self._settings.align.lengths
-            check_names(lengths, [shot.name for shot in read_capture(self.folder.capture).shots])
+            sizes = {s.name: s.photographed for s in read_capture(self.folder.capture).shots}
+            check_points(lengths, sizes, sizes.get)
             facts = read_facts(self.folder.capture)
             for line in scale_lines(facts, self._settings.align, self.folder.scene):
                 self._say(line)
