@@ -14,13 +14,14 @@ from typing import Annotated
 
 import numpy as np
 from PIL import Image
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from nw_eval.errors import PrerequisiteError, SceneError, UsageError, nearest
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import regular
 from nw_eval.files.pictures import open_picture
 from nw_eval.plural import plural
+from nw_eval.scenes.capture_file import first_problem
 from nw_eval.scenes.scene import Vector
 from nw_eval.twin.align.alignment import AlignOptions, KnownLength, check_inside, words_of
 from nw_eval.twin.align.positions import gps_positions
@@ -260,6 +261,6 @@ def read_facts(folder: Path) -> SourceFacts | None:
         read = _Facts.model_validate_json(path.read_bytes())
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, ValidationError) as error:
-        raise SceneError(f"{path} cannot be read: {error}", fix=_FIX) from None
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{path} cannot be read: {first_problem(error)}", fix=_FIX) from None
     return SourceFacts(**read.model_dump(exclude={"version"}))

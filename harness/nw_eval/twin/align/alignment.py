@@ -12,11 +12,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from nw_eval.errors import NwEvalError, SceneError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import regular
+from nw_eval.scenes.capture_file import first_problem
 from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.scenes.scene import Vector
 from nw_eval.words import UpAxis
@@ -342,8 +343,8 @@ def read_alignment(path: Path) -> Alignment:
         raise SceneError(f"there is no {path}", fix=_FIX) from None
     except NwEvalError:
         raise
-    except (OSError, ValueError, ValidationError) as error:
-        raise SceneError(f"{path} is no alignment: {error}", fix=_FIX) from None
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{path} is no alignment: {first_problem(error)}", fix=_FIX) from None
     T = np.array(file.T_metric_capture)
     scale = check_similarity(T, str(path))
     if abs(scale / file.scale - 1.0) > 1e-6 or (T[3] != [0, 0, 0, 1]).any():
