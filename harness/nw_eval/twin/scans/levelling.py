@@ -103,6 +103,7 @@ def _levelled(
     except SceneError:  # Such as of a wrong unit.
         before = None
     scale = UNITS[unit]
+    fault = None
     T, lines = _levelling(place.mesh, floor, flip, scale)
     moved = TriangleMesh(
         vertices=moved_points(T, place.mesh.vertices),
@@ -111,10 +112,11 @@ def _levelled(
     )
     task = place.state.task
     if trail is not None or propose:
-        course, words = lay_course(moved, None if propose else trail, task)
+        course, words, fault = lay_course(moved, None if propose else trail, task)
+        lines += words
     else:
         course, words = _moved_course(place, T, scale)
-    lines.append(words)
+        lines.append(words)
     save_label(
         place,
         course=course,
@@ -124,7 +126,9 @@ def _levelled(
     size = np.ptp(moved.vertices, axis=0)
     lines.append(f"the mesh is {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m (x, y, z)")
     digest = load_folder(place.folder).digest
-    return WrittenScan(folder=place.folder, digest=digest, before=before, lines=tuple(lines))
+    return WrittenScan(
+        folder=place.folder, digest=digest, before=before, lines=tuple(lines), fault=fault
+    )
 
 
 def _levelling(

@@ -59,6 +59,8 @@ _FLOOR_SHARE = 0.2
 a share of all."""
 _STEP, _STRIDE, _ROOM = 0.25, 0.1, 0.2
 """Of a proposed trail: highest step, distance of samples along it, and room to each side."""
+_INCLINED = math.radians(8.0)
+"""Of the ground at the start, from which on it is said; beyond 20 degrees no robot starts there."""
 _LONGEST, _BEHIND = 4.0, 0.7
 """Of a proposed trail, and of the ground behind its end and before its start; metres."""
 
@@ -108,12 +110,14 @@ class WrittenScan:
         digest: of the scene.
         before: the digest that it had; None of a new one, or one that could not be loaded.
         lines: what was done, one line for each thing.
+        fault: why no robot can start there yet, and what to do; None = one can.
     """
 
     folder: Path
     digest: str
     before: str | None
     lines: tuple[str, ...]
+    fault: str | None = None
 
 
 def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> WrittenScan:
@@ -140,8 +144,8 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
         raise SceneError(f"name {name!r}: {error}", fix="give another --name") from None
     scan, lines = _read_scan(source, options)
     mesh = _mesh_of(scan, scan.T_world_file)
-    course, words = lay_course(mesh, options.trail, options.task)
-    lines.append(words)
+    course, words, fault = lay_course(mesh, options.trail, options.task)
+    lines += words
     lift = np.eye(4)
     lift[2, 3] = -course.spawn[2]
     course = replace(
@@ -187,7 +191,7 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
             f"cannot write {out}: {error.strerror or error}",
             fix="free disk space, or choose another folder",
         ) from error
-    return WrittenScan(folder=out, digest=digest, before=None, lines=tuple(lines))
+    return WrittenScan(folder=out, digest=digest, before=None, lines=tuple(lines), fault=fault)
 
 
 def _loaded(staged: Path, out: Path) -> str:
@@ -347,17 +351,53 @@ def _mesh_of(scan: _Scan, T: Values) -> TriangleMesh:
 
 def lay_course(
     mesh: TriangleMesh, trail: Sequence[tuple[float, ...]] | None, task: Task | None
-) -> tuple[Route, str]:
-    """Return start and waypoints on the ground of a mesh, and what is said of them."""
+) -> tuple[Route, list[str], str | None]:
+    """Return start and waypoints on the ground of a mesh, what is said of them, and their fault.
+
+    The fault is why no robot can start there, and what to do; None = one can.
+    """
     if trail is not None:
-        return _given(mesh, trail, task or "open")
-    found = _proposed(mesh)
-    if found is None:
-        return _placeholder(mesh, task or "open")
-    points, yaw = found
+        route, words = _given(mesh, trail, task or "open")
+    else:
+        found = _proposed(mesh)
+        if found is None:
+            fault = "no two metres of even ground, so the trail is one waypoint a metre ahead"
+            return _placeholder(mesh, task or "open"), [], f"{fault}: {_FLOOR}"
+        route, words = _straight(*found, task or "open")
+    tilt = _tilt(mesh, route)
+    if tilt < _INCLINED:
+        return route, [words], None
+    fault = f"the ground at the start is inclined by {math.degrees(tilt):.0f} degrees"
+    if math.cos(tilt) < _LEVEL:
+        return route, [words], f"{fault}: {_FLOOR}"
+    return route, [words, f"{fault}; if it is level in truth, {_FLOOR}"], None
+
+
+_FLOOR = (
+    "level the floor, `nw-eval scenes level SCENE --floor X,Y,Z X,Y,Z X,Y,Z --propose`, or import "
+    "with another --up or --unit"
+)
+
+
+def _tilt(mesh: TriangleMesh, route: Route) -> float:
+    """Return how far the ground within half a metre of the start is inclined, rad.
+
+    It is the median of all 10 cm, so that steps and stairs of level treads do not count.
+    """
+    x, y, z = route.spawn
+    side = np.linspace(-0.5, 0.5, 11)
+    xy = np.stack(np.meshgrid(x + side, y + side), axis=-1).reshape(-1, 2)
+    ground = _ground(mesh, RayScene(mesh), xy, z).reshape(11, 11)
+    rises = [np.diff(ground, axis=axis) / 0.1 for axis in (0, 1)]
+    known = [each[np.isfinite(each)] for each in rises]
+    return math.atan(math.hypot(*(float(np.median(one)) if len(one) else 0.0 for one in known)))
+
+
+def _straight(points: Values, yaw: float, task: Task) -> tuple[Route, str]:
+    """Return a proposed way (K, 3) as a trail, and what is said of it."""
     far = float(np.linalg.norm(points[-1, :2] - points[0, :2]))
     course = Route(
-        task=task or "open",
+        task=task,
         trail=points[1:],
         spawn=(float(points[0, 0]), float(points[0, 1]), float(points[0, 2])),
         yaw=yaw,
@@ -369,16 +409,11 @@ def lay_course(
     )
 
 
-def _placeholder(mesh: TriangleMesh, task: Task) -> tuple[Route, str]:
+def _placeholder(mesh: TriangleMesh, task: Task) -> Route:
     """Return a start at the middle of a mesh that shows no floor yet, and one waypoint ahead."""
     middle = np.median(mesh.vertices, axis=0)
     x, y, z = mesh.vertices[np.linalg.norm(mesh.vertices - middle, axis=1).argmin()].tolist()
-    course = Route(task=task, trail=np.array([[x + 1.0, y, z]]), spawn=(x, y, z))
-    return course, (
-        "no two metres of even ground, so the trail is one waypoint a metre ahead: level the "
-        "floor, `nw-eval scenes level SCENE --floor X,Y,Z X,Y,Z X,Y,Z --propose`, or give another "
-        "--up or --unit"
-    )
+    return Route(task=task, trail=np.array([[x + 1.0, y, z]]), spawn=(x, y, z))
 
 
 def _given(mesh: TriangleMesh, trail: Sequence[tuple[float, ...]], task: Task) -> tuple[Route, str]:
