@@ -31,7 +31,7 @@ _MOST_BYTES = 64 * 2**20
 """Of a capture.json that is read."""
 MOST_DISTANT = 1e12
 """Of a coordinate of a point, in the capture's unit: triangulation leaves some far behind."""
-_FARTHEST = 1e9
+FARTHEST = 1e9
 """Of a camera's place, in the capture's unit: squares of it stay exact enough."""
 _TURN = 1e-3
 """That a rotation's columns may be off unit length and right angles."""
@@ -138,7 +138,7 @@ class _Model(BaseModel):
 
 _Focal = Annotated[float, Field(gt=0, le=1e6)]
 _Place = Annotated[float, Field(ge=-1e6, le=1e6)]
-_Far = Annotated[float, Field(ge=-_FARTHEST, le=_FARTHEST)]
+_Far = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 _Row = tuple[_Far, _Far, _Far, _Far]
 
 

@@ -57,32 +57,36 @@ class Lens:
             raise self._unusable("its numbers make no lens")
         return camera
 
-    def check(self) -> None:
+    def check(self, whose: str = "") -> None:
         """Check that the numbers are those of a lens; no package is needed.
+
+        Args:
+            whose: what the message begins with: the file, and the camera in it.
 
         Raises:
             SceneError: they are not.
         """
         if not (0 < self.width < _MOST_SIDE and 0 < self.height < _MOST_SIDE):
-            raise self._unusable("it has no such pictures")
+            raise self._unusable("it has no such pictures", whose)
         values = np.array(self.params, dtype=np.float64)
         count = 1 if self.model in _ONE_FOCAL else 2
         focal, centre, rest = np.split(values, [count, count + 2])
         if len(centre) < 2 or not np.isfinite(values).all():
-            raise self._unusable("its numbers make no lens")
+            raise self._unusable("its numbers make no lens", whose)
         share = focal / max(self.width, self.height)
         if (share < _FOCALS[0]).any() or (share > _FOCALS[1]).any():
             low, high = (bound * max(self.width, self.height) for bound in _FOCALS)
-            raise self._unusable(f"its focal length is not between {low:g} and {high:g} pixels")
+            why = f"its focal length is not between {low:g} and {high:g} pixels"
+            raise self._unusable(why, whose)
         if (centre < 0).any() or (centre > (self.width, self.height)).any():
-            raise self._unusable("its centre is outside of its pictures")
+            raise self._unusable("its centre is outside of its pictures", whose)
         if (np.abs(rest) > _BEND).any():
-            raise self._unusable(f"a distortion is over {_BEND:g}")
+            raise self._unusable(f"a distortion is over {_BEND:g}", whose)
 
-    def _unusable(self, why: str) -> SceneError:
+    def _unusable(self, why: str, whose: str = "") -> SceneError:
         return SceneError(
-            f"a camera {self.model} of {self.width} x {self.height} pixels with "
-            f"{list(self.params)} cannot be used: {why}",
+            f"{whose}{': ' if whose else ''}a camera {self.model} of {self.width} x {self.height} "
+            f"pixels with {list(self.params)} cannot be used: {why}",
             fix="export the cameras again, or give the photographs alone",
         )
 
