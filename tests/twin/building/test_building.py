@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from nw_eval import cli
 from nw_eval.errors import SceneError, StoreError
@@ -124,6 +125,29 @@ def test_a_robot_that_is_not_there_is_refused_before_anything_is_built(tmp_path,
     assert caught.value.code == 2
     assert "unknown robot 'go9'" in capsys.readouterr().err
     assert not (tmp_path / "scene").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--name", "../x"), "name '../x': "),
+        (("--name", ""), "name '': "),
+        (("--held-out", "low_*"), "--held-out 'low_*' holds out 0 of 4 photographs"),
+        (("--held-out", "*.jpg"), "--held-out '*.jpg' holds out 4 of 4 photographs"),
+    ],
+)
+def test_a_name_or_pattern_that_cannot_be_is_refused_before_anything_is_computed(
+    words, said, tmp_path, capsys
+):
+    (tmp_path / "in").mkdir()
+    for number in range(4):
+        Image.new("RGB", (64, 48)).save(tmp_path / "in" / f"{number}.jpg")
+    with pytest.raises(SystemExit) as left:
+        cli.main(["twin", "build", str(tmp_path / "in"), "--out", str(tmp_path / "room"), *words])
+    printed = capsys.readouterr()
+    assert left.value.code == 2
+    assert said in printed.err
+    assert "photographs read" not in printed.out
 
 
 @pytest.mark.parametrize(("z", "said"), [(0.0, "ready"), (-1.0, "mend the errors, then")])

@@ -22,6 +22,7 @@ from nw_eval.files.cache import atomic_path
 from nw_eval.robots import get_robot
 from nw_eval.scenes.finding import SceneFinding, has_errors
 from nw_eval.scenes.folder import load_folder
+from nw_eval.scenes.limits import name_of
 from nw_eval.suite.load import load_suite
 from nw_eval.suite.written import check_has_policy
 from nw_eval.survey import Survey, footing_lines, survey_lines
@@ -36,7 +37,7 @@ from nw_eval.twin.align.ahead import (
 )
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
-from nw_eval.twin.building.appearance import AppearanceOptions, train_splat
+from nw_eval.twin.building.appearance import AppearanceOptions, check_held_out, train_splat
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
 from nw_eval.twin.building.pits import with_pits
 from nw_eval.twin.building.unlike import (
@@ -53,7 +54,7 @@ from nw_eval.twin.calibrate.footage import Footage
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import Capture, read_capture
 from nw_eval.twin.moved import moved_capture, moved_mesh
-from nw_eval.twin.place import SUITE, Route, write_place
+from nw_eval.twin.place import SUITE, Route, check_scene_name, write_place
 from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh, write_mesh
 from nw_eval.twin.reconstruct.options import ReconstructOptions
 from nw_eval.twin.reconstruct.reconstruct import reconstruct
@@ -100,6 +101,15 @@ class BuildSettings:
     licence: str | None = None
     robot: str | None = None
     threads: int = 2
+
+    def __post_init__(self) -> None:
+        """Check the name.
+
+        Raises:
+            SceneError: no scene is called so.
+        """
+        if self.name is not None:
+            check_scene_name(self.name)
 
 
 def facts_of(options: Any) -> str:
@@ -149,19 +159,22 @@ class Build:
             "calibrate",
             [facts_of(options), digest_of_files(photographs)],
             lambda: calibrate(
-                photographs, self.folder.capture, options, self._say, self._look_for_scale
+                photographs, self.folder.capture, options, self._say, self._look_ahead
             ),
             self._say,
         ):
             lengths = self._settings.align.lengths
             sizes = {s.name: s.photographed for s in read_capture(self.folder.capture).shots}
             check_points(lengths, sizes, sizes.get)
+            check_held_out(self._settings.splat.held_out, list(sizes))
             facts = read_facts(self.folder.capture)
             for line in scale_lines(facts, self._settings.align, self.folder.scene):
                 self._say(line)
 
-    def _look_for_scale(self, footage: Footage) -> None:
-        """Say what will give the scale, before the slow work, and keep what the source says."""
+    def _look_ahead(self, footage: Footage) -> None:
+        """Check options by the source before the slow work, and say what will give the scale."""
+        readable = [one.name for one in footage.files if one.path is not None]
+        check_held_out(self._settings.splat.held_out, readable)
         facts = facts_of_source(footage, self._settings.align)
         for line in scale_lines(facts, self._settings.align, self.folder.scene):
             self._say(line)
@@ -248,7 +261,7 @@ class Build:
             there = load_folder(self.folder.scene, needs_scale=False)
             name, licence = name or there.name, licence or there.licence
         except SceneError:  # There is none yet, or a damaged one, which is written anew.
-            name = name or self.folder.scene.resolve().name.lower()
+            name = name or name_of(self.folder.scene.resolve().name.lower())
         return name, licence or "unknown"
 
     def _robot(self) -> str:

@@ -22,7 +22,7 @@ from nw_eval.files.inside import what_is
 from nw_eval.scenes import limits
 from nw_eval.scenes.elevation_file import ELEVATION_SUFFIXES, elevation_mesh, read_elevation
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
-from nw_eval.scenes.limits import checked_name, name_of
+from nw_eval.scenes.limits import name_of
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.mesh_file import MESH_SUFFIXES, PaintedMesh, read_painted
 from nw_eval.scenes.mesh_parts import Material
@@ -34,6 +34,7 @@ from nw_eval.twin.place import (
     COLLISION,
     SUITE,
     Route,
+    check_scene_name,
     rounded,
     write_collision,
     write_yaml,
@@ -137,11 +138,8 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
     if what_is(out) != "nothing" or out.is_symlink():
         raise UsageError(f"{out} is there already", fix="name another folder")
     check_has_policy(options.robot)
-    name = options.name or name_of(out.name)
-    try:
-        checked_name(name)
-    except ValueError as error:
-        raise SceneError(f"name {name!r}: {error}", fix="give another --name") from None
+    name = name_of(out.name) if options.name is None else options.name
+    check_scene_name(name)
     scan, lines = _read_scan(source, options)
     mesh = _mesh_of(scan, scan.T_world_file)
     course, words, fault = lay_course(mesh, options.trail, options.task)
