@@ -325,6 +325,12 @@ def test_what_cannot_be_is_refused_by_name_and_nothing_is_left(tmp_path):
     for source, out, options, why in (
         ("scan.ply", "there", {}, "is there already"),
         ("scan.ply", "new", {"cell": 0.1}, "--cell is of elevation maps"),
+        ("scan.ply", "new", {"black": 0.1, "no_data": 3}, "--black and --no-data are of elevation"),
+        ("map.png", "new", {"up": "+y", "gaussians": 9000}, "--up and --gaussians are of meshes"),
+        ("map.tif", "new", {"unit": "cm"}, "--unit is of meshes: an elevation map has its height"),
+        ("scan.ply", "new", {"splat_transform": tmp_path / "T"}, "--splat-transform is of a splat"),
+        ("scan.ply", "new", {"splat": tmp_path / "s.ply", "gaussians": 9}, "leave out --splat"),
+        ("scan.ply", "new", {"name": ""}, "name ''"),
         ("scan.ply", "new", {"trail": ((0.0, 0.0),)}, "a trail of 1 points"),
         ("scan.ply", "new", {"trail": ((0.0, 0.0), (9.0, 0.0))}, "waypoint 0 at .* no ground"),
         ("scan.ply", "new", {"name": "a b"}, "name 'a b'"),

@@ -140,6 +140,7 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
     check_has_policy(options.robot)
     name = name_of(out.name) if options.name is None else options.name
     check_scene_name(name)
+    _check_used(source, options)
     scan, lines = _read_scan(source, options)
     mesh = _mesh_of(scan, scan.T_world_file)
     course, words, fault = lay_course(mesh, options.trail, options.task)
@@ -207,15 +208,43 @@ class _Scan:
     """(4, 4), but for the height of the floor."""
 
 
+_OF_MAPS = ("cell", "white", "black", "no_data")
+_OF_MESHES = ("up", "unit", "gaussians")
+
+
+def _check_used(source: Path, options: ScanOptions) -> None:
+    """Check that nothing is asked for that this file has no use for.
+
+    Raises:
+        UsageError: something is; all of it is named.
+    """
+    suffix, default = source.suffix.lower(), ScanOptions()
+
+    def given(*names: str) -> str:
+        asked = [one for one in names if getattr(options, one) != getattr(default, one)]
+        return " and ".join(f"--{one.replace('_', '-')}" for one in asked)
+
+    if suffix in MESH_SUFFIXES and (wrong := given(*_OF_MAPS)):
+        what, fix = "of elevation maps", f"give one of {', '.join(ELEVATION_SUFFIXES)}"
+    elif suffix in ELEVATION_SUFFIXES and (wrong := given(*_OF_MESHES)):
+        what = "of meshes: an elevation map has its height up, is in metres and has no colours"
+        fix = "scale it by --cell, --white and --black"
+    elif options.splat is None and (wrong := given("splat_transform")):
+        what, fix = "of a splat, and there is none", "name it with --splat"
+    elif options.splat is not None and (wrong := given("gaussians")):
+        what, fix = "of the mesh's colours, in whose place --splat is used", "leave out --splat"
+    else:
+        return
+    is_one = " and " not in wrong
+    raise UsageError(
+        f"{source}: {wrong} {'is' if is_one else 'are'} {what}", fix=f"leave it out, or {fix}"
+    )
+
+
 def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
     suffix = source.suffix.lower()
     lines: list[str] = []
     if suffix in ELEVATION_SUFFIXES:
-        if options.up != "auto" or options.unit != "m":
-            raise UsageError(
-                f"{source}: an elevation map has its height up and is in metres",
-                fix="leave --up and --unit out; --white, --black and --cell scale it",
-            )
         found = read_elevation(
             source,
             cell=options.cell,
@@ -244,16 +273,6 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
         )
         T_file = np.eye(4)
     elif suffix in MESH_SUFFIXES:
-        wrong = [
-            name
-            for name, value in (("--cell", options.cell), ("--white", options.white))
-            if value is not None
-        ]
-        if wrong:
-            raise UsageError(
-                f"{source}: {wrong[0]} is of elevation maps",
-                fix=f"leave it out, or give one of {', '.join(ELEVATION_SUFFIXES)}",
-            )
         painted = read_painted(source)
         lines += [f"{one.message}" for one in painted.findings]
         T_file, words = _upright(painted, source, options)
