@@ -150,6 +150,49 @@ def test_a_name_or_pattern_that_cannot_be_is_refused_before_anything_is_computed
     assert "photographs read" not in printed.out
 
 
+@pytest.mark.parametrize(
+    ("out", "words", "said"),
+    [
+        ("none/..", (), "there is no"),
+        ("file/room", (), "file is no folder"),
+        ("file", (), "file is no folder"),
+        ("new/room", ("--held-out", "low_*"), "holds out 0 of 1"),
+        ("new/room", ("--length", "0.jpg:1,1", "0.jpg:99,1", "1"), "outside of the photograph"),
+    ],
+)
+def test_a_build_that_is_refused_leaves_nothing(out, words, said, tmp_path, capsys):
+    (tmp_path / "in").mkdir()
+    Image.new("RGB", (64, 48)).save(tmp_path / "in" / "0.jpg")
+    (tmp_path / "file").write_text("here")
+    with pytest.raises(SystemExit) as left:
+        cli.main(["twin", "build", str(tmp_path / "in"), "--out", str(tmp_path / out), *words])
+    assert left.value.code == 2
+    assert said in capsys.readouterr().err
+    assert {path.name for path in tmp_path.rglob("*")} == {"in", "0.jpg", "file"}
+
+
+def test_a_build_that_is_refused_keeps_an_earlier_capture(tmp_path, capsys):
+    (tmp_path / "in").mkdir()
+    Image.new("RGB", (64, 48)).save(tmp_path / "in" / "0.jpg")
+    capture = tmp_path / "room" / "build" / "capture"
+    capture.mkdir(parents=True)
+    (capture / "capture.json").write_text("{}")
+    (capture / ".calibrate.sqlite").mkdir()
+    for said in (r".calibrate.sqlite is a folder; remove it", "holds out 0 of 1"):
+        with pytest.raises(SystemExit) as left:
+            cli.main(
+                [
+                    *("twin", "build", str(tmp_path / "in"), "--out", str(tmp_path / "room")),
+                    *("--held-out", "low_*"),
+                ]
+            )
+        assert left.value.code == 2
+        assert said in capsys.readouterr().err
+        assert (capture / "capture.json").read_text() == "{}"
+        if "folder" in said:
+            (capture / ".calibrate.sqlite").rmdir()
+
+
 @pytest.mark.parametrize(("z", "said"), [(0.0, "ready"), (-1.0, "mend the errors, then")])
 def test_a_place_is_checked_and_its_suite_named(tmp_path, z, said):
     boxes = "boxes: [{center: [2.0, 0, 0.05], half_size: [0.5, 1.0, 0.05]}]"

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from nw_eval.api import check_scenes
 from nw_eval.errors import SceneError, StoreError, SuiteError, UsageError
 from nw_eval.files.cache import atomic_path
+from nw_eval.files.new_folder import check_place
 from nw_eval.robots import get_robot
 from nw_eval.scenes.finding import SceneFinding, has_errors
 from nw_eval.scenes.folder import load_folder
@@ -153,6 +154,8 @@ class Build:
     def calibrate(self, photographs: Path) -> None:
         """Find where each photograph was taken from; see `nw_eval.twin.calibrate`."""
         options = self._settings.calibrate
+        for place in (self.folder.scene, self.folder.capture / "pictures"):
+            check_place(place)
         if not photographs.exists():
             raise StoreError(f"there is nothing at {photographs}", fix="check the path")
         if not self.folder.carry_out(

@@ -10,15 +10,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.clean import clean
-from nw_eval.errors import SceneError, StoreError, UsageError
-from nw_eval.files.inside import what_is
+from nw_eval.errors import SceneError, UsageError
+from nw_eval.files.new_folder import check_new, new_folder
 from nw_eval.scenes import limits
 from nw_eval.scenes.elevation_file import ELEVATION_SUFFIXES, elevation_mesh, read_elevation
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
@@ -135,8 +134,7 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
         StoreError: it cannot be written.
     """
     options = ScanOptions() if options is None else options
-    if what_is(out) != "nothing" or out.is_symlink():
-        raise UsageError(f"{out} is there already", fix="name another folder")
+    check_new(out)
     check_has_policy(options.robot)
     name = name_of(out.name) if options.name is None else options.name
     check_scene_name(name)
@@ -163,33 +161,23 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
         "trail": [rounded(point) for point in course.trail],
         "spawn": {"position": rounded(course.spawn), "yaw": round(course.yaw, 4)},
     }
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(dir=out.parent, prefix=".scan-") as temporary:
-            staged = Path(temporary) / out.name
-            staged.mkdir()
-            write_collision(
-                staged / COLLISION, moved_points(T, scan.painted.vertices), scan.painted.faces
-            )
-            lines += write_looks(
-                staged,
-                text,
-                scan.painted,
-                T,
-                splat=options.splat,
-                splat_transform=options.splat_transform,
-                most=options.gaussians,
-                way=np.vstack([course.spawn, course.trail]),
-            )
-            write_yaml(staged / SCENE_FILE, text)
-            digest = _loaded(staged, out)
-            write_ready_suite(staged / SUITE, name, ["."], robot=robot_from(out, options.robot))
-            staged.rename(out)
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {out}: {error.strerror or error}",
-            fix="free disk space, or choose another folder",
-        ) from error
+    with new_folder(out) as staged:
+        write_collision(
+            staged / COLLISION, moved_points(T, scan.painted.vertices), scan.painted.faces
+        )
+        lines += write_looks(
+            staged,
+            text,
+            scan.painted,
+            T,
+            splat=options.splat,
+            splat_transform=options.splat_transform,
+            most=options.gaussians,
+            way=np.vstack([course.spawn, course.trail]),
+        )
+        write_yaml(staged / SCENE_FILE, text)
+        digest = _loaded(staged, out)
+        write_ready_suite(staged / SUITE, name, ["."], robot=robot_from(out, options.robot))
     return WrittenScan(folder=out, digest=digest, before=None, lines=tuple(lines), fault=fault)
 
 
@@ -235,10 +223,8 @@ def _check_used(source: Path, options: ScanOptions) -> None:
         what, fix = "of the mesh's colours, in whose place --splat is used", "leave out --splat"
     else:
         return
-    is_one = " and " not in wrong
-    raise UsageError(
-        f"{source}: {wrong} {'is' if is_one else 'are'} {what}", fix=f"leave it out, or {fix}"
-    )
+    verb = "are" if " and " in wrong else "is"
+    raise UsageError(f"{source}: {wrong} {verb} {what}", fix=f"leave that out, or {fix}")
 
 
 def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
