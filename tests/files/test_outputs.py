@@ -27,6 +27,7 @@ ELSEWHERE = {
     "engine/ray_connection.py": "turns the output of a library away",
     "engine/ray_parcels.py": "fills a folder of the cache that appears by one rename",
     "files/cache.py": "is the one that writes",
+    "files/new_folder.py": "fills a temporary folder that appears by one rename",
     "files/traceback_file.py": "writes what nobody foresaw, perhaps in the one that writes",
     "gate/ledger.py": "appends, under a lock, to what `open_own` opened",
     "hub/fetch.py": "appends to a partial download in the cache, and fills a folder there",
@@ -61,11 +62,8 @@ ELSEWHERE = {
     "twin/calibrate/photographs.py": "works in a temporary folder",
     "twin/calibrate/exports.py": "works in a temporary folder",
     "twin/calibrate/video.py": "works in a temporary folder",
-    "twin/label/copying.py": "fills a temporary folder that appears by one rename",
     "twin/label/published.py": "fills a temporary folder that appears by one rename",
     "twin/label/files.py": "fills a temporary folder, whose files are moved when all fits",
-    "twin/scans/levelling.py": "fills a temporary folder that appears by one rename",
-    "twin/scans/scan.py": "fills a temporary folder that appears by one rename",
     "twin/scans/looks.py": "is given the temporary folder by `import_scan`",
     "twin/reconstruct/openmvs.py": "keeps what a program says, in a working folder",
     "view/live_page.py": "calls `save_played`, which uses `atomic_path`",
@@ -79,7 +77,7 @@ WRITES = {
     *("rename", "symlink_to", "hardlink_to", "copyfile", "copytree", "copy2", "move", "link"),
 }
 
-GIVES = {"atomic_path", "sealed_path", "BytesIO"}
+GIVES = {"atomic_path", "sealed_path", "new_folder", "BytesIO"}
 
 
 @pytest.fixture

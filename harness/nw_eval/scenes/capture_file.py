@@ -84,12 +84,20 @@ def read_poses(path: Path) -> tuple[CameraPose, ...]:
     try:
         file = _CaptureFile.model_validate_json(_content(path))
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(str(part) for part in first["loc"]) or "it"
-        raise SceneError(
-            f"{path}: {clean(place, at_most=80)}: {clean(first['msg'], at_most=200)}", fix=_FORM
-        ) from None
+        raise SceneError(f"{path}: {first_problem(error)}", fix=_FORM) from None
     return tuple((camera.position, camera.quat) for camera in file.cameras)
+
+
+def first_problem(error: Exception) -> str:
+    """Return what a file's first fault is, with its place and value; as one line."""
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors(include_url=False)[0]
+    place = ".".join(str(part) for part in first["loc"]) or "it"
+    found = f"{clean(place, at_most=80)}: {clean(first['msg'], at_most=200)}"
+    if isinstance(first["input"], dict):
+        return found
+    return f"{found} (it is {clean(repr(first['input']), at_most=60)})"
 
 
 def write_captures(path: Path, cameras: Sequence[CameraPose]) -> None:

@@ -81,7 +81,7 @@ def read_elevation(
         with open_picture(path, ("PNG", "TIFF")) as picture:
             _check_size(path, *picture.size)
             if picture.format == "TIFF":
-                return _tiff(path, picture, cell, white, no_data)
+                return _tiff(path, picture, cell, no_data, is_grey=white is not None or black != 0)
             return _png(path, picture, cell, white, black, no_data)
     except (UsageError, SceneError):
         raise
@@ -146,11 +146,12 @@ def _png(
 
 
 def _tiff(
-    path: Path, picture: Image, cell: float | None, white: float | None, no_data: float | None
+    path: Path, picture: Image, cell: float | None, no_data: float | None, *, is_grey: bool
 ) -> ElevationMap:
-    if white is not None:
+    if is_grey:
         raise UsageError(
-            f"{path}: the numbers of a TIFF are heights", fix="leave --white out, or give a PNG"
+            f"{path}: the numbers of a TIFF are heights",
+            fix="leave --white and --black out, or give a PNG",
         )
     tags: Any = getattr(picture, "tag_v2", {})
     remarks: list[str] = []

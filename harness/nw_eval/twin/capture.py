@@ -16,18 +16,25 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 
-from nw_eval.errors import NwEvalError, SceneError
+from nw_eval.errors import SceneError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import OutsideError, inside, regular
 from nw_eval.files.pictures import open_picture
+from nw_eval.scenes.capture_file import first_problem
 from nw_eval.splat.camera import Camera
 from nw_eval.twin.lens import Lens
 
 _JSON, _POINTS = "capture.json", "points.npz"
 _MOST_BYTES = 64 * 2**20
 """Of a capture.json that is read."""
+MOST_DISTANT = 1e12
+"""Of a coordinate of a point, in the capture's unit: triangulation leaves some far behind."""
+FARTHEST = 1e9
+"""Of a camera's place, in the capture's unit: squares of it stay exact enough."""
+_TURN = 1e-3
+"""That a rotation's columns may be off unit length and right angles."""
 _MOST_PIXELS = 100_000_000
 """Of a picture that is read."""
 _DAMAGE = (
@@ -67,6 +74,12 @@ class PlacedShot:
     mask: str | None = None
     lens: Lens | None = None
 
+    @property
+    def photographed(self) -> tuple[int, int]:
+        """Width and height of the photograph as it was taken, pixels."""
+        shape = self.camera if self.lens is None else self.lens
+        return shape.width, shape.height
+
 
 @dataclass(frozen=True, kw_only=True)
 class Capture:
@@ -96,10 +109,10 @@ class Capture:
         """
         n = len(self.points)
         shapes = (self.points.shape, self.colours.shape, self.errors.shape)
-        if shapes != ((n, 3), (n, 3), (n,)) or not np.isfinite(self.points).all():
+        if shapes != ((n, 3), (n, 3), (n,)) or not (np.abs(self.points) <= MOST_DISTANT).all():
             raise SceneError(
                 f"a capture's points, colours and errors have the shapes {shapes}, or points are "
-                "not finite",
+                f"not finite, or beyond {MOST_DISTANT:g}",
                 fix="calibrate again",
             )
         if self.up is not None and not 0.999 < np.linalg.norm(self.up) < 1.001:
@@ -123,6 +136,18 @@ class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+_Focal = Annotated[float, Field(gt=0, le=1e6)]
+_Place = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Far = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
+_Row = tuple[_Far, _Far, _Far, _Far]
+
+
+def _is_last(row: _Row) -> _Row:
+    if row != (0, 0, 0, 1):
+        raise ValueError("the last row of a pose is 0 0 0 1")
+    return row
+
+
 class _Lens(_Model):
     model: str
     width: int
@@ -137,14 +162,11 @@ class _Shot(_Model):
     mask: str | None = None
     width: int
     height: int
-    fx: FiniteFloat
-    fy: FiniteFloat
-    cx: FiniteFloat
-    cy: FiniteFloat
-    T_world_camera: Annotated[
-        tuple[tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat], ...],
-        Field(min_length=4, max_length=4),
-    ]
+    fx: _Focal
+    fy: _Focal
+    cx: _Place
+    cy: _Place
+    T_world_camera: tuple[_Row, _Row, _Row, Annotated[_Row, AfterValidator(_is_last)]]
 
 
 class _File(_Model):
@@ -213,7 +235,7 @@ def read_capture(folder: Path) -> Capture:
     path = folder / _JSON
     try:
         if regular(path).stat().st_size > _MOST_BYTES:
-            raise SceneError(f"{path} is larger than {_MOST_BYTES} bytes", fix=_FIX)
+            raise ValueError(f"it is larger than {_MOST_BYTES} bytes")
         file = _File.model_validate_json(path.read_bytes())
         with np.load(regular(folder / _POINTS), allow_pickle=False) as arrays:
             points, colours, errors, numbers, firsts = (
@@ -235,22 +257,28 @@ def read_capture(folder: Path) -> Capture:
         raise SceneError(
             f"no capture in {folder}: {error.filename} is not there", fix=_FIX
         ) from None
-    except NwEvalError:
-        raise
-    except (*_DAMAGE, ValidationError, OutsideError) as error:
-        raise SceneError(f"{path} is no capture: {error}", fix=_FIX) from None
+    except SceneError as error:
+        raise SceneError(f"{path}: {error.message}", fix=error.fix) from None
+    except (*_DAMAGE, OutsideError, UsageError) as error:
+        raise SceneError(f"{path} is no capture: {first_problem(error)}", fix=_FIX) from None
 
 
 def _shot(one: _Shot, seen: NDArray[np.int32], folder: Path) -> PlacedShot:
     for name in (one.file, one.mask):
         if name is not None:
             inside(folder, name)
+    pose = np.array(one.T_world_camera)
+    if np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max() > _TURN:
+        raise ValueError(f"the pose of {one.name} has no rotation: {pose[:3, :3].tolist()}")
+    lens = None if one.lens is None else Lens(**one.lens.model_dump())
+    if lens is not None:
+        lens.check()
     return PlacedShot(
         name=one.name,
         file=one.file,
         mask=one.mask,
         seen=seen,
-        lens=None if one.lens is None else Lens(**one.lens.model_dump()),
+        lens=lens,
         camera=Camera(
             width=one.width,
             height=one.height,
@@ -258,7 +286,7 @@ def _shot(one: _Shot, seen: NDArray[np.int32], folder: Path) -> PlacedShot:
             fy=one.fy,
             cx=one.cx,
             cy=one.cy,
-            T_world_camera=np.array(one.T_world_camera),
+            T_world_camera=pose,
         ),
     )
 

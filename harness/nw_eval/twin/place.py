@@ -67,6 +67,18 @@ class Route:
     yaw: float = 0.0
 
 
+def check_scene_name(name: str) -> None:
+    """Check what a scene is to be called.
+
+    Raises:
+        SceneError: no scene is called so.
+    """
+    try:
+        checked_name(name)
+    except ValueError as error:
+        raise SceneError(f"name {name!r}: {error}", fix="give another --name") from None
+
+
 def write_place(
     out: Path,
     *,
@@ -100,10 +112,7 @@ def write_place(
         SceneError: the name is none, the mesh cannot be read, or the place cannot be loaded.
         StoreError: it cannot be written.
     """
-    try:
-        checked_name(name)
-    except ValueError as error:
-        raise SceneError(f"name {name!r}: {error}", fix="give another --name") from None
+    check_scene_name(name)
     similarity = similarity_entry(T_world_capture)
     _write_collision(mesh, out / COLLISION, T_world_capture)
     text: dict[str, Any] = {

@@ -1,5 +1,8 @@
 """What gives the scale is said in the first seconds, before anything is computed."""
 
+import re
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
@@ -91,6 +94,60 @@ def test_a_length_in_a_photograph_that_is_not_there_is_an_error_at_once(tmp_path
     length = KnownLength.of_words("IMG_1.jpg:1,2", "IMG_9.jpg:1,2", 1.0)
     with pytest.raises(UsageError, match=r"there is no photograph 'IMG_9\.jpg'; did you mean"):
         facts_of_source(taken(tmp_path / "four"), AlignOptions(lengths=(length,)))
+
+
+@pytest.mark.parametrize(
+    ("lengths", "words"),
+    [
+        ([("IMG_1.jpg:1,2", "IMG_1.jpg:1,2", 1.0)], "are one: IMG_1.jpg:1,2 and IMG_1.jpg:1,2"),
+        ([("IMG_1.jpg:1,2+IMG_2.jpg:5,6", "IMG_2.jpg:5,6", 1.0)], "are one: "),
+        ([("IMG_1.jpg:480,2", "IMG_2.jpg:5,6", 1.0)], "outside of .* has 480 x 360 pixels"),
+        ([("IMG_1.jpg:1,2", "IMG_2.jpg:5,400", 1.0)], "IMG_2.jpg:5,400 lies outside of"),
+        (
+            [("IMG_1.jpg:1,2", "IMG_2.jpg:5,6", 1.0), ("IMG_2.jpg:5,6", "IMG_1.jpg:1,2", 1.1)],
+            "contradict each other: 1.1 m between .*, and 1 m by others",
+        ),
+        (
+            [
+                ("IMG_1.jpg:1,2", "IMG_2.jpg:5,6", 1.0),
+                ("IMG_2.jpg:5,6", "IMG_3.jpg:5,6", 1.0),
+                ("IMG_1.jpg:1,2", "IMG_3.jpg:5,6", 5.0),
+            ],
+            "contradict each other: 5 m between .*, and 2 m by others",
+        ),
+    ],
+)
+def test_a_length_that_cannot_be_is_refused_before_anything_is_computed(
+    lengths, words, tmp_path, capsys
+):
+    taken(tmp_path / "four")
+    options = [word for a, b, metres in lengths for word in ("--length", a, b, str(metres))]
+    with pytest.raises(SystemExit) as left:
+        cli.main(
+            ["twin", "build", str(tmp_path / "four"), "--out", str(tmp_path / "room"), *options]
+        )
+    printed = capsys.readouterr()
+    assert left.value.code == 2
+    assert re.search(words, printed.err)
+    assert "photographs read" not in printed.out
+
+
+def test_lengths_that_a_place_can_have_are_taken(tmp_path):
+    ends = ("IMG_1.jpg:1,2", "IMG_2.jpg:5,6", "IMG_3.jpg:5,6")
+    sides = ((0, 1, 1.0), (1, 0, 1.02), (1, 2, 1.0), (0, 2, 1.9))
+    lengths = tuple(KnownLength.of_words(ends[a], ends[b], metres) for a, b, metres in sides)
+    facts_of_source(taken(tmp_path / "four"), AlignOptions(lengths=lengths))
+
+
+@pytest.mark.parametrize(("turn", "fits"), [(1, False), (6, True)])
+def test_pixels_of_a_photograph_are_counted_as_it_is_seen_upright(tmp_path, turn, fits):
+    (tmp_path / "in").mkdir()
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = turn
+    Image.new("L", (480, 360)).save(tmp_path / "in" / "IMG_1.jpg", exif=exif)
+    length = KnownLength.of_words("IMG_1.jpg:100,470", "IMG_1.jpg:5,6", 1.0)
+    with nullcontext() if fits else pytest.raises(UsageError, match="has 480 x 360"):
+        facts_of_source(photographs_in(tmp_path / "in"), AlignOptions(lengths=(length,)))
 
 
 def test_a_build_says_it_before_photographs_are_read_and_goes_on(tmp_path, capsys):

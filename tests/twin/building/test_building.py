@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from nw_eval import cli
 from nw_eval.errors import SceneError, StoreError
@@ -124,6 +125,72 @@ def test_a_robot_that_is_not_there_is_refused_before_anything_is_built(tmp_path,
     assert caught.value.code == 2
     assert "unknown robot 'go9'" in capsys.readouterr().err
     assert not (tmp_path / "scene").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--name", "../x"), "name '../x': "),
+        (("--name", ""), "name '': "),
+        (("--held-out", "low_*"), "--held-out 'low_*' holds out 0 of 4 photographs"),
+        (("--held-out", "*.jpg"), "--held-out '*.jpg' holds out 4 of 4 photographs"),
+    ],
+)
+def test_a_name_or_pattern_that_cannot_be_is_refused_before_anything_is_computed(
+    words, said, tmp_path, capsys
+):
+    (tmp_path / "in").mkdir()
+    for number in range(4):
+        Image.new("RGB", (64, 48)).save(tmp_path / "in" / f"{number}.jpg")
+    with pytest.raises(SystemExit) as left:
+        cli.main(["twin", "build", str(tmp_path / "in"), "--out", str(tmp_path / "room"), *words])
+    printed = capsys.readouterr()
+    assert left.value.code == 2
+    assert said in printed.err
+    assert "photographs read" not in printed.out
+
+
+@pytest.mark.parametrize(
+    ("out", "words", "said"),
+    [
+        ("none/..", (), "there is no"),
+        ("file/room", (), "file is no folder"),
+        ("file", (), "file is no folder"),
+        ("new/room", ("--held-out", "low_*"), "holds out 0 of 1"),
+        ("new/room", ("--length", "0.jpg:1,1", "0.jpg:99,1", "1"), "outside of the photograph"),
+    ],
+)
+def test_a_build_that_is_refused_leaves_nothing(out, words, said, tmp_path, capsys):
+    (tmp_path / "in").mkdir()
+    Image.new("RGB", (64, 48)).save(tmp_path / "in" / "0.jpg")
+    (tmp_path / "file").write_text("here")
+    with pytest.raises(SystemExit) as left:
+        cli.main(["twin", "build", str(tmp_path / "in"), "--out", str(tmp_path / out), *words])
+    assert left.value.code == 2
+    assert said in capsys.readouterr().err
+    assert {path.name for path in tmp_path.rglob("*")} == {"in", "0.jpg", "file"}
+
+
+def test_a_build_that_is_refused_keeps_an_earlier_capture(tmp_path, capsys):
+    (tmp_path / "in").mkdir()
+    Image.new("RGB", (64, 48)).save(tmp_path / "in" / "0.jpg")
+    capture = tmp_path / "room" / "build" / "capture"
+    capture.mkdir(parents=True)
+    (capture / "capture.json").write_text("{}")
+    (capture / ".calibrate.sqlite").mkdir()
+    for said in (r".calibrate.sqlite is a folder; remove it", "holds out 0 of 1"):
+        with pytest.raises(SystemExit) as left:
+            cli.main(
+                [
+                    *("twin", "build", str(tmp_path / "in"), "--out", str(tmp_path / "room")),
+                    *("--held-out", "low_*"),
+                ]
+            )
+        assert left.value.code == 2
+        assert said in capsys.readouterr().err
+        assert (capture / "capture.json").read_text() == "{}"
+        if "folder" in said:
+            (capture / ".calibrate.sqlite").rmdir()
 
 
 @pytest.mark.parametrize(("z", "said"), [(0.0, "ready"), (-1.0, "mend the errors, then")])

@@ -219,12 +219,18 @@ def turned(T):
         (scanner_app, "frame_00002.json", {"intrinsics": [1, 2]}, "intrinsics of .*00002.json"),
         (scanner_app, "frame_00002.json", {"intrinsics": turned(np.eye(3))}, "its centre at"),
         (scanner_app, "frame_00002.json", {"cameraPoseARFrame": None}, "cameraPoseARFrame of"),
-        (scanner_app, "frame_00002.json", {"cameraPoseARFrame": turned(np.eye(4) * 2)},
+        (scanner_app, "frame_00002.json", {"cameraPoseARFrame": turned(np.diag([2, 2, 2, 1]))},
          "00002.json is not a rotation"),
         (scanner_app, "frame_00002.json",
          {"cameraPoseARFrame": turned(np.diag([1, 1, -1, 1]))}, "it mirrors"),
         (scanner_app, "frame_00002.json",
          {"cameraPoseARFrame": turned(np.eye(4) * np.nan)}, "not 16 finite numbers"),
+        (scanner_app, "frame_00002.json",
+         {"cameraPoseARFrame": turned(np.full((4, 4), 9e14))}, "00002.json is not a rotation"),
+        (scanner_app, "frame_00002.json",
+         {"cameraPoseARFrame": turned(np.diag([1, 1, 1, 9e14]))}, "00002.json has the last row"),
+        (polycam, "keyframes/corrected_cameras/101.json", {"t_03": 9e14}, "101.json is at .9"),
+        (polycam, "keyframes/corrected_cameras/101.json", {"fx": -9.0}, "101.json: .*focal length"),
         (polycam, "keyframes/corrected_cameras/101.json", {"t_11": float("nan")}, "t_11 of .*101"),
         (polycam, "keyframes/corrected_cameras/101.json", {"fx": "wide"}, "fx of .*101.json"),
         (record3d, "metadata", {"K": [1.0] * 8}, "K of .*metadata is not 9 finite numbers"),
@@ -235,11 +241,14 @@ def turned(T):
         (arkit_scenes, "lowres_wide.traj", "1 2 3\n", "lowres_wide.traj is not rows of 7"),
         (arkit_scenes, "lowres_wide.traj", "1 2 3 4 nan 6 7\n", "lowres_wide.traj is not rows"),
         (arkit_scenes, "lowres_wide.traj", "1 1e308 1e308 4 5 6 7\n", "traj is not rows"),
+        (arkit_scenes, "lowres_wide.traj", "1234.5 9e14 0 0 0 0 0\n", "is turned by 9e.14 rad"),
+        (record3d, "metadata", {"K": [-9e14, 0, 0, 0, 300, 0, 160, 90, 1]}, "metadata: .*focal"),
         (arkit_scenes, "lowres_wide.traj", "1 0 0 0 0 0 0\n", "no picture in .* of its time"),
         (arkit_scenes, "vga_wide_intrinsics/41069021_1234.602.pincam", "320 180 wide",
          "1234.602.pincam is not rows of 6"),
     ],
 )  # fmt: skip
+@pytest.mark.filterwarnings("error")
 def test_what_is_wrong_with_an_export_is_named(tmp_path, cameras, write, file, values, words):
     write(tmp_path / "in", cameras)
     if isinstance(values, str):

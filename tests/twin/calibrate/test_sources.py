@@ -90,6 +90,44 @@ def test_counts_that_no_file_can_hold_are_refused_at_once(model, tmp_path):
         path.write_bytes(whole)
 
 
+@pytest.mark.parametrize(
+    ("file", "old", "new", "words"),
+    [
+        ("images", " 1 0 0 0 ", " 0 0 0 0 ", r"a\.jpg of .*quaternion \[0.0.* has the length 0"),
+        ("images", " 1 0 0 0 ", " 1e308 1e308 0 0 ", r"a\.jpg of .* has the length inf"),
+        ("images", " 0.1 ", " 1e308 ", r"a\.jpg of .* is at \[1e\+308, "),
+        ("cameras", " 300 301 ", " 1e308 301 ", "camera 1 of .*cameras.txt: .*focal length"),
+        ("cameras", " 300 301 ", " 300 -301 ", "camera 1 of .*cameras.txt: .*focal length"),
+        ("cameras", " -0.1 ", " 1e9 ", "camera 1 of .*cameras.txt: .*distortion is over 50"),
+        ("points3D", "1 1 2 3 ", "1 1e308 2 3 ", "is damaged: points are not finite, or beyond"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_a_number_that_no_camera_has_is_named_with_its_camera(tmp_path, file, old, new, words):
+    texts = {
+        "cameras": "1 OPENCV 320 180 300 301 160 90 -0.1 0 0 0\n",
+        "images": "1 1 0 0 0 0.1 0.2 0.3 1 a.jpg\n1 1 1\n",
+        "points3D": "1 1 2 3 9 9 9 0.5 1 0 2 0\n",
+    }
+    assert old in texts[file]
+    for name, text in {**texts, file: texts[file].replace(old, new)}.items():
+        (tmp_path / f"{name}.txt").write_text(text)
+    with pytest.raises(SceneError, match=words):
+        read_model(tmp_path)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_pose_of_nerfstudio_with_numbers_that_none_has_is_named(tmp_path):
+    for row, column, words in ((0, 0, "not a rotation"), (3, 1, "last row"), (1, 3, "is at")):
+        T = np.eye(4)
+        T[row, column] = 9e14
+        frame = {"file_path": "a.png", "transform_matrix": T.tolist()}
+        value = {"fl_x": 300, "w": 320, "h": 180, "frames": [frame]}
+        (tmp_path / "transforms.json").write_text(json.dumps(value), encoding="utf-8")
+        with pytest.raises(SceneError, match=f"pose of a.png in .*transforms.json .*{words}"):
+            found(tmp_path, tmp_path / "work")
+
+
 def test_a_colmap_folder_becomes_a_capture_as_it_is(model, tmp_path):
     written(model, tmp_path / "in" / "sparse" / "0", "bin")
     (tmp_path / "in" / "images").mkdir()

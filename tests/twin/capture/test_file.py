@@ -106,6 +106,47 @@ def test_pictures_outside_the_folder_are_refused(folder, key, name, tmp_path_fac
         read_capture(folder)
 
 
+def pose_of(*entries):
+    """Rows of a pose that is the identity but for some entries: (row, column, value)."""
+    rows = np.eye(4).tolist()
+    for row, column, value in entries:
+        rows[row][column] = value
+    return rows
+
+
+LENS = {"model": "OPENCV", "width": 100, "height": 80}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("fx", 1e308, r"shots\.0\.fx: .* \(it is 1e\+308\)"),
+        ("fy", 0.0, r"shots\.0\.fy: "),
+        ("fx", float("nan"), r"shots\.0\.fx: "),
+        ("cx", -1e308, r"shots\.0\.cx: "),
+        ("width", 0, "camera width is 0"),
+        ("T_world_camera", pose_of((0, 3, 1e308)), r"\(it is 1e\+308\)"),
+        ("T_world_camera", pose_of((0, 0, 9e14)), r"\(it is 90*\.0\)"),
+        ("T_world_camera", pose_of((0, 0, 3)), "IMG_0.jpg has no rotation"),
+        ("T_world_camera", pose_of((0, 0, 9e8), (1, 1, 9e8), (2, 2, 9e8)), "no rotation"),
+        ("T_world_camera", pose_of((3, 1, 5)), "the last row of a pose is 0 0 0 1"),
+        ("lens", {**LENS, "params": [100, 100, 50, 40, 1e9, 0, 0, 0]}, "a distortion is over 50"),
+        ("lens", {**LENS, "params": [-100, 100, 50, 40, 0, 0, 0, 0]}, "its focal length"),
+        ("lens", {**LENS, "params": [100, 100, 500, 40, 0, 0, 0, 0]}, "its centre"),
+        ("lens", {**LENS, "params": []}, "its numbers make no lens"),
+        ("lens", {**LENS, "width": 0, "params": [9, 9, 0, 0, 0, 0, 0, 0]}, "no such pictures"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_a_camera_that_cannot_be_is_refused_by_file_key_and_value(folder, key, value, words):
+    content = json.loads((folder / "capture.json").read_text(encoding="utf-8"))
+    content["shots"][0][key] = value
+    (folder / "capture.json").write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(SceneError, match=f"capture.json.*{words}") as error:
+        read_capture(folder)
+    assert "pydantic" not in str(error.value)
+
+
 class _Bomb:
     def __reduce__(self):
         return Path.touch, (Path(self.path),)
@@ -131,6 +172,7 @@ def test_arrays_that_are_pickles_are_refused_and_not_run(folder):
     [
         ("points", np.zeros((5, 2))),
         ("points", np.full((5, 3), "x")),
+        ("points", np.full((5, 3), 1e308)),
         ("colours", np.zeros((4, 3), np.uint8)),
         ("seen", np.array([0, 99], np.int32)),
         ("seen", np.array([0.5, np.nan])),

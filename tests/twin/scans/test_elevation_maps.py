@@ -157,3 +157,10 @@ def test_a_map_whose_first_row_is_the_southernmost_is_refused_and_so_are_heights
     with pytest.raises(SceneError, match=r"spike.tif: a pixel is at 3e\+38 m.*--no-data"):
         read_elevation(tmp_path / "spike.tif")
     assert np.isnan(read_elevation(tmp_path / "spike.tif", no_data=3e38).heights[3, 4])
+
+
+def test_black_of_a_tiff_is_refused_as_white_is(tmp_path):
+    Image.fromarray(np.zeros((4, 4), np.float32)).save(tmp_path / "map.tif")
+    for options in ({"black": 1.0}, {"white": 1.0}):
+        with pytest.raises(UsageError, match="leave --white and --black out"):
+            read_elevation(tmp_path / "map.tif", cell=0.1, **options)

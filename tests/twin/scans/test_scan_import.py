@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from trimesh.transformations import rotation_matrix
 
 from nw_eval import cli
 from nw_eval.catalogue import inspect_scene
+from nw_eval.cli.verbs.scenes import scan_lines
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.mesh_file import read_painted
@@ -198,7 +200,27 @@ def test_the_axis_that_the_floor_looks_along_is_up_whatever_the_format_says(tmp_
         assert f"up is +{name[0]} of the file" in "\n".join(written.lines)
         assert errors_of(written.folder) == []
     written = import_scan(tmp_path / "z-up.glb", tmp_path / "wall", ScanOptions(up="+y"))
-    assert "no two metres of even ground" in "\n".join(written.lines)
+    assert "no two metres of even ground" in written.fault
+
+
+@pytest.mark.parametrize(
+    ("degrees", "trail", "end"),
+    [
+        (0, None, "ready: nw-eval scenes check {0}"),
+        (14, None, "ready: nw-eval scenes check {0}"),
+        (35, None, "not ready: the ground at the start is inclined by 35 degrees: level the floor"),
+        (35, ((0.0, 0.0), (1.0, 0.0)), "`nw-eval scenes level {0} --floor X,Y,Z X,Y,Z X,Y,Z"),
+    ],
+)
+def test_a_scan_is_ready_where_the_ground_at_its_start_is_level(tmp_path, degrees, trail, end):
+    mesh = scanned(ground()[0])
+    mesh.apply_transform(rotation_matrix(np.radians(degrees), [0.3, 1, 0]))
+    mesh.export(tmp_path / "scan.ply")
+    written = import_scan(tmp_path / "scan.ply", tmp_path / "mine", ScanOptions(trail=trail))
+    assert end.format(tmp_path / "mine") in scan_lines(written).splitlines()[-1]
+    assert any("inclined by 14 degrees; if it is" in line for line in written.lines) == (
+        degrees == 14
+    )
 
 
 def test_a_scan_on_a_map_is_moved_to_the_origin_and_one_of_another_unit_is_not_taken(tmp_path):
@@ -287,6 +309,10 @@ def test_a_splat_of_another_place_is_refused_and_a_matrix_lays_it(tmp_path):
     options = ScanOptions(splat=tmp_path / "far.ply", splat_transform=matrix)
     written = import_scan(tmp_path / "app.ply", tmp_path / "mine", options)
     assert "splat laid by T.txt: half of its Gaussians lie within 0.0" in "\n".join(written.lines)
+    for far in ("1 0 0 500  0 1 0 0  0 0 1 0  0 0 0 1", "2 0 0 5  0 2 0 5  0 0 2 5  0 0 0 1"):
+        matrix.write_text(far)  # Half a kilometre aside, or the wrong way.
+        with pytest.raises(SceneError, match=r"T\.txt: it lays half of the Gaussians"):
+            import_scan(tmp_path / "app.ply", tmp_path / "other", options)
     matrix.write_text("1 0 0 0 0 1 0 0 0 0 2 0 0 0 0 1")
     with pytest.raises(SceneError, match=r"T\.txt"):
         import_scan(tmp_path / "app.ply", tmp_path / "other", options)
@@ -299,6 +325,15 @@ def test_what_cannot_be_is_refused_by_name_and_nothing_is_left(tmp_path):
     for source, out, options, why in (
         ("scan.ply", "there", {}, "is there already"),
         ("scan.ply", "new", {"cell": 0.1}, "--cell is of elevation maps"),
+        ("scan.ply", "new", {"black": 0.1, "no_data": 3}, "--black and --no-data are of elevation"),
+        ("map.png", "new", {"up": "+y", "gaussians": 9000}, "--up and --gaussians are of meshes"),
+        ("map.tif", "new", {"unit": "cm"}, "--unit is of meshes: an elevation map has its height"),
+        ("scan.ply", "new", {"splat_transform": tmp_path / "T"}, "--splat-transform is of a splat"),
+        ("scan.ply", "new", {"splat": tmp_path / "s.ply", "gaussians": 9}, "leave out --splat"),
+        ("scan.ply", "new", {"name": ""}, "name ''"),
+        ("scan.ply", "new/deep", {"splat": tmp_path / "none.ply"}, "none.ply: No such file"),
+        ("scan.ply", "none/..", {}, "there is no .*none; write the path without"),
+        ("scan.ply", "scan.ply/x", {}, "scan.ply is no folder"),
         ("scan.ply", "new", {"trail": ((0.0, 0.0),)}, "a trail of 1 points"),
         ("scan.ply", "new", {"trail": ((0.0, 0.0), (9.0, 0.0))}, "waypoint 0 at .* no ground"),
         ("scan.ply", "new", {"name": "a b"}, "name 'a b'"),

@@ -384,4 +384,7 @@ def scan_lines(written: WrittenScan) -> str:
         digest = "digest as before" if same else f"digest {written.before[:16]} -> {digest[7:]}"
     folder = shlex.quote(str(written.folder))
     here = folder if folder.startswith(("/", ".", "'")) else f"./{folder}"
-    return "\n".join([*written.lines, digest, f"ready: nw-eval scenes check {here}"])
+    end = f"ready: nw-eval scenes check {here}"
+    if written.fault is not None:
+        end = f"not ready: {written.fault.replace('SCENE', here)}"
+    return "\n".join([*written.lines, digest, end])

@@ -7,26 +7,27 @@ what to give if it will not.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from PIL import Image
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from nw_eval.errors import PrerequisiteError, SceneError, UsageError, nearest
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import regular
 from nw_eval.files.pictures import open_picture
 from nw_eval.plural import plural
+from nw_eval.scenes.capture_file import first_problem
 from nw_eval.scenes.scene import Vector
-from nw_eval.twin.align.alignment import AlignOptions, KnownLength, words_of
+from nw_eval.twin.align.alignment import AlignOptions, KnownLength, check_inside, words_of
 from nw_eval.twin.align.positions import gps_positions
 from nw_eval.twin.align.tags import detector
 from nw_eval.twin.calibrate.footage import Footage
-from nw_eval.twin.calibrate.photographs import DAMAGE
+from nw_eval.twin.calibrate.photographs import DAMAGE, upright_size
 from nw_eval.words import UpAxis
 
 FACTS_FILE = "known.json"
@@ -100,7 +101,13 @@ def facts_of_source(footage: Footage, options: AlignOptions) -> SourceFacts:
         PrerequisiteError: tags are asked for, and what finds them is not installed.
     """
     paths = {one.name: one.path for one in footage.files if one.path is not None}
-    check_names(options.lengths, paths)
+    lenses = {} if footage.cameras is None else footage.cameras.by_name
+
+    def size_of(name: str) -> tuple[int, int] | None:
+        placed = lenses.get(name)
+        return upright_size(paths[name], None if placed is None else placed.lens)
+
+    check_points(options.lengths, paths, size_of)
     positions = {} if footage.is_film else gps_positions(paths)
     looked_at, tags = _tags(paths, options)
     return SourceFacts(
@@ -114,8 +121,17 @@ def facts_of_source(footage: Footage, options: AlignOptions) -> SourceFacts:
     )
 
 
-def check_names(lengths: Iterable[KnownLength], names: Iterable[str]) -> None:
+def check_points(
+    lengths: Iterable[KnownLength],
+    names: Iterable[str],
+    size_of: Callable[[str], tuple[int, int] | None],
+) -> None:
     """Check that the points of lengths are in photographs that there are.
+
+    Args:
+        lengths: of somebody.
+        names: of the photographs.
+        size_of: gives width and height of one; None where it cannot be read.
 
     Raises:
         UsageError: one is not.
@@ -123,12 +139,14 @@ def check_names(lengths: Iterable[KnownLength], names: Iterable[str]) -> None:
     known = set(names)
     for length in lengths:
         for end in (length.first, length.second):
-            for name in end if isinstance(end, Mapping) else ():
+            for name, pixel in end.items() if isinstance(end, Mapping) else ():
                 if name not in known:
                     raise UsageError(
                         f"--length {words_of(end)}: there is no photograph {name!r}",
                         fix=nearest(name, sorted(known)),
                     )
+                if (size := size_of(name)) is not None:
+                    check_inside(name, pixel, size)
 
 
 def _tags(paths: Mapping[str, Path], options: AlignOptions) -> tuple[int, dict[int, int]]:
@@ -243,6 +261,6 @@ def read_facts(folder: Path) -> SourceFacts | None:
         read = _Facts.model_validate_json(path.read_bytes())
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, ValidationError) as error:
-        raise SceneError(f"{path} cannot be read: {error}", fix=_FIX) from None
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{path} cannot be read: {first_problem(error)}", fix=_FIX) from None
     return SourceFacts(**read.model_dump(exclude={"version"}))

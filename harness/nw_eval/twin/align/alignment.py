@@ -5,18 +5,19 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from nw_eval.errors import NwEvalError, SceneError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import regular
+from nw_eval.scenes.capture_file import first_problem
 from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.scenes.scene import Vector
 from nw_eval.words import UpAxis
@@ -63,9 +64,18 @@ class KnownLength:
         """Check the length.
 
         Raises:
-            UsageError: it is no positive number.
+            UsageError: it is no positive number, or one photograph has both points at one pixel.
         """
         _positive("a known length", self.metres)
+        first, second = self.first, self.second
+        if not (isinstance(first, Mapping) and isinstance(second, Mapping)):
+            return
+        if first.items() & second.items():
+            raise UsageError(
+                f"the two points of a length of {self.metres:g} m are one: {words_of(first)} "
+                f"and {words_of(second)}",
+                fix="pick two points apart",
+            )
 
     @classmethod
     def of_words(cls, first: str, second: str, metres: float) -> KnownLength:
@@ -104,6 +114,25 @@ def words_of(point: Vector | Mapping[str, Pixel]) -> str:
     return "+".join(f"{name}:{x - 0.5:g},{y - 0.5:g}" for name, (x, y) in point.items())
 
 
+def check_inside(name: str, pixel: Pixel, size: tuple[int, int]) -> None:
+    """Check that a pixel is one of a photograph.
+
+    Args:
+        name: of the photograph.
+        pixel: of it.
+        size: its width and height, upright.
+
+    Raises:
+        UsageError: it is not.
+    """
+    if not (0 <= pixel[0] <= size[0] and 0 <= pixel[1] <= size[1]):
+        raise UsageError(
+            f"{words_of({name: pixel})} lies outside of the photograph, which has {size[0]} x "
+            f"{size[1]} pixels",
+            fix="count pixels from its top left corner, in the photograph as it was taken",
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class AlignOptions:
     """Facts that no photograph tells; a tag of known edge is enough.
@@ -137,7 +166,7 @@ class AlignOptions:
         """Check the lengths.
 
         Raises:
-            UsageError: naming the one that is no positive number.
+            UsageError: naming the one that is no positive number, or lengths that no place has.
         """
         if self.tag_edge is not None:
             _positive("tag_edge", self.tag_edge)
@@ -145,6 +174,33 @@ class AlignOptions:
             _positive(f"the edge of tag {number}", edge)
         if self.camera_height is not None:
             _positive("camera_height", self.camera_height)
+        _check_ways(self.lengths)
+
+
+def _check_ways(lengths: Sequence[KnownLength]) -> None:
+    """Check that no length is longer than a way between its points over others.
+
+    Raises:
+        UsageError: one is, by more than `MOST_DIFFERENCE`.
+    """
+    numbers: dict[str, int] = {}
+    ends = [
+        tuple(numbers.setdefault(words_of(end), len(numbers)) for end in (one.first, one.second))
+        for one in lengths
+    ]
+    ways = np.full((len(numbers), len(numbers)), np.inf)
+    for one, (a, b) in zip(lengths, ends, strict=True):
+        if not one.vertical:
+            ways[a, b] = ways[b, a] = min(ways[a, b], one.metres)
+    for middle in range(len(numbers)):  # Floyd and Warshall.
+        ways = np.minimum(ways, ways[:, middle, None] + ways[middle])
+    for one, (a, b) in zip(lengths, ends, strict=True):
+        if one.metres > (1.0 + MOST_DIFFERENCE) * ways[a, b]:
+            raise UsageError(
+                f"the lengths contradict each other: {one.metres:g} m between "
+                f"{words_of(one.first)} and {words_of(one.second)}, and {ways[a, b]:g} m by others",
+                fix="measure again, or leave one out",
+            )
 
 
 def _positive(what: str, metres: float) -> None:
@@ -287,8 +343,8 @@ def read_alignment(path: Path) -> Alignment:
         raise SceneError(f"there is no {path}", fix=_FIX) from None
     except NwEvalError:
         raise
-    except (OSError, ValueError, ValidationError) as error:
-        raise SceneError(f"{path} is no alignment: {error}", fix=_FIX) from None
+    except (OSError, ValueError) as error:
+        raise SceneError(f"{path} is no alignment: {first_problem(error)}", fix=_FIX) from None
     T = np.array(file.T_metric_capture)
     scale = check_similarity(T, str(path))
     if abs(scale / file.scale - 1.0) > 1e-6 or (T[3] != [0, 0, 0, 1]).any():

@@ -23,6 +23,7 @@ from nw_eval.twin.align.alignment import (
     KnownLength,
     Pixel,
     ScaleCue,
+    check_inside,
     words_of,
 )
 from nw_eval.twin.align.positions import PositionFit
@@ -342,13 +343,7 @@ def _point(
 def _in_picture(shot: PlacedShot, pixel: Pixel) -> Values:
     """Return where the picture of a shot shows what its photograph does at a pixel, (2,)."""
     camera, lens = shot.camera, shot.lens
-    width, height = (camera.width, camera.height) if lens is None else (lens.width, lens.height)
-    if not (0 <= pixel[0] <= width and 0 <= pixel[1] <= height):
-        raise UsageError(
-            f"{words_of({shot.name: pixel})} lies outside of the photograph, which has {width} x "
-            f"{height} pixels",
-            fix="count pixels from its top left corner, in the photograph as it was taken",
-        )
+    check_inside(shot.name, pixel, shot.photographed)
     if lens is None:
         return np.array(pixel)
     x, y = np.asarray(lens.camera().cam_from_img(np.array([pixel], dtype=np.float64)))[0, :2]

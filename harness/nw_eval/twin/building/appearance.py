@@ -11,7 +11,7 @@ taken, the training goes on for a fifth of its steps with all of them.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -174,6 +174,7 @@ def train_splat(
         StoreError: nothing can be written.
     """
     capture = read_capture(capture_folder)
+    check_held_out(options.held_out, [shot.name for shot in capture.shots])
     depths = None if mesh_folder is None or not options.depth else mesh_folder / "depth"
     photos = photos_of(capture, capture_folder, depths, longest=options.longest)
     sky, share, widest = None, 0.0, 0.0
@@ -354,6 +355,20 @@ def photos_of(
     return tuple(_photo(shot, folder, depths, longest) for shot in capture.shots)
 
 
+def check_held_out(pattern: str, names: Sequence[str]) -> None:
+    """Check that a pattern of names holds some photographs out, and not all; empty = no pattern.
+
+    Raises:
+        UsageError: it holds out none, or all.
+    """
+    held = sum(fnmatchcase(name, pattern) for name in names)
+    if pattern and names and held in {0, len(names)}:
+        raise UsageError(
+            f"--held-out {pattern!r} holds out {held} of {plural(len(names), 'photograph')}",
+            fix=f"name some of them, such as {names[0]}",
+        )
+
+
 def split_photos(
     photos: tuple[Photo, ...], options: AppearanceOptions
 ) -> tuple[tuple[Photo, ...], tuple[Photo, ...]]:
@@ -365,12 +380,8 @@ def split_photos(
         UsageError: no photograph has such a name, or all have.
     """
     if options.held_out:
+        check_held_out(options.held_out, [photo.name for photo in photos])
         held = tuple(photo for photo in photos if fnmatchcase(photo.name, options.held_out))
-        if len(held) in {0, len(photos)}:
-            raise UsageError(
-                f"{options.held_out!r} holds out {len(held)} of {len(photos)} photographs",
-                fix=f"name some of them, such as {photos[0].name}",
-            )
         names = {photo.name for photo in held}
         return tuple(photo for photo in photos if photo.name not in names), held
     every = options.held_out_every

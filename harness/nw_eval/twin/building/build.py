@@ -19,15 +19,17 @@ from numpy.typing import NDArray
 from nw_eval.api import check_scenes
 from nw_eval.errors import SceneError, StoreError, SuiteError, UsageError
 from nw_eval.files.cache import atomic_path
+from nw_eval.files.new_folder import check_place
 from nw_eval.robots import get_robot
 from nw_eval.scenes.finding import SceneFinding, has_errors
 from nw_eval.scenes.folder import load_folder
+from nw_eval.scenes.limits import name_of
 from nw_eval.suite.load import load_suite
 from nw_eval.suite.written import check_has_policy
 from nw_eval.survey import Survey, footing_lines, survey_lines
 from nw_eval.survey.trail import stance_of
 from nw_eval.twin.align.ahead import (
-    check_names,
+    check_points,
     facts_of_source,
     later,
     read_facts,
@@ -36,7 +38,7 @@ from nw_eval.twin.align.ahead import (
 )
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
-from nw_eval.twin.building.appearance import AppearanceOptions, train_splat
+from nw_eval.twin.building.appearance import AppearanceOptions, check_held_out, train_splat
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
 from nw_eval.twin.building.pits import with_pits
 from nw_eval.twin.building.unlike import (
@@ -53,7 +55,7 @@ from nw_eval.twin.calibrate.footage import Footage
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import Capture, read_capture
 from nw_eval.twin.moved import moved_capture, moved_mesh
-from nw_eval.twin.place import SUITE, Route, write_place
+from nw_eval.twin.place import SUITE, Route, check_scene_name, write_place
 from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh, write_mesh
 from nw_eval.twin.reconstruct.options import ReconstructOptions
 from nw_eval.twin.reconstruct.reconstruct import reconstruct
@@ -101,6 +103,15 @@ class BuildSettings:
     robot: str | None = None
     threads: int = 2
 
+    def __post_init__(self) -> None:
+        """Check the name.
+
+        Raises:
+            SceneError: no scene is called so.
+        """
+        if self.name is not None:
+            check_scene_name(self.name)
+
 
 def facts_of(options: Any) -> str:
     """Return options as text that is the same whenever they ask for the same."""
@@ -143,24 +154,30 @@ class Build:
     def calibrate(self, photographs: Path) -> None:
         """Find where each photograph was taken from; see `nw_eval.twin.calibrate`."""
         options = self._settings.calibrate
+        for place in (self.folder.scene, self.folder.capture / "pictures"):
+            check_place(place)
         if not photographs.exists():
             raise StoreError(f"there is nothing at {photographs}", fix="check the path")
         if not self.folder.carry_out(
             "calibrate",
             [facts_of(options), digest_of_files(photographs)],
             lambda: calibrate(
-                photographs, self.folder.capture, options, self._say, self._look_for_scale
+                photographs, self.folder.capture, options, self._say, self._look_ahead
             ),
             self._say,
         ):
             lengths = self._settings.align.lengths
-            check_names(lengths, [shot.name for shot in read_capture(self.folder.capture).shots])
+            sizes = {s.name: s.photographed for s in read_capture(self.folder.capture).shots}
+            check_points(lengths, sizes, sizes.get)
+            check_held_out(self._settings.splat.held_out, list(sizes))
             facts = read_facts(self.folder.capture)
             for line in scale_lines(facts, self._settings.align, self.folder.scene):
                 self._say(line)
 
-    def _look_for_scale(self, footage: Footage) -> None:
-        """Say what will give the scale, before the slow work, and keep what the source says."""
+    def _look_ahead(self, footage: Footage) -> None:
+        """Check options by the source before the slow work, and say what will give the scale."""
+        readable = [one.name for one in footage.files if one.path is not None]
+        check_held_out(self._settings.splat.held_out, readable)
         facts = facts_of_source(footage, self._settings.align)
         for line in scale_lines(facts, self._settings.align, self.folder.scene):
             self._say(line)
@@ -247,7 +264,7 @@ class Build:
             there = load_folder(self.folder.scene, needs_scale=False)
             name, licence = name or there.name, licence or there.licence
         except SceneError:  # There is none yet, or a damaged one, which is written anew.
-            name = name or self.folder.scene.resolve().name.lower()
+            name = name or name_of(self.folder.scene.resolve().name.lower())
         return name, licence or "unknown"
 
     def _robot(self) -> str:

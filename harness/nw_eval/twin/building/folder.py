@@ -91,11 +91,14 @@ class BuildFolder:
             return False
         # What comes later is of another result from now on.
         later = _READ_BY.get(stage, STAGES[STAGES.index(stage) :])
-        self._write({name: old for name, old in stamps.items() if name not in later})
+        kept = {name: old for name, old in stamps.items() if name not in later}
+        if kept != stamps:
+            self._write(kept)
         try:
             work()
         except UsageError:  # It was refused, so that what was there before still holds.
-            self._write(stamps)
+            if kept != stamps:
+                self._write(stamps)
             raise
         self._write(self._stamps() | {stage: stamp})
         return True

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from nw_eval.errors import NwEvalError, SceneError, StoreError
+from nw_eval.errors import NwEvalError, SceneError, StoreError, UsageError
+from nw_eval.files.inside import what_is
+from nw_eval.files.new_folder import made_folder, unwritable
 from nw_eval.plural import plural
 from nw_eval.twin.calibrate.develop import develop
 from nw_eval.twin.calibrate.features import Matches, match
@@ -110,28 +112,33 @@ def calibrate(
 def _working_in(out: Path, say: Say) -> Generator[tuple[Path, Kept]]:
     """Give a working folder that goes with the context, and what an earlier one has kept.
 
-    That is kept on where a signal ends the context, or the disk is full; else it goes too.
+    That is kept on where a signal ends the context, the disk is full, or an option is refused; else
+    it goes too.
 
     Raises:
+        UsageError: a folder is where a file is to be.
         StoreError: the folder cannot be written.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        (out / "capture.json").unlink(missing_ok=True)
-        for left in out.glob(f"{_WORKING}*"):  # By a process that was killed.
-            if left.is_dir() and not left.is_symlink():
-                shutil.rmtree(left)
-        working = TemporaryDirectory(prefix=_WORKING, dir=out)
-    except OSError as error:
-        raise StoreError(f"cannot write to {out}: {error}", fix="choose another folder") from None
     path = out / _KEPT
-    with working as name:
+    for one in (path, out / "capture.json"):
+        if what_is(one) == "folder":
+            raise UsageError(f"{one} is a folder", fix="remove it, or choose another --out")
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(made_folder(out))
+            for left in out.glob(f"{_WORKING}*"):  # By a process that was killed.
+                if left.is_dir() and not left.is_symlink():
+                    shutil.rmtree(left)
+            name = stack.enter_context(TemporaryDirectory(prefix=_WORKING, dir=out))
+        except OSError as error:
+            raise unwritable(out, error) from None
+        before = path.exists()
         kept, is_over = Kept(path), False
         try:
             yield Path(name), kept
             is_over = True
         except NwEvalError as error:
-            is_over = not isinstance(error, StoreError)
+            is_over = not isinstance(error, (StoreError, UsageError) if before else StoreError)
             raise
         except KeyboardInterrupt:
             say(f"cut off: what was found is kept in {path}, and the same command goes on from it")
@@ -156,6 +163,10 @@ def _calibrate(
     )
     say(f"{path}: {source.kind}, {plural(len(source.files), 'photograph')}")
     found(source)
+    try:
+        (out / "capture.json").unlink(missing_ok=True)
+    except OSError as error:
+        raise unwritable(out, error) from None
     photographs, unreadable = take_in(
         source.files, working, say, cameras=source.cameras, megapixels=options.megapixels
     )

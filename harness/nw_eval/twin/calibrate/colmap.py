@@ -7,6 +7,7 @@ besides, are not needed: images.* holds every camera's own pose.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,7 +20,8 @@ from nw_eval.errors import SceneError
 from nw_eval.files.inside import regular
 from nw_eval.twin.calibrate.footage import Footage, found_in, in_order, with_masks
 from nw_eval.twin.calibrate.pace import Say
-from nw_eval.twin.calibrate.solution import Placed, Solution, inverse, rigid
+from nw_eval.twin.calibrate.solution import Placed, Solution, check_pose, inverse, rigid
+from nw_eval.twin.capture import MOST_DISTANT
 from nw_eval.twin.lens import Lens
 
 _PLACES = ("sparse", "colmap/sparse", "dense/sparse", ".")
@@ -178,8 +180,7 @@ def _check_lens(lens: Lens, whose: str) -> None:
             f"{whose} is {lens.model}, which has {size} parameters, with {len(lens.params)}",
             fix=_FIX,
         )
-    if not np.isfinite(lens.params).all():
-        raise SceneError(f"{whose} has the parameters {list(lens.params)}", fix=_FIX)
+    lens.check(whose)
 
 
 def _bytes(path: Path) -> bytes:
@@ -202,7 +203,7 @@ def _solution(
         known = rows < len(ids)
         known[known] = ids[rows[known]] == seen[known]
         whose = f"{clean(name, at_most=100)} of the COLMAP model in {folder}"
-        T = rigid(pose_of(np.asarray(quaternion), np.asarray(translation)), whose)
+        T = rigid(pose_of(np.asarray(quaternion), np.asarray(translation), whose), whose)
         placed.append(
             Placed(
                 name=name,
@@ -212,8 +213,8 @@ def _solution(
             )
         )
     rows = [points[int(one)] for one in ids]
-    if not np.isfinite([(*row[0], row[2]) for row in rows]).all():
-        raise ValueError("points are not finite")
+    if not (np.abs([(*row[0], row[2]) for row in rows]) <= MOST_DISTANT).all():
+        raise ValueError(f"points are not finite, or beyond {MOST_DISTANT:g}")
     return Solution(
         placed=tuple(placed),
         points=np.array([row[0] for row in rows], dtype=np.float64).reshape(-1, 3),
@@ -222,15 +223,19 @@ def _solution(
     )
 
 
-def pose_of(wxyz: np.ndarray, translation: np.ndarray) -> np.ndarray:
+def pose_of(wxyz: np.ndarray, translation: np.ndarray, whose: str) -> np.ndarray:
     """Return a pose (4, 4) of a quaternion (4,) and a translation (3,).
 
     Raises:
-        ValueError: the quaternion is none.
+        SceneError: the quaternion is none, or the translation too large.
     """
-    length = float(np.linalg.norm(wxyz))
+    length = float(np.linalg.norm(wxyz)) if (np.abs(wxyz) < 2.0).all() else math.inf
     if not 0.9 < length < 1.1:
-        raise ValueError(f"a quaternion has the length {length:.3g}")
+        raise SceneError(
+            f"the pose of {whose} is none: its quaternion {wxyz.tolist()} has the length "
+            f"{length:.3g}, not 1",
+            fix=_FIX,
+        )
     w, x, y, z = wxyz / length
     T = np.eye(4)
     T[:3, :3] = [
@@ -239,6 +244,7 @@ def pose_of(wxyz: np.ndarray, translation: np.ndarray) -> np.ndarray:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     T[:3, 3] = translation
+    check_pose(T, whose)
     return T
 
 

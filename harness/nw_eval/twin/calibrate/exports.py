@@ -34,11 +34,12 @@ from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import OutsideError, bounded_bytes, inside
 from nw_eval.plural import plural
+from nw_eval.scenes.limits import SCALES
 from nw_eval.twin.calibrate.colmap import pose_of
 from nw_eval.twin.calibrate.footage import Footage, found_in, in_order, names_in, number, read_json
 from nw_eval.twin.calibrate.pace import Say
 from nw_eval.twin.calibrate.photographs import SUFFIXES, Found, natural
-from nw_eval.twin.calibrate.solution import Placed, Solution, inverse, rigid
+from nw_eval.twin.calibrate.solution import Placed, Solution, check_pose, inverse, rigid
 from nw_eval.twin.calibrate.video import choose
 from nw_eval.twin.lens import Lens
 
@@ -56,6 +57,8 @@ _FIX = "export transforms.json again"
 _MOST_BYTES = 64 * 2**20
 _MOST = 1e15
 """Of a number in an app's file: what is larger is damage, or not finite."""
+_MOST_TURN = 2.0 * math.pi + 0.01
+"""Of an axis times an angle: a whole turn, rad."""
 _AGAIN = "export it again, or give the photographs alone"
 
 
@@ -114,7 +117,9 @@ def _frames(folder: Path, path: Path, size_of: SizeOf) -> Iterator[tuple[Found, 
         if lens is None:
             yield one, None
             continue
+        lens.check(whose)
         pose = _pose(frame.get("transform_matrix"), f"transform_matrix of {whose}")
+        check_pose(pose, whose)
         pose[:3, 3] /= scale
         pose = rigid(inverse(applied) @ pose @ OPENGL, whose)
         yield one, Placed(name=one.name, lens=lens, T_world_camera=pose)
@@ -169,8 +174,8 @@ def _applied(whole: dict[str, Any], file: Path) -> tuple[NDArray[np.float64], fl
     if "applied_transform" in whole:
         applied[:3] = _pose(whole["applied_transform"], f"applied_transform of {file}")[:3]
     scale = number(whole.get("applied_scale", 1.0), f"applied_scale of {file}")
-    if scale <= 0:
-        raise SceneError(f"applied_scale of {file} is {scale}", fix=_FIX)
+    if not SCALES[0] <= scale <= SCALES[1]:
+        raise SceneError(f"applied_scale of {file} is {scale:g}", fix=_FIX)
     return rigid(applied, f"applied_transform of {file}"), scale
 
 
@@ -310,6 +315,7 @@ def _beside(
             continue
         files.append(found_in(picture.parent, picture.name))
         lens, pose = read(read_json(path), files[-1], str(path))
+        lens.check(str(path))
         pose = rigid(pose @ OPENGL, str(path))
         placed.append(Placed(name=picture.name, lens=lens, T_world_camera=pose))
     if not placed:
@@ -401,9 +407,10 @@ def record3d_in(folder: Path, frames: int, say: Say) -> Footage | None:
         if lenses is not None:
             params = _flat({"intrinsics": lenses[place]}, "intrinsics", 4, whose)
         seven = _flat({"pose": poses[place]}, "pose", 7, whose)
-        T = _turned(seven[[3, 0, 1, 2]], seven[4:], whose)
+        T = pose_of(seven[[3, 0, 1, 2]], seven[4:], whose)
         files.append(found_in(picture.parent, picture.name))
         lens = _pinhole(size[0], size[1], params)
+        lens.check(whose)
         placed.append(Placed(name=picture.name, lens=lens, T_world_camera=T @ OPENGL))
     if len(placed) > 1 and not np.ptp([one.T_world_camera for one in placed], axis=0).any():
         raise SceneError(
@@ -411,15 +418,6 @@ def record3d_in(folder: Path, frames: int, say: Say) -> Footage | None:
             fix=f"give {pictures[0].parent} alone, whose cameras are then looked for",
         )
     return _some("record3d", files, placed, frames, say, metric=True)
-
-
-def _turned(
-    wxyz: NDArray[np.float64], move: NDArray[np.float64], whose: str
-) -> NDArray[np.float64]:
-    try:
-        return pose_of(wxyz, move)
-    except ValueError as error:
-        raise SceneError(f"the pose of {whose} is none: {error}", fix=_AGAIN) from None
 
 
 def _some(
@@ -476,11 +474,14 @@ def arkit_scenes_in(folder: Path, frames: int, say: Say) -> Footage | None:
         (row,) = _rows(lens, 6)
         turn = float(np.linalg.norm(pose[:3]))
         wxyz = np.r_[math.cos(turn / 2), np.sinc(turn / (2 * math.pi)) / 2 * pose[:3]]
-        T = inverse(_turned(wxyz, pose[3:], f"{picture.name} in {path}"))
+        whose = f"{picture.name} in {path}"
+        if turn > _MOST_TURN:
+            raise SceneError(f"the pose of {whose} is turned by {turn:g} rad", fix=_AGAIN)
+        T = inverse(pose_of(wxyz, pose[3:], whose))
         files.append(found_in(picture.parent, picture.name))
-        placed.append(
-            Placed(name=picture.name, lens=_pinhole(row[0], row[1], row[2:]), T_world_camera=T)
-        )
+        seen_by = _pinhole(row[0], row[1], row[2:])
+        seen_by.check(str(lens))
+        placed.append(Placed(name=picture.name, lens=seen_by, T_world_camera=T))
     if not placed:
         raise SceneError(
             f"no picture in {pictures[0].parent} has a pose in {path.name} and a lens in "

@@ -35,6 +35,8 @@ DAMAGE = (
 )
 """What Pillow raises at damaged files; RuntimeError at HEIC that is larger than libheif takes."""
 _EXIF_ORIENTATION = 0x0112
+_ASIDE = (5, 6, 7, 8)
+"""Orientations by which width becomes height."""
 _MOST_EXIF = 65_000
 """Bytes of EXIF that a JPEG takes."""
 
@@ -177,7 +179,7 @@ def _take_in(
             if image.mode.startswith(("I", "F")):
                 raise ValueError(f"its grey values are {image.mode}; save it with 8 bits")
             image.load()
-            turned = image.getexif().get(_EXIF_ORIENTATION, 1) != 1 and _is_to_turn(image, lens)
+            turned = _is_to_turn(image, lens)
             jpeg = image.format in {"JPEG", "MPO"}  # A phone's JPEG with a depth map is an MPO.
             plain = (jpeg or image.format == "PNG") and image.mode in {"RGB", "L"} and not turned
             suffix = ".jpg" if jpeg or image.format == "HEIF" else ".png"
@@ -212,7 +214,22 @@ def _take_in(
     )
 
 
+def upright_size(path: Path, lens: Lens | None) -> tuple[int, int] | None:
+    """Return width and height of a photograph, turned as `take_in` turns it; None if damaged."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with open_picture(path) as image:
+                size = image.size
+                is_aside = image.getexif().get(_EXIF_ORIENTATION, 1) in _ASIDE
+                return size[::-1] if is_aside and _is_to_turn(image, lens) else size
+    except (*DAMAGE, SceneError):
+        return None
+
+
 def _is_to_turn(image: Image.Image, lens: Lens | None) -> bool:
+    if image.getexif().get(_EXIF_ORIENTATION, 1) == 1:
+        return False
     if lens is None:
         return True
     (long, short), (w, h) = (lens.width, lens.height), image.size

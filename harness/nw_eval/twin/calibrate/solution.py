@@ -8,7 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
+from nw_eval.twin.capture import FARTHEST
 from nw_eval.twin.lens import Lens
+
+_ENTRY, _LAST = 10.0, 1e-6
+"""Largest entry of what may be a rotation, and how far a last row may be from 0 0 0 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,14 +61,32 @@ def inverse(T: NDArray[np.float64]) -> NDArray[np.float64]:
     return back
 
 
+def check_pose(matrix: NDArray[np.float64], whose: str) -> None:
+    """Check that the numbers of a (4, 4) matrix may be those of a pose.
+
+    Raises:
+        SceneError: one is not finite or too large, or the last row is not 0 0 0 1.
+    """
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise SceneError(f"the pose of {whose} is no finite 4x4 matrix", fix="export it again")
+    if np.abs(matrix[:3, :3]).max() > _ENTRY:
+        found = f"is not a rotation: {matrix[:3, :3].tolist()}"
+    elif np.abs(matrix[3] - (0, 0, 0, 1)).max() > _LAST:
+        found = f"has the last row {matrix[3].tolist()}, not 0 0 0 1"
+    elif np.abs(matrix[:3, 3]).max() > FARTHEST:
+        found = f"is at {matrix[:3, 3].tolist()}, over {FARTHEST:g} from the origin"
+    else:
+        return
+    raise SceneError(f"the pose of {whose} {found}", fix="export it again")
+
+
 def rigid(matrix: NDArray[np.float64], whose: str) -> NDArray[np.float64]:
     """Return a (4, 4) pose with its rotation made exact.
 
     Raises:
-        SceneError: its 3x3 block is no rotation, to one in a hundred; or a number is not finite.
+        SceneError: as `check_pose`; or its 3x3 block is no rotation, to one in a hundred.
     """
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise SceneError(f"the pose of {whose} is no finite 4x4 matrix", fix="export it again")
+    check_pose(matrix, whose)
     u, _, v = np.linalg.svd(matrix[:3, :3])
     R = u @ v
     if np.abs(R - matrix[:3, :3]).max() > 0.01 or np.linalg.det(R) < 0:

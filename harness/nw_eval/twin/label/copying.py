@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from nw_eval.catalogue import brought, is_built_in, names, open_scene, scene_files
-from nw_eval.errors import SceneError, StoreError, UsageError, nearest
+from nw_eval.errors import SceneError, UsageError, nearest
 from nw_eval.files.cache import cache_dir
 from nw_eval.files.inside import what_is
+from nw_eval.files.new_folder import check_new, new_folder
 from nw_eval.scenes.folder import SCENE_FILE, FileSplat, load_folder
 from nw_eval.scenes.limits import name_of
 from nw_eval.scenes.scene import Box, Scene
@@ -71,31 +71,18 @@ def copy_place(reference: str, out: Path, *, robot: str = "go1") -> None:
         SceneError, FetchError, PrerequisiteError: as `own_folder`.
         StoreError: it cannot be written.
     """
-    if what_is(out) != "nothing" or out.is_symlink():
-        raise UsageError(
-            f"{out} is there already", fix=f"label that, nw-eval twin label {out}, or name another"
-        )
+    check_new(out, fix=f"label that, nw-eval twin label {out}, or name another")
     here = brought(reference)
     files = None if is_built_in(here) else scene_files(here)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(dir=out.parent, prefix=".copy-") as temporary:
-            staged = Path(temporary) / out.name
-            staged.mkdir()
-            if files is None or files.prefix:
-                write_place(open_scene(here), staged)
-            else:
-                for name, path in files.files.items():
-                    (staged / name).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(path, staged / name)
-            name, own = load_folder(staged, needs_scale=False).name, robot_from(out, robot)
-            write_ready_suite(staged / SUITE, name, ["."], robot=own)
-            staged.rename(out)
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {out}: {error.strerror or error}",
-            fix="free disk space, or choose another folder",
-        ) from error
+    with new_folder(out) as staged:
+        if files is None or files.prefix:
+            write_place(open_scene(here), staged)
+        else:
+            for name, path in files.files.items():
+                (staged / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, staged / name)
+        name, own = load_folder(staged, needs_scale=False).name, robot_from(out, robot)
+        write_ready_suite(staged / SUITE, name, ["."], robot=own)
 
 
 def write_place(scene: Scene, folder: Path) -> None:

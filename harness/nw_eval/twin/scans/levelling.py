@@ -7,13 +7,12 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.errors import SceneError, StoreError, UsageError
-from nw_eval.files.inside import what_is
+from nw_eval.errors import SceneError, UsageError
+from nw_eval.files.new_folder import new_folder
 from nw_eval.scenes.folder import folder_files, load_folder
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.suite.written import write_ready_suite
@@ -65,23 +64,12 @@ def level_scene(
     if out is None:
         place = open_place(folder)
         return _levelled(place, floor, flip, unit, trail, propose)
-    if what_is(out) != "nothing" or out.is_symlink():
-        raise UsageError(f"{out} is there already", fix="name another folder")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(dir=out.parent, prefix=".level-") as temporary:
-            staged = Path(temporary) / out.name
-            for name, path in files.items():
-                (staged / name).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(path, staged / name)
-            found = _levelled(open_place(staged), floor, flip, unit, trail, propose)
-            write_ready_suite(staged / SUITE, load_folder(staged).name, ["."])
-            staged.rename(out)
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {out}: {error.strerror or error}",
-            fix="free disk space, or choose another folder",
-        ) from error
+    with new_folder(out) as staged:
+        for name, path in files.items():
+            (staged / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, staged / name)
+        found = _levelled(open_place(staged), floor, flip, unit, trail, propose)
+        write_ready_suite(staged / SUITE, load_folder(staged).name, ["."])
     return replace(found, folder=out)
 
 
@@ -103,6 +91,7 @@ def _levelled(
     except SceneError:  # Such as of a wrong unit.
         before = None
     scale = UNITS[unit]
+    fault = None
     T, lines = _levelling(place.mesh, floor, flip, scale)
     moved = TriangleMesh(
         vertices=moved_points(T, place.mesh.vertices),
@@ -111,10 +100,11 @@ def _levelled(
     )
     task = place.state.task
     if trail is not None or propose:
-        course, words = lay_course(moved, None if propose else trail, task)
+        course, words, fault = lay_course(moved, None if propose else trail, task)
+        lines += words
     else:
         course, words = _moved_course(place, T, scale)
-    lines.append(words)
+        lines.append(words)
     save_label(
         place,
         course=course,
@@ -124,7 +114,9 @@ def _levelled(
     size = np.ptp(moved.vertices, axis=0)
     lines.append(f"the mesh is {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m (x, y, z)")
     digest = load_folder(place.folder).digest
-    return WrittenScan(folder=place.folder, digest=digest, before=before, lines=tuple(lines))
+    return WrittenScan(
+        folder=place.folder, digest=digest, before=before, lines=tuple(lines), fault=fault
+    )
 
 
 def _levelling(

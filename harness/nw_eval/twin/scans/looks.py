@@ -40,6 +40,10 @@ _SIZE, _OPACITY = 0.85, 0.98
 _TEXTURE = ("JPEG", "PNG", "WEBP")
 _OFF_MESH = 0.1
 """Median distance of a splat's Gaussians from the mesh that it lies on, at most, metres."""
+_ELSEWHERE = 1.0
+"""Metres, from which on a splat that a matrix lays is of another place: half of its Gaussians are
+farther from the mesh, and half of the mesh from them. A splat shows what is far behind a mesh,
+or less than all of it; either alone says nothing."""
 
 
 def write_looks(
@@ -277,7 +281,8 @@ def _beside(
     unit = check_similarity(T, "the scan")
     corners = painted.vertices[painted.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    face, weights = _spread(corners.mean(axis=1), np.linalg.norm(normal, axis=1), 30_000)
+    twice = np.linalg.norm(normal, axis=1)
+    face, weights = _spread(corners.mean(axis=1), twice, 30_000)
     surface = np.einsum("nk,nkd->nd", weights, corners[face])
     solid = np.flatnonzero(
         (gaussians.opacity_logits > 0.0) & np.isfinite(gaussians.means).all(axis=1)
@@ -291,7 +296,19 @@ def _beside(
 
     if splat_transform is not None:
         given = _matrix(splat_transform)
-        return given, f"splat laid by {splat_transform.name}: {_half(off(given))}"
+        metres = off(given)
+        apart = unit * math.sqrt(float(twice.sum()) / 2 / len(surface))
+        if metres > (most := max(_ELSEWHERE, 2.0 * apart)):
+            some = moved_points(given, gaussians.means[solid[:: max(len(solid) // 30_000, 1)]])
+            bare = unit * float(np.median(distances(surface[::15], some)))
+            if bare > most:
+                raise SceneError(
+                    f"{splat_transform}: it lays half of the Gaussians of {splat} {metres:.2f} m "
+                    f"from the mesh or more, and leaves half of the mesh {bare:.2f} m from them",
+                    fix="give the matrix from the splat's numbers to the mesh's, both in the units "
+                    "and axes of their files; the inverse leads the other way",
+                )
+        return given, f"splat laid by {splat_transform.name}: {_half(metres)}"
     ways = sorted(((off(turn), i) for i, turn in enumerate(_TURNS)), key=lambda one: one[0])
     (least, best), (next_best, _) = ways[:2]
     if least > _OFF_MESH or next_best < 2.0 * least:

@@ -10,19 +10,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.clean import clean
-from nw_eval.errors import SceneError, StoreError, UsageError
-from nw_eval.files.inside import what_is
+from nw_eval.errors import SceneError, UsageError
+from nw_eval.files.new_folder import check_new, new_folder
 from nw_eval.scenes import limits
 from nw_eval.scenes.elevation_file import ELEVATION_SUFFIXES, elevation_mesh, read_elevation
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
-from nw_eval.scenes.limits import checked_name, name_of
+from nw_eval.scenes.limits import name_of
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.mesh_file import MESH_SUFFIXES, PaintedMesh, read_painted
 from nw_eval.scenes.mesh_parts import Material
@@ -34,6 +33,7 @@ from nw_eval.twin.place import (
     COLLISION,
     SUITE,
     Route,
+    check_scene_name,
     rounded,
     write_collision,
     write_yaml,
@@ -59,6 +59,8 @@ _FLOOR_SHARE = 0.2
 a share of all."""
 _STEP, _STRIDE, _ROOM = 0.25, 0.1, 0.2
 """Of a proposed trail: highest step, distance of samples along it, and room to each side."""
+_INCLINED = math.radians(8.0)
+"""Of the ground at the start, from which on it is said; beyond 20 degrees no robot starts there."""
 _LONGEST, _BEHIND = 4.0, 0.7
 """Of a proposed trail, and of the ground behind its end and before its start; metres."""
 
@@ -108,12 +110,14 @@ class WrittenScan:
         digest: of the scene.
         before: the digest that it had; None of a new one, or one that could not be loaded.
         lines: what was done, one line for each thing.
+        fault: why no robot can start there yet, and what to do; None = one can.
     """
 
     folder: Path
     digest: str
     before: str | None
     lines: tuple[str, ...]
+    fault: str | None = None
 
 
 def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> WrittenScan:
@@ -130,18 +134,15 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
         StoreError: it cannot be written.
     """
     options = ScanOptions() if options is None else options
-    if what_is(out) != "nothing" or out.is_symlink():
-        raise UsageError(f"{out} is there already", fix="name another folder")
+    check_new(out)
     check_has_policy(options.robot)
-    name = options.name or name_of(out.name)
-    try:
-        checked_name(name)
-    except ValueError as error:
-        raise SceneError(f"name {name!r}: {error}", fix="give another --name") from None
+    name = name_of(out.name) if options.name is None else options.name
+    check_scene_name(name)
+    _check_used(source, options)
     scan, lines = _read_scan(source, options)
     mesh = _mesh_of(scan, scan.T_world_file)
-    course, words = lay_course(mesh, options.trail, options.task)
-    lines.append(words)
+    course, words, fault = lay_course(mesh, options.trail, options.task)
+    lines += words
     lift = np.eye(4)
     lift[2, 3] = -course.spawn[2]
     course = replace(
@@ -160,34 +161,24 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
         "trail": [rounded(point) for point in course.trail],
         "spawn": {"position": rounded(course.spawn), "yaw": round(course.yaw, 4)},
     }
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(dir=out.parent, prefix=".scan-") as temporary:
-            staged = Path(temporary) / out.name
-            staged.mkdir()
-            write_collision(
-                staged / COLLISION, moved_points(T, scan.painted.vertices), scan.painted.faces
-            )
-            lines += write_looks(
-                staged,
-                text,
-                scan.painted,
-                T,
-                splat=options.splat,
-                splat_transform=options.splat_transform,
-                most=options.gaussians,
-                way=np.vstack([course.spawn, course.trail]),
-            )
-            write_yaml(staged / SCENE_FILE, text)
-            digest = _loaded(staged, out)
-            write_ready_suite(staged / SUITE, name, ["."], robot=robot_from(out, options.robot))
-            staged.rename(out)
-    except OSError as error:
-        raise StoreError(
-            f"cannot write {out}: {error.strerror or error}",
-            fix="free disk space, or choose another folder",
-        ) from error
-    return WrittenScan(folder=out, digest=digest, before=None, lines=tuple(lines))
+    with new_folder(out) as staged:
+        write_collision(
+            staged / COLLISION, moved_points(T, scan.painted.vertices), scan.painted.faces
+        )
+        lines += write_looks(
+            staged,
+            text,
+            scan.painted,
+            T,
+            splat=options.splat,
+            splat_transform=options.splat_transform,
+            most=options.gaussians,
+            way=np.vstack([course.spawn, course.trail]),
+        )
+        write_yaml(staged / SCENE_FILE, text)
+        digest = _loaded(staged, out)
+        write_ready_suite(staged / SUITE, name, ["."], robot=robot_from(out, options.robot))
+    return WrittenScan(folder=out, digest=digest, before=None, lines=tuple(lines), fault=fault)
 
 
 def _loaded(staged: Path, out: Path) -> str:
@@ -205,15 +196,41 @@ class _Scan:
     """(4, 4), but for the height of the floor."""
 
 
+_OF_MAPS = ("cell", "white", "black", "no_data")
+_OF_MESHES = ("up", "unit", "gaussians")
+
+
+def _check_used(source: Path, options: ScanOptions) -> None:
+    """Check that nothing is asked for that this file has no use for.
+
+    Raises:
+        UsageError: something is; all of it is named.
+    """
+    suffix, default = source.suffix.lower(), ScanOptions()
+
+    def given(*names: str) -> str:
+        asked = [one for one in names if getattr(options, one) != getattr(default, one)]
+        return " and ".join(f"--{one.replace('_', '-')}" for one in asked)
+
+    if suffix in MESH_SUFFIXES and (wrong := given(*_OF_MAPS)):
+        what, fix = "of elevation maps", f"give one of {', '.join(ELEVATION_SUFFIXES)}"
+    elif suffix in ELEVATION_SUFFIXES and (wrong := given(*_OF_MESHES)):
+        what = "of meshes: an elevation map has its height up, is in metres and has no colours"
+        fix = "scale it by --cell, --white and --black"
+    elif options.splat is None and (wrong := given("splat_transform")):
+        what, fix = "of a splat, and there is none", "name it with --splat"
+    elif options.splat is not None and (wrong := given("gaussians")):
+        what, fix = "of the mesh's colours, in whose place --splat is used", "leave out --splat"
+    else:
+        return
+    verb = "are" if " and " in wrong else "is"
+    raise UsageError(f"{source}: {wrong} {verb} {what}", fix=f"leave that out, or {fix}")
+
+
 def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
     suffix = source.suffix.lower()
     lines: list[str] = []
     if suffix in ELEVATION_SUFFIXES:
-        if options.up != "auto" or options.unit != "m":
-            raise UsageError(
-                f"{source}: an elevation map has its height up and is in metres",
-                fix="leave --up and --unit out; --white, --black and --cell scale it",
-            )
         found = read_elevation(
             source,
             cell=options.cell,
@@ -242,16 +259,6 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
         )
         T_file = np.eye(4)
     elif suffix in MESH_SUFFIXES:
-        wrong = [
-            name
-            for name, value in (("--cell", options.cell), ("--white", options.white))
-            if value is not None
-        ]
-        if wrong:
-            raise UsageError(
-                f"{source}: {wrong[0]} is of elevation maps",
-                fix=f"leave it out, or give one of {', '.join(ELEVATION_SUFFIXES)}",
-            )
         painted = read_painted(source)
         lines += [f"{one.message}" for one in painted.findings]
         T_file, words = _upright(painted, source, options)
@@ -347,17 +354,53 @@ def _mesh_of(scan: _Scan, T: Values) -> TriangleMesh:
 
 def lay_course(
     mesh: TriangleMesh, trail: Sequence[tuple[float, ...]] | None, task: Task | None
-) -> tuple[Route, str]:
-    """Return start and waypoints on the ground of a mesh, and what is said of them."""
+) -> tuple[Route, list[str], str | None]:
+    """Return start and waypoints on the ground of a mesh, what is said of them, and their fault.
+
+    The fault is why no robot can start there, and what to do; None = one can.
+    """
     if trail is not None:
-        return _given(mesh, trail, task or "open")
-    found = _proposed(mesh)
-    if found is None:
-        return _placeholder(mesh, task or "open")
-    points, yaw = found
+        route, words = _given(mesh, trail, task or "open")
+    else:
+        found = _proposed(mesh)
+        if found is None:
+            fault = "no two metres of even ground, so the trail is one waypoint a metre ahead"
+            return _placeholder(mesh, task or "open"), [], f"{fault}: {_FLOOR}"
+        route, words = _straight(*found, task or "open")
+    tilt = _tilt(mesh, route)
+    if tilt < _INCLINED:
+        return route, [words], None
+    fault = f"the ground at the start is inclined by {math.degrees(tilt):.0f} degrees"
+    if math.cos(tilt) < _LEVEL:
+        return route, [words], f"{fault}: {_FLOOR}"
+    return route, [words, f"{fault}; if it is level in truth, {_FLOOR}"], None
+
+
+_FLOOR = (
+    "level the floor, `nw-eval scenes level SCENE --floor X,Y,Z X,Y,Z X,Y,Z --propose`, or import "
+    "with another --up or --unit"
+)
+
+
+def _tilt(mesh: TriangleMesh, route: Route) -> float:
+    """Return how far the ground within half a metre of the start is inclined, rad.
+
+    It is the median of all 10 cm, so that steps and stairs of level treads do not count.
+    """
+    x, y, z = route.spawn
+    side = np.linspace(-0.5, 0.5, 11)
+    xy = np.stack(np.meshgrid(x + side, y + side), axis=-1).reshape(-1, 2)
+    ground = _ground(mesh, RayScene(mesh), xy, z).reshape(11, 11)
+    rises = [np.diff(ground, axis=axis) / 0.1 for axis in (0, 1)]
+    known = [each[np.isfinite(each)] for each in rises]
+    return math.atan(math.hypot(*(float(np.median(one)) if len(one) else 0.0 for one in known)))
+
+
+def _straight(points: Values, yaw: float, task: Task) -> tuple[Route, str]:
+    """Return a proposed way (K, 3) as a trail, and what is said of it."""
     far = float(np.linalg.norm(points[-1, :2] - points[0, :2]))
     course = Route(
-        task=task or "open",
+        task=task,
         trail=points[1:],
         spawn=(float(points[0, 0]), float(points[0, 1]), float(points[0, 2])),
         yaw=yaw,
@@ -369,16 +412,11 @@ def lay_course(
     )
 
 
-def _placeholder(mesh: TriangleMesh, task: Task) -> tuple[Route, str]:
+def _placeholder(mesh: TriangleMesh, task: Task) -> Route:
     """Return a start at the middle of a mesh that shows no floor yet, and one waypoint ahead."""
     middle = np.median(mesh.vertices, axis=0)
     x, y, z = mesh.vertices[np.linalg.norm(mesh.vertices - middle, axis=1).argmin()].tolist()
-    course = Route(task=task, trail=np.array([[x + 1.0, y, z]]), spawn=(x, y, z))
-    return course, (
-        "no two metres of even ground, so the trail is one waypoint a metre ahead: level the "
-        "floor, `nw-eval scenes level SCENE --floor X,Y,Z X,Y,Z X,Y,Z --propose`, or give another "
-        "--up or --unit"
-    )
+    return Route(task=task, trail=np.array([[x + 1.0, y, z]]), spawn=(x, y, z))
 
 
 def _given(mesh: TriangleMesh, trail: Sequence[tuple[float, ...]], task: Task) -> tuple[Route, str]:
