@@ -26,7 +26,7 @@ and texts of strangers' files are made harmless here, once, whoever prints the e
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 
 from nw_eval.clean import clean
@@ -79,8 +79,22 @@ class NwEvalError(Exception):
             for line in self.args[0]
         )
 
+    def rename(self, path: str, other: str) -> None:
+        """Call a file or folder otherwise, in all that is said."""
+        self.args = (tuple(_renamed(line, path, other) for line in self.args[0]),)
+        self.problems = tuple(line for line in self.args[0] if isinstance(line, Problem))
+        self.fix = None if self.fix is None else self.fix.replace(path, other)
+
     def __str__(self) -> str:
         return _with_fix(self.message, self.fix)
+
+
+def _renamed(line: Problem | str, path: str, other: str) -> Problem | str:
+    if isinstance(line, str):
+        return line.replace(path, other)
+    return replace(
+        line, file=line.file.replace(path, other), message=line.message.replace(path, other)
+    )
 
 
 class UsageError(NwEvalError):

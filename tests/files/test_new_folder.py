@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from nw_eval.errors import StoreError, UsageError
+from nw_eval.errors import Problem, SceneError, StoreError, UsageError
 from nw_eval.files.new_folder import new_folder
 
 
@@ -54,3 +54,20 @@ def test_a_place_where_no_folder_can_be_is_the_users_error(tmp_path, out, words)
     with pytest.raises(UsageError, match=words), new_folder(tmp_path / out):
         raise AssertionError(os.fspath(out))
     assert tree(tmp_path) == ["file", "link"]
+
+
+def test_errors_name_the_folder_that_the_user_knows(tmp_path):
+    for called, name in ((None, "mine"), (tmp_path / "theirs", "theirs")):
+
+        def fail(called=called):
+            with new_folder(tmp_path / "mine", called=called) as staged:
+                problem = Problem(file=f"{staged}/a", line=1, column=2, message=f"see {staged}/b")
+                raise SceneError([f"{staged}/c is none", problem], fix=f"remove {staged}/d")
+
+        with pytest.raises(SceneError) as error:
+            fail()
+        known = tmp_path / name
+        assert str(error.value) == (
+            f"{known}/c is none\n{known}/a:1:2: see {known}/b; remove {known}/d"
+        )
+        assert error.value.problems[0].file == f"{known}/a"

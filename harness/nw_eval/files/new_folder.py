@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from nw_eval.errors import StoreError, UsageError
+from nw_eval.errors import NwEvalError, StoreError, UsageError
 from nw_eval.files.inside import what_is
 
 _FIX = "name another folder"
@@ -52,17 +52,20 @@ def check_new(out: Path, *, fix: str = _FIX) -> None:
 
 
 @contextmanager
-def new_folder(out: Path) -> Generator[Path]:
+def new_folder(out: Path, *, called: Path | None = None) -> Generator[Path]:
     """Give a folder to write to, of the same name, which is at `out` on success.
 
     Args:
         out: where nothing may be; folders above it are made, and go again on failure.
+        called: what errors call the folder that is written to: the one that its files come from.
+            None = `out`.
 
     Raises:
         UsageError: as `check_new`.
         StoreError: it cannot be written.
     """
     check_new(out)
+    staged = None
     try:
         with made_folder(out.parent), TemporaryDirectory(dir=out.parent, prefix=".new-") as given:
             staged = Path(given) / out.name
@@ -71,6 +74,10 @@ def new_folder(out: Path) -> Generator[Path]:
             staged.rename(out)
     except OSError as error:
         raise unwritable(out, error) from error
+    except NwEvalError as error:
+        if staged is not None:  # No user knows it, and it is gone.
+            error.rename(str(staged), str(called or out))
+        raise
 
 
 @contextmanager

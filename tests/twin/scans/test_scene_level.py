@@ -178,3 +178,12 @@ def test_a_point_that_is_none_is_named_with_its_option(tilted, capsys):
         cli.main(["scenes", "level", str(folder), "--floor", "0,0,0", "1,x,0", "-1,-2,0"])
     assert end.value.code == 2
     assert "--floor 1,x,0: no point X,Y,Z" in capsys.readouterr().err
+
+
+def test_a_fault_of_a_scene_that_is_copied_names_its_own_file(tilted, tmp_path):
+    folder, _ = tilted
+    (folder / "collision.ply").write_bytes(b"ply\nno")
+    with pytest.raises(SceneError, match=f"^{folder}/collision.ply: ") as error:
+        level_scene(folder, flip=True, out=tmp_path / "copy")
+    assert ".new-" not in str(error.value)
+    assert not (tmp_path / "copy").exists()

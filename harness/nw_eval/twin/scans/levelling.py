@@ -64,7 +64,7 @@ def level_scene(
     if out is None:
         place = open_place(folder)
         return _levelled(place, floor, flip, unit, trail, propose)
-    with new_folder(out) as staged:
+    with new_folder(out, called=folder) as staged:
         for name, path in files.items():
             (staged / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, staged / name)

@@ -176,17 +176,9 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
             way=np.vstack([course.spawn, course.trail]),
         )
         write_yaml(staged / SCENE_FILE, text)
-        digest = _loaded(staged, out)
+        digest = load_folder(staged).digest
         write_ready_suite(staged / SUITE, name, ["."], robot=robot_from(out, options.robot))
     return WrittenScan(folder=out, digest=digest, before=None, lines=tuple(lines), fault=fault)
-
-
-def _loaded(staged: Path, out: Path) -> str:
-    """Return the digest of a scene that is still being written; its errors name `out`."""
-    try:
-        return load_folder(staged).digest
-    except SceneError as error:
-        raise SceneError(error.message.replace(str(staged), str(out)), fix=error.fix) from None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
