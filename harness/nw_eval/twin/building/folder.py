@@ -24,7 +24,7 @@ _FORMATS: dict[Stage, int] = {
     "reconstruct": 7,
     "align": 4,
     "splat": 6,
-    "place": 9,
+    "place": 10,
 }
 """Each changes with what its stage makes of the same inputs."""
 _MOST_BYTES = 1_000_000

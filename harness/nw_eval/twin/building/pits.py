@@ -198,6 +198,8 @@ def _dug(mesh: ColourMesh, plan: _Plan, deep: Cells, T: F64) -> tuple[ColourMesh
     ndimage = package("scipy.ndimage")
     ball = ndimage.iterate_structure(ndimage.generate_binary_structure(2, 1), _SLIVER)
     deep = ndimage.binary_closing(deep, ball) & plan.asked | deep
+    # Between a pit and its rim neither shows: the rim is where the surface ends.
+    deep |= ndimage.binary_dilation(deep, ball) & plan.asked & np.isnan(plan.heights)
     label, _ = ndimage.label(deep)
     bottom, rim = np.full(deep.shape, np.nan), np.full(deep.shape, np.nan)
     pits: list[Pit] = []
@@ -262,9 +264,18 @@ def _over(middles: F64, plan: _Plan, bottom: F64, rim: F64) -> Cells:
 
 
 def _walls(plan: _Plan, bottom: F64, rim: F64) -> F64:
-    """Return quadrilaterals (Q, 4, 3) of bottoms, seen from above, and of walls, from inside."""
+    """Return quadrilaterals (Q, 4, 3) of bottoms and rims, seen from above, and of walls.
+
+    Walls are seen from inside. The surface ends somewhere in a square of the rim; a square of its
+    own height closes what is open between that and the wall.
+    """
     quads: list[F64] = []
     deep = np.isfinite(bottom)
+    rims = package("scipy.ndimage").binary_dilation(deep) & ~deep & np.isfinite(plan.heights)
+    for row, column in np.argwhere(rims).tolist():
+        x, y = plan.origin + plan.cell * np.array([column, row])
+        X, Y, z = x + plan.cell, y + plan.cell, plan.heights[row, column]
+        quads.append(np.array([[x, y, z], [X, y, z], [X, Y, z], [x, Y, z]]))
     for row, column in np.argwhere(deep).tolist():
         x, y = plan.origin + plan.cell * np.array([column, row])
         X, Y, z = x + plan.cell, y + plan.cell, bottom[row, column]
