@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
-from nw_eval.scenes.limits import TEXTURE_BYTES
+from nw_eval.scenes.limits import TEXTURE_BYTES, TEXTURES
 from nw_eval.scenes.mesh import rotation_matrix
 from nw_eval.scenes.mesh_parts import (
     AGAIN,
@@ -41,7 +41,8 @@ def read_glb(path: Path, remarks: Remarks) -> Arrays:
     After https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html.
     """
     try:
-        vertices, faces = _Glb(path, remarks).read()
+        with np.errstate(all="ignore"):  # `checked_mesh` names what is not finite.
+            vertices, faces = _Glb(path, remarks).read()
     except SceneError:
         raise
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError,
@@ -71,10 +72,12 @@ class _Glb:
             )
         self.path, self.remarks = path, remarks
         self.materials: dict[int | None, int] = {}
+        self.pictures: dict[int, bytes] = {}
+        self.size = len(data)
+        binary = data[28 + length : whole]
         self.content: dict[str, Any] = json.loads(data[20 : 20 + length])
         self.buffers = [
-            self._buffer(one.get("uri"), data[28 + length : whole])
-            for one in self.content.get("buffers", ())
+            self._buffer(one.get("uri"), binary) for one in self.content.get("buffers", ())
         ]
         needed = [str(one) for one in self.content.get("extensionsRequired", ())]
         unknown = [name for name in needed if not _GLTF_LOOKS.fullmatch(name)]
@@ -145,6 +148,7 @@ class _Glb:
         return np.concatenate(vertices), np.concatenate(faces)
 
     def _parts(self, mesh: dict[str, Any]) -> Iterator[tuple[Arrays, dict[str, Any]]]:
+        count = 0
         for primitive in mesh["primitives"]:
             mode = primitive.get("mode", 4)
             if mode not in _GLTF_TRIANGLES:
@@ -155,6 +159,8 @@ class _Glb:
             if primitive.get("targets"):
                 self.remarks.dropped["morph targets"] += len(primitive["targets"])
             points = self._accessor(primitive["attributes"]["POSITION"], "VEC3")
+            count += len(points)
+            check_count(self.path, count)
             if "indices" in primitive:
                 run = self._accessor(primitive["indices"], "SCALAR")[:, 0].astype(np.int64)
             else:
@@ -202,8 +208,14 @@ class _Glb:
         if number not in self.materials:
             factor = base.get("baseColorFactor") or gloss.get("diffuseFactor") or (1.0, 1.0, 1.0)
             r, g, b = np.clip(np.array(factor[:3], dtype=np.float64), 0.0, 1.0).tolist()
+            if np.isnan((r, g, b)).any():
+                raise ValueError(f"the colour {factor} of a material is none")
             texture = self._picture(int(entry["index"])) if "index" in entry else None
             self.materials[number] = len(paint.materials)
+            if len(self.materials) > 10 * TEXTURES:
+                raise SceneError(
+                    f"{self.path}: over {10 * TEXTURES} materials", fix="join them into an atlas"
+                )
             paint.materials.append(Material(factor=(r, g, b), texture=texture, is_linear=True))
         return {"colours": colours, "uv": uv, "material": self.materials[number]}
 
@@ -215,17 +227,30 @@ class _Glb:
         if source is None:
             self.remarks.dropped["textures of KTX2, which are not read"] += 1
             return None
+        if source in self.pictures:
+            return self.pictures[source]
         image: dict[str, Any] = self.content["images"][source]
         if "bufferView" in image:
             view = self.content["bufferViews"][image["bufferView"]]
-            first = int(view.get("byteOffset", 0))
-            found = self.buffers[view["buffer"]][first : first + int(view["byteLength"])]
+            buffer, first = self.buffers[view["buffer"]], int(view.get("byteOffset", 0))
+            length = int(view["byteLength"])
+            if first < 0 or length < 0 or first + length > len(buffer):
+                raise SceneError(
+                    f"{self.path}: the picture {source} lies at bytes {first} to {first + length} "
+                    f"of {len(buffer)}",
+                    fix=CUT_SHORT,
+                )
+            found = buffer[first : first + min(length, TEXTURE_BYTES + 1)]
         else:
             found = self._buffer(str(image["uri"]), b"")
-        if len(found) > TEXTURE_BYTES:
+        whole = len(found) + sum(map(len, self.pictures.values()))
+        if len(found) > TEXTURE_BYTES or len(self.pictures) >= TEXTURES or whole > self.size:
             raise SceneError(
-                f"{self.path}: a texture of {len(found)} bytes", fix=f"{TEXTURE_BYTES} at most"
+                f"{self.path}: over {TEXTURES} textures, one over {TEXTURE_BYTES // 10**6} MB, or "
+                "all larger than the file",
+                fix="join them into an atlas, or make them smaller",
             )
+        self.pictures[source] = found
         return found
 
     def _accessor(self, number: int, shape: str) -> NDArray[np.float64]:
@@ -263,6 +288,8 @@ def _gltf_pose(node: dict[str, Any]) -> NDArray[np.float64]:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
     T = np.eye(4)
     x, y, z, w = map(float, node.get("rotation", (0, 0, 0, 1)))
+    if not 0.1 < x * x + y * y + z * z + w * w < 10.0:
+        raise ValueError(f"the rotation {[x, y, z, w]} of a node is none")
     scale = np.array(node.get("scale", (1, 1, 1)), dtype=np.float64).reshape(3)
     T[:3, :3] = rotation_matrix((w, x, y, z)) * scale
     T[:3, 3] = np.array(node.get("translation", (0, 0, 0)), dtype=np.float64).reshape(3)

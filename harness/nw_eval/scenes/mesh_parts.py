@@ -22,6 +22,9 @@ from nw_eval.scenes.polygons import PolygonError, triangulated
 AGAIN = "open it in a mesh viewer and export it again"
 CUT_SHORT = "the file is cut short; export it again"
 
+_FAR = 1e6
+"""Of a place in a texture that repeats: beyond, single precision knows no place in it."""
+
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
 """Vertices (V, 3) and triangles (F, 3)."""
 
@@ -76,11 +79,13 @@ class Paint:
             colours = np.concatenate(
                 [np.ones((n, 3, 3), np.float32) if c is None else c for n, c, _, _ in self.parts]
             ).astype(np.float32)
+            colours = np.nan_to_num(colours, nan=1.0)
         if any(part[2] is not None for part in self.parts):
             nowhere = np.float32(np.nan)
             uv = np.concatenate(
                 [np.full((n, 3, 2), nowhere) if t is None else t for n, _, t, _ in self.parts]
-            ).astype(np.float32)
+            )
+            uv = np.where(np.abs(uv) < _FAR, uv, nowhere).astype(np.float32)
         material = np.concatenate(
             [np.zeros(0, np.int32)] + [np.broadcast_to(m, n) for n, _, _, m in self.parts]
         ).astype(np.int32)

@@ -1,6 +1,7 @@
 """A scan in its file's axes and unit becomes a scene in metres, with its colours and a trail."""
 
 import io
+import json
 import struct
 
 import numpy as np
@@ -355,3 +356,70 @@ def test_a_glb_whose_texture_points_outside_of_its_bytes_is_an_error(tmp_path):
     (tmp_path / "scan.glb").write_bytes(whole.replace(text, wrong))
     with pytest.raises(SceneError, match="no readable GLB mesh: IndexError"):
         read_painted(tmp_path / "scan.glb")
+
+
+def glb_changed(path, **changes):
+    """Write a scan as a GLB; `changes` are made to what its JSON has by each name."""
+    scanned(ground()[0] @ Y_UP.T, texture=picture()).export(path)
+    whole = path.read_bytes()
+    (length,) = struct.unpack_from("<I", whole, 12)
+    content, rest = json.loads(whole[20 : 20 + length]), whole[20 + length :]
+    for name, change in changes.items():
+        content[name] = change(content[name])
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<IIII", 2, 20 + len(text) + len(rest), len(text), 0x4E4F534A)
+    path.write_bytes(b"glTF" + head + text + rest)
+    return path
+
+
+def many(count, **more):
+    """A change that repeats the only entry of a list, each with a number of its own under a key."""
+    return lambda old: [{**old[0], **dict.fromkeys(more, i)} for i in range(count)]
+
+
+def primitives(count):
+    return lambda old: [{"primitives": many(count, material=0)(old[0]["primitives"])}]
+
+
+def textured(count):
+    return lambda _: [
+        {"pbrMetallicRoughness": {"baseColorTexture": {"index": i}}} for i in range(count)
+    ]
+
+
+def viewed(**view):
+    """A change of the third view of a buffer, which is the picture's."""
+    return lambda old: [*old[:2], {**old[2], **view}, *old[3:]]
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"materials": many(2600), "meshes": primitives(2600)}, "over 2560 materials"),
+        (
+            {
+                "images": many(300),
+                "textures": lambda _: [{"source": i} for i in range(300)],
+                "materials": textured(300),
+                "meshes": primitives(300),
+            },
+            "over 256 textures, one over 128 MB, or all larger than the file",
+        ),
+        ({"bufferViews": viewed(byteOffset=-5)}, "the picture 0 lies at bytes -5 to "),
+        ({"bufferViews": viewed(byteLength=10**12)}, "the picture 0 lies at bytes .* cut short"),
+        ({"nodes": lambda old: [{**old[0], "rotation": [0, 0, 0, 0]}]}, "rotation .* is none"),
+        ({"nodes": lambda old: [{**old[0], "scale": [1e308] * 3}]}, "vertices are not finite"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_a_glb_that_asks_for_more_than_a_scan_has_is_refused(tmp_path, changes, why):
+    with pytest.raises(SceneError, match=why):
+        read_painted(glb_changed(tmp_path / "scan.glb", **changes))
+
+
+def test_one_picture_that_many_materials_of_a_glb_share_is_kept_once(tmp_path):
+    path = glb_changed(tmp_path / "scan.glb", materials=many(400), meshes=primitives(400))
+    textures = [one.texture for one in read_painted(path).materials]
+    assert len(textures) == 400
+    assert all(one is textures[0] for one in textures)
