@@ -102,12 +102,15 @@ def place(tmp_path_factory):
     return folder, read_capture(folder)
 
 
-def surface():
-    """What a reconstruction knows of it: tops and floor, with holes at the gap and at the patch."""
+def surface(short=0.0):
+    """What a reconstruction knows of it: tops and floor, with holes at the gap and at the patch.
+
+    Tops end `short` metres before the rims.
+    """
     (x, y), (X, Y) = PATCH
     quads = [
-        rectangle((-1.0, -0.6), (RIM, 0.6), HIGH),
-        rectangle((FAR_RIM, -0.6), (3.0, 0.6), HIGH),
+        rectangle((-1.0, -0.6), (RIM - short, 0.6), HIGH),
+        rectangle((FAR_RIM + short, -0.6), (3.0, 0.6), HIGH),
         rectangle((-3, 0.6), (5, 3), 0.0),
         rectangle((-3, -3), (5, -0.6), 0.0),
         rectangle((3.0, -0.6), (5, 0.6), 0.0),
@@ -142,6 +145,16 @@ def test_a_gap_between_platforms_is_as_deep_as_the_floor_beside_them(dug):
     assert heights(mesh, across) == pytest.approx(0.0, abs=0.01)
     rims = [(RIM - 0.05, 0.0), (FAR_RIM + 0.05, 0.0)]
     assert heights(mesh, rims) == pytest.approx(HIGH, abs=0.01)
+
+
+def test_nothing_is_open_between_a_pit_and_its_rims(place):
+    """A foot or a policy's eye would meet nothing there, or what physics lays over it."""
+    folder, capture = place
+    mesh, _ = with_pits(surface(0.027), capture, folder, folder / "depth", np.eye(4))
+    across = [(x, y) for x in np.arange(RIM - 0.1, FAR_RIM + 0.1, 0.003) for y in (-0.31, 0.0, 0.2)]
+    found = heights(mesh, across)
+    assert np.isfinite(found).all()
+    assert np.minimum(np.abs(found), np.abs(found - HIGH)).max() < 0.01
 
 
 def test_a_dark_patch_of_the_floor_stays_a_hole_that_nobody_has_seen_into(dug):
