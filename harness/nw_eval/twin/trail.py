@@ -137,14 +137,20 @@ def propose_free_trail(
     """
     below = float(centres[:, 2].max())
     profile = ground_along(mesh, free_way(mesh, centres, below, shown), below)
-    return _proposed(mesh, profile, below, length)
+    return _proposed(mesh, profile, below, length, from_start=True)
 
 
 def _proposed(
-    mesh: TriangleMesh, profile: GroundProfile, below: float, length: float
+    mesh: TriangleMesh,
+    profile: GroundProfile,
+    below: float,
+    length: float,
+    *,
+    from_start: bool = False,
 ) -> TrailProposal:
+    """Return the trail along a way, from before its first feature or from the way's start."""
     features = features_of(profile, stretches_of(profile))
-    if features and features[0].start > _APPROACH:
+    if features and features[0].start > _APPROACH and not from_start:
         profile = profile.after(features[0].start - _APPROACH)
         features = features_of(profile, stretches_of(profile))
     along, whole = _soundness(mesh, profile, below, length + _MARGIN)
