@@ -378,6 +378,17 @@ def test_where_the_cameras_stood_off_the_ground_the_trail_is_on_the_longest_free
     assert (stops[:, :2] < (3.75, 2.15)).all()
 
 
+def test_a_trail_on_a_free_strip_begins_where_the_strip_does():
+    """A bar far off on it does not take the level ground before it away."""
+    strip = quad_mesh((0, 0, 0), (12, 0, 0), (0, 1.0, 0), "ground")
+    bar = box((9.0, 9.3), (0, 0.1), (0, 1.0))
+    aside = np.column_stack([np.linspace(0, 12, 30), np.full(30, -1.0), np.full(30, 1.5)])
+    with_bar = propose_free_trail(merge([strip, bar]), aside)
+    without = propose_free_trail(strip, aside)
+    assert with_bar.spawn.position[0] == pytest.approx(without.spawn.position[0], abs=0.1)
+    assert with_bar.spawn.position[0] < 2.0
+
+
 def test_a_table_with_no_room_for_a_robot_has_no_trail():
     with pytest.raises(SceneError, match="too little for a waypoint") as caught:
         propose_free_trail(quad_mesh((0, 0, 0), (1.2, 0, 0), (0, 0.8, 0), "ground"), orbit())
