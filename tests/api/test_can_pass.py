@@ -137,9 +137,9 @@ def test_a_bar_above_what_the_baseline_scores_is_said_before_anything_runs(
     monkeypatch, tmp_path, capsys
 ):
     monkeypatch.chdir(ROOT)
-    hurdles = (ROOT / "suites" / "hurdles.yaml").read_text()
+    hurdles = (ROOT / "suites" / "hurdles-state.yaml").read_text()
     assert "success_rate: 0.75" in hurdles
-    suite = tmp_path / "hurdles.yaml"
+    suite = tmp_path / "hurdles-state.yaml"
     suite.write_text(hurdles.replace("success_rate: 0.75", "success_rate: 0.95"))
     options = ["--policy", "go1-parkour", "--baseline", "go1-parkour"]
     assert left_with("check", suite, *options) == 0
@@ -147,7 +147,7 @@ def test_a_bar_above_what_the_baseline_scores_is_said_before_anything_runs(
         "warning   gate.success_rate 0.95 is above the success of baseline go1-parkour, 0.948: "
         "a policy that is as good as the baseline does not pass"
     ) in capsys.readouterr().out
-    assert left_with("check", "hurdles", *options) == 0
+    assert left_with("check", "hurdles-state", *options) == 0
     assert "warning" not in capsys.readouterr().out
 
 

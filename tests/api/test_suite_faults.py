@@ -227,7 +227,7 @@ def test_a_suite_with_problems_is_listed_with_the_first_of_them(tmp_path, monkey
 
 def test_two_suites_of_one_panel_are_told_apart_and_the_panel_is_explained():
     smoke, hurdles = (
-        forecast_page(api.check(name)).splitlines()[:3] for name in ("smoke", "hurdles")
+        forecast_page(api.check(name)).splitlines()[:3] for name in ("smoke", "hurdles-state")
     )
     assert smoke[0].split(",")[-1] != hurdles[0].split(",")[-1]
     assert smoke[1:] == hurdles[1:]

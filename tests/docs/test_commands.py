@@ -58,11 +58,11 @@ NOT_RUN = MappingProxyType(
         "--good logs/go2/model_1500.pt --bad logs/go2/model_3000.pt": (
             "of a training of one's own; test_series.py searches some checkpoints"
         ),
-        'nw-eval baseline save hurdles --policy go1-parkour --note "ships since May"': (
+        'nw-eval baseline save hurdles-state --policy go1-parkour --note "ships since May"': (
             "a thousand trials; test_baselines.py saves smaller banks"
         ),
-        "nw-eval baseline save hurdles --policy go1-parkour": "likewise; it adds a panel there",
-        "nw-eval run hurdles --policy my-policy --baseline go1-parkour": "against that bank",
+        "nw-eval baseline save hurdles-state --policy go1-parkour": "likewise; it adds a panel",
+        "nw-eval run hurdles-state --policy my-policy --baseline go1-parkour": "against that bank",
         "nw-eval run hurdles --policy my-policy --track wandb": (
             "test_trackers.py and tests/report/trackers track runs"
         ),

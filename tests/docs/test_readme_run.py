@@ -19,13 +19,13 @@ README = Path(__file__).parents[2] / "README.md"
 
 # The trials that did not complete, as the README's run has them: waypoints reached by each.
 FALLEN = {
-    "three_benches_cloister": [0, 3, 3],
-    "three_crates_workshop": [3],
-    "three_grassy_courtyard": [2, 3],
-    "three_high_wood_hall": [0, 0, 1, 1, 1, 2, 2, 2, 2, 3],
-    "two_beams_yard_night": [1],
+    "one_high_stone_plaza": [0, 0],
+    "three_crates_workshop": [2, 3],
+    "three_grassy_courtyard": [1],
+    "three_high_wood_hall": [0, 0, 0, 1, 1, 1, 1, 2, 2, 3],
+    "two_beams_yard_night": [1, 1, 1, 2],
     "two_foam_office": [2],
-    "two_logs_park": [0, 2],
+    "two_logs_park": [2],
 }
 WAYPOINTS = {"one": 2, "two": 3, "three": 4}
 
@@ -82,7 +82,8 @@ def rows() -> list[Row]:
 def test_the_scenes_and_the_verdict_of_its_run_are_what_is_printed_today() -> None:
     suite = load_suite("hurdles")
     planned = dict.fromkeys(scenes(), 10)
-    seconds, workers = (int(shown().split(" scenes · ")[1].split()[word]) for word in (0, 3))
+    (wall,) = re.findall(r" scenes · ([\d.]+) (s|min) on (\d+) workers", shown())
+    seconds, workers = float(wall[0]) * {"s": 1, "min": 60}[wall[1]], int(wall[2])
     run = RunInfo(
         id="run",
         started="2026-11-21T20:03:38Z",

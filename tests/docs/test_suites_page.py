@@ -136,7 +136,7 @@ def test_its_suite_has_every_key_and_is_taken(tmp_path: Path) -> None:
 
 
 def test_suites_of_one_panel_differ_in_what_the_page_says_only() -> None:
-    hurdles, smoke = load_suite("hurdles"), load_suite("smoke")
+    hurdles, smoke = load_suite("hurdles-state"), load_suite("smoke")
     assert hurdles.digest == smoke.digest
     same = {"robot", "protocol", "seed", "episode", "task", "perturb", "render"}
     for key in same:

@@ -9,6 +9,7 @@ from nw_eval.files.shipped import available, shipped
 from nw_eval.scenes.real import REAL, scan_of
 from nw_eval.stats.betting import trials_to_certify
 from nw_eval.suite import draft_suite, load_suite, tier_problems
+from nw_eval.suite.model import DRAFTED, PUBLISHED
 
 
 @pytest.mark.parametrize("path", sorted(shipped("suites").glob("*.yaml")), ids=lambda p: p.stem)
@@ -42,8 +43,17 @@ def test_the_hurdles_suite_can_pass_its_own_bar() -> None:
     assert len(scenes) * hurdles.trials > 2 * trials_to_certify(0.75, hurdles.gate.confidence)
 
 
-def test_smoke_and_hurdles_share_their_trials() -> None:
-    assert load_suite("smoke").digest == load_suite("hurdles").digest
+def test_suites_that_are_told_the_ground_share_their_trials_and_draw_as_published() -> None:
+    assert load_suite("smoke").digest == load_suite("hurdles-state").digest
+    for name in available("suites"):
+        draws = name in {"hurdles", "gaps", "ramps", "stairs", "all"}
+        assert load_suite(name).render == (DRAFTED if draws else PUBLISHED), name
+
+
+def test_a_suite_and_the_one_for_policies_that_are_told_the_ground_differ_in_pictures() -> None:
+    for task in ("hurdles", "gaps", "ramps", "stairs", "all"):
+        seen, told = (load_suite(name) for name in (task, f"{task}-state"))
+        assert seen.model_copy(update={"render": PUBLISHED}).digest == told.digest
 
 
 def test_what_is_available_is_listed_by_name(tmp_path: Path) -> None:

@@ -32,6 +32,7 @@ GATES = 2000
 BASELINES = Path(__file__).parents[3] / "reports" / "baselines"
 TABLE = Path(__file__).with_name("gate_cells.csv")
 STARTS = (5, 6, 12, 30, 60)
+# Of `hurdles-state` and so on: a cell is drawn by its words, which stay as they are.
 HURDLES, ALL = "hurdles/go1-parkour", "all/go1-parkour"
 TWO_SCENES = "gaps/go1-parkour, first 2"
 GAPS, STUDENTS = "gaps/go1-parkour", "gaps/go1-act-depth"
@@ -201,11 +202,17 @@ def _some(cell: Cell, part: int, gates: int) -> Found:
     )
 
 
+def bank_of(baseline: str) -> str:
+    """Return `SUITE/NAME` of the committed baseline that a cell means."""
+    return baseline.replace("/", "-state/")
+
+
 @cache
 def scores_of(baseline: str) -> tuple[np.ndarray, np.ndarray]:
     """Return success from each start, shape (S, M), and the waypoints of each scene, shape (S,)."""
     name, _, few = baseline.partition(", first ")
-    panel = [*read_bank(BASELINES / f"{name}.parquet").panels[0].by_stratum.values()]
+    bank = read_bank(BASELINES / f"{bank_of(name)}.parquet")
+    panel = [*bank.panels[0].by_stratum.values()]
     panel = panel[: int(few) if few else None]
     scores = np.array([[score(start) for start in starts] for starts in panel], dtype=np.float64)
     return scores, np.array([starts[0].waypoints_total for starts in panel])

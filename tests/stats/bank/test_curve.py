@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from gate_cells import ALL, HURDLES, recorded_cells
+from gate_cells import ALL, HURDLES, bank_of, recorded_cells
 from measured import SEEN
 from record_gate_page import (
     CURVE,
@@ -58,7 +58,7 @@ def test_the_operating_curve_is_near_the_gates_that_were_recorded(
         if (cell.question, cell.kind, cell.alpha_regr) == ("power", "harder", 0.01)
         and (cell.baseline, cell.claim) == (baseline, against)
     }
-    start = outset(baseline)
+    start = outset(bank_of(baseline))
     tiers = ("supporting",) * start.scenes
     points = operating_curve(
         start.seen,
@@ -90,7 +90,7 @@ def test_the_page_sums_up_the_recorded_gates() -> None:
 
 
 def test_one_scene_of_sixteen_that_falls_to_half_passes_or_convicts_as_the_page_says() -> None:
-    start, scene = outset(HURDLES), 14
+    start, scene = outset(bank_of(HURDLES)), 14
     drawn = draw(start.seen, starts=None, budget=start.budget, repetitions=2000)
     chances = chances_of(start.seen, start.baseline)
     # From 1 to .5, in three waypoints: p + p^2 + p^3 = 1.5.
