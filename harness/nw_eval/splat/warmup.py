@@ -15,10 +15,14 @@ from nw_eval.words import Backend
 _KERNELS = Path(__file__).parent / "kernels"
 
 
-def warmup(backend: Backend = "cpu") -> float:
+def warmup(backend: Backend = "cpu", *, surfaces: bool = False) -> float:
     """Compile every kernel into the user's cache, or load it from there.
 
     Workers that start afterwards find everything there; in a fence they could not write it.
+
+    Args:
+        backend: whose.
+        surfaces: also those of `CpuRenderer.surface`.
 
     Returns:
         Seconds that it took: about 18 when compiled, 0.4 when loaded.
@@ -26,7 +30,7 @@ def warmup(backend: Backend = "cpu") -> float:
     Raises:
         PrerequisiteError: when the backend's packages or device are missing.
     """
-    from nw_eval.splat.render import open_renderer
+    from nw_eval.splat.render import CpuRenderer, open_renderer
 
     started = time.perf_counter()
     gaussians = Gaussians(
@@ -40,7 +44,9 @@ def warmup(backend: Backend = "cpu") -> float:
     store = memory_store(gaussians)
     open_renderer(store, backend).render(camera)
     if backend == "cpu":
-        open_renderer(store, projection="ray").render(camera)
+        CpuRenderer(store, projection="ray").render(camera)
+        if surfaces:
+            CpuRenderer(store).surface(camera)
         from nw_eval.machine_code import mark_compiled  # It knows numba.
 
         mark_compiled(_KERNELS)
