@@ -176,6 +176,11 @@ class Card(CardModel):
                 raise ValueError(f"{message}; add `clip` to `control`, or remove `clipped`")
 
     @property
+    def meets_splat(self) -> bool:
+        """Whether rays of an observation meet the scene's splat."""
+        return any(getattr(seen, "source", None) == "splat" for seen in self.observations.values())
+
+    @property
     def splat_images(self) -> list[str]:
         """Names of the observations that no scene without a splat can give."""
         return [name for name, seen in self.observations.items() if seen.needs_splat]

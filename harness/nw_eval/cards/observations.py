@@ -5,7 +5,7 @@ A sensor that stands in `BuiltInObservation` can be named by cards.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     BeforeValidator,
@@ -30,9 +30,6 @@ class BaseObservation(CardModel):
     of a scanner, stacks, earlier frames) and then passes through the wrappers in order.
     """
 
-    needs_splat: ClassVar[bool] = False
-    """Whether it is a picture of the scene's splat."""
-
     rate: Rate = CONTROL_RATE
     """Samples per second; between two of them the last one is held."""
     latency: Latency = 0.0
@@ -41,6 +38,11 @@ class BaseObservation(CardModel):
     """Of the measurement, drawn from the trial's own stream for this observation."""
     wrap: list[Wrapper] = Field(default_factory=list[Wrapper], max_length=20)
     """What happens to a sample before the policy sees it, in this order."""
+
+    @property
+    def needs_splat(self) -> bool:
+        """Whether it is measured on the scene's splat."""
+        return False
 
 
 Select = Annotated[list[int | str], Field(min_length=1)]
@@ -185,8 +187,6 @@ Rows = Annotated[int, Field(ge=8, le=1080)]
 class SplatRgbObservation(BaseObservation):
     """A rendering of the scene's splat from a camera of the robot."""
 
-    needs_splat: ClassVar[bool] = True
-
     sensor: Literal["splat_rgb"]
     camera: str = "ego"
     """Name of a camera of the robot."""
@@ -213,6 +213,11 @@ class SplatRgbObservation(BaseObservation):
     """Subtracted from the bytes of float32 images."""
     std: float = 255.0
     """What float32 images are divided by after that."""
+
+    @property
+    def needs_splat(self) -> bool:
+        """It is a picture of the scene's splat."""
+        return True
 
     @model_validator(mode="after")
     def _published_size(self) -> SplatRgbObservation:
@@ -269,6 +274,20 @@ class Stereo(CardModel):
     """What a pixel without depth reads, m; the camera's own files have 0."""
 
 
+Source = Literal["geometry", "splat"]
+"""`geometry`: the mesh, as feet and rays meet it. `splat`: where its Gaussians cover half of a
+pixel or more, which shows what a mesh lacks, such as poles and leaves; elsewhere nothing is met."""
+
+STEEPEST = 1.05
+"""Elevation of a scanner's rays on a splat, rad, at most."""
+
+
+def _without_geometry(fields: dict[str, Any]) -> dict[str, Any]:
+    if fields.get("source") == "geometry":
+        fields.pop("source")
+    return fields
+
+
 class DepthObservation(_GeometryView):
     """Depth along the optical axis of the scene's geometry, (height, width) float32."""
 
@@ -285,9 +304,21 @@ class DepthObservation(_GeometryView):
     published depth image, which is 1280 x 720 and reduced by area."""
     stereo: Stereo | None = None
     """What a stereo camera makes of the depth; null = every pixel has its exact depth."""
+    source: Source = "geometry"
+    """What of the place is met."""
+
+    @property
+    def needs_splat(self) -> bool:
+        """Whether the place is its splat."""
+        return self.source == "splat"
 
     @model_validator(mode="after")
     def _pixels_of_their_own(self) -> DepthObservation:
+        if self.stereo is not None and self.source == "splat":
+            raise ValueError(
+                "`stereo` casts rays from its second imager, and a splat has no rays; drop it, or "
+                "`source: splat`"
+            )
         if self.stereo is not None and self.supersample > 1:
             raise ValueError(
                 "`supersample` averages rays, and pixels of `stereo` without depth have no mean; "
@@ -297,11 +328,11 @@ class DepthObservation(_GeometryView):
 
     @model_serializer(mode="wrap")
     def _without_exact_depth(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave no `stereo` out, so that cards without the key keep their digest."""
+        """Leave defaults of later keys out, so that cards without them keep their digest."""
         fields = dump(self)
         if self.stereo is None:
             fields.pop("stereo", None)
-        return fields
+        return _without_geometry(fields)
 
 
 class SemanticsObservation(_GeometryView):
@@ -363,6 +394,27 @@ class LidarObservation(BaseObservation):
     """Whether a traffic cone stands on each waypoint."""
     robot: bool = False
     """Whether the robot's own legs are seen; never the trunk that carries the sensor."""
+    source: Source = "geometry"
+    """What of the place is met."""
+
+    @property
+    def needs_splat(self) -> bool:
+        """Whether the place is its splat."""
+        return self.source == "splat"
+
+    @model_validator(mode="after")
+    def _flat_enough(self) -> LidarObservation:
+        if self.source == "splat" and max(map(abs, self.elevation)) > STEEPEST:
+            raise ValueError(
+                f"`source: splat` takes rays of at most {STEEPEST} rad up or down, not "
+                f"{max(self.elevation, key=abs):g}; narrow `elevation`"
+            )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_default_source(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave `geometry` out, so that cards without the key keep their digest."""
+        return _without_geometry(dump(self))
 
 
 class DirectionObservation(BaseObservation):

@@ -36,26 +36,29 @@ def check_splats(card: Card, scenes: Iterable[Scene]) -> None:
         raise UsageError(
             f"{', '.join(without)}: no splat, of which policy {card.name!r} needs images: "
             f"{', '.join(f'`{name}`' for name in names)}",
-            fix="use a policy without splat_rgb, or add a splat file to the scene folder",
+            fix="use a policy that sees no splat, or add a splat file to the scene folder",
         )
 
 
-def open_backend(render: Backend, listener: Listener, *, is_fenced: bool) -> None:
+def open_backend(
+    render: Backend, listener: Listener, *, is_fenced: bool, surfaces: bool = False
+) -> None:
     """Compile the renderer once for all workers, or find out that it is missing.
 
     Args:
         render: the splat renderer.
         listener: hears what took long.
         is_fenced: whether workers are forked, with kernels if there are any.
+        surfaces: whether rays meet splats, which has kernels of its own.
 
     Raises:
         PrerequisiteError: the backend's packages or device are missing.
     """
-    if is_fenced and render == "cpu" and has_kernels():
+    if is_fenced and render == "cpu" and has_kernels() and not surfaces:
         return
     from nw_eval.splat.warmup import kernel_note, warmup
 
-    seconds = warmup(render)
+    seconds = warmup(render, surfaces=surfaces)
     renew()
     note = kernel_note() if render == "cpu" else None
     if note is not None:

@@ -108,7 +108,12 @@ def carry_out(
         if plan.renders:
             code = plan.request.allow_code and senses_by_code(plan.bundle.card)
             off = why_off(code=code, render=plan.render, in_process=in_process)
-            open_backend(plan.render, listener, is_fenced=not off)
+            open_backend(
+                plan.render,
+                listener,
+                is_fenced=not off,
+                surfaces=plan.bundle.card.meets_splat,
+            )
         folder = _folder(plan, out, resume)
         listener.message(f"run folder: {folder.path}")
         # Workers and rows need a path that means the same everywhere.

@@ -25,8 +25,9 @@ from nw_eval.sensors.drawing.overlay import ray_directions
 from nw_eval.sensors.drawing.palette import CONE, FACE_CLASSES, NOTHING, PALETTE, ROBOT
 from nw_eval.sensors.drawing.props import cast_at_prop
 from nw_eval.sensors.heights import Rays
-from nw_eval.sensors.sensor import Measurement, Moment, Plain, Sample, Shot
+from nw_eval.sensors.sensor import Measurement, Moment, Plain, Sample, Shot, TrialPlace
 from nw_eval.sensors.shutter import RobotView, Shutter
+from nw_eval.sensors.splat_view import SplatScan, SplatView
 from nw_eval.splat.camera import Camera, Pixels, Rows
 
 Array = NDArray[np.float64]
@@ -60,7 +61,12 @@ class Surroundings:
         self._robot = robot
 
     def distance(
-        self, moment: Moment, origin: Array, directions: Array, robot: RobotView | None = None
+        self,
+        moment: Moment,
+        origin: Array,
+        directions: Array,
+        robot: RobotView | None = None,
+        place: Array | None = None,
     ) -> Array:
         """Return distances along rays, (N,) m, inf for a miss.
 
@@ -69,9 +75,13 @@ class Surroundings:
             origin: (3,) of all rays, world, m.
             directions: (N, 3) unit vectors, world.
             robot: met in place of the moment's.
+            place: (N,) m, how far the place is, in place of its geometry.
         """
-        starts = np.broadcast_to(origin, directions.shape)
-        distance = self._rays().distance(starts, directions)
+        if place is None:
+            starts = np.broadcast_to(origin, directions.shape)
+            distance = self._rays().distance(starts, directions)
+        else:
+            distance = place
         if self._cones is not None:
             cones = self._cones.on(moment.cones)
             distance = np.minimum(distance, cones.distance(origin, directions))
@@ -142,19 +152,22 @@ class RayBand:
 
     Attributes:
         rows: of the picture, first and end.
-        origin: (3,) m, world.
+        T_world_camera: (4, 4).
         directions: (N, 3) unit vectors, world, row by row.
         along_axis: (N,) how far a ray gets along the optical axis in each metre of its own.
-        right: (3,) unit vector, world, along the image's rows.
         robot: the robot, as rays from there meet it.
     """
 
     rows: Rows
-    origin: Array
+    T_world_camera: Array
     directions: Array
     along_axis: Array
-    right: Array
     robot: RobotView
+
+    @property
+    def origin(self) -> Array:
+        """Where they start, (3,) m, world."""
+        return self.T_world_camera[:3, 3]
 
 
 class PixelRays:
@@ -193,10 +206,9 @@ class PixelRays:
             directions = self._directions[slice(*band.rows)].reshape(-1, 3)
             yield RayBand(
                 rows=band.rows,
-                origin=T_world_camera[:3, 3],
+                T_world_camera=T_world_camera,
                 directions=directions @ T_world_camera[:3, :3].T,
                 along_axis=directions[:, 2],
-                right=T_world_camera[:3, 0],
                 robot=band.robot,
             )
 
@@ -237,12 +249,30 @@ class Depth(Measurement):
             self._baseline = observation.stereo.baseline
             self.form = (StereoDepth(observation.stereo, lens), *self.form)
         self._around = Surroundings(rays, cones=observation.cones, robot=observation.robot)
+        self._splat: SplatView | None = None
+        if observation.source == "splat":
+            self._splat = SplatView(observation.camera, self._view.lens, Pixels())
+
+    def attach(self, place: TrialPlace) -> None:
+        """Open the renderer of the scene's splat, where the card asks for it.
+
+        Raises:
+            SceneError: the scene has none.
+        """
+        if self._splat is not None:
+            self._splat.attach(place)
 
     def measure(self, moment: Moment) -> NDArray[Any]:
         """Cast the rays."""
         found = np.empty(self.shape, dtype=np.float32)
         for band in self._view.bands(moment):
-            distance = self._around.distance(moment, band.origin, band.directions, band.robot)
+            place = None
+            if self._splat is not None:
+                seen = self._splat.depth(band.T_world_camera, band.rows)
+                place = seen.reshape(-1) / band.along_axis
+            distance = self._around.distance(
+                moment, band.origin, band.directions, band.robot, place
+            )
             depth = distance * band.along_axis
             if self._baseline:
                 depth[self._in_shadow(moment, band, distance)] = np.nan
@@ -251,7 +281,7 @@ class Depth(Measurement):
 
     def _in_shadow(self, moment: Moment, band: RayBand, distance: Array) -> NDArray[np.intp]:
         """Return the rays whose points something hides from the right imager."""
-        right = band.origin + band.right * self._baseline
+        right = band.origin + band.T_world_camera[:3, 0] * self._baseline
         met = np.flatnonzero(np.isfinite(distance))
         back = band.origin + distance[met, np.newaxis] * band.directions[met] - right
         length = np.linalg.norm(back, axis=1)
@@ -376,11 +406,31 @@ class Lidar(Measurement):
         self._position = np.array(mount.position)
         self._directions = pattern(observation).reshape(-1, 3) @ rotation(*mount.rpy).T
         self._around = Surroundings(rays, cones=observation.cones, robot=observation.robot)
+        self._splat: SplatScan | None = None
+        if observation.source == "splat":
+            rays_of_card = pattern(observation)
+            apart = np.linalg.norm(np.diff(rays_of_card, axis=1), axis=-1)
+            step = float(apart.max()) if apart.size else 1.0
+            self._R_trunk_sensor = rotation(*mount.rpy)
+            self._splat = SplatScan("a scan", rays_of_card.reshape(-1, 3), step)
+
+    def attach(self, place: TrialPlace) -> None:
+        """Open the renderer of the scene's splat, where the card asks for it.
+
+        Raises:
+            SceneError: the scene has none.
+        """
+        if self._splat is not None:
+            self._splat.attach(place)
 
     def measure(self, moment: Moment) -> NDArray[Any]:
         """Cast the rays."""
         origin = moment.position + moment.rotation @ self._position
-        distance = self._around.distance(moment, origin, self._directions @ moment.rotation.T)
+        place = None
+        if self._splat is not None:
+            place = self._splat.distance(origin, moment.rotation @ self._R_trunk_sensor)
+        directions = self._directions @ moment.rotation.T
+        distance = self._around.distance(moment, origin, directions, place=place)
         return distance.astype(np.float32).reshape(self.shape)
 
 

@@ -25,9 +25,9 @@ from nw_eval.sensors.drawing.props import PropPictures, joined
 from nw_eval.sensors.ray_sensors import require_camera
 from nw_eval.sensors.sensor import CLEAR, Measurement, Moment, Shot, TrialPlace
 from nw_eval.sensors.shutter import Band, Shutter, row_poses
-from nw_eval.splat.camera import Camera, Pixels, Rows
-from nw_eval.splat.image import Image, exposed, paste, stacked
-from nw_eval.splat.render import Renderer
+from nw_eval.sensors.splat_view import SplatView
+from nw_eval.splat.camera import Camera, Pixels
+from nw_eval.splat.image import Image, exposed, paste
 
 Bytes = NDArray[np.uint8]
 
@@ -61,17 +61,15 @@ class SplatRgb(Measurement):
         self._observation = observation
         self._published = observation.sampling == "published"
         size = _PUBLISHED_SIZE if self._published else (observation.width, observation.height)
-        self._lens = robot.cameras[observation.camera].lens(*size)
+        lens = robot.cameras[observation.camera].lens(*size)
         self._pixels = _PUBLISHED_PIXELS if self._published else Pixels()
-        camera = Camera.of(self._lens, np.eye(4))
-        size = f"{camera.width}x{camera.height}"
-        self._key = f"splat of {observation.camera}, {size}, {self._pixels}"
+        camera = Camera.of(lens, np.eye(4))
+        self._view = SplatView(observation.camera, lens, self._pixels)
         self._directions = ray_directions(camera, self._pixels)
         self._pitch = (1.0 / camera.fx, 1.0 / camera.fy)
         mount = robot.cameras[observation.camera]
         self._shutter = Shutter(observation.camera, mount, camera, self._pixels)
         self._cones = TrailCones()
-        self._renderer: Renderer | None = None
         self.shape: tuple[int, ...] = (observation.height, observation.width, 3)
         self.dtype = np.dtype(np.uint8)
         self.form = (Arrange(observation),)
@@ -82,12 +80,11 @@ class SplatRgb(Measurement):
         Raises:
             SceneError: the scene has none.
         """
-        self._renderer = place.renderer()
+        self._view.attach(place)
         self._rays = place.rays
         self._air = place.air
         self._captures = place.world.scene.captures
         self._props = PropPictures(place.world.scene)
-        self._T_splat_world = np.linalg.inv(place.world.scene.T_world_splat)
 
     def reset(self) -> None:
         """Forget how much the last image was covered, and from where it was taken."""
@@ -97,7 +94,7 @@ class SplatRgb(Measurement):
     def measure(self, moment: Moment) -> NDArray[Any]:
         """Render an image."""
         draws = self._shutter.draws(moment.world)
-        images = self._rendered(moment, draws)
+        images = self._view.seen(moment, draws)
         self.coverage = sum(float(image.alpha.mean()) for image in images) / len(images)
         if self._captures is not None:
             pose = moment.world.camera_pose(self._observation.camera)
@@ -158,12 +155,12 @@ class SplatRgb(Measurement):
         if self._props.props:
             found += self._props.overlays(
                 moment.world.prop_poses(),
-                self._camera,
+                self._view.camera,
                 directions=directions,
                 T_world_camera=T_world_camera,
                 static=self._rays(),
                 pixels=self._pixels,
-                rows=self._part(band),
+                rows=self._view.part(band),
                 pitch=self._pitch,
             )
         return found
@@ -180,34 +177,6 @@ class SplatRgb(Measurement):
         self.coverage = float(state["coverage"]) if state else None
         near = state.get("nearness")
         self.nearness = None if near is None else Nearness(*near.tolist())
-
-    def _rendered(self, moment: Moment, draws: Sequence[Sequence[Band]]) -> list[Image]:
-        """Return the splat alone; sensors that look the same way at a moment share a picture."""
-        assert self._renderer is not None, "attach comes before measure"
-        images: list[Image] | None = moment.shared.get(self._key)
-        if images is None:
-            images = [stacked([self._drawn(band) for band in bands]) for bands in draws]
-            for image in images:
-                for part in (image.rgb, image.depth, image.alpha):
-                    part.flags.writeable = False
-            moment.shared[self._key] = images
-        return images
-
-    def _drawn(self, band: Band) -> Image:
-        # The splat's scale stays in the matrix: the renderer then measures depth in metres.
-        camera = self._camera(self._T_splat_world @ band.T_world_camera)
-        rows = self._part(band)
-        assert self._renderer is not None, "attach comes before measure"
-        if rows is None:
-            return self._renderer.render(camera, self._pixels)
-        return self._renderer.render(camera, self._pixels, rows)
-
-    def _part(self, band: Band) -> Rows | None:
-        """Return the rows of a band; None = all that there are."""
-        return None if band.rows == (0, len(self._directions)) else band.rows
-
-    def _camera(self, T_splat_camera: NDArray[np.float64]) -> Camera:
-        return Camera.of(self._lens, T_splat_camera)
 
 
 def image_shape(observation: SplatRgbObservation) -> tuple[int, ...]:

@@ -157,6 +157,30 @@ class CpuRenderer:
         """
         return self._render(camera, pixels, rows, clock=-1)
 
+    def surface(
+        self,
+        camera: Camera,
+        pixels: Pixels = Pixels(),  # noqa: B008 (frozen)
+        rows: Rows | None = None,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return depth (H, W) along the optical axis, where pixels meet the Gaussians, and alpha.
+
+        Each Gaussian counts at the depth of its greatest response on the pixel's ray, to first
+        order, as in RaDe-GS (Zhang et al., arXiv 2406.01467); here the order is of 1 / depth, which
+        is exact for flat Gaussians and for centres. A pixel's 1 / depth is their mean, each weighed
+        by what it adds to the picture, and 0, a depth of inf, where nothing does. Gaussians are
+        taken along the ray, whatever the projection of pictures.
+
+        Args:
+            camera: of the whole image.
+            pixels: of it.
+            rows: as for `render`.
+        """
+        image = self._render(camera, pixels, rows, clock=-1, surface=True)
+        inverse = np.maximum(image.depth, np.float32(0.0))
+        with np.errstate(divide="ignore"):
+            return (1.0 / inverse).astype(np.float32, copy=False), image.alpha
+
     def render_timed(self, camera: Camera, pixels: Pixels = Pixels()) -> tuple[Image, Stages]:  # noqa: B008
         """Render and tell what each stage cost, summed over threads."""
         image = self._render(camera, pixels, None, clock=time.CLOCK_THREAD_CPUTIME_ID)
@@ -174,7 +198,16 @@ class CpuRenderer:
             drawn=int(total[frame.DRAWN]),
         )
 
-    def _render(self, camera: Camera, pixels: Pixels, rows: Rows | None, *, clock: int) -> Image:
+    def _render(
+        self,
+        camera: Camera,
+        pixels: Pixels,
+        rows: Rows | None,
+        *,
+        clock: int,
+        surface: bool = False,
+    ) -> Image:
+        """Render; of surfaces, depth is 1 / depth, and the colours are what it was made of."""
         width, height = pixels.count(camera.width), pixels.count(camera.height)
         if width == 0 or height == 0:
             raise UsageError(
@@ -196,7 +229,7 @@ class CpuRenderer:
             alpha=np.empty((height, width), dtype=np.float32),
         )
         jobs = [
-            (work, camera, pixels, (*columns, first, end), image, clock)
+            (work, camera, pixels, (*columns, first, end), image, clock, surface)
             for work, columns in zip(self._works, _split(width, len(self._works)), strict=False)
         ]
         if self._pool is None or len(jobs) == 1:
@@ -216,11 +249,12 @@ class CpuRenderer:
         window: Window,
         image: Image,
         clock: int,
+        surface: bool,
     ) -> None:
         layout, preset = self.store.layout, self._preset
         is_sampled = self._side > 1
         columns, rows = _centres(pixels, *window[:2]), _centres(pixels, *window[2:])
-        ray, lens = self._ray, None
+        ray, lens = True if surface else self._ray, None
         if camera.distortion is None:
             view = view_vector(camera, pixels, window, near=self._near, samples=self._side)
         else:
@@ -243,14 +277,25 @@ class CpuRenderer:
                 ray,
                 lens,
                 CURVE,
-                self._background,
+                np.zeros(3, np.float32) if surface else self._background,
                 _SLAB_CHUNKS,
+                True if surface else None,
             ),
             work.arrays(window),
             (image.rgb, image.depth, image.alpha),
             work.statistics,
             clock,
         )
+        if surface:
+            (x0, x1, y0, y1), width = window, window[1] - window[0]
+            x, y = columns[:width], rows[: y1 - y0, np.newaxis]
+            if lens is not None:
+                x, y = (each.reshape(-1, width + SLACK_COLUMNS) for each in (columns, rows))
+                x, y = x[: y1 - y0, :width], y[: y1 - y0, :width]
+            there = (slice(y0, y1), slice(x0, x1))
+            plane, alpha = image.rgb[there], image.alpha[there]
+            total = plane[..., 0] + plane[..., 1] * x + plane[..., 2] * y
+            image.depth[there] = total / np.maximum(alpha, np.float32(1e-10))
 
 
 def open_renderer(store: Store, backend: Backend = "cpu", **options: Any) -> Renderer:

@@ -17,10 +17,14 @@ from nw_eval.words import Backend
 _KERNELS = Path(__file__).parent / "kernels"
 
 
-def warmup(backend: Backend = "cpu") -> float:
+def warmup(backend: Backend = "cpu", *, surfaces: bool = False) -> float:
     """Compile every kernel into the user's cache, or load it from there.
 
     Workers that start afterwards find everything there; in a fence they could not write it.
+
+    Args:
+        backend: whose.
+        surfaces: also those of `CpuRenderer.surface`.
 
     Returns:
         Seconds that it took: about 30 when compiled, 0.5 when loaded.
@@ -28,7 +32,7 @@ def warmup(backend: Backend = "cpu") -> float:
     Raises:
         PrerequisiteError: when the backend's packages or device are missing.
     """
-    from nw_eval.splat.render import open_renderer
+    from nw_eval.splat.render import CpuRenderer, open_renderer
 
     started = time.perf_counter()
     gaussians = Gaussians(
@@ -45,6 +49,8 @@ def warmup(backend: Backend = "cpu") -> float:
         open_renderer(store, projection="ray").render(camera)
         straight = Distortion(model="fisheye", coefficients=(0.0, 0.0, 0.0, 0.0))
         open_renderer(store).render(replace(camera, distortion=straight))
+        if surfaces:
+            CpuRenderer(store).surface(camera)
         from nw_eval.machine_code import mark_compiled  # It knows numba.
 
         mark_compiled(_KERNELS)

@@ -19,7 +19,21 @@ from nw_eval.splat.kernels.blend import CHANNELS, SLACK_COLUMNS, blend, clear
 from nw_eval.splat.kernels.cull import is_hidden, visible_chunks
 from nw_eval.splat.kernels.math8 import bits_of, clock_nanoseconds, float_of
 from nw_eval.splat.kernels.memory import load, peek, poke, store
-from nw_eval.splat.kernels.project import COLUMNS, RECORD, ROWS, project_chunk, widest
+from nw_eval.splat.kernels.project import (
+    BLUE,
+    COLUMNS,
+    DEPTH,
+    GREEN,
+    RECORD,
+    RED,
+    ROWS,
+    SLOPE_X,
+    SLOPE_Y,
+    U,
+    V,
+    project_chunk,
+    widest,
+)
 from nw_eval.splat.kernels.sort import note_depths, sort_keys, sort_nearer
 
 # Places in the statistics vector (int64); stages in nanoseconds of the given clock.
@@ -153,6 +167,30 @@ def _through_lens(lens: Any, records: Any, first: Any, end: Any) -> Any:
 
 
 @kernel
+def _as_surfaces(surface: Any, records: Any, first: Any, end: Any) -> None:
+    """Put planes of inverse depth where colours are: at pixel (x, y), red + green x + blue y.
+
+    The greatest response on a pixel's ray is at depth * m / (k e + m**2), with project.py's names;
+    of a flat Gaussian, of which k is 0, at depth / m. There 1 / depth is a plane over the picture.
+
+    Args:
+        surface: None = leave the colours.
+        records: float32 records along the ray.
+        first: the first one.
+        end: behind the last one.
+    """
+    if surface is not None:
+        for i in range(first, end):
+            place = i * RECORD
+            inverse = np.float32(1.0) / peek(records, place + DEPTH)
+            a, b = peek(records, place + SLOPE_X), peek(records, place + SLOPE_Y)
+            at_origin = 1.0 - a * peek(records, place + U) - b * peek(records, place + V)
+            poke(records, place + RED, np.float32(at_origin * inverse))
+            poke(records, place + GREEN, np.float32(a * inverse))
+            poke(records, place + BLUE, np.float32(b * inverse))
+
+
+@kernel
 def draw(
     store_arrays: Any,
     sh_count: Any,
@@ -175,8 +213,9 @@ def draw(
         rows: likewise of its rows.
         options: (eps2d, antialiased, floor of the compensation squared, most alpha, None for EWA
             or True along the ray, None for a pinhole or (tables, blur, place) of lens_map.py,
-            numbers of the alpha curve, background (3,) float32, chunks in a slab). Through a lens
-            the view is its pinhole's, and columns and rows are of all pixels.
+            numbers of the alpha curve, background (3,) float32, chunks in a slab, None for colours
+            or True for surfaces, of which `out` has red, green and blue as `_as_surfaces` says).
+            Through a lens the view is its pinhole's, and columns and rows are of all pixels.
         work: (keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light,
             paint, live): the workspace of render.py.
         out: (rgb, depth, alpha) of the whole image; the window's part is written.
@@ -184,7 +223,7 @@ def draw(
         clock: POSIX clock for the stages, or -1 to take no time.
     """
     geometry, dc, sh, bounds = store_arrays
-    eps2d, antialiased, floor2, most_alpha, ray, lens, numbers, background, slab = options
+    eps2d, antialiased, floor2, most_alpha, ray, lens, numbers, background, slab, surface = options
     keys, scratch, carried, chunk_keys, nearest, records, depths, histogram, light, paint, live = (
         work
     )
@@ -229,6 +268,7 @@ def draw(
                 count,
             )
             count = _through_lens(lens, records, before, count)
+            _as_surfaces(surface, records, before, count)
             note_depths(records, before, count, depths)
             statistics[RECORDS] += count - before
         taken = end
