@@ -7,7 +7,7 @@ from PIL import Image
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.building.pits import with_pits
+from nw_eval.twin.building.pits import _dug, _Plan, with_pits
 from nw_eval.twin.capture import Capture, PlacedShot, read_capture, write_capture
 from nw_eval.twin.reconstruct.depth import array_file, write_arrays
 from nw_eval.twin.reconstruct.mesh import ColourMesh
@@ -176,3 +176,18 @@ def test_a_surface_without_holes_stays_as_it_is(place):
     mesh, pits = with_pits(flat, capture, folder, folder / "depth", np.eye(4))
     assert mesh is flat
     assert pits == []
+
+
+@pytest.mark.parametrize(("uneven", "count"), [(0.0, 1), (1.0, 0)])
+def test_what_has_no_level_rim_is_no_platform(uneven, count):
+    """Between the leaves of two hedges it is as dark as between two platforms."""
+    heights = np.zeros((40, 60))
+    rows, columns = np.mgrid[:40, :60]
+    high = (np.abs(columns - 29.5) < 20) & (np.abs(rows - 19.5) < 12)
+    heights[high] = 0.4 + uneven * np.random.default_rng(0).random(int(high.sum()))
+    deep = (np.abs(columns - 29.5) < 5) & (np.abs(rows - 19.5) < 12)
+    heights[deep] = np.nan
+    everywhere = np.ones(deep.shape, np.bool_)
+    plan = _Plan(origin=np.zeros(2), cell=0.02, asked=everywhere, heights=heights)
+    _, pits = _dug(surface(), plan, deep, np.eye(4))
+    assert len(pits) == count

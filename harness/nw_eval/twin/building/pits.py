@@ -52,6 +52,9 @@ _SLIVER = 3
 """Squares of ground between two parts of a pit that nothing can stand on."""
 _DEEP = 0.08
 """Metres that ground about a pit lies below its rim at least, to be its bottom."""
+_LEVEL, _RIM = 0.03, 0.1
+"""Metres about a rim's height, and the least share of what is about a pit that lies so: a hedge or a
+parked car has no level rim, and what lies between such things is not a gap."""
 _ABOUT = 0.5
 """Metres from a pit where that ground is sought."""
 _DARK = (70, 70, 70)
@@ -215,7 +218,8 @@ def _dug(mesh: ColourMesh, plan: _Plan, deep: Cells, T: F64) -> tuple[ColourMesh
         level = float(np.quantile(heights[edge], 0.75))
         about = heights[~deep[wide] & np.isfinite(heights)]
         low = about[about < level - _DEEP]
-        if not (heights[edge] < level - _DEEP).any() or len(low) == 0:
+        lower = (heights[edge] < level - _DEEP).any() and len(low) > 0
+        if not lower or (np.abs(heights[edge] - level) < _LEVEL).mean() < _RIM:
             deep[window] &= ~own  # Dark, as a shadow is: nothing says that it is open.
             continue
         floor = _usual(low)
