@@ -53,8 +53,8 @@ _SLIVER = 3
 _DEEP = 0.08
 """Metres that ground about a pit lies below its rim at least, to be its bottom."""
 _LEVEL, _RIM = 0.03, 0.1
-"""Metres about a rim's height, and the least share of what is about a pit that lies so: a hedge or a
-parked car has no level rim, and what lies between such things is not a gap."""
+"""Metres about a rim's height, and the least share of what is about a pit that lies so: a hedge has
+no level rim, and what lies between two of them is not a gap."""
 _ABOUT = 0.5
 """Metres from a pit where that ground is sought."""
 _DARK = (70, 70, 70)
