@@ -276,10 +276,10 @@ def _walls(plan: _Plan, bottom: F64, rim: F64) -> F64:
     quads: list[F64] = []
     deep = np.isfinite(bottom)
     rims = package("scipy.ndimage").binary_dilation(deep) & ~deep & np.isfinite(plan.heights)
+    square = plan.cell * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     for row, column in np.argwhere(rims).tolist():
-        x, y = plan.origin + plan.cell * np.array([column, row])
-        X, Y, z = x + plan.cell, y + plan.cell, plan.heights[row, column]
-        quads.append(np.array([[x, y, z], [X, y, z], [X, Y, z], [x, Y, z]]))
+        corners = plan.origin + plan.cell * np.array([column, row]) + square
+        quads.append(np.column_stack([corners, np.full(4, plan.heights[row, column])]))
     for row, column in np.argwhere(deep).tolist():
         x, y = plan.origin + plan.cell * np.array([column, row])
         X, Y, z = x + plan.cell, y + plan.cell, bottom[row, column]

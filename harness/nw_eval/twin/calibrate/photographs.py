@@ -220,9 +220,10 @@ def upright_size(path: Path, lens: Lens | None) -> tuple[int, int] | None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with open_picture(path) as image:
-                size = image.size
+                width, height = image.size
                 is_aside = image.getexif().get(_EXIF_ORIENTATION, 1) in _ASIDE
-                return size[::-1] if is_aside and _is_to_turn(image, lens) else size
+                is_turned = is_aside and _is_to_turn(image, lens)
+                return (height, width) if is_turned else (width, height)
     except (*DAMAGE, SceneError):
         return None
 
