@@ -165,7 +165,7 @@ def init_policy(
     from nw_eval.files.inside import what_is
     from nw_eval.onboarding.beside import files_beside_checkpoint, find_checkpoint
     from nw_eval.onboarding.draft import draft_of, files_beside
-    from nw_eval.onboarding.notation import plain
+    from nw_eval.onboarding.notation import lines_to_check, plain
     from nw_eval.onboarding.vecnormalize import statistics_beside
     from nw_eval.robots import find_robot
     from nw_eval.rollout.confined.access import inspecting_rules
@@ -202,7 +202,7 @@ def init_policy(
         text += files_beside(checkpoint)
     with atomic_path(followed(card)) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    return CardDraft(file=card, text=text, to_check=text.count("CHECK"))
+    return CardDraft(file=card, text=text, to_check=lines_to_check(text))
 
 
 def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:

@@ -124,7 +124,7 @@ class Init:
         from nw_eval import api
 
         draft = api.init_policy(self.checkpoint, robot=self.robot, out=self.out, layout=self.layout)
-        print(f"{draft.text}\n{draft.file}: {draft.to_check} lines to check")
+        print(f"{draft.text}\n{draft.file}: {plural(draft.to_check, 'line')} to check")
         return 0
 
 
