@@ -194,7 +194,7 @@ def init_policy(
         robot_folder=None if found.folder is None else str(found.folder),
         folder=str(card.parent),
         layout=layout,
-        beside=files_beside_checkpoint(checkpoint),
+        beside=files_beside_checkpoint(checkpoint, found.spec.name),
         statistics=None if statistics is None else str(statistics),
     )
     drafted = draft()

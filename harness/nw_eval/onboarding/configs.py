@@ -401,11 +401,12 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         )
         for name in (_OTHER_GYM_TERMS if is_other else _GYM_TERMS)
     ]
-    size = _number(said("num_single_obs", "num_obs"))
+    numbers = said("num_single_obs", "num_obs")
+    size = _number(numbers)
     if size == 11 + 3 * joints:
         # Sine and cosine of a phase of 0.8 s, as its deploy scripts have it.
         terms.append(replace(term, name="phase", scale=(1.0,), width=2, keys="frequency: 1.25"))
-    elif size is not None and size != 9 + 3 * joints:
+    elif numbers is not None and size != 9 + 3 * joints:
         return ExporterMetadata()  # It is of another script, which may mean other things by it.
     step, every = (_number(data.get(key)) for key in ("simulation_dt", "control_decimation"))
     period = step * every if step and every else said("control_dt", "dt")

@@ -26,7 +26,6 @@ from nw_eval.onboarding.checkpoint import (
     inspect_checkpoint,
 )
 from nw_eval.onboarding.inputs import (
-    UNSAID,
     known_observations,
     parts_of,
     wanted_inputs,
@@ -89,7 +88,7 @@ def write_card_draft(
     """
     widths = [array.shape[-1] or 0 for array in facts.inputs if array.shape]
     widths = widths or [argument.size or 0 for argument in facts.script]
-    size = widths[0] if len(widths) == 1 else 0
+    size = (widths[0] if len(widths) == 1 else 0) or facts.taken
     known = read_beside(beside or {}, robot, facts.path.name, facts.exporter, size)
     pipeline = pipeline_of(beside or {}, facts.path.name)
     if pipeline is not None:
@@ -186,7 +185,19 @@ def draft_of(
         beside=beside,
         statistics=None if statistics is None else Path(statistics),
     )
-    return {"text": text, "widths": widths_to_try(facts) if UNSAID in text else ()}
+    return {"text": text, "widths": _widths(facts, get_robot(robot), beside or {})}
+
+
+def _widths(facts: CheckpointFacts, robot: RobotSpec, beside: Mapping[str, str]) -> tuple[int, ...]:
+    """Return what a script's one input may take where nothing says it: first what is drafted."""
+    guessed = widths_to_try(facts)
+    if not guessed or pipeline_of(beside, facts.path.name) is not None:
+        return ()
+    known = read_beside(beside, robot, facts.path.name, facts.exporter)
+    terms = sized_terms(known.observation_terms, len(robot.joints)) if known else ()
+    sizes = [(term.width or 0) * (term.history or 1) for term in terms]
+    named = (sum(sizes),) if sizes and all(sizes) else ()
+    return tuple(dict.fromkeys((*named, *guessed)))
 
 
 def width_taken(*, checkpoint: str, widths: Sequence[int]) -> int:

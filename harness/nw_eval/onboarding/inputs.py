@@ -19,8 +19,6 @@ from nw_eval.onboarding.vectors import (
 )
 
 _WEIGHT = re.compile(r"(^|\.)weight(_ih_l0)?$")
-UNSAID = "the file does not say"
-"""Begins the reason of a size that is guessed from the widths of layers."""
 _TRIES = 12
 """Widths that a module is asked to take."""
 _BRIGHTNESS = re.compile(r"gr[ae]y|mono|rgb|colou?r|intensity", re.IGNORECASE)
@@ -88,10 +86,10 @@ def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
     else:
         what = "of what size its input is" if facts.script else "how many inputs it takes, of what"
         seen = f"on zeros it runs with {facts.taken}; " if facts.taken else ""
-        reason = f"{UNSAID} {what}; {seen}{reason}"
+        reason = f"the file does not say {what}; {seen}{reason}"
     size = direct or facts.taken or (known or sizes or [48])[0]
     array = ArrayFacts(name="obs", shape=(1, size), dtype="float32")
-    return (Wanted(array=array, reason=reason, is_guess=direct is None),)
+    return (Wanted(array=array, reason=reason, is_guess=not (direct or facts.taken)),)
 
 
 def _likely_widths(facts: CheckpointFacts) -> tuple[list[int], list[int]]:

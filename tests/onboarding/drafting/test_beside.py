@@ -375,6 +375,39 @@ def test_the_config_of_a_deploy_script_is_found_from_the_folder_of_its_checkpoin
     assert "g1.yaml" not in text
 
 
+@pytest.mark.parametrize("folder", ["pretrain", "pre_train"])
+def test_deploy_configs_are_found_one_folder_further_by_robot_and_size(folder, card_of):
+    mapped = GYM.replace("[21,", "[22,").replace("motion", "walk")
+    text, card = card_of(
+        45,
+        {
+            "../deploy_mujoco/velocity/configs/go2.yaml": GYM.replace("joint2motor_idx", "mapping"),
+            "../deploy_mujoco/go2/config/any.yaml": GYM.replace(
+                "num_obs: 45", "num_obs: {low: 45}"
+            ),
+            "../deploy_real/config/go2_velocity.yaml": mapped,
+            "../deploy_real/config/go2_navila.yaml": mapped.replace("num_obs: 45", "num_obs: 909"),
+            "../deploy_real/config/g1_velocity.yaml": mapped.replace("[22,", "[99,"),
+        },
+        name=f"{folder}/walk.onnx",
+    )
+    assert "kp: [22, 21, 21, 21" in text
+    real, sim = (
+        "../deploy_real/config/go2_velocity.yaml",
+        "../deploy_mujoco/velocity/configs/go2.yaml",
+    )
+    assert f"# {real}" in text
+    assert card.control.joints == LEFT_FIRST
+    assert not any(f"# {other}" in text for other in (sim, "../deploy_mujoco/go2"))
+
+
+def test_of_two_deploy_configs_of_one_size_that_which_names_its_joints_is_taken(card_of):
+    unordered = GYM.replace("joint2motor_idx", "mapping").replace("[21,", "[22,")
+    text, card = card_of(45, {"configs/a.yaml": unordered, "configs/b.yaml": GYM})
+    assert card.control.kp == 21
+    assert "CHECK: configs/b.yaml was taken; so many numbers are in configs/a.yaml, too" in text
+
+
 def test_a_pose_that_begins_with_a_right_leg_is_put_into_the_order_of_the_policy(card_of):
     config = GYM.replace("joint2motor_idx", "unread").replace(
         "[0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1.0, -1.5, -0.1, 1.0, -1.5]",
