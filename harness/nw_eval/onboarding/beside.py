@@ -51,22 +51,24 @@ _PER_JOINT = (
     "armature",
 )
 _ORDER = (
-    "deploy", "io_descriptors", "legged_rl_deploy", "legged_ros2", "rl_sar", "gym", "checkpoint",
+    "deploy", "io_descriptors", "legged_rl_deploy", "legged_ros2", "rl_sar", "gym", "muwanx",
+    "checkpoint",
     "env", "agent",
 )  # fmt: skip
 """Which kind of file is believed before others."""
 
 
 def files_beside_checkpoint(checkpoint: Path, robot: str = "") -> dict[str, str]:
-    """Return the YAML files that may say something of a checkpoint: name and text.
+    """Return the YAML and JSON files that may say something of a checkpoint: name and text.
 
     They lie beside it, in `params` or `io_descriptors` there, in the folder above or in such
     folders of that, as in Isaac Lab, where policies are exported to `exported/`. In unitree_rl_gym
     and its forks they lie in the folders of its deploy scripts; of those only the robot's are
-    meant, by their names or by the folder of the checkpoint.
+    meant, by their names or by the folder of the checkpoint. JSON is called as the checkpoint is.
     """
     folder = checkpoint.parent
-    found: list[tuple[str, Path]] = []
+    own = [f"{checkpoint.stem}.json", "asset_meta.json"]
+    found = [(name, folder / name) for name in own if (folder / name).exists()]
     for name in _FOLDERS:
         found += _yaml_files(folder / name, "" if name == "." else f"{name}/")
     above = folder.absolute().parent
@@ -171,6 +173,9 @@ def read_beside(
         size: numbers that it takes; 0 where it does not say.
     """
     read = _read_files(texts, robot, checkpoint, size)
+    beside = f"{Path(checkpoint).stem}.json"
+    if beside in texts and not any(beside in said.sources.values() for _, said in read):
+        read.append((len(_ORDER), ExporterMetadata(notes=(_unread(beside, texts[beside]),))))
     if own is not None:
         read.append((_ORDER.index("checkpoint"), own))
     if not read:
@@ -226,6 +231,15 @@ def _of_one_script(
     left = ", ".join(plain(other) for other, _ in others)
     note = f"{plain(name)} was taken; so many numbers are in {left}, too"
     return [(name, replace(said, notes=(*said.notes, note)))]
+
+
+def _unread(name: str, text: str) -> str:
+    try:
+        keys = plain(", ".join(parse_yaml(text, file=name, foreign=True).data))[:100]
+    except YamlProblems:
+        keys = ""
+    why = f"its keys are {keys}" if keys else "it has no keys"
+    return f"{plain(name)} lies beside the checkpoint and was not read: {why}"
 
 
 def _about(

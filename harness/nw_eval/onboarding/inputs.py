@@ -43,8 +43,8 @@ class Wanted:
     def size(self) -> int | None:
         """Numbers of a row; None where the file does not say."""
         shape = _without_batch(self.array.shape)
-        sure = self.known and not self.is_guess and len(shape) == 1
-        return shape[0] if sure else None
+        sure = self.known and not self.is_guess and len(shape) <= 1
+        return (*shape, 1)[0] if sure else None
 
     def resized(self, terms: Sequence[ExportedTerm]) -> Wanted:
         """Return the input with the size of its terms, where its own is not known."""
