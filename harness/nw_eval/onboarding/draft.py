@@ -452,6 +452,8 @@ def _pose_and_gains(
         ("kp", "joint_stiffness", robot.kp),
         ("kd", "joint_damping", robot.joint_damping),
     ):
+        if name == "kp" and known.action == "joint_torque":
+            continue  # It has no meaning there.
         if values := getattr(known, field):
             lines.append(f"  {name}: {one_or_list(values)}{_from(known, field)}")
         elif name in theirs:

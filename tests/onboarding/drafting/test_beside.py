@@ -444,6 +444,13 @@ def test_the_json_of_muwanx_gives_terms_gains_and_order_and_says_what_it_leaves(
         assert note in text
 
 
+def test_the_card_of_a_policy_that_gives_torques_has_no_kp(card_of):
+    said = json.dumps({**MUWANX, "control_type": "torque"})
+    text, card = card_of(3 * 30, {"walk.json": said}, name="walk.onnx")
+    assert (card.control.action, card.control.kp) == ("joint_torque", None)
+    assert "  kp:" not in text
+
+
 def test_a_json_of_no_known_kind_beside_a_checkpoint_is_said_to_be_unread(card_of):
     beside = {"walk.json": '{"layers": [1], "author": "me"}', "other.json": "{}"}
     text, _ = card_of(45, beside, name="walk.onnx")
