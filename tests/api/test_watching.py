@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import threading
 import time
@@ -17,6 +18,7 @@ from onnx import numpy_helper
 from nw_eval import api
 from nw_eval.api.watching import checkpoints_in, training_step
 from nw_eval.cli.verbs.watch import checkpoint_line
+from nw_eval.engine.listener import Silence
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.policies import load_bundle
 
@@ -207,6 +209,25 @@ def test_numbers_of_no_use_are_refused_before_anything_runs(training, settings, 
     with pytest.raises(UsageError, match=words):
         watched(training, **settings)
     assert not (training.parent / "reports").exists()
+
+
+class Ears(Silence):
+    def __init__(self):
+        self.heard = []
+
+    def message(self, text):
+        self.heard.append(text)
+
+
+def test_that_no_checkpoint_can_pass_with_so_few_trials_is_said_before_any_runs(training):
+    few, enough = Ears(), Ears()
+    page = watched(training, listener=few).page.read_text(encoding="utf-8")
+    words = "3 trials cannot exclude a drop of 0.5 from the best checkpoint even if all of both are"
+    assert [words in text for text in few.heard] == [True]
+    assert f"cannot PASS: {words}" in page
+    least = int(re.search(r"--trials (\d+)", few.heard[0])[1])
+    watched(training, listener=enough, trials=least, out=training.parent / "enough")
+    assert enough.heard == []
 
 
 def test_what_is_no_folder_is_refused(training):

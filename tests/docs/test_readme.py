@@ -67,7 +67,8 @@ def test_the_first_command_writes_a_card_with_the_digest_and_with_what_to_check(
     commands = re.findall(r"nw-eval (?:policies )?(\w+)", five_minutes())
     assert list(dict.fromkeys(commands))[:3] == ["init", "check", "run"]
     told = api.init_policy(checkpoint, robot="go1")
-    assert "CHECK" in told.text
+    below = [line for line in told.text.splitlines() if "# CHECK: " in line]
+    assert told.to_check == len(below) > 0
     assert load_bundle(checkpoint.parent).checkpoint_sha256 in told.text
 
 

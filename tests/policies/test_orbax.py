@@ -32,7 +32,7 @@ def test_the_folded_file_acts_as_brax_does(tmp_path):
     has_tensorstore()
     file = tmp_path / "policy.safetensors"
     assert api.fold_policy(STEP, out=file).bytes == file.stat().st_size
-    text = draft_of(checkpoint=str(file), robot="go1", folder=str(tmp_path))
+    text = draft_of(checkpoint=str(file), robot="go1", folder=str(tmp_path))["text"]
     (tmp_path / "policy.yaml").write_text(text)
     assert "  activation: silu  # policy.safetensors" in text
     bundle = load_bundle(tmp_path)

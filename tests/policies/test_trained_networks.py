@@ -39,7 +39,7 @@ def drafted(tmp_path):
 
     def draft(name: str, **changes: str) -> Path:
         file = shutil.copy(saved(name), tmp_path)
-        text = draft_of(checkpoint=file, robot="go1", folder=str(tmp_path))
+        text = draft_of(checkpoint=file, robot="go1", folder=str(tmp_path))["text"]
         for old, new in changes.items():
             assert old in text
             text = text.replace(old, new)
@@ -107,7 +107,7 @@ def test_a_state_of_another_policy_is_refused(drafted):
 def test_the_activation_of_stable_baselines3_is_read_from_its_file(drafted):
     text = (drafted("sb3-elu") / "policy.yaml").read_text()
     assert "  activation: elu  # best_model.zip" in text
-    text = draft_of(checkpoint=str(saved("sb3")), robot="go1", folder=".")
+    text = draft_of(checkpoint=str(saved("sb3")), robot="go1", folder=".")["text"]
     assert "  activation: tanh  # CHECK" in text
 
 
@@ -147,7 +147,9 @@ def test_a_network_beside_the_actor_is_named(tmp_path):
     layers = {"actor.0": (8, 64), "actor.2": (12, 8), "estimator.0": (19, 270), "critic.0": (1, 45)}
     state = {f"{name}.weight": torch.zeros(shape) for name, shape in layers.items()}
     torch.save({"model_state_dict": state}, tmp_path / "model_9.pt")
-    text = draft_of(checkpoint=str(tmp_path / "model_9.pt"), robot="go1", folder=str(tmp_path))
+    text = draft_of(checkpoint=str(tmp_path / "model_9.pt"), robot="go1", folder=str(tmp_path))[
+        "text"
+    ]
     assert "CHECK: the file has other networks: model_state_dict.estimator." in text
 
 

@@ -38,7 +38,7 @@ def drafted(folder: Path) -> str:
         robot="go1",
         folder=str(folder),
         statistics=None if found is None else str(found),
-    )
+    )["text"]
 
 
 def actions_of(folder: Path) -> np.ndarray:

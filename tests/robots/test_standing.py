@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from nw_eval import api, cli
+from nw_eval.cli.verbs.robots import check_page
 from nw_eval.errors import RobotError, UsageError
 from nw_eval.robots import find_robot, get_robot
 from nw_eval.robots.standing import LevelGround, standing_pose
@@ -104,6 +105,16 @@ def test_a_robot_whose_knees_give_way_does_not_stand(model, tmp_path, monkeypatc
     said = capsys.readouterr().out
     assert "dog: it does not stand" in said
     assert "gains do not hold the pose" in said
+
+
+def test_that_it_stands_on_more_than_its_feet_is_in_the_first_line(model):
+    api.init_robot(model)
+    file = model.parent / "robot.yaml"
+    file.write_text(file.read_text().replace(", shin_rl]", "]"))
+    first, *_, last = check_page(api.check_robot(str(model.parent))).splitlines()
+    said = r"dog: it stands, but (\w+, )*\w+ and shin_rl carry \d\d% of its weight"
+    assert re.fullmatch(rf"{said}; \d+\.\d\d kg, of .*", first)
+    assert re.fullmatch(said, last)
 
 
 def test_out_gets_the_model_and_its_meshes_and_nothing_else(model, tmp_path):

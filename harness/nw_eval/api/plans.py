@@ -126,7 +126,7 @@ def plan_of(
     faults.raise_any()
     assert suite is not None, "a suite that cannot be used has faults"
     assert bundle is not None, "a policy that cannot be used has faults"
-    chosen = _chosen(found, request.scenes if scenes is None else scenes, suite)
+    chosen = chosen_scenes(found, request.scenes if scenes is None else scenes, suite)
     opened = [place.scene for place in chosen]
     check_splats(bundle.card, opened)
     if read is not None:
@@ -416,7 +416,7 @@ def check_workers(workers: int | None) -> None:
         raise UsageError(f"--workers {workers}", fix="give at least 1")
 
 
-def _chosen(
+def chosen_scenes(
     found: Sequence[FoundScene], globs: Sequence[str] | None, suite: Suite
 ) -> tuple[FoundScene, ...]:
     """Return the scenes that match a glob; all of them if there are no globs to match."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import UsageError
+from nw_eval.errors import CrashError, PolicyError, UsageError
 
 if TYPE_CHECKING:
     from nw_eval.cards.load import ListedPolicy
@@ -147,6 +148,9 @@ def init_policy(
 ) -> CardDraft:
     """Inspect a checkpoint and what lies beside it, without running it, and write a first card.
 
+    Only a TorchScript file that does not say the size of its one input runs, once on zeros for each
+    size that it may have, in a confined process.
+
     Args:
         checkpoint: any format that an adapter reads; of a folder the newest step is taken.
         robot: which robot the policy drives: a name, or the path of a folder.
@@ -165,7 +169,7 @@ def init_policy(
     from nw_eval.files.inside import what_is
     from nw_eval.onboarding.beside import files_beside_checkpoint, find_checkpoint
     from nw_eval.onboarding.draft import draft_of, files_beside
-    from nw_eval.onboarding.notation import plain
+    from nw_eval.onboarding.notation import lines_to_check, plain
     from nw_eval.onboarding.vecnormalize import statistics_beside
     from nw_eval.robots import find_robot
     from nw_eval.rollout.confined.access import inspecting_rules
@@ -180,20 +184,24 @@ def init_policy(
     if what_is(followed(card)) == "file":
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
     found, statistics = find_robot(robot), statistics_beside(checkpoint)
-    text = str(
-        call_isolated(
-            draft_of,
-            subject=str(checkpoint),
-            rules=inspecting_rules(checkpoint, robot=found.folder, also=statistics),
-            checkpoint=str(checkpoint),
-            robot=found.reference,
-            robot_folder=None if found.folder is None else str(found.folder),
-            folder=str(card.parent),
-            layout=layout,
-            beside=files_beside_checkpoint(checkpoint),
-            statistics=None if statistics is None else str(statistics),
-        )
+    draft = partial(
+        call_isolated,
+        draft_of,
+        subject=str(checkpoint),
+        rules=inspecting_rules(checkpoint, robot=found.folder, also=statistics),
+        checkpoint=str(checkpoint),
+        robot=found.reference,
+        robot_folder=None if found.folder is None else str(found.folder),
+        folder=str(card.parent),
+        layout=layout,
+        beside=files_beside_checkpoint(checkpoint, found.spec.name),
+        statistics=None if statistics is None else str(statistics),
     )
+    drafted = draft()
+    if widths := drafted["widths"]:
+        taken = _taken(checkpoint, widths)
+        drafted = draft(taken=taken) if taken not in {0, widths[0]} else drafted
+    text = str(drafted["text"])
     if others:
         shown = ", ".join(others[:6]) + f" and {len(others) - 6} more" * (len(others) > 6)
         newest = f"{plain(checkpoint.name)} is the newest checkpoint here, beside {plain(shown)}."
@@ -202,7 +210,26 @@ def init_policy(
         text += files_beside(checkpoint)
     with atomic_path(followed(card)) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    return CardDraft(file=card, text=text, to_check=text.count("CHECK"))
+    return CardDraft(file=card, text=text, to_check=lines_to_check(text))
+
+
+def _taken(checkpoint: Path, widths: Sequence[int]) -> int:
+    """Return which of some widths a TorchScript file takes, asked in a process; 0 if none."""
+    from nw_eval.onboarding.draft import width_taken
+    from nw_eval.rollout.confined.access import inspecting_rules
+    from nw_eval.rollout.confined.isolated import call_isolated
+
+    try:
+        taken = call_isolated(
+            width_taken,
+            subject=str(checkpoint),
+            rules=inspecting_rules(checkpoint),
+            checkpoint=str(checkpoint),
+            widths=list(widths),
+        )
+    except (PolicyError, CrashError):
+        return 0  # A draft does not need it, and `check` says what is wrong with the file.
+    return taken if taken in widths else 0
 
 
 def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:

@@ -107,6 +107,7 @@ def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
     from nw_eval.errors import UsageError
     from nw_eval.files.cache import atomic_path, followed
     from nw_eval.files.inside import what_is
+    from nw_eval.onboarding.notation import lines_to_check
     from nw_eval.onboarding.robot_draft import draft_robot
     from nw_eval.robots.folder import ROBOT_FILE
 
@@ -123,7 +124,7 @@ def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
         _copy(root, draft.files, out)
     with atomic_path(followed(file)) as temporary:
         temporary.write_text(draft.text, encoding="utf-8")
-    to_check = sum("CHECK" in line for line in draft.text.splitlines()[2:])
+    to_check = lines_to_check(draft.text)
     return RobotDraft(file=file, text=draft.text, to_check=to_check, stands=draft.stands)
 
 

@@ -178,6 +178,9 @@ def watch(
         )
     request = Request.of(suite, policy=card, **changes)
     watched = _Watch(folder, request, out, where or Surfaces(), workers, cache, listener)
+    for reason in watched.obstacles:
+        if listener is not None:
+            listener.message(f"a checkpoint after the first cannot PASS: {reason}")
     seen: dict[Path, tuple[int, int]] = {}
     last, interrupted = time.monotonic(), False
     while not interrupted:
@@ -275,6 +278,8 @@ class _Watch:
     cache: bool
     listener: Listener | None
     folder: Path = field(init=False)
+    obstacles: tuple[str, ...] = field(init=False)
+    """Why no checkpoint can PASS beside one that never fails."""
     _state: _State = field(init=False)
     _known: set[tuple[str, tuple[int, int]]] = field(
         init=False, default_factory=set[tuple[str, tuple[int, int]]]
@@ -288,6 +293,7 @@ class _Watch:
         check_surfaces(self.where)
         assert self.request.suite is not None, "a watch is of a suite"
         suite = load_suite(self.request.suite)
+        self.obstacles = _obstacles(self.request)
         policy = self.request.policy or suite.policy
         name = re.sub(r"[^A-Za-z0-9_.]+", "-", self.training.resolve().name)
         self.folder = self.out or _REPORTS / f"watch-{suite.name}-{name}"
@@ -481,8 +487,34 @@ class _Watch:
                 [asdict(each) for each in ordered],
                 best=None if best is None else best.step,
                 confidence=self._confidence,
+                obstacles=self.obstacles,
             )
             temporary.write_text(page, encoding="utf-8")
+
+
+def _obstacles(request: Request) -> tuple[str, ...]:
+    """Return why no checkpoint can PASS beside one that never fails.
+
+    What is wrong with the suite or its scenes, the first run tells.
+    """
+    from nw_eval.api.plans import Faults, chosen_scenes, open_scenes
+    from nw_eval.engine.forecast import obstacles_among_equals
+    from nw_eval.errors import NwEvalError
+    from nw_eval.suite import draft_suite
+    from nw_eval.suite.model import override
+
+    assert request.suite is not None, "a watch is of a suite"
+    draft = draft_suite(request.suite)
+    if draft.suite is None:
+        return ()
+    try:
+        suite = override(draft.suite, request)
+        found = open_scenes(draft, Faults(draft), request.collision)
+        names = [place.scene.name for place in chosen_scenes(found, request.scenes, suite)]
+        left_out = {place.scene.name for place in found} - {*names}
+        return obstacles_among_equals(suite, names, left_out)
+    except NwEvalError:
+        return ()
 
 
 def _sha256(path: Path) -> str:

@@ -13,6 +13,8 @@ from nw_eval.plural import plural
 from nw_eval.results.bank import machine_in
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
     from nw_eval.engine.plan import Plan
     from nw_eval.policies import Bundle
     from nw_eval.results.bank import Against
@@ -194,6 +196,48 @@ def _against_the_bank(plan: Plan, against: Against) -> list[str]:
         f"exclude a drop of {suite.gate.most_drop:g} even if all are perfect: {fix}"
     )
     return [reason]
+
+
+def obstacles_among_equals(
+    suite: Suite, scenes: Sequence[str], left_out: Collection[str]
+) -> tuple[str, ...]:
+    """Return why of two policies that never fail, from the same starts, the second would not pass.
+
+    Args:
+        suite: whose trials both run; the first is the baseline.
+        scenes: that are run, by name.
+        left_out: scenes of the suite that are not, by name.
+    """
+    from nw_eval.gate.baseline.foresee import bar_obstacles, perfect_panel, trials_to_pass_baseline
+    from nw_eval.gate.baseline.match import draw_trials
+
+    gate, cells = suite.gate, suite.perturb.cells
+    if gate.success_rate is not None:
+        found = bar_obstacles(gate, scenes, left_out, trials=suite.trials, cells=len(cells))
+        if found:
+            return tuple(found)
+    strata = [(scene, cell) for scene in scenes for cell in cells]
+    if all(gate.tier(scene) == "informational" for scene in scenes):
+        return ()
+
+    def needed(starts: int) -> int | None:
+        order = draw_trials(
+            strata, starts, starts, candidate=suite.digest, suite_digest=suite.digest
+        )
+        return trials_to_pass_baseline(gate, perfect_panel(strata, starts), order, fresh=False)
+
+    if needed(suite.trials) is not None:
+        return ()
+    enough = needed(max(_MOST_FRESH, suite.trials))
+    least = None if enough is None else ceil(enough / len(strata))
+    fix = f"{_MOST_FRESH} in each scene cannot either"
+    if least is not None:
+        fix = f"--trials {least} (`trials: {least}`) is about the least that can"
+    reason = (
+        f"{plural(suite.trials * len(strata), 'trial')} cannot exclude a drop of "
+        f"{gate.most_drop:g} from the best checkpoint even if all of both are perfect: {fix}"
+    )
+    return (reason,)
 
 
 def _whole_order(plan: Plan, against: Against) -> list[DrawnStart]:

@@ -30,9 +30,15 @@ _LARGEST = 2**20
 _MOST = 24
 """Files that are looked at."""
 _FOLDERS = (".", "params", "io_descriptors", "config", "configs")
-_ABOVE = (".", "params", "io_descriptors", "configs")
-_OF_DEPLOY_TREE = ("deploy_mujoco/configs", "deploy_real/configs")
-"""In the folder `deploy` of unitree_rl_gym, whose checkpoints are `pre_train/ROBOT/motion.pt`."""
+_ABOVE = (".", "params", "io_descriptors", "config", "configs")
+_PRETRAINED = frozenset({"pre_train", "pretrain", "pretrained"})
+"""Of checkpoints beside deploy scripts, as in unitree_rl_gym: `pre_train/ROBOT/motion.pt`."""
+_OF_DEPLOY_TREE = tuple(
+    f"{scripts}{configs}"
+    for scripts in ("", "deploy_real/", "deploy_real/*/", "deploy_mujoco/", "deploy_mujoco/*/")
+    for configs in ("config", "configs")
+)
+"""Where the scripts' settings lie, beside such a folder."""
 _SUFFIXES = frozenset(
     {".onnx", ".pt", ".pt2", ".pth", ".jit", ".safetensors", ".zip", ".msgpack", ".cleanrl_model"}
 )
@@ -45,31 +51,33 @@ _PER_JOINT = (
     "armature",
 )
 _ORDER = (
-    "deploy", "io_descriptors", "legged_rl_deploy", "legged_ros2", "rl_sar", "gym", "checkpoint",
+    "deploy", "io_descriptors", "legged_rl_deploy", "legged_ros2", "rl_sar", "gym", "muwanx",
+    "checkpoint",
     "env", "agent",
 )  # fmt: skip
 """Which kind of file is believed before others."""
 
 
-def files_beside_checkpoint(checkpoint: Path) -> dict[str, str]:
-    """Return the YAML files that may say something of a checkpoint: name and text.
+def files_beside_checkpoint(checkpoint: Path, robot: str = "") -> dict[str, str]:
+    """Return the YAML and JSON files that may say something of a checkpoint: name and text.
 
     They lie beside it, in `params` or `io_descriptors` there, in the folder above or in such
     folders of that, as in Isaac Lab, where policies are exported to `exported/`. In unitree_rl_gym
-    they lie in the folders of its deploy scripts.
+    and its forks they lie in the folders of its deploy scripts; of those only the robot's are
+    meant, by their names or by the folder of the checkpoint. JSON is called as the checkpoint is.
     """
     folder = checkpoint.parent
-    found: list[tuple[str, Path]] = []
+    own = [f"{checkpoint.stem}.json", "asset_meta.json"]
+    found = [(name, folder / name) for name in own if (folder / name).exists()]
     for name in _FOLDERS:
         found += _yaml_files(folder / name, "" if name == "." else f"{name}/")
     above = folder.absolute().parent
     for name in _ABOVE:
         found += _yaml_files(above / name, "../" if name == "." else f"../{name}/")
-    if above.name == "pre_train":
-        own = folder.absolute().name
-        for name in _OF_DEPLOY_TREE:
-            files = _yaml_files(above.parent / name, f"../../{name}/")
-            found += [pair for pair in files if pair[1].stem.startswith(own)]
+    for up, place in enumerate((folder.absolute(), above), start=1):
+        if place.name in _PRETRAINED:
+            named = [folder.absolute().name] if up == 2 else [robot]
+            found += _deployed(place.parent, "../" * up, named)
     texts: dict[str, str] = {}
     for name, path in found:
         try:
@@ -79,6 +87,21 @@ def files_beside_checkpoint(checkpoint: Path) -> dict[str, str]:
         except (OSError, UnicodeDecodeError):
             continue
     return texts
+
+
+def _deployed(root: Path, prefix: str, named: Sequence[str]) -> list[tuple[str, Path]]:
+    """Return files of deploy scripts that begin with one of some names, or lie in its folder."""
+    found: list[tuple[str, Path]] = []
+    for pattern in _OF_DEPLOY_TREE:
+        for folder in sorted(root.glob(pattern)):
+            inner = folder.relative_to(root)
+            of_folder = len(inner.parts) > 2 and inner.parts[1] in named
+            found += [
+                pair
+                for pair in _yaml_files(folder, f"{prefix}{inner.as_posix()}/")
+                if of_folder or any(pair[1].stem.startswith(name) for name in named)
+            ]
+    return found
 
 
 def _yaml_files(folder: Path, prefix: str) -> list[tuple[str, Path]]:
@@ -150,6 +173,9 @@ def read_beside(
         size: numbers that it takes; 0 where it does not say.
     """
     read = _read_files(texts, robot, checkpoint, size)
+    beside = f"{Path(checkpoint).stem}.json"
+    if beside in texts and not any(beside in said.sources.values() for _, said in read):
+        read.append((len(_ORDER), ExporterMetadata(notes=(_unread(beside, texts[beside]),))))
     if own is not None:
         read.append((_ORDER.index("checkpoint"), own))
     if not read:
@@ -174,19 +200,46 @@ def _read_files(
     by_kind: dict[str, list[tuple[str, ExporterMetadata]]] = {}
     for name, data in parsed.items():
         kind, reader = reader_of(data)
+        said = ExporterMetadata()
         if reader is not None:
             said = reader(data, robot, list(parsed.values()))
+        if said != ExporterMetadata():
             marked = {f.name: plain(name) for f in fields(said) if getattr(said, f.name)}
             by_kind.setdefault(kind, []).append((name, replace(said, sources=marked)))
     read: list[tuple[int, ExporterMetadata]] = []
     for kind, several in by_kind.items():
-        for name, said in _about(several, checkpoint, len(robot.joints), size):
+        about = _about(several, checkpoint, len(robot.joints), size)
+        for name, said in _of_one_script(about) if kind == "gym" else about:
             notes = said.notes
             if said.model and Path(said.model).stem != Path(checkpoint).stem:
-                about = plain(Path(said.model).name)
-                notes = (*notes, f"{plain(name)} is about {about}: is that this file?")
+                other = plain(Path(said.model).name)
+                notes = (*notes, f"{plain(name)} is about {other}: is that this file?")
             read.append((_ORDER.index(kind), replace(said, notes=notes)))
     return read
+
+
+def _of_one_script(
+    several: Sequence[tuple[str, ExporterMetadata]],
+) -> list[tuple[str, ExporterMetadata]]:
+    """Return that of several deploy configs which names the order of joints, else the first.
+
+    Scripts of one policy say the same in other orders, or are of other policies of its size.
+    """
+    if len(several) < 2:
+        return list(several)
+    (name, said), *others = sorted(several, key=lambda pair: pair[1].guessed_order)
+    left = ", ".join(plain(other) for other, _ in others)
+    note = f"{plain(name)} was taken; so many numbers are in {left}, too"
+    return [(name, replace(said, notes=(*said.notes, note)))]
+
+
+def _unread(name: str, text: str) -> str:
+    try:
+        keys = plain(", ".join(parse_yaml(text, file=name, foreign=True).data))[:100]
+    except YamlProblems:
+        keys = ""
+    why = f"its keys are {keys}" if keys else "it has no keys"
+    return f"{plain(name)} lies beside the checkpoint and was not read: {why}"
 
 
 def _about(

@@ -166,6 +166,8 @@ class CheckpointFacts:
     """What it takes at each step, without recurrent state; empty where the format does not say."""
     script: tuple[ScriptInput, ...] = ()
     """What the code of a TorchScript file says that it takes, without shapes."""
+    taken: int = 0
+    """Numbers of a row of zeros that its one input was seen to take; 0 where it was not run."""
     outputs: tuple[ArrayFacts, ...] = ()
     recurrent: tuple[str, ...] = ()
     """Names of the state that it carries from step to step."""

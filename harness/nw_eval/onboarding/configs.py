@@ -6,6 +6,7 @@
     config.yaml, base.yaml      rl_sar and quadruped_ros2_control; legged_rl_deploy
     *.yaml                      unitree_rl_gym's deploy configs, and those of its forks
     *.yaml                      controllers of legged_ros2
+    NAME.json, asset_meta.json  muwanx, which runs policies in browsers
 
 A file is known by its keys, not by its name. Nothing of a tag is executed: `!!python/tuple` is a
 list. Lists for each joint are in the order of `joint_names`, whatever their order in the file.
@@ -48,13 +49,17 @@ def reader_of(data: Data) -> tuple[str, Reader | None]:
         {"obs_names", "obs_cfg", "action_cfg"} <= set(words) for words in _ros_nodes(data).values()
     ):
         return "legged_ros2", _legged_ros2
+    if isinstance(data.get("obs_config"), dict) and {"stiffness", "action_scale"} <= set(data):
+        return "muwanx", _muwanx
+    return _reader_of_training(data)
+
+
+def _reader_of_training(data: Data) -> tuple[str, Reader | None]:
     if {"sim", "decimation", "observations", "actions"} <= set(data):
         return "env", _environment
     if {"sim", "decimation", "robot", "observation_space"} <= set(data):
         return "env", _direct_environment
-    if _activation(data):
-        return "agent", _agent
-    return "", None
+    return ("agent", _agent) if _activation(data) else ("", None)
 
 
 def _dict(value: Any) -> Data:
@@ -401,11 +406,12 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         )
         for name in (_OTHER_GYM_TERMS if is_other else _GYM_TERMS)
     ]
-    size = _number(said("num_single_obs", "num_obs"))
+    numbers = said("num_single_obs", "num_obs")
+    size = _number(numbers)
     if size == 11 + 3 * joints:
         # Sine and cosine of a phase of 0.8 s, as its deploy scripts have it.
         terms.append(replace(term, name="phase", scale=(1.0,), width=2, keys="frequency: 1.25"))
-    elif size is not None and size != 9 + 3 * joints:
+    elif numbers is not None and size != 9 + 3 * joints:
         return ExporterMetadata()  # It is of another script, which may mean other things by it.
     step, every = (_number(data.get(key)) for key in ("simulation_dt", "control_decimation"))
     period = step * every if step and every else said("control_dt", "dt")
@@ -497,6 +503,67 @@ def _legged_ros2(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetada
             for name in _texts(config.get("obs_names"))
         ),
         joint_count=len(names),
+    )
+
+
+_MUWANX_TERMS = {
+    "BaseLinearVelocity": "base_lin_vel",
+    "BaseAngularVelocity": "base_ang_vel",
+    "ProjectedGravity": "projected_gravity",
+    "JointPositions": "joint_pos",
+    "JointVelocities": "joint_vel",
+    "PreviousActions": "last_action",
+    "SimpleVelocityCommand": "velocity_command",
+}
+
+
+def _muwanx(data: Data, _: RobotSpec, others: Sequence[Data]) -> ExporterMetadata:
+    """Read what muwanx runs a policy with: `NAME.json`, and the robot's `asset_meta.json`.
+
+    Terms are read of the first group that has none but known ones; the others feed inputs of their
+    own, and a note names them. The file does not say which of several frames comes first.
+    """
+    asset = next((other for other in others if "joint_names_isaac" in other), {})
+    names = tuple(map(short_name, _texts(asset.get("joint_names_isaac"))))
+    is_torque = data.get("control_type") == "torque"
+    terms: tuple[ExportedTerm, ...] = ()
+    notes: list[str] = []
+    for group, value in _dict(data["obs_config"]).items():
+        listed = cast("list[Any]", value) if isinstance(value, list) else []
+        words = [_dict(term) for term in listed]
+        unknown = [str(w.get("name")) for w in words if w.get("name") not in _MUWANX_TERMS]
+        if terms or unknown or not words:
+            what = ", ".join(unknown) or "its terms"
+            notes.append(f"of the JSON beside it the group {group} was not read: {what}")
+            continue
+        terms = tuple(_muwanx_term(w) for w in words)
+        if any((term.history or 1) > 1 for term in terms):
+            notes.append("the JSON beside it does not say which frame comes first")
+        if any(w.get("transpose") is True for w in words):
+            notes.append(
+                "`transpose` in the JSON beside it was not read: frames of a joint in a row"
+            )
+    return ExporterMetadata(
+        joint_names=names,
+        joint_stiffness=_numbers(data.get("stiffness")),
+        joint_damping=_numbers(data.get("damping")),
+        default_joint_pos=_numbers(asset.get("default_joint_pos")) if names else (),
+        action="joint_torque" if is_torque else "joint_position_offset",
+        action_scale=_numbers(data.get("action_scale")),
+        observation_terms=terms,
+        joint_count=len(names),
+        notes=tuple(notes),
+    )
+
+
+def _muwanx_term(words: Data) -> ExportedTerm:
+    is_absolute = words.get("subtract_default") is False
+    return ExportedTerm(
+        name=_MUWANX_TERMS[str(words["name"])],
+        scale=_numbers(words.get("scale", 1.0)) or None,
+        clip=(-math.inf, math.inf),
+        history=min(max(int(_number(words.get("history_steps")) or 1), 1), 100),
+        function="joint_pos" if is_absolute else "",
     )
 
 

@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from nw_eval.cards.joints import short_name
 from nw_eval.errors import PolicyError, nearest
@@ -24,7 +25,12 @@ from nw_eval.onboarding.checkpoint import (
     ExporterMetadata,
     inspect_checkpoint,
 )
-from nw_eval.onboarding.inputs import known_observations, parts_of, wanted_inputs
+from nw_eval.onboarding.inputs import (
+    known_observations,
+    parts_of,
+    wanted_inputs,
+    widths_to_try,
+)
 from nw_eval.onboarding.layouts import Frame, is_scan
 from nw_eval.onboarding.leapp import pipeline_of
 from nw_eval.onboarding.leapp_card import PipelineDraft, with_pipeline
@@ -82,7 +88,7 @@ def write_card_draft(
     """
     widths = [array.shape[-1] or 0 for array in facts.inputs if array.shape]
     widths = widths or [argument.size or 0 for argument in facts.script]
-    size = widths[0] if len(widths) == 1 else 0
+    size = (widths[0] if len(widths) == 1 else 0) or facts.taken
     known = read_beside(beside or {}, robot, facts.path.name, facts.exporter, size)
     pipeline = pipeline_of(beside or {}, facts.path.name)
     if pipeline is not None:
@@ -155,18 +161,23 @@ def draft_of(
     layout: str | None = None,
     beside: Mapping[str, str] | None = None,
     statistics: str | None = None,
-) -> str:
-    """Return the card of a checkpoint; as `write_card_draft`, from plain values.
+    taken: int = 0,
+) -> dict[str, Any]:
+    """Return the card of a checkpoint; as `write_card_draft`, from and as plain values.
 
-    The robot lies in `robot_folder`, or is found by its name.
+    The robot lies in `robot_folder`, or is found by its name; `taken` is as in `CheckpointFacts`.
+
+    Returns:
+        `text`; and as `widths` what its input may take, likeliest first, where the card guesses it
+        and to run the module would tell.
 
     Raises:
         PolicyError: as `inspect_checkpoint` and `write_card_draft`.
         UsageError: there is no such robot.
     """
     know_robot(robot, None if robot_folder is None else Path(robot_folder))
-    facts = inspect_checkpoint(Path(checkpoint))
-    return write_card_draft(
+    facts = replace(inspect_checkpoint(Path(checkpoint)), taken=taken)
+    text = write_card_draft(
         facts,
         get_robot(robot),
         folder=Path(folder),
@@ -174,6 +185,26 @@ def draft_of(
         beside=beside,
         statistics=None if statistics is None else Path(statistics),
     )
+    return {"text": text, "widths": _widths(facts, get_robot(robot), beside or {})}
+
+
+def _widths(facts: CheckpointFacts, robot: RobotSpec, beside: Mapping[str, str]) -> tuple[int, ...]:
+    """Return what a script's one input may take where nothing says it: first what is drafted."""
+    guessed = widths_to_try(facts)
+    if not guessed or pipeline_of(beside, facts.path.name) is not None:
+        return ()
+    known = read_beside(beside, robot, facts.path.name, facts.exporter)
+    terms = sized_terms(known.observation_terms, len(robot.joints)) if known else ()
+    sizes = [(term.width or 0) * (term.history or 1) for term in terms]
+    named = (sum(sizes),) if sizes and all(sizes) else ()
+    return tuple(dict.fromkeys((*named, *guessed)))
+
+
+def width_taken(*, checkpoint: str, widths: Sequence[int]) -> int:
+    """As `nw_eval.policies.torchscript.width_taken`, from plain values."""
+    from nw_eval.policies.torchscript import width_taken as taken  # It takes torch.
+
+    return taken(Path(checkpoint), widths)
 
 
 def _name(path: Path) -> str:
@@ -421,6 +452,8 @@ def _pose_and_gains(
         ("kp", "joint_stiffness", robot.kp),
         ("kd", "joint_damping", robot.joint_damping),
     ):
+        if name == "kp" and known.action == "joint_torque":
+            continue  # It has no meaning there.
         if values := getattr(known, field):
             lines.append(f"  {name}: {one_or_list(values)}{_from(known, field)}")
         elif name in theirs:

@@ -19,6 +19,8 @@ from nw_eval.onboarding.vectors import (
 )
 
 _WEIGHT = re.compile(r"(^|\.)weight(_ih_l0)?$")
+_TRIES = 12
+"""Widths that a module is asked to take."""
 _BRIGHTNESS = re.compile(r"gr[ae]y|mono|rgb|colou?r|intensity", re.IGNORECASE)
 _IMAGE = re.compile(r"depth|image|img|rgb|camera|pixel", re.IGNORECASE)
 
@@ -41,8 +43,8 @@ class Wanted:
     def size(self) -> int | None:
         """Numbers of a row; None where the file does not say."""
         shape = _without_batch(self.array.shape)
-        sure = self.known and not self.is_guess and len(shape) == 1
-        return shape[0] if sure else None
+        sure = self.known and not self.is_guess and len(shape) <= 1
+        return (*shape, 1)[0] if sure else None
 
     def resized(self, terms: Sequence[ExportedTerm]) -> Wanted:
         """Return the input with the size of its terms, where its own is not known."""
@@ -68,12 +70,7 @@ def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
             for array in facts.inputs
         )
     layers = [tensor for tensor in facts.tensors if len(tensor.shape) == 2]
-    weights = [tensor for tensor in layers if _WEIGHT.search(tensor.name)]
-    outputs = {tensor.shape[0] for tensor in weights}
-    # What no layer makes is an input: of 45 -> 512 -> 256 -> 12 that is 45, not the widest.
-    sizes = [tensor.shape[1] for tensor in weights if tensor.shape[1] not in outputs]
-    sizes = sizes or [tensor.shape[1] for tensor in weights]
-    known = [size for size in sizes if frames_of(size)]
+    known, sizes = _likely_widths(facts)
     reason = (
         f"its layers take {sorted({tensor.shape[1] for tensor in layers})}"
         if layers
@@ -88,11 +85,39 @@ def wanted_inputs(facts: CheckpointFacts) -> tuple[Wanted, ...]:
         reason = f"the layer that its one input goes into takes {direct}; {reason}"
     else:
         what = "of what size its input is" if facts.script else "how many inputs it takes, of what"
-        reason = f"the file does not say {what}; {reason}"
-    array = ArrayFacts(
-        name="obs", shape=(1, direct or (known or sizes or [48])[0]), dtype="float32"
-    )
-    return (Wanted(array=array, reason=reason, is_guess=direct is None),)
+        seen = f"on zeros it runs with {facts.taken}; " if facts.taken else ""
+        reason = f"the file does not say {what}; {seen}{reason}"
+    size = direct or facts.taken or (known or sizes or [48])[0]
+    array = ArrayFacts(name="obs", shape=(1, size), dtype="float32")
+    return (Wanted(array=array, reason=reason, is_guess=not (direct or facts.taken)),)
+
+
+def _likely_widths(facts: CheckpointFacts) -> tuple[list[int], list[int]]:
+    """Return the widths of layers that may be an input's: of known frames, and all of them."""
+    weights = [t for t in facts.tensors if len(t.shape) == 2 and _WEIGHT.search(t.name)]
+    outputs = {tensor.shape[0] for tensor in weights}
+    # What no layer makes is an input: of 45 -> 512 -> 256 -> 12 that is 45, not the widest.
+    sizes = [tensor.shape[1] for tensor in weights if tensor.shape[1] not in outputs]
+    sizes = sizes or [tensor.shape[1] for tensor in weights]
+    return [size for size in sizes if frames_of(size)], sizes
+
+
+def widths_to_try(facts: CheckpointFacts) -> tuple[int, ...]:
+    """Return what a script's one input may take, likeliest first; empty where the file says it.
+
+    The first is what `wanted_inputs` guesses. A module that keeps its own history takes a frame,
+    and its first layer takes several.
+    """
+    one = facts.script[0] if len(facts.script) == 1 else None
+    if one is None or one.size is not None or one.kind != "Tensor":
+        return ()
+    known, sizes = _likely_widths(facts)
+    widths = [
+        width
+        for size in (*known, *sizes)
+        for width in (size, *(frame.size for frame, count in frames_of(size) if count > 1))
+    ]
+    return tuple(dict.fromkeys(widths))[:_TRIES]
 
 
 def parts_of(

@@ -25,6 +25,11 @@ _WORDS = {"null", "true", "false", "yes", "no", "on", "off", "y", "n"}
 """What YAML reads as something else than a word."""
 
 
+def lines_to_check(draft: str) -> int:
+    """Return how many lines of a draft its author must act upon."""
+    return sum(CHECK in line for line in draft.splitlines())
+
+
 def number(value: float) -> str:
     """Return a number as YAML reads it: `1e-05` would be a word there."""
     short = f"{value:g}"

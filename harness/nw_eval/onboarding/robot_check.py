@@ -145,6 +145,8 @@ class CheckedRobot:
     feet: tuple[CheckedFoot, ...]
     others: tuple[CheckedFoot, ...]
     """Bodies that are no feet, and touched the ground."""
+    carriers: tuple[str, ...]
+    """Those of `others` that carry more than 2 % of its weight."""
     torque_shares: dict[str, float]
     """By joint: its torque in standing, in shares of its largest."""
     self_contacts: tuple[tuple[str, str], ...]
@@ -358,6 +360,7 @@ def check_here(reference: str) -> tuple[CheckedRobot, Drop, FoundRobot]:
         for torque, limit in zip(dropped.torques, robot.torque_limits, strict=True)
     ]
     others = {body: force for body, force in dropped.forces.items() if body not in feet}
+    carriers = tuple(body for body in others if body in dropped.carriers)
     checked = CheckedRobot(
         name=robot.name,
         place=place_of(found),
@@ -373,10 +376,11 @@ def check_here(reference: str) -> tuple[CheckedRobot, Drop, FoundRobot]:
             for foot, body in zip(robot.feet, feet, strict=True)
         ),
         others=tuple(CheckedFoot(foot=body, force=force) for body, force in others.items()),
+        carriers=carriers,
         torque_shares=dict(zip(robot.joints, shares, strict=True)),
         self_contacts=dropped.self_contacts,
         eye=_eye("ego", robot.cameras["ego"]),
-        notes=tuple(_notes(found, dropped, free, shares, others, feet)),
+        notes=tuple(_notes(found, dropped, free, shares, carriers, feet)),
     )
     return checked, dropped, found
 
@@ -386,7 +390,7 @@ def _notes(
     dropped: Drop,
     free: Drop,
     shares: Sequence[float],
-    others: dict[str, float],
+    carriers: Sequence[str],
     feet: Sequence[str],
 ) -> list[str]:
     robot, notes = found.spec, list[str]()
@@ -398,10 +402,9 @@ def _notes(
     idle = [foot for foot, body in zip(robot.feet, feet, strict=True) if body not in dropped.forces]
     if idle:
         notes.append(f"feet that do not touch the ground: {', '.join(idle)}; see `pose` and `feet`")
-    weight = [body for body in others if body in dropped.carriers]
-    if weight:
+    if carriers:
         notes.append(
-            f"no feet, but they carry it: {', '.join(weight)}; see `pose`, `feet`, and the gains"
+            f"no feet, but they carry it: {', '.join(carriers)}; see `pose`, `feet`, and the gains"
         )
     sagged = [
         f"{name} by {abs(at - target):.2f} rad"
@@ -475,6 +478,8 @@ def _picture(robot: RobotSpec, dropped: Drop, checked: CheckedRobot) -> bytes:
         )
         aboard = spectator.aboard(world, scene.trail, "ego", width=width, height=height)
     ending = "stands" if checked.stands else "does not stand"
+    if checked.stands and checked.carriers:
+        ending += f" on {_few(checked.carriers)} too"
     gantry = ", held upright" if checked.held else ""
     title = f"{robot.name}: {checked.mass:.1f} kg, {ending}{gantry}, root at {checked.height:.2f} m"
     cells = [

@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from io import BytesIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.networks import Feedback, Recurrent, listed_inputs
 from nw_eval.clean import clean
+from nw_eval.confinement import fence_stands
 from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.plural import plural
 from nw_eval.policies.apart import check_program
@@ -63,7 +65,7 @@ class TorchScriptNetwork:
         self._places = [_place(one, bundle) for one in wanted]
         # More threads change the order of sums, and with it the last bits of an action.
         torch.set_num_threads(1)
-        self._module: Any = _open(bundle)
+        self._module: Any = _open(bundle.read_checkpoint(), str(bundle.checkpoint))
         self._arguments = _check_signature(self._module, bundle)
         self._assemble = InputAssembler(bundle.card, self.inputs)
         self._slots = _state_slots(self._module, str(bundle.checkpoint))
@@ -249,8 +251,37 @@ def _check(data: bytes, where: str) -> None:
     tensor_facts(data, where)
 
 
-def _open(bundle: Bundle) -> Any:
-    where, data = str(bundle.checkpoint), bundle.read_checkpoint()
+def width_taken(checkpoint: Path, widths: Sequence[int]) -> int:
+    """Return which row of zeros a module takes as its only input: the first of some widths.
+
+    The module runs once for each width until then, from the state that its file holds.
+
+    Args:
+        checkpoint: a TorchScript file.
+        widths: numbers of the row.
+
+    Returns:
+        0 if it takes none of them, or no fence stands round this process.
+
+    Raises:
+        PolicyError: the file cannot be opened.
+    """
+    if not fence_stands():
+        return 0
+    torch.set_num_threads(1)
+    data = checkpoint.read_bytes()
+    for width in widths:
+        module = _open(data, str(checkpoint))  # Anew: what a run leaves in it shapes the next one.
+        try:
+            with torch.inference_mode():
+                module.forward(torch.zeros(1, width))
+        except (RuntimeError, IndexError, torch.jit.Error):
+            continue
+        return width
+    return 0
+
+
+def _open(data: bytes, where: str) -> Any:
     if (kind := file_kind(data, where)) != "torchscript":
         raise PolicyError(
             f"{where}: not a TorchScript file: {kind_said(kind)}",

@@ -9,6 +9,7 @@ import pytest
 
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.gate.baseline.foresee import (
+    NOTHING_MORE,
     about_more_trials,
     in_a_sentence,
     outset_of_bank,
@@ -127,7 +128,7 @@ def test_a_budget_and_what_is_compared_with_can_be_said(panel: Any) -> None:
 @pytest.mark.parametrize(
     ("passed", "words"),
     [
-        ((), "there is nothing more to run: save a baseline with more starts"),
+        ((), NOTHING_MORE),
         ((0.2,), "1 more trial decides with 20 % probability"),
         ((0.0, 0.2), "2 more trials decide with 20 % probability"),
         (

@@ -375,6 +375,90 @@ def test_the_config_of_a_deploy_script_is_found_from_the_folder_of_its_checkpoin
     assert "g1.yaml" not in text
 
 
+@pytest.mark.parametrize("folder", ["pretrain", "pre_train"])
+def test_deploy_configs_are_found_one_folder_further_by_robot_and_size(folder, card_of):
+    mapped = GYM.replace("[21,", "[22,").replace("motion", "walk")
+    text, card = card_of(
+        45,
+        {
+            "../deploy_mujoco/velocity/configs/go2.yaml": GYM.replace("joint2motor_idx", "mapping"),
+            "../deploy_mujoco/go2/config/any.yaml": GYM.replace(
+                "num_obs: 45", "num_obs: {low: 45}"
+            ),
+            "../deploy_real/config/go2_velocity.yaml": mapped,
+            "../deploy_real/config/go2_navila.yaml": mapped.replace("num_obs: 45", "num_obs: 909"),
+            "../deploy_real/config/g1_velocity.yaml": mapped.replace("[22,", "[99,"),
+        },
+        name=f"{folder}/walk.onnx",
+    )
+    assert "kp: [22, 21, 21, 21" in text
+    real, sim = (
+        "../deploy_real/config/go2_velocity.yaml",
+        "../deploy_mujoco/velocity/configs/go2.yaml",
+    )
+    assert f"# {real}" in text
+    assert card.control.joints == LEFT_FIRST
+    assert not any(f"# {other}" in text for other in (sim, "../deploy_mujoco/go2"))
+
+
+def test_of_two_deploy_configs_of_one_size_that_which_names_its_joints_is_taken(card_of):
+    unordered = GYM.replace("joint2motor_idx", "mapping").replace("[21,", "[22,")
+    text, card = card_of(45, {"configs/a.yaml": unordered, "configs/b.yaml": GYM})
+    assert card.control.kp == 21
+    assert "CHECK: configs/b.yaml was taken; so many numbers are in configs/a.yaml, too" in text
+
+
+MUWANX = {
+    "onnx": {"path": "walk.onnx"},
+    "obs_config": {
+        "policy": [
+            {"name": "ProjectedGravity", "history_steps": 3},
+            {"name": "SimpleVelocityCommand", "scale": [2.0, 2.0, 0.25], "history_steps": 3},
+            {"name": "JointPositions", "subtract_default": False, "history_steps": 3},
+            {"name": "PreviousActions", "history_steps": 3, "transpose": True},
+        ],
+        "command_": [{"name": "Oscillators"}],
+    },
+    "action_scale": 0.5,
+    "stiffness": 26.0,
+    "damping": 0.7,
+}
+
+
+def test_the_json_of_muwanx_gives_terms_gains_and_order_and_says_what_it_leaves(card_of):
+    pose = [0.1] * 4 + [0.8] * 4 + [-1.5] * 4
+    asset = {"joint_names_isaac": [f"{n}_joint" for n in BY_TYPE], "default_joint_pos": pose}
+    beside = {"walk.json": json.dumps(MUWANX, indent=4), "asset_meta.json": json.dumps(asset)}
+    text, card = card_of({"obs": 3 * 30, "command": 7}, beside, name="walk.onnx")
+    assert (card.control.joints, card.control.kp, card.control.kd) == (BY_TYPE, 26, 0.7)
+    assert (card.control.scale, card.control.default_pose) == (0.5, pose)
+    assert words(card) == ["gravity", "command", "joint_pos", "last_output"]
+    _, command, joint_pos, _ = card.observations["obs"].frame_terms
+    assert (command.scale, joint_pos.relative) == ([2, 2, 0.25], False)
+    assert card.observations["obs"].history.steps == 3
+    for note in (
+        "group command_ was not read: Oscillators",
+        "which frame comes first",
+        "transpose",
+    ):
+        assert note in text
+
+
+def test_the_card_of_a_policy_that_gives_torques_has_no_kp(card_of):
+    said = json.dumps({**MUWANX, "control_type": "torque"})
+    text, card = card_of(3 * 30, {"walk.json": said}, name="walk.onnx")
+    assert (card.control.action, card.control.kp) == ("joint_torque", None)
+    assert "  kp:" not in text
+
+
+def test_a_json_of_no_known_kind_beside_a_checkpoint_is_said_to_be_unread(card_of):
+    beside = {"walk.json": '{"layers": [1], "author": "me"}', "other.json": "{}"}
+    text, _ = card_of(45, beside, name="walk.onnx")
+    said = "walk.json lies beside the checkpoint and was not read: its keys are layers, author"
+    assert f"# CHECK: {said}" in text
+    assert "other.json" not in text
+
+
 def test_a_pose_that_begins_with_a_right_leg_is_put_into_the_order_of_the_policy(card_of):
     config = GYM.replace("joint2motor_idx", "unread").replace(
         "[0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1.0, -1.5, -0.1, 1.0, -1.5]",

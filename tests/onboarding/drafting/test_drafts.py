@@ -346,6 +346,43 @@ def test_the_size_of_an_input_is_the_width_of_its_first_layer_not_of_the_widest(
     assert observation.shape == (45,)
 
 
+class KeepsHistory(nn.Module):
+    """Takes a frame of 45, and keeps the last five of them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("history", torch.zeros(1, 5, 45))
+        self.encoder = nn.Linear(225, 32)
+        self.actor = nn.Linear(77, 12)
+
+    def forward(self, x):
+        self.history = torch.cat([self.history[:, 1:], x.unsqueeze(1)], dim=1)
+        return self.actor(torch.cat([self.encoder(self.history.flatten(1)), x], dim=1))
+
+
+class TakesHistory(KeepsHistory):
+    """Takes the five frames."""
+
+    def forward(self, x):
+        return self.actor(torch.cat([self.encoder(torch.flip(x, [0])), x[:, -45:]], dim=1))
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+@pytest.mark.parametrize(
+    ("module", "size", "words"),
+    [
+        (KeepsHistory, 45, "on zeros it runs with 45; its layers take [77, 225]"),
+        (TakesHistory, 225, "its layers take [77, 225]"),
+    ],
+)
+def test_a_guessed_size_is_one_that_the_module_takes(module, size, words, tmp_path):
+    torch.jit.save(torch.jit.script(module()), tmp_path / "p.pt")
+    told = api.init_policy(tmp_path / "p.pt", robot="go2")
+    card = load_card(tmp_path / "policy.yaml")
+    assert [seen.shape for seen in check_card(card)] == [(size,)]
+    assert words in told.text
+
+
 @pytest.mark.parametrize(
     ("name", "shape", "sensor"),
     [

@@ -51,7 +51,7 @@ def drafted(folder: Path) -> str:
         robot="go2",
         folder=str(folder),
         beside=files_beside_checkpoint(checkpoint),
-    )
+    )["text"]
     (folder / "policy.yaml").write_text(text)
     return text
 

@@ -103,6 +103,7 @@ class Check:
 class Init:
     """Inspect a checkpoint, without running it, and write a first card beside it.
 
+    Only a TorchScript file that hides the size of its one input is run, on zeros and confined.
     Files beside it, above it, or in `params`, `configs` or `io_descriptors` there, say what it does
     not: deploy.yaml, IO_descriptors.yaml, env.yaml, agent.yaml, and the configs of rl_sar,
     legged_rl_deploy, unitree_rl_gym and others. The card says which file gave which line.
@@ -124,7 +125,7 @@ class Init:
         from nw_eval import api
 
         draft = api.init_policy(self.checkpoint, robot=self.robot, out=self.out, layout=self.layout)
-        print(f"{draft.text}\n{draft.file}: {draft.to_check} lines to check")
+        print(f"{draft.text}\n{draft.file}: {plural(draft.to_check, 'line')} to check")
         return 0
 
 

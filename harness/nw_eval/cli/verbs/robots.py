@@ -203,11 +203,11 @@ def check_page(robot: CheckedRobot) -> str:
         ("joint", "torque, of its largest"),
         *((clean(name), f"{share:.0%}") for name, share in robot.torque_shares.items()),
     ]
-    ending = "it stands" if robot.stands else "it does not stand"
+    ending = _ending(robot, weight)
     held = ", held upright: it has fewer than three feet" if robot.held else ""
     tilted = f", tilted by {math.degrees(robot.tilt):.0f} degrees{held}"
     lines = [
-        f"{robot.name}: {robot.mass:.2f} kg, of {clean(robot.place)}",
+        f"{robot.name}: {ending}; {robot.mass:.2f} kg, of {clean(robot.place)}",
         f"root put down at {robot.spawn_height:.3f} m, after 2 s at {robot.height:.3f} m{tilted}",
         f"eye {_eye(robot.eye)}",
         "",
@@ -219,3 +219,15 @@ def check_page(robot: CheckedRobot) -> str:
         f"{robot.name}: {ending}",
     ]
     return "\n".join(lines)
+
+
+def _ending(robot: CheckedRobot, weight: float) -> str:
+    """Return whether it stands, and on what else than its feet."""
+    if not robot.stands:
+        return "it does not stand"
+    if not robot.carriers:
+        return "it stands"
+    share = sum(part.force for part in robot.others if part.foot in robot.carriers) / weight
+    *most, last = map(clean, robot.carriers)
+    who = f"{', '.join(most)} and {last} carry" if most else f"{last} carries"
+    return f"it stands, but {who} {share:.0%} of its weight"

@@ -39,6 +39,9 @@ from nw_eval.stats.foresight import SceneCounts
 from nw_eval.suite.model import Gate
 from nw_eval.suite.trials import DrawnStart
 
+NOTHING_MORE = (
+    "every start of the baseline was met: a baseline with more starts, and as many trials, goes on"
+)
 _FEW = 400
 """Simulated gates where a report waits for them: the standard error is at most 2.5 %."""
 
@@ -173,7 +176,7 @@ def about_more_trials(progress: Progress) -> str:
     """
     settled, left = progress.settled, len(progress.settled)
     if not left:
-        return "there is nothing more to run: save a baseline with more starts"
+        return NOTHING_MORE
     half, most = trials_for(settled, 0.5), trials_for(settled, 0.9)
     if half is None:
         verb = "decides" if left == 1 else "decide"
@@ -248,6 +251,28 @@ def trials_to_pass_baseline(
     perfect = replace(trials, candidate=np.ones(len(trials.scenes)))
     ruling = settle(bank, perfect, rules_of(gate, judged))
     return ruling.trials if ruling.word == "PASS" else None
+
+
+def perfect_panel(strata: Sequence[Stratum], starts: int) -> Panel:
+    """Return the panel of a policy that never fails, with so many starts of each stratum."""
+    perfect = [
+        Start(
+            scene=scene,
+            task="",
+            perturbation=cell,
+            seed_index=index,
+            success=1.0,
+            completed=True,
+            waypoints_reached=1,
+            waypoints_total=1,
+            outcome="completed",
+            end_reason="",
+            trajectory="",
+        )
+        for scene, cell in strata
+        for index in range(starts)
+    ]
+    return Panel(machine={}, starts=tuple(perfect))
 
 
 def bar_obstacles(

@@ -471,4 +471,5 @@ def _more(
         known=met.ended(met.places(judged).tolist()),
         waypoints=[len(course.counts) - 1 for course in outset.seen],
     )
-    return f"{about_more_trials(progress)}; --resume with more --trials runs them"
+    words = about_more_trials(progress)
+    return f"{words}; --resume with more --trials runs them" if progress.settled else words

@@ -324,6 +324,7 @@ def render_training(
     *,
     best: int | None,
     confidence: float,
+    obstacles: Sequence[str] = (),
 ) -> str:
     """Return the page of a training: success over its steps, and a line for each checkpoint.
 
@@ -333,6 +334,7 @@ def render_training(
         checkpoints: in order of their steps, as `nw_eval.WatchedCheckpoint` has them.
         best: the step of the one with the largest mean success.
         confidence: of each bound of success.
+        obstacles: why no checkpoint can PASS beside one that never fails, a sentence each.
     """
     used = [each for each in checkpoints if each["success"] is not None]
     steps = [each["step"] for each in used]
@@ -359,6 +361,7 @@ def render_training(
         last=last,
         best=best,
         confidence=confidence,
+        obstacles=obstacles,
         scores=tuple(dict.fromkeys(name for each in checkpoints for name in each["scores"])),
     )
 
