@@ -21,12 +21,12 @@ from nw_eval.lens import Intrinsics
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.mesh import FACE_KINDS
 from nw_eval.sensors.drawing.cones import TrailCones
-from nw_eval.sensors.drawing.overlay import ray_directions
+from nw_eval.sensors.drawing.overlay import RobotView, ray_directions
 from nw_eval.sensors.drawing.palette import CONE, FACE_CLASSES, NOTHING, PALETTE, ROBOT
 from nw_eval.sensors.drawing.props import cast_at_prop
 from nw_eval.sensors.heights import Rays
 from nw_eval.sensors.sensor import Measurement, Moment, Plain, Sample, Shot, TrialPlace
-from nw_eval.sensors.shutter import RobotView, Shutter
+from nw_eval.sensors.shutter import Shutter
 from nw_eval.sensors.splat_view import SplatScan, SplatView
 from nw_eval.splat.camera import Camera, Pixels, Rows
 

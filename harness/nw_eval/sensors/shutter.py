@@ -18,12 +18,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.robots.spec import CameraMount
+from nw_eval.sensors.drawing.overlay import RobotView
 from nw_eval.sim import World
 from nw_eval.sim.body import RobotRays
 from nw_eval.splat.camera import Camera, Pixels, Rows
@@ -35,21 +36,6 @@ MOST_DRAWS = 8
 
 _STEP = 0.5  # pixels
 _NEAR = 0.5  # m
-
-
-class RobotView(Protocol):
-    """A robot as rays meet it."""
-
-    @property
-    def geom_rgba(self) -> NDArray[np.float32]:
-        """As `World.geom_rgba`."""
-        ...
-
-    def ray_robot(
-        self, origins: Array, directions: Array, *, exclude: Literal["nothing", "trunk"] = ...
-    ) -> RobotRays:
-        """As `World.ray_robot`."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)

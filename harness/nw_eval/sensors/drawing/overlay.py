@@ -4,18 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.cones import Cones, shade
-from nw_eval.sensors.shutter import RobotView
+from nw_eval.sim.body import RobotRays
 from nw_eval.splat.camera import Camera, Pixels
 
 _THIRDS = (-1.0 / 3.0, 0.0, 1.0 / 3.0)
 _NINE = np.array([(x, y, 0.0) for y in _THIRDS for x in _THIRDS])
 """Where the rays of an outline's pixel go, in pixels from its centre."""
+
+
+class RobotView(Protocol):
+    """A robot as rays meet it."""
+
+    @property
+    def geom_rgba(self) -> NDArray[np.float32]:
+        """As `World.geom_rgba`."""
+        ...
+
+    def ray_robot(
+        self,
+        origins: NDArray[np.float64],
+        directions: NDArray[np.float64],
+        *,
+        exclude: Literal["nothing", "trunk"] = ...,
+    ) -> RobotRays:
+        """As `World.ray_robot`."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
