@@ -99,3 +99,24 @@ def test_the_same_action_is_blamed_on_whom_it_is_due_to(walked, uncommanded, con
     (same,) = [one for one in found if "the same at every step" in one.text]
     assert same.kind == "fault"
     assert said in same.text
+
+
+@pytest.mark.parametrize(
+    ("travelled", "kind", "said"),
+    [(0.1, "fault", "it does not go on: name the term"), (1.5, "note", "was trained on")],
+)
+def test_who_is_told_nothing_and_does_not_go_on_lacks_a_term(
+    walked, uncommanded, travelled, kind, said
+):
+    plain = uncommanded.model_dump(by_alias=True)
+    terms = ["gravity", {"term": "constant", "value": 0.0, "width": 16}]
+    plain["observations"] = {"obs": {"sensor": "proprio", "terms": terms}}
+    card = Card.model_validate(plain | {"inputs": None})
+    part = Part(
+        observation="obs", kind="constant", indices=np.arange(3, 19), steps=1, form="",
+        limits=None, is_fixed=True,
+    )  # fmt: skip
+    zeros = Range(part=part, low=0.0, mean=0.0, high=0.0, constant=16, broken=0)
+    (finding,) = input_findings(card, [zeros], walked(travelled=travelled))
+    assert finding.kind == kind
+    assert said in finding.text
