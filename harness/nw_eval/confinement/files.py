@@ -88,7 +88,7 @@ FILES: tuple[StrangersFile, ...] = (
         refused="tags, aliases that grow, unknown keys, paths that leave its folder",
     ),
     StrangersFile(
-        kind="YAML beside a checkpoint, for `policies init`",
+        kind="YAML and JSON beside a checkpoint, for `policies init`",
         read_by="ruamel.yaml",
         where="a confined process",
         may="say what the drafted card says",

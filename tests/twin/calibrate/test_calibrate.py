@@ -170,13 +170,19 @@ def test_what_is_no_source_is_refused(tmp_path, name):
         calibrate(tmp_path / name, tmp_path / "out")
 
 
-def test_an_earlier_capture_does_not_outlive_a_calibration_that_fails(tmp_path):
+@pytest.mark.parametrize(("count", "stays"), [(0, True), (2, False)])
+def test_an_earlier_capture_outlives_what_is_refused_and_no_calibration_that_fails(
+    photographed, tmp_path, count, stays
+):
     out = tmp_path / "out"
     out.mkdir()
     (out / "capture.json").write_text("{}", encoding="utf-8")
+    (tmp_path / "in").mkdir()
+    for name in sorted(photographed.cameras)[:count]:
+        shutil.copy(photographed.folder / name, tmp_path / "in")
     with pytest.raises(SceneError):
-        calibrate(tmp_path / "nowhere", out)
-    assert not (out / "capture.json").exists()
+        calibrate(tmp_path / "in", out)
+    assert (out / "capture.json").exists() is stays
 
 
 @pytest.mark.parametrize(
