@@ -128,7 +128,7 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
         if is_listed and value.part.kind == "constant" and value.low == value.high == 0.0:
             zeros[name] = zeros.get(name, 0) + value.size
     rests = recording.travelled < _AT_REST * recording.seconds
-    is_told = any(value.part.kind == "command" for value in ranges)
+    is_told = any(value.part.kind in _WHERE_TO for value in ranges)
     for name, count in zeros.items():
         text = (
             f"`{name}` holds {plural(count, 'zero')} in place of what the checkpoint was trained on"
@@ -142,6 +142,7 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
     return findings
 
 
+_WHERE_TO = {"command", "delta_yaw", "speed"}
 _AT_REST = 0.2
 """Metres a second below which a robot does not go on; trails are walked at 0.8."""
 _TERMS_OF_ORDER_ONE = {"joint_pos", "joint_vel", "ang_vel", "lin_vel", "gravity", "last_output"}
