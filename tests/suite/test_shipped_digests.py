@@ -23,7 +23,7 @@ SHIPPED = {
     "stairs": ("bc48ebea3446283c", "e7d366f5bf2106d8"),
     "push": ("61204a8ea59dbe7f", "871e6020e5e9f4ff"),
     "stand": ("a49455c1ac6bd3bd", "f5c2b025797e71ae"),
-    "real": ("2c741d3ce0c0ff6b", "0a1ed3d9341961f1"),
+    "real": ("2c741d3ce0c0ff6b", "869c74a6d608691c"),
     "velocity": ("4ce2cba03b039640", "f74f37d474146b61"),
 }
 
