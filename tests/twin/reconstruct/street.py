@@ -13,6 +13,8 @@ WALL_Y, WALL_X, WALL_Z = 7.0, (-1.2, 2.4), 2.6
 """A wall across the way: where, from and to, and how high; metres."""
 BORDER = 0.35
 """Textured rim of the wall, metres; inside it is plain."""
+WALKER_Y, WALKER_SIZE = 3.6, (0.5, 1.7)
+"""Somebody who walks across before the wall: where, how wide and high; metres."""
 GROUND, RIM, PLAIN, SKY = range(4)
 
 
@@ -51,7 +53,20 @@ def seen(camera, fine=1):
     return depth, what, normal, points
 
 
-def photographed(camera, number, fine=2):
+def walker_seen(camera, number, fine=1):
+    """Return where a picture shows the one who walks, (N,) bool, and points on him, (N, 2) m."""
+    u, v = ((np.arange(n * fine) + 0.5) / fine for n in (WIDTH, HEIGHT))
+    x, y = np.meshgrid((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
+    rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) @ camera.T_world_camera[:3, :3].T
+    eye = camera.T_world_camera[:3, 3]
+    ahead = (WALKER_Y - eye[1]) / rays[:, 1]
+    at = (eye + ahead[:, None] * rays)[:, [0, 2]]
+    at[:, 0] -= -0.9 + 0.45 * number  # A step in each picture.
+    wide, high = WALKER_SIZE
+    return (ahead > 0) & (np.abs(at[:, 0]) < wide / 2) & (at[:, 1] > 0) & (at[:, 1] < high), at
+
+
+def photographed(camera, number, fine=2, walks=False):
     """Return a picture (H, W, 3) uint8; its clouds are where they are in no other."""
     _, what, _, points = seen(camera, fine)
     grey = np.full(len(points), 0.7)
@@ -60,13 +75,22 @@ def photographed(camera, number, fine=2):
     clouds = np.random.default_rng(number).normal(size=(HEIGHT // 8, WIDTH // 8))
     clouds = np.kron(clouds, np.ones((8 * fine, 8 * fine))).ravel()
     grey[what == SKY] = (0.9 + 0.05 * clouds)[what == SKY]
+    if walks:
+        there, at = walker_seen(camera, number, fine)
+        grey[there] = _texture(at[there], 3)
     shown = grey.reshape(HEIGHT, fine, WIDTH, fine).mean(axis=(1, 3))
     noise = np.random.default_rng(100 + number).normal(0.0, 0.006, shown.shape)
     return np.repeat(np.uint8(255 * np.clip(shown + noise, 0, 1))[..., None], 3, axis=-1)
 
 
-def write_street(folder, count=5):
-    """Photograph a walk towards the wall into a capture's folder; return the capture."""
+def write_street(folder, count=5, walks=False):
+    """Photograph a walk towards the wall into a capture's folder; return the capture.
+
+    Args:
+        folder: of the capture.
+        count: photographs.
+        walks: whether somebody walks across before the wall, a step further in each photograph.
+    """
     rng = np.random.default_rng(0)
     ground = np.column_stack([rng.uniform(-2, 2, 300), rng.uniform(1, 7, 300), np.zeros(300)])
     rim = np.column_stack(
@@ -80,7 +104,7 @@ def write_street(folder, count=5):
         eye = np.array([0.25 * (-1) ** n, -1.2 + 0.6 * n, EYE])
         T = look_at(eye, eye + np.array([0.0, 1.0, -0.2]))
         camera = Camera.from_fovy(width=WIDTH, height=HEIGHT, fovy=0.9, T_world_camera=T)
-        Image.fromarray(photographed(camera, n)).save(folder / f"pictures/{n}.png")
+        Image.fromarray(photographed(camera, n, walks=walks)).save(folder / f"pictures/{n}.png")
         local = points @ camera.T_camera_world[:3, :3].T + camera.T_camera_world[:3, 3]
         u = camera.fx * local[:, 0] / local[:, 2] + camera.cx
         v = camera.fy * local[:, 1] / local[:, 2] + camera.cy

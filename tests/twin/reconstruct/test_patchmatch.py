@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
-from street import GROUND, PLAIN, RIM, SKY, seen, write_street
+from street import GROUND, PLAIN, RIM, SKY, seen, walker_seen, write_street
 
 from nw_eval.twin.calibrate.calibrate import calibrate
 from nw_eval.twin.calibrate.options import CalibrateOptions
@@ -76,6 +76,22 @@ def test_a_sky_on_which_no_two_pictures_agree_has_no_depth(street):
         sky = (seen(shot.camera)[1] == SKY).reshape(found.depth.shape)
         assert sky.sum() > 1000
         assert (found.depth[sky] > 0).mean() < 0.04  # Along edges of the wall and of the ground.
+
+
+def test_who_walks_across_leaves_no_depth_behind(tmp_path):
+    capture = write_street(tmp_path / "capture", walks=True)
+    maps = depth_maps(capture, tmp_path / "capture", tmp_path, OPTIONS, lambda _: None, threads=2)
+    shares, ground = [], []
+    for number, (shot, found) in enumerate(zip(capture.shots, maps, strict=True)):
+        walker = walker_seen(shot.camera, number)[0].reshape(found.depth.shape)
+        behind = seen(shot.camera)[0].reshape(found.depth.shape)
+        if walker.sum() > 300:
+            shares.append((found.depth[walker] > 0) & (found.depth[walker] < 0.9 * behind[walker]))
+        others = (seen(shot.camera)[1] == GROUND) & ~walker.ravel()
+        ground.append((found.depth.ravel() > 0)[others])
+    assert len(shares) >= 3
+    assert np.concatenate(shares).mean() < 0.03
+    assert np.concatenate(ground).mean() > 0.5
 
 
 BYTES = """
