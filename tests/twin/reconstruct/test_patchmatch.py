@@ -78,6 +78,7 @@ def test_a_sky_on_which_no_two_pictures_agree_has_no_depth(street):
         assert (found.depth[sky] > 0).mean() < 0.04  # Along edges of the wall and of the ground.
 
 
+@pytest.mark.nightly
 def test_who_walks_across_leaves_no_depth_behind(tmp_path):
     capture = write_street(tmp_path / "capture", walks=True)
     maps = depth_maps(capture, tmp_path / "capture", tmp_path, OPTIONS, lambda _: None, threads=2)
