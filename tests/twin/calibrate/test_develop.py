@@ -39,6 +39,7 @@ def photograph(folder, picture, mask=None, name="a.png"):
         focal=None,
         sharpness=1.0,
         contrast=1.0,
+        brightness=100.0,
     )
 
 

@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from nw_eval.twin.calibrate.calibrate import APART, BLURRED, GROUP, PLAIN, UNFIT, why_not
+from nw_eval.twin.calibrate.calibrate import APART, BLURRED, DARK, GROUP, PLAIN, UNFIT, why_not
 from nw_eval.twin.calibrate.features import Matches
 from nw_eval.twin.calibrate.photographs import Photograph
 
 
-def photograph(name, sharpness=100.0, contrast=50.0):
+def photograph(name, sharpness=100.0, contrast=50.0, brightness=120.0):
     return Photograph(
         name=name,
         file=f"{name}.jpg",
@@ -18,6 +18,7 @@ def photograph(name, sharpness=100.0, contrast=50.0):
         focal=None,
         sharpness=sharpness,
         contrast=contrast,
+        brightness=brightness,
     )
 
 
@@ -26,13 +27,16 @@ def test_each_photograph_left_out_has_its_own_reason():
         *(photograph(name) for name in "abc"),
         photograph("shaken", sharpness=10),
         photograph("wall", sharpness=10, contrast=5),
+        photograph("night", sharpness=10, contrast=5, brightness=6),
         photograph("garden"),
         photograph("mirror"),
     ]
     matches = Matches(
         database=Path("db"),
         pictures=Path(),
-        features={f"{one.name}.jpg": 20 if one.name == "wall" else 2000 for one in all_of_them},
+        features={
+            f"{one.name}.jpg": 20 if one.name in ("wall", "night") else 2000 for one in all_of_them
+        },
         inliers={
             ("a.jpg", "garden.jpg"): 7,
             ("garden.jpg", "mirror.jpg"): 400,  # Neither was placed.
@@ -44,6 +48,7 @@ def test_each_photograph_left_out_has_its_own_reason():
     assert {name: one.reason for name, one in found.items()} == {
         "shaken": BLURRED,
         "wall": PLAIN,
+        "night": DARK,
         "garden": APART,
         "mirror": UNFIT,
     }

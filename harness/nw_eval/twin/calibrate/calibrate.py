@@ -39,11 +39,11 @@ _LEAST_POINTS = 20
 _TURNED = 0.95
 """Share of the matching pairs without parallax at which there is no place to be found."""
 _FIX = (
-    "photograph again: hold still, go on so that each picture shares two thirds with the one "
-    "before, and keep something with texture in view"
+    "photograph again, in enough light: hold still, go on so that each picture shares two thirds "
+    "with the one before, and keep something with texture in view"
 )
 
-BLURRED, PLAIN = "blurred", "no texture"
+BLURRED, PLAIN, DARK = "blurred", "no texture", "too dark"
 APART, UNFIT = "too far from the others", "does not fit the others"
 GROUP = "in a group apart from the largest"
 
@@ -56,6 +56,8 @@ _FEW_MATCHES = 30
 """COLMAP's own least number of points by which a camera is placed."""
 _BLURRED = 0.3
 """Of the sharpness of the others, their contrast allowed for."""
+_BLACK = 20.0
+"""Grey value, of 255: a picture that is darker on average shows little."""
 _SHAKEN = 0.02
 """Sharpness in squares of the contrast: what has edges at all has more."""
 
@@ -401,6 +403,8 @@ def _reason(one: Photograph, sharp: float, contrast: float, most: int, matches: 
     features = matches.features.get(one.file, 0)
     if share < _BLURRED and one.contrast > 0.4 * contrast:
         reason, detail = BLURRED, f"{share:.0%} of the others' sharpness"
+    elif features < _FEW_FEATURES and one.brightness < _BLACK:
+        reason, detail = DARK, f"{features} features, mean grey value {one.brightness:.0f} of 255"
     elif features < _FEW_FEATURES and one.sharpness < _SHAKEN * one.contrast**2:
         reason, detail = BLURRED, f"{features} features, none of its edges is sharp"
     elif features < _FEW_FEATURES:

@@ -71,6 +71,7 @@ class Photograph:
         focal: by EXIF, pixels; None where it does not say.
         sharpness: variance of the Laplacian at 640 pixels, grey values squared.
         contrast: standard deviation of grey values.
+        brightness: mean grey value, 0 to 255.
     """
 
     name: str
@@ -82,6 +83,7 @@ class Photograph:
     focal: float | None
     sharpness: float
     contrast: float
+    brightness: float
 
 
 def natural(name: str) -> tuple[tuple[int, int | str], ...]:
@@ -211,6 +213,7 @@ def _take_in(
         focal=_focal(target if exif else path, (width, height)),
         sharpness=sharpness,
         contrast=contrast,
+        brightness=float(grey.mean()),
     )
 
 

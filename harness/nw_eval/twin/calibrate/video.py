@@ -178,7 +178,8 @@ def _opened(path: Path) -> Generator[tuple[Any, Any]]:
             yield container, stream
     except (av.error.FFmpegError, OSError, ValueError) as error:
         raise SceneError(
-            f"the video {path} cannot be read: {error}", fix="save it again, as MP4"
+            f"the video {path} cannot be read: {getattr(error, 'strerror', None) or error}",
+            fix="save it again, as MP4",
         ) from None
 
 
