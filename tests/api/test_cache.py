@@ -285,5 +285,5 @@ def test_a_cache_that_cannot_be_opened_is_a_sentence(place, tmp_path, monkeypatc
     jobs, known = jobs_and_known(place, listener=Ears())
     assert known.to_run(jobs) == list(jobs)
     [message] = told
-    assert message.startswith("no result is taken over from earlier runs, or kept for later: ")
+    assert message.startswith("results of earlier runs are not used, and none is kept for later: ")
     assert "trials" in known.info.off

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from nw_eval.results.row import Row
 
 STARTS = 60
-"""M where nobody says: three times the default `gate.rounds`, so a run draws a third at most."""
+"""M where it is unknown: three times the default `gate.rounds`, so a run draws a third at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class SavedBaseline:
     action: Literal["new", "panel", "unchanged", "renewed", "kept"]
     """new: there was none. panel: it has this class of machine now, too. unchanged: it had all of
     this. renewed: it was replaced. kept: it would hold for something else, or say something else,
-    and is as it was, because nobody asked for a renewal."""
+    and is unchanged, because no renewal was asked for."""
     bank: SavedBank
     """The bank that is there now; for `kept` the one that would be."""
     change: BankChange | None = None
@@ -148,7 +148,7 @@ def _check_seen(rows: Sequence[Row], run: RunInfo) -> None:
     gate = saved_suite(run).gate
     if capped := over_the_cap(rows, that_left(rows, gate), gate):
         raise IncomparableError(
-            f"run {run.id} makes no baseline: {capped}", fix="photograph the places again"
+            f"run {run.id} makes no baseline: {capped}", fix="photograph the scenes again"
         )
 
 
@@ -170,7 +170,7 @@ def _earlier(file: Path, *, renew: bool) -> SavedBank | None:
     """Return the bank that is there; None if there is none, or one to replace that is unreadable.
 
     Raises:
-        StoreError, IncomparableError: it cannot be read, and nobody wants it replaced.
+        StoreError, IncomparableError: it cannot be read, and is not to be replaced.
     """
     from nw_eval.results.bank_file import read_bank
 

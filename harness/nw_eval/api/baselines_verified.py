@@ -72,7 +72,7 @@ def verify_baseline(
         baseline: its name, `<suite>/<name>`, or its path.
         share: of all its starts, such as `10%`, at least one; 10 % if neither this nor `trials`.
         trials: how many instead.
-        seed: draws them, an int; one that nobody can foresee if None.
+        seed: draws them, an int; one that cannot be predicted if None.
         suite: the suite's file; the suite of the baseline's own by name if None.
         policy: where its policy lies; where the baseline says if None.
         workers: processes; one for each core if None.

@@ -111,7 +111,7 @@ def blame(
     robot = None if info.request is None else info.request.robot
     named = str(info.suite.get("robot", ""))
     for each in (robot or named, named):
-        know_robot(each, None)  # The run may be a stranger's, which fetches nothing.
+        know_robot(each, None)  # The run may be untrusted, which fetches nothing.
     if robot is not None:
         find_robot(robot)  # A folder's name is known from then on.
     vet_bundle(bundle, named, allow_code=allow_code)

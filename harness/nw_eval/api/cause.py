@@ -37,7 +37,7 @@ class FoundCause:
 
     Attributes:
         run: the run's folder.
-        cause: what came of it.
+        cause: its result.
         out: folder of the four policies' runs, and of `cause.md`.
     """
 
@@ -219,7 +219,9 @@ def _rolled(
     )
     report = judge(done.path, baseline="none")
     if report.interrupted:
-        raise UsageError(f"{out} was interrupted: four whole runs are needed", fix="run it again")
+        raise UsageError(
+            f"{out} was interrupted: the comparison needs four complete runs", fix="run it again"
+        )
     return report.rows
 
 
@@ -250,15 +252,17 @@ def apart(old: Bundle, new: Bundle) -> Apart:
     for bundle in (old, new):
         if bundle.instance is not None or bundle.card.adapter == "remote":
             raise PolicyError(
-                f"{bundle.subject} has no files here, and cannot be taken apart into sight and "
+                f"{bundle.subject} has no files here: its perception cannot be separated from its "
                 "control",
-                fix="`nw-eval blame` without --cause says since when its trials were lost",
+                fix="run `nw-eval blame` without --cause, which finds the point of no return of "
+                "each failed trial",
             )
     one, other = (set(_sight(bundle.card)) for bundle in (old, new))
     if not one or one != other:
         raise PolicyError(
-            f"the sights of {old.name} ({_named(one)}) and {new.name} ({_named(other)}) cannot be "
-            "exchanged: their observations have other names",
+            f"the camera inputs of {old.name} ({_named(one)}) and {new.name} ({_named(other)}) "
+            "cannot be "
+            "swapped: their observations have different names",
             fix="compare policies whose networks take the same inputs",
         )
     cards = [_values_of(bundle.card) for bundle in (old, new)]

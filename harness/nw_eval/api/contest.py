@@ -103,7 +103,7 @@ class Contest:
             count = plural(rechecks(self._plan.request), "start")
             self._listener.message(
                 f"{own} is the policy of baseline {name}: {count} of each scene run again, and if "
-                "they are as it says the rest is taken over"
+                "they match, the other results are taken from the baseline"
             )
         elif not self._is_seen(run):
             run = self._looked_at(folder, run)
@@ -440,6 +440,6 @@ def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
     raise IncomparableError(
         f"baseline {against.info.name} has not seen this class of machine, and its policy "
         f"{own.name} cannot be run on it: {fault}",
-        fix="say where it lies with --baseline-policy PATH, or save a panel here: "
+        fix="name its card with --baseline-policy PATH, or save the baseline on this machine: "
         f"`{renewing(run, against.bank)}`",
     )

@@ -287,7 +287,7 @@ class KeptEvidence:
         """Keep what logs show, but not what kept one from being read: that may not last."""
         if not key or any(log.fault or log.unseen for log in logs):
             return
-        if (self.folder / key).is_fifo():  # Nobody may ever read from it.
+        if (self.folder / key).is_fifo():  # It may never be read.
             return
         content = ReadLogs(logs=tuple(logs)).model_dump_json()
         with suppress(StoreError), sealed_path(self.folder / key) as path:
@@ -410,7 +410,7 @@ def _moved(spread: float) -> str:
     if spread < _SAME:
         return ""
     return (
-        "Trials of a scene have their waypoints in places of their own; drawn is the mean, from "
+        "The waypoints of this scene differ between trials; the picture shows their mean, from "
         f"which they are up to {100 * spread:.0f} cm away."
     )
 

@@ -1,6 +1,6 @@
 """One log read for what a page shows of it, within bounds, and without the simulator.
 
-It runs in a confined process (`evidence`): a log may be a stranger's, and pictures are unpacked. A
+It runs in a confined process (`evidence`): a log may be untrusted, and pictures are unpacked. A
 log shows the walk, the place from straight above as the mesh that the log holds, drawn small, and
 the last seconds of a camera's pictures as one that moves: an animated WebP, small enough.
 """

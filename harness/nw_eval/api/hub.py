@@ -141,7 +141,7 @@ def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
 
 
 def _is_own_file(path: Path) -> bool:
-    """Whether a file lies there itself: a link may lead to what is nobody's business."""
+    """Whether a file lies there itself: a link may lead outside of the folder."""
     return path.is_file() and not path.is_symlink()
 
 

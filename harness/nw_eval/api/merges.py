@@ -163,6 +163,6 @@ def _bank(sources: Sequence[MergeSource]) -> Against | None:
     for source in sources:
         try:
             return kept_bank(source.folder, source.info)
-        except (IncomparableError, StoreError):  # Judging says so, if nobody has it.
+        except (IncomparableError, StoreError):  # Judging reports it, if it is missing.
             continue
     return None

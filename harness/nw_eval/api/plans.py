@@ -287,7 +287,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
     from nw_eval.results.provenance import candidate_in, recheck_key, rounds_key
     from nw_eval.suite import expand, override
 
-    assert plan.against is not None, "the policy of a bank has one"
+    assert plan.against is not None, "a baseline policy's plan has a baseline"
     count, against = rechecks(plan.request), plan.against
     starts = against.bank.manifest.starts
     strata = _strata(plan.suite, plan.scenes)
@@ -369,7 +369,7 @@ def _matched(plan: Plan, against: Against) -> Plan:
     """Return a plan that its bank holds for, with whether its policy is the bank's own.
 
     Raises:
-        IncomparableError: the bank does not hold for it, or could convict nobody.
+        IncomparableError: the bank does not fit it, or is too low for any regression.
     """
     from nw_eval.engine.provenance import run_info
     from nw_eval.gate.baseline.finding import check_level

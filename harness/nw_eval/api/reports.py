@@ -324,7 +324,7 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     page, html = _pages(out)
     facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
     folder = RunFolder(path=judged.folder)
-    # Links in a run's folder may be a stranger's.
+    # Links in a run's folder may be untrusted.
     is_own = out == folder.report_md
     only = None if is_own or not is_stream(out) else out
     evidence = gather_evidence(folder, judged.rows, kept)

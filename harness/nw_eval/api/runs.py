@@ -243,7 +243,7 @@ def _beyond_legs(plan: Plan) -> Iterator[str]:
 def _part(plan: Plan, shard: ShardInfo) -> str:
     """Return which part of a run is run here."""
     trials = plural(len(plan.trials), "trial")
-    return f"{shard}: {trials}; `nw-eval merge` judges the whole"
+    return f"{shard}: {trials}; `nw-eval merge` judges the whole run"
 
 
 def _cluster(engine: Engine, address: str | None) -> str | None:
@@ -265,7 +265,7 @@ def _check_in_process(request: Request, workers: int | None, cluster: str | None
     """Refuse what one process cannot do.
 
     Raises:
-        UsageError: more workers than one, or a limit that nobody could hold a trial to.
+        UsageError: more workers than one, or a limit that cannot be enforced.
     """
     if cluster is not None:
         raise UsageError(
@@ -287,14 +287,14 @@ def _check_limits(request: Request, door: str) -> None:
         door: why they do, in words.
 
     Raises:
-        UsageError: there is a limit that nobody could hold a trial to.
+        UsageError: there is a limit that cannot be enforced.
     """
     time, memory = request.time_limit, request.memory_limit
     limits = [] if time is None else [f"--time-limit {time:g}"]
     limits += [] if memory is None else [f"--memory-limit {memory}"]
     if limits:
         raise UsageError(
-            f"{' and '.join(limits)} with {door}: nobody could end the trial",
+            f"{' and '.join(limits)} with {door}: no process of its own could be stopped",
             fix="drop one of them",
         )
 
@@ -319,7 +319,7 @@ def judged(folder: RunFolder) -> RunReport:
 
 
 UNNAMED = "unnamed"
-"""What rows have in place of a digest where nobody says which policy it was."""
+"""What rows have in place of a digest where it is unknown which policy it was."""
 
 
 class ActingPolicy(Protocol):
@@ -347,7 +347,7 @@ def evaluate(
 
     A policy by name runs as `run` does it. An object runs in this process, one trial after another,
     each begun with `reset(seed)`; nothing confines it, and nothing ends it if it hangs. Its digest
-    is what `version` says, which nobody can verify, and its logs cannot be replayed.
+    is what `version` says, which cannot be verified, and its logs cannot be replayed.
 
     Args:
         policy: a bundle's name, folder or card; or an object with `act(observation)`, or a function

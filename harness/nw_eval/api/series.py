@@ -291,7 +291,7 @@ def _finding(run: RunReport) -> Decision:
         raise _InterruptedSeriesError
     if verdict.verdict == "INVALID":
         raise IncomparableError(
-            f"nothing is charged to {run.info.policy.name}: {'; '.join(verdict.reasons)}",
+            f"no failure is attributed to {run.info.policy.name}: {'; '.join(verdict.reasons)}",
             fix="renew the baseline of the good checkpoint",
         )
     if verdict.verdict == "INFRASTRUCTURE" or verdict.against is None:

@@ -1,4 +1,4 @@
-"""Processes that open strangers' files: confined before the first of these is opened.
+"""Processes that open untrusted files: confined before the first of these is opened.
 
 rules.py        what a process may do, its memory and time; `confine` makes it so
 fence.py        Landlock and seccomp together, what libraries read on their own, what it came to
@@ -8,7 +8,7 @@ kernel.py       calls that Python has no function for
 family.py       parents, children and the terminal
 environment.py  what children inherit
 nursery.py      children that need not import anything
-files.py        what each kind of a stranger's file may do
+files.py        what each kind of untrusted file may do
 """
 
 from nw_eval.confinement.environment import child_environment

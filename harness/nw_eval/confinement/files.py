@@ -1,4 +1,4 @@
-"""What each kind of a stranger's file may do; `docs/security.md` shows this table.
+"""What each kind of untrusted file may do; `docs/security.md` shows this table.
 
 A confined process is behind the fence of the operating system, with limits of time and memory.
 Numbers stand where they are held to: `rules.py`, `rollout/confined/access.py`, `policies/safety`.
@@ -14,7 +14,7 @@ Where = Literal["a confined process", "the main process", "both", "an open proce
 
 @dataclass(frozen=True, kw_only=True)
 class StrangersFile:
-    """A kind of file that may come from a stranger."""
+    """A kind of file that may come from a third party."""
 
     kind: str
     read_by: str
@@ -39,15 +39,15 @@ FILES: tuple[StrangersFile, ...] = (
         kind="TorchScript checkpoint",
         read_by="torch.jit",
         where="a confined process",
-        may="compute anything in its process, behind the fence",
-        refused=f"without a fence, unless `--allow-code`; {_ARCHIVE}",
+        may="compute anything in its own sandboxed process",
+        refused=f"without a sandbox, unless `--allow-code`; {_ARCHIVE}",
     ),
     StrangersFile(
         kind="torch.export checkpoint",
         read_by="a reader of our own, which calls torch's operators",
         where="a confined process",
-        may="compute anything in its process, behind the fence",
-        refused=f"without a fence, unless `--allow-code`; {_ARCHIVE}",
+        may="compute anything in its own sandboxed process",
+        refused=f"without a sandbox, unless `--allow-code`; {_ARCHIVE}",
     ),
     StrangersFile(
         kind="state dict, safetensors, zip of Stable-Baselines3, parameters of brax (a pickle) and "
@@ -70,7 +70,7 @@ FILES: tuple[StrangersFile, ...] = (
         kind="Python code of a policy",
         read_by="Python, this one or the card's `python`",
         where="a confined process",
-        may="compute anything in its process, behind the fence",
+        may="compute anything in its own sandboxed process",
         refused="all of it, without `--allow-code`",
     ),
     StrangersFile(
@@ -120,14 +120,14 @@ FILES: tuple[StrangersFile, ...] = (
         kind="scene: YAML, XML, meshes",
         read_by="readers of our own, trimesh",
         where="the main process",
-        may="shape a place",
+        may="shape a scene",
         refused="paths that leave its folder, numbers out of bounds, sizes over the limits",
     ),
     StrangersFile(
         kind="scan, for `scenes import`: mesh with textures, elevation map (PNG, GeoTIFF)",
         read_by="readers of our own, Pillow",
         where="the main process",
-        may="shape and colour a place",
+        may="shape and colour a scene",
         refused="textures outside of its folder, pictures but JPEG, PNG, WebP and TIFF, sizes over "
         "the limits",
     ),
@@ -143,7 +143,7 @@ FILES: tuple[StrangersFile, ...] = (
         kind="splat: PLY, SPZ, SOG, SPLAT, gsplat PT",
         read_by="NumPy; Pillow for SOG; torch with `weights_only` for PT",
         where="the main process",
-        may="colour a place",
+        may="colour a scene",
         refused="counts that the file does not hold, pickles with anything but tensors",
     ),
     StrangersFile(
@@ -151,7 +151,7 @@ FILES: tuple[StrangersFile, ...] = (
         read_by="mcap, zstandard; its trial runs again, a report reads walks and pictures, and "
         "`verify` compares messages, in confined processes",
         where="both",
-        may="name a built-in scene or a folder, and a policy's card, which is then a stranger's",
+        may="name a built-in scene or a folder, and a policy's card, which is then untrusted",
         refused="code, servers and renderers that its reader did not name",
     ),
     StrangersFile(
@@ -179,7 +179,7 @@ FILES: tuple[StrangersFile, ...] = (
     ),
     StrangersFile(
         kind="answers of a policy's server",
-        read_by="msgpack: the greeting in the main process, the rest in confined ones",
+        read_by="msgpack: the greeting in the main process, all later messages in confined ones",
         where="both",
         may="be actions, words of an error",
         refused="messages over the limits, other types",

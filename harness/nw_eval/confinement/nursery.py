@@ -1,7 +1,7 @@
 """Processes that are forked from one that has imported what they need, each in some milliseconds.
 
 A `Nursery` is what its owner sees, with a `Child` for each process. The other half of this file
-runs in the nursery: it imports, forks, and says how a child ended. It opens no stranger's file.
+runs in the nursery: it imports, forks, and says how a child ended. It opens no untrusted file.
 
 `multiprocessing` has a fork server, which would not do. It listens at an address where a policy
 that has left its fence could have it start a process without one; it collects the dead at once, so
@@ -40,7 +40,7 @@ _LOOKS, _STOPPED = 0.5, 6
 """Seconds between two looks, and how many in a row find it stopped before it is given up. Whoever
 stops a whole run, this process too, and goes on with it later is not meant."""
 _GONE = -signal.SIGKILL
-"""How a child ended of which nobody can say: it went with the nursery."""
+"""How a child ended if it cannot be known: it ended with the fork server."""
 _FAILED = 70
 """Exit code of a child whose function raised."""
 
@@ -141,7 +141,7 @@ class Nursery:
         """Return what the process says to a wish.
 
         Raises:
-            OSError: it is stopped, and nobody goes on with it; or it says nothing in time.
+            OSError: it is stopped, or does not answer in time.
             EOFError: it is gone.
         """
         deadline, stopped = monotonic() + _ANSWERS, 0
@@ -191,7 +191,7 @@ class Child:
     def join(self, timeout: float | None = None) -> None:
         """Wait until it has ended, or so many seconds."""
         if self._code is None and wait([self._watch], timeout):
-            _ = self.exitcode  # Collected, it is nobody's zombie.
+            _ = self.exitcode  # Collected, it leaves no zombie.
 
     def close(self) -> None:
         """Forget it; it has ended."""
@@ -228,7 +228,7 @@ class _Circumstances:
 
 @dataclass(frozen=True, kw_only=True)
 class _Wish:
-    """What the nursery is to do next. Its owner sends it, and nobody else can."""
+    """What the nursery is to do next. Only its owner can send it."""
 
     kind: Literal["import", "fork", "collect"]
     modules: tuple[str, ...] = ()
@@ -302,7 +302,7 @@ def _be_child(owner: Connection, handles: list[int], *, parent: int) -> NoReturn
             surroundings.enter()
             function, arguments = orders.recv()
         function(*arguments, *connections)
-    except BaseException:  # noqa: BLE001 - nobody is there to hear of it.
+    except BaseException:  # noqa: BLE001 - the owner is gone.
         os._exit(_FAILED)
     os._exit(0)
 

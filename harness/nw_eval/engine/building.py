@@ -58,7 +58,7 @@ class SplatBuilders:
     def __enter__(self) -> Self:
         start = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
         for _ in range(self._count):
-            with suppress(OSError):  # Then others build it, or nobody before it is needed.
+            with suppress(OSError):  # Then others build it, or it is built when it is needed.
                 process = subprocess.Popen(  # noqa: S603  # Our own module, no shell.
                     [sys.executable, "-P", "-c", start],
                     stdin=subprocess.PIPE,

@@ -211,8 +211,7 @@ class LocalWorkers:
                 raise TrialError(
                     f"{self._stillborn} worker processes in a row died before they could take a "
                     "trial",
-                    fix="look for the out-of-memory killer in the system log, or use fewer "
-                    "--workers",
+                    fix="check the system log for the out-of-memory killer, or use fewer --workers",
                 ) from None
             return None
         if result is None:

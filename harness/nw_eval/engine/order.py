@@ -49,7 +49,7 @@ def next_place(waiting: Iterable[Trial], *, own: Container[str], taken: Containe
 
     It is of the first's round, or among the next `_NEAR` of a drawn order, so that scenes are met
     as equally as without choice: one in a scene that the worker has loaded, or else one in a scene
-    that nobody has, or else the first.
+    that no worker has, or else the first.
 
     Args:
         waiting: one trial or more.

@@ -161,7 +161,7 @@ def _all_below(folder: Path) -> dict[str, Path]:
             if path.is_symlink():
                 raise UsageError(
                     f"{path} is a link, and code that has links does not travel",
-                    fix="put the file in its place, or use --engine local",
+                    fix="restore the file, or use --engine local",
                 )
             if path.is_file():
                 found[path.relative_to(folder).as_posix()] = path
@@ -248,7 +248,7 @@ def _write(path: Path, item: Item, pieces: Iterable[bytes]) -> None:
     if digest.hexdigest() != item.sha256:
         raise StoreError(
             f"{item.name} arrived as {digest.hexdigest()[:12]}, {item.sha256[:12]} was announced",
-            fix="run again once nobody writes to it any more",
+            fix="run again when no program writes to it",
         )
 
 

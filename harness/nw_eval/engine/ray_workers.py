@@ -488,7 +488,7 @@ class Nodes:
         elif monotonic() > self._last_hope + _PATIENCE:
             raise TrialError(
                 f"the cluster has had no node with a core to offer for {_PATIENCE:.0f} s",
-                fix="look at `ray status`; --resume goes on with the run",
+                fix="check `ray status`; --resume continues the run",
             )
 
 

@@ -191,7 +191,7 @@ def _is_open(word: Word, left: frozenset[str], against: Comparison | None) -> bo
     """Return whether it can be said what more trials would bring to the bar.
 
     They are of no use to it once the baseline has convicted; and how many would leave the captured
-    volume, once some have, nobody knows.
+    volume, once some have, is unknown.
     """
     moot = against is not None and against.word == "REGRESSED"
     return word == "INCONCLUSIVE" and not left and not moot

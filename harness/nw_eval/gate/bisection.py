@@ -59,7 +59,7 @@ def bisect(length: int, judge: Judge, *, everyone: bool = False) -> Bisection:
     The last one is asked for first: where it did not fall, nothing has to be found. Then the middle
     of what is open, until a checkpoint that passed stands beside one that fell; one that is left
     open is passed over for its nearest neighbours. Then the middle of the longest stretch on either
-    side that nobody has looked at, since halving alone never sees that a series is not monotone.
+    side that has not been tested, since halving alone never sees that a series is not monotone.
 
     Args:
         length: n, at least 1.

@@ -40,7 +40,7 @@ ARMS: tuple[Arm, ...] = (("old", "old"), ("old", "new"), ("new", "old"), ("new",
 
 _ONE_NETWORK = (
     "both see through the same sensors, and the checkpoints differ: what a network makes of what "
-    "it sees, and how it moves, no exchange of sensors parts"
+    "it sees and how it moves cannot be separated by swapping sensors"
 )
 _NETWORKS = "control is all but the sensors: the networks, too, which differ"
 _TOO_FEW = "the new policy is worse, but so few trials leave open which of the two does it"
@@ -97,7 +97,7 @@ class Apart:
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """What came of it.
+    """The result.
 
     Attributes:
         old: the baseline's policy.
@@ -109,7 +109,7 @@ class Cause:
         arms: old and new control, each with old and new sight.
         drop: from old to new.
         sight: its part.
-        control: likewise.
+        control: as above.
         answer: in a word.
         why: in a sentence, what cannot be told and why, or that nothing dropped; empty where all is
             told.
@@ -246,5 +246,5 @@ def read_cause_file(path: Path) -> Cause | None:
         return None
     except (OSError, ValidationError):
         raise StoreError(
-            f"{path} is damaged", fix="remove it, or run nw-eval blame --cause again"
+            f"{path} is damaged", fix="remove it, or run `nw-eval blame --cause` again"
         ) from None

@@ -84,7 +84,7 @@ class BaselineEntry(_Line):
     scene_drop: float | None = None
     """None: an older nw-eval, which did not write it."""
     scenes: int = Field(default=0, ge=0)
-    """Scenes that count, each as often as it has cells of perturbations; 0: likewise."""
+    """Scenes that count, each as often as it has cells of perturbations; 0: as above."""
     critical: int = Field(default=0, ge=0)
     """Of these, such as convict alone."""
 
@@ -381,7 +381,7 @@ def _read_head(path: Path) -> tuple[int, str] | None:
     except FileNotFoundError:
         return None
     except (ValueError, TypeError, LookupError, RecursionError) as error:
-        fix = "remove it if the ledger is whole: the next verdict writes it anew"
+        fix = "remove it if the ledger is complete: the next verdict writes it again"
         raise StoreError(f"{place}: damaged ({clean(error)})", fix=fix) from None
 
 
@@ -459,7 +459,7 @@ def _write(handle: IO[bytes], data: bytes) -> None:
             written += handle.write(data[written:])
         os.fsync(handle.fileno())
     except OSError:
-        handle.truncate(before)  # Half a line helps nobody.
+        handle.truncate(before)  # Half a line is of no use.
         raise
 
 

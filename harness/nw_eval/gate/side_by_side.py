@@ -479,7 +479,7 @@ def measured(
     Args:
         real: of the robot.
         entrants: of the simulator, at least one.
-        spec: of a score in place of success, which then is 0 to 1 likewise, 1 the best.
+        spec: of a score instead of success, which then is also 0 to 1, 1 the best.
 
     Raises:
         UsageError: a policy or scene of the robot's is none of the simulator's, or is two.

@@ -158,11 +158,13 @@ class Recheck:
 
     @property
     def in_words(self) -> str:
-        """How many trials ran again, and what came of it."""
+        """How many trials ran again, and its result."""
         if not self.compared:
             return "none run again"
         if not self.equal:
-            return f"{self.ran} run again, with other bits, and nothing taken over"
+            return (
+                f"{self.ran} run again with different results, so none is taken from the baseline"
+            )
         if self.ran == self.compared:
             return f"{self.ran} run again and equal"
         return f"{self.compared} compared and equal, {self.ran} of them run again"

@@ -1,4 +1,4 @@
-"""How much may be fetched of a stranger's repository, checked before anything is asked for."""
+"""How much may be fetched of an untrusted repository, checked before anything is asked for."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ class SceneItem(SuiteItem):
     state: SceneState
 
     def setup(self) -> None:
-        """Run the suite if nobody has; a scene without all of its results is an error."""
+        """Run the suite if it has not run; a scene without all of its results is an error."""
         from nw_eval.clean import clean
         from nw_eval.pytest_plugin.telling import scene_properties, scene_text
         from nw_eval.reporting.scene_states import scene_states
@@ -184,7 +184,7 @@ class VerdictItem(SuiteItem):
     """Fails where the verdict does."""
 
     def setup(self) -> None:
-        """Run the suite if nobody has; what can be judged by nobody is an error."""
+        """Run the suite if it has not run; a run that cannot be judged is an error."""
         from nw_eval.pytest_plugin.telling import verdict_properties, verdict_text
 
         if self.config.stash[SETTINGS].update_baseline:
@@ -283,6 +283,6 @@ def save_bank(suite: SuiteFile) -> None:
     pytest.fail(
         f"{saved.file} is {saved.action}: {manifest.policy.name}, "
         f"{plural(manifest.starts, 'start')} in each scene\n"
-        "Look at what has changed, commit it, and run again without --nw-update-baseline.",
+        "Check what has changed, commit it, and run again without --nw-update-baseline.",
         pytrace=False,
     )

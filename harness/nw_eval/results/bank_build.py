@@ -59,7 +59,7 @@ def bank_of_run(
     if run.panel != "pinned":
         raise IncomparableError(
             f"run {run.id} makes no baseline: it met fresh starts of its own, as no other run does",
-            fix="save one from a run on the pinned panel",
+            fix="save one from a run on the pinned seed set",
         )
     if errors := [row for row in rows if row.status == "error"]:
         first = min(errors, key=lambda row: row.trial_id)
@@ -172,7 +172,7 @@ def fault_of(bank: SavedBank) -> str | None:
         if fault := _fault_of_panel(panel, bank.manifest):
             return fault
     if any(panel.by_stratum.keys() != bank.panels[0].by_stratum.keys() for panel in bank.panels):
-        return "its panels differ in what they perturb"
+        return "its machines' results differ in their perturbations"
     return None
 
 
@@ -190,9 +190,9 @@ def _fault_of_machines(bank: SavedBank) -> str | None:
     if len(machines) > MOST_PANELS:
         return f"it has {len(machines)} panels, over {MOST_PANELS}"
     if machines != [panel.machine for panel in bank.manifest.panels]:
-        return "its panels are not those of its manifest"
+        return "its results are not those that its manifest lists"
     if any(machine in machines[:place] for place, machine in enumerate(machines)):
-        return "two of its panels are of one class of machine"
+        return "it has two sets of results from one class of machine"
     return None
 
 

@@ -41,7 +41,7 @@ def write_bank(path: Path, bank: SavedBank) -> None:
         bank: starts in the order of scene, perturbation and index.
 
     Raises:
-        StoreError: it cannot be written, or nobody could read it again.
+        StoreError: it cannot be written, or could not be read again.
     """
     if fault := fault_of(bank) or _misnamed(path, bank.manifest):
         raise StoreError(f"cannot write {path}: {fault}", fix="save the baseline anew from a run")
@@ -123,7 +123,9 @@ def bank_of(table: PlainTable, path: Path) -> SavedBank:
     groups: list[list[Start]] = [[] for _ in manifest.panels[: MOST_PANELS + 1]]
     for number, start in zip(table.columns["panel"], _starts(table, path), strict=True):
         if not (isinstance(number, int) and 0 <= number < len(groups)):
-            raise _unusable(path, f"it has starts of a panel {number}, and {len(groups)} panels")
+            raise _unusable(
+                path, f"it has initial states of a seed set {number}, and {len(groups)} panels"
+            )
         groups[number].append(start)
     panels = [
         Panel(machine=info.machine, starts=tuple(starts))

@@ -43,7 +43,7 @@ def recheck_key(seed: int) -> str:
     """Return the key by which the starts that run again of a baseline's own policy are ordered.
 
     Args:
-        seed: which nobody could foresee when the baseline was written.
+        seed: which could not be predicted when the baseline was written.
     """
     return f"{_RECHECK}{seed}"
 
@@ -70,7 +70,7 @@ class SceneInfo(_Saved):
     split: Literal["train", "eval"] | None = None
     fetched: FetchedInfo | None = None  # None: it lay on the machine.
     rasterize_mode: RasterizeMode | None = None  # Of a splat file that says one, where it is drawn.
-    projection: Projection | None = None  # Likewise: how its Gaussians became pixels in training.
+    projection: Projection | None = None  # As above: how its Gaussians became pixels in training.
 
 
 class PolicyInfo(_Saved):
@@ -238,9 +238,9 @@ class RunInfo(_Saved):
     # Of installed packages that its trials ran: "axes.NAME": "package version sha256-of-its-code".
     plugins: dict[str, str] = {}
     rows_digest: str = ""  # Of the rows that are judged; empty until the run has ended.
-    trials_sha256: str = ""  # Hex, of trials.parquet; likewise.
-    journal_sum: str = ""  # Of the journal that these rows were taken from; likewise.
-    merkle_root: str = ""  # Hex, of these rows, their logs and what they are of; likewise.
+    trials_sha256: str = ""  # Hex, of trials.parquet; as above.
+    journal_sum: str = ""  # Of the journal that these rows were taken from; as above.
+    merkle_root: str = ""  # Hex, of these rows, their logs and what they are of; as above.
 
     @property
     def drawn_by(self) -> str:

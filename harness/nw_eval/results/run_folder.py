@@ -104,7 +104,7 @@ class RunFolder:
         return self._log(self.logs, scene, trial_id)
 
     def cached_mcap(self, scene: str, trial_id: str) -> Path:
-        """Path of the log of a trial that was taken over, likewise.
+        """Path of the log of a trial that was taken over, as above.
 
         Raises:
             StoreError: the names lead out of the folder.
@@ -116,7 +116,7 @@ class RunFolder:
             inside(logs, f"{scene}/{trial_id}.mcap")
         except OutsideError as error:
             raise StoreError(
-                f"trial {trial_id!r} of scene {scene!r} has no place in {self.path}: {error}",
+                f"trial {trial_id!r} of scene {scene!r} is not allowed in {self.path}: {error}",
                 fix="rename the scene",
             ) from None
         return logs / PurePosixPath(scene) / f"{trial_id}.mcap"
@@ -131,7 +131,8 @@ class RunFolder:
             return inside(self.path, f"bank/{name}.parquet")
         except OutsideError as error:
             raise StoreError(
-                f"baseline {name!r} has no place in {self.path}: {error}", fix="rename the baseline"
+                f"baseline {name!r} is not allowed in {self.path}: {error}",
+                fix="rename the baseline",
             ) from None
 
     def relative(self, path: Path) -> str:

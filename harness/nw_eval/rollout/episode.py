@@ -432,7 +432,7 @@ class Held:
 
 
 class _HeldRow:
-    """Several arrays of float64 of one shape, likewise."""
+    """Several arrays of float64 of one shape, as above."""
 
     def __init__(self, arrays: Sequence[Array]) -> None:
         self.arrays = tuple(map(read_only, arrays))
@@ -464,7 +464,7 @@ class CapturedViews:
 
     Attributes:
         distance: m from the nearest capture camera, the largest of each tenth.
-        angle: between the optical axes of both, rad, likewise.
+        angle: between the optical axes of both, rad, as above.
         alpha: share of the image that the splat covers, 0 to 1, the smallest of each tenth.
     """
 

@@ -48,7 +48,7 @@ class Library:
 
     Args:
         scenes: that are kept loaded.
-        bundles: likewise.
+        bundles: as above.
         known: bundles that are loaded already, with the weights that jobs want. They go by their
             `reference` and are kept for good.
         world: makes the world of each trial, from the arguments of `World`.

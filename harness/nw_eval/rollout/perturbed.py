@@ -93,7 +93,7 @@ class TrialSetup:
         """Return a fresh generator of the trial's own, at the start of a named stream.
 
         Args:
-            stream: a name that nobody else has, such as that of the axis.
+            stream: a unique name, such as that of the axis.
         """
         return self.trial.generator(stream)
 

@@ -71,7 +71,7 @@ def _spawn(scene: Scene, rays: RayScene) -> list[SceneFinding]:
             SceneFinding(
                 code="inside_out",
                 severity="error",
-                message=f"the faces under the spawn ({x:.2f}, {y:.2f}) look down: the mesh is "
+                message=f"the faces under the spawn ({x:.2f}, {y:.2f}) point down: the mesh is "
                 "mirrored or inside out",
                 fix="flip its faces, or undo the negative scale that made it",
                 place=place,
@@ -216,7 +216,7 @@ def _splat(scene: Scene) -> list[SceneFinding]:
         SceneFinding(
             code="splat_elsewhere",
             severity="error",
-            message=f"only {100 * share:.1f} % of {len(means)} Gaussians lie round the trail; "
+            message=f"only {100 * share:.1f} % of {len(means)} Gaussians lie around the course; "
             f"their middle is at {middle}",
             fix="check T_world_splat: scale, rotation and data_transforms.json",
             value=share,

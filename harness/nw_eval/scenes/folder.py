@@ -436,7 +436,7 @@ def _unscaled(folder: Path, text: _SceneFile) -> tuple[SceneFinding, ...]:
         SceneFinding(
             code=_NOT_TO_SCALE,
             severity="error",
-            message=f"{SCENE_FILE} says units: {text.units}: nobody knows its size, so no robot "
+            message=f"{SCENE_FILE} says units: {text.units}: its size is unknown, so no robot "
             "runs in it",
             fix=f"put two markers at a known distance in `nw-eval twin label {folder}`, and save; "
             f"or `nw-eval twin place {folder} --length A B METRES` where it was built there",
@@ -534,9 +534,9 @@ def _place_of(
             SceneFinding(
                 code="mesh_wide",
                 severity="warning",
-                message=f"{path.name}: the mesh is {wide:.0f} m wide, its trail {course:.1f} m",
+                message=f"{path.name}: the mesh is {wide:.0f} m wide, its course {course:.1f} m",
                 fix="multiply the mesh by 0.01 if it is in centimetres, as `nw-eval scenes level "
-                "SCENE --unit cm` does, or cut off what is far from the trail",
+                "SCENE --unit cm` does, or cut off what is far from the course",
                 value=wide,
             ),
         )

@@ -1,4 +1,4 @@
-"""How large the numbers of a stranger's scene may be, and what it may be called.
+"""How large the numbers of an untrusted scene may be, and what it may be called.
 
 Each bound leaves out what no place that a robot walks in has, and what would take the machine
 instead of an error; it is checked before anything is allocated. Lengths in metres. A name is no
@@ -44,7 +44,7 @@ QUAT = 1e3
 
 MESH_BYTES = 400_000_000
 MESH_FACES = 4_000_000
-"""Of one file, vertices likewise. Simplified scans have 50,000, and a robot feels no more."""
+"""Of one file, vertices too. Simplified scans have 50,000, and a robot feels no more."""
 
 TEXTURES = 256
 TEXTURE_BYTES = 128_000_000

@@ -101,7 +101,7 @@ def scan_of(reference: str) -> RealScan:
     name = reference.removeprefix(REAL)
     if name not in REAL_SCANS:
         raise SceneError(
-            f"no real place is called {clean(name, at_most=60)!r}", fix=nearest(name, REAL_SCANS)
+            f"no real scene is called {clean(name, at_most=60)!r}", fix=nearest(name, REAL_SCANS)
         )
     return REAL_SCANS[name]
 

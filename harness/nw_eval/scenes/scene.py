@@ -100,7 +100,7 @@ class HeightField:
         center: x, y of the middle of the grid, metres.
         half_size: half extents along x and y, metres; samples lie on the border.
         heights: (R, C) float32, metres, world z. Row r is at y = center - half_size + r * step,
-            column c likewise along x.
+            column c the same along x.
         floor: world z that the solid reaches down to, metres; below every height.
         friction: MuJoCo's sliding, torsional and rolling coefficients.
     """
@@ -251,7 +251,7 @@ class Scene:
         splat: the source of the Gaussians; None where a scene has no camera images.
         T_world_splat: (4, 4) similarity that maps splat points to world metres.
         licence: SPDX identifier of the scene's data.
-        captures: the cameras that the place was photographed with; None where nobody says, and for
+        captures: the cameras that the place was photographed with; None if unknown, and for
             a built-in place, which is painted and looks the same from everywhere.
         props: what moves beside the robot. They are in neither `mesh()` nor the splat.
     """

@@ -93,7 +93,7 @@ class SeenCard:
 def draw_gallery(
     scene: Scene, path: Path, *, robot: str = "go1", renderer: Renderer | None = None
 ) -> None:
-    """Draw what a robot's sensors make of one moment in a scene, as a PNG.
+    """Draw what a robot's sensors make of one time step in a scene, as a PNG.
 
     Args:
         scene: where; without a splat its camera images are left out, and the sheet says so.
@@ -121,7 +121,7 @@ def draw_gallery(
         }
     )
     _, seen = _observe(card, scene, renderer=renderer)
-    _write(_panels(seen), path, f"{scene.name}: what the sensors of {robot} make of one moment")
+    _write(_panels(seen), path, f"{scene.name}: what the sensors of {robot} make of one time step")
 
 
 def draw_card(
@@ -231,7 +231,7 @@ def _panels(seen: dict[str, NDArray[Any]]) -> list[Cell]:
         pictures.bars(seen["body"], (PANEL[0] - 2 * third[0], PANEL[1])),
     ]
     shown = {
-        "splat_rgb": ("the place as a camera sees it", _photo(seen, "photo")),
+        "splat_rgb": ("the scene as a camera sees it", _photo(seen, "photo")),
         "splat_rgb, cones and robot": (
             "objects drawn into the splat, hidden by geometry and lit like it",
             _photo(seen, "objects"),

@@ -1,6 +1,6 @@
 """Sensors and wrappers of other packages: found by their installed name, or by `module:Class`.
 
-Nothing of a package is imported before a card names it, so a broken one costs nobody else
+Nothing of a package is imported before a card names it, so a broken one costs no other user
 anything. Built-in names always win.
 """
 
@@ -83,7 +83,7 @@ def remembers(plugin: Any) -> bool:
 def _check_memory(plugin: Any, where: str) -> None:
     if _has(plugin, "memory") and _has(plugin, "remember") and not remembers(plugin):
         raise CodeError(
-            f"{where} has `memory` and `remember`, which nobody calls any more",
+            f"{where} has `memory` and `remember`, which are no longer called",
             fix="call them `state` and `restore`",
         )
     if _has(plugin, "state") != _has(plugin, "restore"):

@@ -272,7 +272,7 @@ class Measurement(Memory[Arrays], Protocol):
         """Forget earlier measurements."""
 
     def measure(self, moment: Moment) -> NDArray[Any]:
-        """Return a new measurement, which nobody will change."""
+        """Return a new measurement, which will not be changed."""
         ...
 
     def state(self) -> Arrays:

@@ -65,7 +65,7 @@ class SplatView:
         return Camera.of(self._lens, T_splat_camera)
 
     def seen(self, moment: Moment, draws: Sequence[Sequence[Band]]) -> list[Image]:
-        """Return the splat alone, an image of each draw; nobody changes the arrays."""
+        """Return the splat alone, an image of each draw; must not be changed the arrays."""
         key = f"{self._key}, {len(draws)}"
         images: list[Image] | None = moment.shared.get(key)
         if images is None:

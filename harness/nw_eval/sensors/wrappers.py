@@ -122,7 +122,7 @@ class Chain:
             raise CodeError(
                 f"`{self._observation}`: wrapper {named.name} raised {type(error).__name__} on "
                 f"{_form_of(sample)}: {error}",
-                fix="look at its input with `nw-eval sensors CARD`",
+                fix="check its input with `nw-eval sensors CARD`",
             ) from error
         if not hasattr(result, "dtype"):  # A plug-in may return anything.
             raise CodeError(

@@ -43,11 +43,11 @@ class Hazard:
     failed: int
     """Of these, that did not reach this one."""
     interval: Interval
-    """Of the share: Wilson's; [0, 1] where nobody came so far."""
+    """Of the share: Wilson's; [0, 1] where no trial got so far."""
 
     @property
     def share(self) -> float | None:
-        """The hazard; None where nobody came so far."""
+        """The hazard; None where no trial got so far."""
         return self.failed / self.trials if self.trials else None
 
 

@@ -104,7 +104,7 @@ def survey_lines(survey: Survey) -> tuple[str, ...]:
     """Return what was measured, each number with its limit where it has one."""
     ground, feet = survey.ground, survey.feet
     line = (
-        f"ground: of {survey.length:.1f} m of trail, {ground.width:.2f} m wide where the feet of "
+        f"ground: of {survey.length:.1f} m of course, {ground.width:.2f} m wide where the feet of "
         f"{survey.robot} go, {100 * ground.sound:.1f} % is seen as it is touched; "
         f"{feet.sunk} of {feet.count} dropped feet sank in"
     )
@@ -119,7 +119,7 @@ def footing_lines(survey: Survey) -> tuple[str, ...]:
     found, length = survey.ground.footing, survey.length
     known = np.isfinite(found.roughness)
     if not known.any():
-        return (f"roughness: no ground is known along {length:.1f} m of trail",)
+        return (f"roughness: no ground is known along {length:.1f} m of course",)
     usual, most = 1e3 * np.quantile(found.roughness[known], (0.5, 0.9))
     bears = 1e3 * MOST_ROUGH * survey.legs.legs.length
     step = np.where(np.isfinite(found.step), found.step, 0.0)
@@ -127,12 +127,12 @@ def footing_lines(survey: Survey) -> tuple[str, ...]:
     steepest = f"{np.median(slopes):.0f} degrees (median), {slopes.max():.0f} at most"
     roughness = (
         f"roughness: the ground is {usual:.0f} mm off the plane of {PATCH:g} m (median), "
-        f"{most:.0f} mm or less on 90 % of {length:.1f} m of trail; feet of {survey.robot} bear "
+        f"{most:.0f} mm or less on 90 % of {length:.1f} m of course; feet of {survey.robot} bear "
         f"{bears:.0f} mm"
     )
     steps = (
         f"steps: {step[highest]:.2f} m over {FOOT:g} m at most, {found.along[highest]:.1f} m along "
-        f"the trail; slopes are {steepest if len(slopes) else 'not known'}"
+        f"the course; slopes are {steepest if len(slopes) else 'not known'}"
     )
     return roughness, steps
 

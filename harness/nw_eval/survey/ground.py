@@ -37,7 +37,7 @@ TOLERANCE = 0.05
 
 _BEHIND = 0.3  # m that the hind feet are behind the start, and its jitter
 _MOST = 20_000  # samples along a trail
-_DEEP = 1.0  # m below the trail: nobody walks there
+_DEEP = 1.0  # m below the course: no robot walks there
 _APART = 0.2  # m between flaws that are two
 
 FEET_SPACING = 0.1
@@ -71,7 +71,7 @@ MOST_STEEP = 0.61
 """Slope that feet bear, rad: 35 degrees; the steepest ramps of the built-in scenes have 30."""
 
 _EDGE = 0.06  # m over a foot's length: an edge, which is a step and no roughness
-_LEAST_ROUGH = 0.5  # m along the trail; over less, an edge may be taken for roughness
+_LEAST_ROUGH = 0.5  # m along the course; over less, an edge may be taken for roughness
 _PATCH = round(PATCH / SPACING / 2)  # samples to each side of a patch's middle
 _LEAST_KNOWN = 0.5  # share of a patch that has ground
 
@@ -82,8 +82,8 @@ _CODES: dict[Flaw, Code] = {
     "unseen": "ground_unseen",
 }
 _FIXES: dict[Flaw, str] = {
-    "missing": "close the mesh there, photograph that ground too, or lead the trail elsewhere",
-    "untouched": "what hangs there is thinner than physics can carry, or its faces look down: make "
+    "missing": "close the mesh there, photograph that ground too, or move the course elsewhere",
+    "untouched": "the part there is thinner than physics can carry, or its faces point down: make "
     "it a closed solid 15 mm thick or more",
     "unseen": "close the mesh there, or open it up to the corridor's sides if that is a gap",
 }
@@ -140,7 +140,7 @@ class SurveyedGround:
         width: m.
         sound: share of its samples up to the last waypoint at which mesh and physics have the same
             ground.
-        end: where the last waypoint is, m along the trail; the corridor goes on behind it.
+        end: where the last waypoint is, m along the course; the corridor goes on behind it.
         flaws: in the order of the trail; none is smaller than a foot.
         footing: how rough, stepped and steep it is.
     """
@@ -269,9 +269,10 @@ def footing_findings(footing: Footing, robot: str, leg: float) -> list[SceneFind
                 code="ground_rough",
                 severity="warning",
                 message=f"the ground is {words.format(value, PATCH)} (median) from "
-                f"{footing.along[first]:.2f} to {footing.along[last]:.2f} m along the trail, round "
+                f"{footing.along[first]:.2f} to {footing.along[last]:.2f} m along the course, "
+                "round "
                 f"({x:.2f}, {y:.2f}); feet of a {robot} bear {limit:.3f}",
-                fix="smooth the mesh there if the real ground is smoother, or lead the trail "
+                fix="smooth the mesh there if the real ground is smoother, or move the course "
                 "elsewhere",
                 value=value,
                 place=(x, y, z),
@@ -286,7 +287,7 @@ class GroundFlaw:
 
     Attributes:
         kind: what is wrong.
-        first, last: where, m along the trail.
+        first, last: where, m along the course.
         width: of the flaw where it is widest, m.
         area: m2.
         off: by how much the heights of mesh and physics differ there at most, m; None where one of
@@ -418,7 +419,7 @@ class DroppedFeet:
         count: of the feet; none where there is no ground, or no room above it.
         sunk: how many came to rest under the ground.
         deepest: of those, how far under it, m; 0 without any.
-        along: where the deepest is, m along the trail.
+        along: where the deepest is, m along the course.
         place: where it came to rest, world, m.
     """
 
@@ -451,10 +452,11 @@ def feet_findings(feet: DroppedFeet) -> list[SceneFinding]:
         SceneFinding(
             code="feet_sink",
             severity="error",
-            message=f"{feet.sunk} of {feet.count} feet that were dropped on the trail came to rest "
+            message=f"{feet.sunk} of {feet.count} feet that were dropped on the course came to "
+            "rest "
             f"under the ground, up to {feet.deepest:.3f} m at {feet.along:.2f} m along it, "
             f"({x:.2f}, {y:.2f}); {SUNK:g} m is allowed",
-            fix="look for folded or doubled faces there, and faces that look down",
+            fix="check for folded or doubled faces there, and faces that point down",
             value=feet.deepest,
             place=feet.place,
         )
@@ -463,7 +465,7 @@ def feet_findings(feet: DroppedFeet) -> list[SceneFinding]:
 
 def _finding(flaw: GroundFlaw, ground: SurveyedGround, task: Task) -> SceneFinding:
     x, y, _ = flaw.place
-    where = f"from {flaw.first:.2f} to {flaw.last:.2f} m along the trail, round ({x:.2f}, {y:.2f})"
+    where = f"from {flaw.first:.2f} to {flaw.last:.2f} m along the course, round ({x:.2f}, {y:.2f})"
     if flaw.last < 0.0:
         where += ", where hind feet stand at the start"
     elif flaw.first > ground.end:

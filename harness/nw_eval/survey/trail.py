@@ -151,7 +151,7 @@ def flat_world(robot: RobotSpec) -> World:
 def stance_of(robot: RobotSpec) -> Stance:
     """Return how a robot stands when its servos hold the default pose and have given way.
 
-    One that tips over meanwhile, as bipeds do that nobody balances, stands as it was put down.
+    One that tips over meanwhile, as bipeds do without a controller, stands as it was put down.
     """
     with flat_world(robot) as world:
         for _ in range(_SETTLING):
@@ -283,9 +283,10 @@ def trail_findings(scene: Scene, robot: str) -> list[SceneFinding]:
             SceneFinding(
                 code="trail_short",
                 severity="error",
-                message=f"the trail is {legs.sum():.2f} m long, shorter than a {robot} "
+                message=f"the course is {legs.sum():.2f} m long, shorter than a {robot} "
                 f"({length:.2f} m from nose to tail)",
-                fix="lead it farther: what is reached without walking says nothing of a policy",
+                fix="make it longer: waypoints that are reached without walking do not measure a "
+                "policy",
                 value=float(legs.sum()),
             )
         )
@@ -333,7 +334,7 @@ def _end(scene: Scene, path: Values, robot: str, length: float) -> SceneFinding 
         severity="error",
         message=f"the last waypoint, at ({x:.2f}, {y:.2f}), is {room:.2f} m before the mesh ends; "
         f"a {robot} is {length:.2f} m long from nose to tail and needs as much ground to arrive",
-        fix=f"move it back by {length - room:.2f} m or more, or capture more of the place",
+        fix=f"move it back by {length - room:.2f} m or more, or capture more of the scene",
         value=room,
         place=(x, y, z),
     )

@@ -68,7 +68,7 @@ FAR_P95 = 0.25
 FARTHEST = 1.5
 """How far the robot's camera should be from the nearest capture camera, m."""
 WIDEST = 1.0
-"""Angle between the two optical axes, rad, likewise."""
+"""Angle between the two optical axes, rad, as above."""
 
 
 def survey_views(scene: Scene, rays: RayScene, robot: RobotSpec, stance: Stance) -> SurveyedViews:
@@ -116,7 +116,7 @@ class SurveyedView:
             mesh shows next to nothing so near.
         median, p95: how far the splat is off the mesh's surface on the course ahead, m; None where
             next to nothing of the course is in view.
-        nearest: how far the nearest capture camera is; None where nobody says.
+        nearest: how far the nearest capture camera is; None if unknown.
     """
 
     along: float
@@ -346,7 +346,7 @@ def _coverage(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
                     f"{NEAR:g} m at {_where(view)}; "
                     f"{100 * LEAST_COVERED:.0f} % is wanted, and {below} of {len(near)} views "
                     "have less",
-                    fix="train it on photographs of that stretch, or lead the trail elsewhere",
+                    fix="train it on photographs of that stretch, or move the course elsewhere",
                     value=share,
                     place=view.position,
                 )
@@ -357,8 +357,9 @@ def _coverage(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
             SceneFinding(
                 code="open_view",
                 severity="note",
-                message=f"the splat covers {100 * emptiest.alpha:.0f} % of the whole image at "
-                f"{_where(emptiest)}; the rest is white, and far away or nothing in the mesh, too",
+                message=f"the splat covers {100 * emptiest.alpha:.0f} % of the complete image at "
+                f"{_where(emptiest)}; the other pixels are white, and far away or empty in the "
+                "mesh, too",
                 fix="`alpha` of a suite's gate.validity must be below that",
                 value=emptiest.alpha,
                 place=emptiest.position,
@@ -385,7 +386,7 @@ def _depth(seen: SurveyedViews) -> list[SceneFinding]:
             f"the median and {p95:.3f} m in the 95th percentile ({MOST_MEDIAN:g} and "
             f"{MOST_P95:g} m are allowed); it is worst at {_where(view)}, there "
             f"{view.p95 or 0.0:.2f} m",
-            fix="look at `nw-eval scenes render`: Gaussians float there, or the mesh is coarse",
+            fix="check `nw-eval scenes render`: Gaussians float there, or the mesh is coarse",
             value=p95,
             place=view.position,
         )
@@ -426,8 +427,8 @@ def _captures(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
             message=f"nothing was photographed like the robot's view at {_where(view)}: the "
             f"nearest camera is {nearest.distance:.2f} m away and turned by "
             f"{nearest.angle:.2f} rad ({FARTHEST:g} m and {WIDEST:g} rad are allowed); "
-            f"so are {len(beyond)} of {len(known)} views",
-            fix="photograph that stretch again, from low down, looking along the trail",
+            f"the same holds for {len(beyond)} of {len(known)} views",
+            fix="photograph that stretch again, from low down, along the course",
             value=nearest.distance,
             place=view.position,
         )
@@ -436,4 +437,4 @@ def _captures(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
 
 def _where(view: SurveyedView) -> str:
     x, y, _ = view.position
-    return f"{view.along:.2f} m along the trail, ({x:.2f}, {y:.2f})"
+    return f"{view.along:.2f} m along the course, ({x:.2f}, {y:.2f})"

@@ -82,7 +82,7 @@ class TrailProgress:
     ) -> None:
         self.waypoints = read_only(np.array(waypoints, dtype=np.float64).reshape(-1, 3))
         if not len(self.waypoints):
-            raise SceneError("a trail without waypoints", fix="give the scene at least one")
+            raise SceneError("a course without waypoints", fix="give the scene at least one")
         # Of a few plain numbers a step is computed in a third of the time that NumPy takes.
         self.places: list[list[float]] = self.waypoints[:, :2].tolist()
         self._forgets = protocol.reach_timer_forgets
@@ -430,7 +430,7 @@ class Course(Task):
             "completed": "all waypoints",
             "timeout": "time",
             "stuck": "no progress",
-            "off_course": "distance to the trail",
+            "off_course": "distance to the course",
         }
         return reasons[self._ended]
 

@@ -103,7 +103,7 @@ def write_place(
         splat: PLY in the capture's frame; None = the place has no looks.
         T_world_capture: (4, 4) similarity to metres, z up.
         course: trail, task and start.
-        capture: whose cameras say from where the place was photographed; None = nobody knows.
+        capture: whose cameras say from where the place was photographed; None if unknown.
         title: one line for people.
         robot: of the suite.
         to_scale: whether T_world_capture leads to metres; else the scene says that it does not.

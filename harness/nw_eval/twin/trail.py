@@ -113,7 +113,7 @@ def propose_trail(
         mesh: of the place in metres, z up.
         centres: (V, 3) of the cameras in the order of the walk, in the same frame.
         length: of the robot from nose to tail, metres.
-        shown: where photographs show the ground; None = nobody knows.
+        shown: where photographs show the ground; None if unknown.
 
     Raises:
         SceneError: the cameras went less than a metre, the mesh has no ground below them, or too
@@ -177,7 +177,7 @@ def guess_task(features: Sequence[TrailFeature]) -> tuple[Task, tuple[str, ...]]
     Of tasks with as many features the one whose features are longer along the way wins.
     """
     if not features:
-        return "hurdles", ("the way is flat: a trail without obstacles",)
+        return "hurdles", ("the way is flat: a course without obstacles",)
     counts = Counter[Task](feature.task for feature in features)
     length = {
         one: sum(feature.end - feature.start for feature in features if feature.task == one)
@@ -264,7 +264,7 @@ def _stands(
             f"there are {profile.along[-1]:.2f} m of ground along the way: too little for a "
             f"waypoint {clear:.2f} m from the start, with {length + _MARGIN:.2f} m behind it to "
             "arrive in",
-            fix="capture more ground ahead of the start, or lay the trail on the label page",
+            fix="capture more ground ahead of the start, or set the waypoints on the label page",
         )
     return [stand for leg in pairwise([0.0, *kept]) for stand in _bends(profile, *leg)]
 
@@ -313,13 +313,14 @@ def _warnings(
     warnings: list[str] = []
     if further is not None:
         warnings.append(
-            f"the way goes on for {further:.1f} m: the trail is {_LONGEST:g} m long at most, about "
+            f"the way goes on for {further:.1f} m: the course is {_LONGEST:g} m long at most, "
+            "about "
             "as far as a robot walks in a trial; for more, add waypoints and set `duration`"
         )
     if profile.left_out > 0.0:
         warnings.append(
             f"{profile.left_out:.1f} m of the way lie beyond 1 m or more without ground or "
-            "without a photograph of it: the trail is on the longest piece between"
+            "without a photograph of it: the course is on the longest piece between"
         )
     height = float(profile.height[0])
     if abs(height) > FLOOR:
@@ -333,7 +334,7 @@ def _warnings(
             "back"
         )
     if features and float(profile.along[-1]) - features[-1].end < _RUN_UP:
-        warnings.append("the way ends at the last feature: no room to arrive in")
+        warnings.append("the way ends at the last feature: no space to arrive in")
     if profile.known < 1.0 - 1e-9:
         warnings.append(f"{1.0 - profile.known:.0%} of the way is over holes of the mesh")
     return tuple(warnings)

@@ -117,7 +117,7 @@ def ground_along(
         mesh: in metres, z up, faces counter-clockwise from outside.
         way: (S, 2) metres, evenly spaced.
         below: height from which to look down, metres: that of the cameras, under any ceiling.
-        shown: where photographs show the ground; None = nobody knows.
+        shown: where photographs show the ground; None if unknown.
 
     Raises:
         SceneError: less than half of the way has ground below it.
@@ -147,7 +147,7 @@ def ground_along(
     if known < _KNOWN:
         raise SceneError(
             f"{known:.0%} of the way has ground below it in the mesh",
-            fix="photograph the ground too, from above, or lay the trail on the label page",
+            fix="photograph the ground too, from above, or set the waypoints on the label page",
         )
     stations = STEP * np.arange(len(way), dtype=np.float64)
     filled = np.where(seen[:, None], heights, 0.0)
@@ -289,8 +289,9 @@ def way_of(centres: Values) -> Values:
     if not len(flat) or away.max() < _LEAST:
         gone = float(away.max(initial=0.0))
         raise SceneError(
-            f"the cameras went {gone:.2f} m from the first one, which is no trail",
-            fix=f"photograph a walk of {_LEAST:g} m or more, or lay the trail on the label page",
+            f"the cameras went {gone:.2f} m from the first one, which is too short for a course",
+            fix=f"photograph a walk of {_LEAST:g} m or more, or set the waypoints on the label "
+            "page",
         )
     walked = _evenly(flat[: _end(away) + 1])
     half = max(1, round(_SMOOTH / STEP / 2))
@@ -317,7 +318,7 @@ def free_way(
         mesh: in metres, z up.
         centres: (V, 3) of the cameras: of two ways along a strip, the one that they went.
         below: height from which to look down, metres.
-        shown: where photographs show the ground; None = nobody knows.
+        shown: where photographs show the ground; None if unknown.
 
     Raises:
         SceneError: there is no level ground as wide as a robot.
@@ -358,7 +359,7 @@ def free_way(
     if not len(ends):
         raise SceneError(
             f"the mesh has no level ground {_STAND:g} m wide",
-            fix="photograph the ground too, from above, or lay the trail on the label page",
+            fix="photograph the ground too, from above, or set the waypoints on the label page",
         )
     if (ends[1] - ends[0]) @ (centres[-1, :2] - centres[0, :2]) < 0.0:
         ends = ends[::-1]

@@ -81,7 +81,7 @@ class LivePage(ServedPage):
     """Serves a stage to browsers, where it stands still at first.
 
     Args:
-        stage: the policy in its place; nobody else may use it meanwhile.
+        stage: the policy in its scene; no other code may use it meanwhile.
         splat: of the place; None = its mesh is shown.
         save_to: the folder that is proposed for what was done.
         port: to listen at; 0 = one that is free.

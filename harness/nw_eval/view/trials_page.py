@@ -260,7 +260,7 @@ class TrialPanel:
                 max=min(most, _MOST_OTHERS),
                 step=1,
                 initial_value=others,
-                hint="Other trials of this place, as ghosts",
+                hint="Other trials of this scene, as ghosts",
             )
             beside.on_update(lambda _: self._page.choose(name, beside.value))
 

@@ -544,7 +544,7 @@ def test_a_claim_about_the_panel_alone_is_a_suite_s_choice_takes_fewer_trials_an
     assert (fresh.word, known.word) == ("PASS", "PASS")
     assert known.trials < fresh.trials == 37
     limit = (
-        "gate.claim is panel: this holds for the baseline's 20 starts in each scene, not for new "
+        "gate.claim is panel: this applies to the baseline's 20 starts in each scene, not for new "
         "ones"
     )
     assert limit in known.reasons

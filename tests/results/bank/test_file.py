@@ -160,7 +160,7 @@ def test_panels_that_perturb_different_things_are_refused(
     other = make_bank(machines=MACHINES, cells=((("friction", 0.5),),))
     mixed = replace(plain, panels=(plain.panels[0], other.panels[1]))
     with pytest.raises(
-        StoreError, match=r"cannot write .*: its panels differ in what they perturb"
+        StoreError, match=r"cannot write .*: its machines' results differ in their perturbations"
     ):
         write_bank(tmp_path / "shipped.parquet", mixed)
     assert not list(tmp_path.iterdir())

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _BUDGET = 185_000
 _SKY = 5000
 _SKY_RADIUS = 90.0
-# Standard deviation of a disc in parts of its cell, and its thickness likewise.
+# Standard deviation of a disc in parts of its cell, and its thickness in the same.
 _SPREAD = 0.55
 _THICKNESS = 0.07
 _OPACITY = 0.985

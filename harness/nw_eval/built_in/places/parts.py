@@ -35,7 +35,7 @@ class Patch:
         origin, u, v: corner and edges, metres, world.
         material: name in the paint registry, with an optional colour: `carpet/blue`.
         kind: what rays take it for; None keeps it out of the mesh (paint on the ground quad).
-        painted: whether Gaussians lie on it; faces that nobody can see are not painted.
+        painted: whether Gaussians lie on it; hidden faces are not painted.
         fine: multiplies the spacing of Gaussians.
         texture: texture coordinates of `origin` in metres, so that patterns run round corners.
         decals: drawn over the material, later ones on top.

@@ -106,7 +106,7 @@ def unjudged(gate: Gate, suite: str, policy: str) -> str | None:
     Args:
         gate: the suite's settings.
         suite: what names the suite on a command line.
-        policy: likewise, the policy.
+        policy: as above, the policy.
     """
     named = None if gate.baseline == "none" else gate.baseline
     if gate.max_drop is None and named is None:
@@ -197,5 +197,5 @@ def _of_part(rows: Sequence[Row], run: RunInfo, gate: Gate) -> Verdict:
         word, reasons = "INVALID", run.baseline.moved
     elif word == "RAN":
         reasons = ()
-    whole = f"{run.shard}: `nw-eval merge` puts all parts together, and judges the whole"
+    whole = f"{run.shard}: `nw-eval merge` joins all parts and judges the run"
     return replace(verdict, verdict=word, reasons=(*reasons, whole), per_scene=scores)

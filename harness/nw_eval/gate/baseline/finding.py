@@ -293,7 +293,7 @@ def check_level(panel: Panel, judged: Sequence[Stratum], gate: Gate) -> None:
     """Refuse a baseline that scores too little for a drop of max_drop.
 
     Raises:
-        IncomparableError: nobody could drop by it, and all would pass.
+        IncomparableError: no policy could drop by it, and all would pass.
     """
     mean = np.mean([scores_of(panel, stratum).mean() for stratum in judged])
     if not mean > gate.most_drop:

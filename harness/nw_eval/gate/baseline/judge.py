@@ -115,7 +115,7 @@ def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
 
     Raises:
         IncomparableError: the bank does not hold for the run, or has too few starts for its trials;
-            or nobody has checked it on this class of machine; or no scene of it counts.
+            or it is unchecked on this class of machine; or no scene of it counts.
     """
     bank = against.bank
     check_match(run, bank)
@@ -411,7 +411,7 @@ def _limits(found: Comparison) -> Iterable[str]:
     """Return of which starts it speaks, and what was left out."""
     if found.claim == "panel":
         yield (
-            f"gate.claim is panel: this holds for the baseline's {plural(found.starts, 'start')} "
+            f"gate.claim is panel: this applies to the baseline's {plural(found.starts, 'start')} "
             "in each scene, not for new ones"
         )
     if found.basis == "control":

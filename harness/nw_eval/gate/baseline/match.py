@@ -155,16 +155,18 @@ def basis_of(run: RunInfo, bank: SavedBank, checked: str | None) -> tuple[Basis,
         checked: what trials of the baseline have shown on this class of machine.
 
     Raises:
-        IncomparableError: the bank has no panel of this class of machine, and nobody has checked.
+        IncomparableError: the bank has no results from this class of machine, and none
+            was checked.
     """
     panel = bank.panel_of(machine_of(run))
     if is_baseline(run.policy, bank):
         return "same", panel or bank.panels[0]
     if panel is None and checked not in {"bits", "control"}:
         raise IncomparableError(
-            f"baseline {bank.manifest.name} has no panel of this class of machine "
+            f"baseline {bank.manifest.name} has no results from this class of machine "
             f"({_unlike(run, bank)}), and no trial of the baseline has been run on it",
-            fix=f"`nw-eval run --baseline {bank.manifest.name}` runs some first, or add a panel "
+            fix=f"`nw-eval run --baseline {bank.manifest.name}` runs some first, or add this "
+            "machine's results "
             f"with `{renewing(run, bank)}`",
         )
     if panel is None and checked == "control":
@@ -197,7 +199,7 @@ def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, rounds: int, gate: Gat
     if is_drawn and run.drawn_from == has:
         return "panel"
     raise IncomparableError(
-        f"gate.claim is panel, and the candidate did not meet starts that were drawn for it from "
+        f"gate.claim is panel, but the candidate's initial states were not drawn for it from "
         f"all {has} of baseline {bank.manifest.name} on a machine that it knows",
         fix="write `claim: fresh`",
     )
@@ -229,7 +231,7 @@ def _unlike(run: RunInfo, bank: SavedBank) -> str:
 
 _FRESH = 1000
 """Starts in each scene of which fresh ones are drawn, so that a run with more trials begins with
-those of one with fewer. Which of them a trial has does not matter: nobody has met any."""
+those of one with fewer. Which of them a trial has does not matter: no trial has used any."""
 
 
 def drawn_order(run: RunInfo, strata: Sequence[Stratum], rounds: int) -> list[DrawnStart]:
@@ -283,7 +285,7 @@ def draw_trials(
 def draw_fresh(
     strata: Sequence[Stratum], rounds: int, *, candidate: str, suite_digest: str
 ) -> list[DrawnStart]:
-    """Return as `draw_trials` does trials 0, 1, ... of each stratum: starts that nobody has met."""
+    """Return as `draw_trials` does trials 0, 1, ... of each stratum: unused starts."""
     met = dict.fromkeys(strata, 0)
     found: list[DrawnStart] = []
     most = max(_FRESH, rounds)
@@ -326,7 +328,7 @@ def fresh_seed(candidate: PolicyInfo, suite: Suite) -> int:
     """Return the seed of the starts that only this candidate meets in a suite, 0 to 2^63 - 1.
 
     It is the first 63 bits of sha256("fresh/<checkpoint digest>/<card digest>/<suite digest>"), the
-    digest being that of the suite with seed 0. So nobody chooses it: a checkpoint has one fresh
+    digest being that of the suite with seed 0. So it cannot be chosen: a checkpoint has one fresh
     panel in a suite, whatever panel is pinned there.
 
     Args:

@@ -50,7 +50,8 @@ def training_scenes(patterns: Sequence[str]) -> tuple[FoundScene, ...]:
     found = [each for each in references(patterns) if split_of(each[0]) != "eval"]
     if not found:
         raise UsageError(
-            f"scenes: {', '.join(patterns)}: these are evaluation scenes, in which nobody learns",
+            f"scenes: {', '.join(patterns)}: these are evaluation scenes, which may not be used "
+            "for training",
             fix="name others, such as `split:train`",
         )
     return tuple(FoundScene.at(*each) for each in found)

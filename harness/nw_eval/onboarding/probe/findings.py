@@ -131,7 +131,7 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
     is_told = any(value.part.kind in _WHERE_TO for value in ranges)
     for name, count in zeros.items():
         text = (
-            f"`{name}` holds {plural(count, 'zero')} in place of what the checkpoint was trained on"
+            f"`{name}` holds {plural(count, 'zero')} instead of what the checkpoint was trained on"
         )
         if rests and not is_told:
             text += (

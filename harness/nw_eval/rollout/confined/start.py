@@ -261,7 +261,7 @@ def start_pair(
     """Return a new process that calls a function, and beside it one for the policies that it opens.
 
     Args:
-        function: as for `start_process`, and likewise `arguments`, `connections`, `rules` and
+        function: as for `start_process`, and so are `arguments`, `connections`, `rules` and
             `is_one_of_many`. After its connections it is given those of the line to the other
             process, for `use_line`.
         arguments: see there.

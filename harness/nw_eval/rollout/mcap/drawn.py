@@ -47,7 +47,7 @@ PLACE: dict[FaceKind, Colour] = {
     "structure": (0.78, 0.76, 0.72, 1.0),
     "clutter": (0.45, 0.55, 0.42, 1.0),
     "overhead": (0.80, 0.80, 0.80, 0.25),  # seen through, or it hides the robot
-    "beside": (0.78, 0.76, 0.72, 0.25),  # likewise
+    "beside": (0.78, 0.76, 0.72, 0.25),  # As above
 }
 _WAYPOINT_DIAMETER = 0.6  # m; the reach radius of a waypoint is 0.3
 _WAYPOINT_HEIGHT = 0.02  # m

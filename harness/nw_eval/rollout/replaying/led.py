@@ -222,7 +222,8 @@ def new_handover(recorded: LoggedTrial, step: int) -> Handover:
         return Handover(step=step, policy=driver(recorded.job), card=text)
     if step > earlier.step:
         raise UsageError(
-            f"{recorded.path} was taken over in control step {earlier.step} already",
+            f"{recorded.path} was switched to another policy in control step {earlier.step} "
+            "already",
             fix="give an earlier --from, or the log of the trial before",
         )
     return Handover(step=step, policy=earlier.policy, card=earlier.card)

@@ -128,7 +128,7 @@ def _of_run(
 ) -> LogScores:
     if handover_of(logged) is not None:
         raise StoreError(
-            f"{logged.path} is of a trial in which another policy took over",
+            f"{logged.path} is of a trial that switched to another policy",
             fix="name the log of a run",
         )
     Library().scene(logged.job.scene, logged.job.collision)  # Its cache is out of reach there.

@@ -39,7 +39,7 @@ OPTION = "--from"
 
 @dataclass(frozen=True, kw_only=True)
 class TakenOver:
-    """A trial that was taken over, and what came of it."""
+    """A trial that was taken over, and its result."""
 
     result: TrialResult
     report: TakeoverReport
@@ -68,7 +68,7 @@ def take_over(
         allow_code: as for a run.
         library: scenes and bundles that are loaded already.
         out: where the log of the new trial goes; None = nowhere.
-        film: takes pictures of all of it; None = nobody does.
+        film: takes pictures of all of it; None for none.
 
     Raises:
         StoreError: the log cannot be read, holds no card, or the trial does not go its recorded way

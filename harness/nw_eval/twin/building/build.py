@@ -354,7 +354,7 @@ class Build:
         depths = self.folder.mesh / "depth"
         captured = (self.folder.capture / "capture.json").is_file() and depths.is_dir()
         if scene.splat is None or not captured:
-            return []  # A place from elsewhere, or whose build was cleared away: nobody knows.
+            return []  # A place from elsewhere, or whose build was cleared away: unknown.
         line = np.array([scene.spawn.position, *scene.trail])
         # The splat is in the capture's frame, wherever the place was moved to since.
         capture, T = read_capture(self.folder.capture), scene.T_world_splat
@@ -388,13 +388,13 @@ class Build:
         content = {"robot": survey.robot, "length": round(survey.length, 4), "stations": rows}
         with atomic_path(self.folder.trail) as temporary:
             temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
-        self._say(f"check: each 0.1 m of the trail is in {self.folder.trail}")
+        self._say(f"check: each 0.1 m of the course is in {self.folder.trail}")
 
     def _no_route(self, error: SceneError) -> Route:
         """Return a step ahead, and say why."""
-        self._say(f"place: no trail: {error}")
+        self._say(f"place: no course: {error}")
         self._say(
-            "place: its trail is one waypoint a metre from the start, for you to replace: "
+            "place: its course is one waypoint a metre from the start, for you to replace: "
             f"nw-eval twin label {shlex.quote(str(self.folder.scene))}"
         )
         return Route(task="hurdles", trail=np.array([[1.0, 0.0, 0.0]]))
@@ -427,14 +427,14 @@ class Build:
                 return walked
             say("place: where the cameras went the ground has holes")
         except SceneError as error:
-            say(f"place: no trail where the cameras went: {error}")
+            say(f"place: no course where the cameras went: {error}")
         try:
             free = propose_free_trail(moved, centres, length=length, shown=shown)
         except SceneError:
             if walked is None:
                 raise
             return walked
-        say("place: the trail is on the longest straight strip of level ground")
+        say("place: the course is on the longest straight strip of level ground")
         return free
 
     def _route(self, proposal: TrailProposal) -> Route:

@@ -147,7 +147,7 @@ def unlike_photographs(
         stopped += plan.cells(met[short])
     return [
         *_findings(plan, missing, shown, "photographs show ground that the mesh lacks"),
-        *_findings(plan, stopped, reached, "the mesh has ground where photographs look through"),
+        *_findings(plan, stopped, reached, "the mesh has ground where photographs show none"),
     ]
 
 
@@ -170,9 +170,9 @@ class DepthDifferences:
     def __str__(self) -> str:
         seen = self.photographs[self.photographs > 0]
         if not len(seen):
-            return "depths: no photograph shows the ground along the trail"
+            return "depths: no photograph shows the ground along the course"
         blind = int((self.photographs == 0).sum())
-        none = f", {blind} of {len(self.photographs)} stations by none" if blind else ""
+        none = f", {blind} of {len(self.photographs)} points by none" if blind else ""
         return (
             f"depths: mesh and depth maps are {1e3 * self.overall[0]:.0f} mm apart (median), 90 % "
             f"within {1e3 * self.overall[1]:.0f} mm, as {seen.min()} to {seen.max()} photographs "
@@ -240,7 +240,7 @@ def difference_findings(found: DepthDifferences, along: F64, places: F64) -> Ite
         (
             blind,
             "no photograph shows the ground: the mesh has filled it",
-            "photograph it, or lead the trail elsewhere",
+            "photograph it, or move the course elsewhere",
         ),
     ):
         ends = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
@@ -252,7 +252,7 @@ def difference_findings(found: DepthDifferences, along: F64, places: F64) -> Ite
             yield SceneFinding(
                 code="unlike_photographs",
                 severity="warning",
-                message=f"{words} from {along[first]:.2f} to {along[last]:.2f} m along the trail, "
+                message=f"{words} from {along[first]:.2f} to {along[last]:.2f} m along the course, "
                 f"round ({x:.2f}, {y:.2f})",
                 fix=fix,
                 value=length,

@@ -243,7 +243,7 @@ class ViewFigures:
     Attributes:
         name: of the photograph.
         psnr: in dB, the picture clamped to 0..1, where the mask lets one see.
-        psnr_corrected: likewise after the affine map of colours that fits best: what is left when
+        psnr_corrected: the same after the affine map of colours that fits best: what is left when
             another exposure is no fault.
         ssim: mean structural similarity; what a mask hides counts as alike.
     """

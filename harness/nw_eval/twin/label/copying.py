@@ -31,7 +31,7 @@ def own_folder(reference: str, out: Path | None, *, robot: str = "go1") -> Path:
         robot: of the copy's suite.
 
     Raises:
-        UsageError: the place is nobody's to edit and there is no `out`, or `out` is in use.
+        UsageError: the scene cannot be edited and there is no `out`, or `out` is in use.
         SceneError: there is no such place, or it cannot be read.
         FetchError, PrerequisiteError: it is on a hub, and cannot be fetched.
         StoreError: the copy cannot be written.
@@ -42,7 +42,7 @@ def own_folder(reference: str, out: Path | None, *, robot: str = "go1") -> Path:
     path = Path(reference)
     folder = path.parent if path.name == SCENE_FILE else path
     if is_built_in(reference):
-        what = "a built-in place, made from data"
+        what = "a built-in scene, generated from data"
     elif reference.startswith(("hub:", "neverwhere:", "real:")):
         what = "not a scene folder of your own"
     elif what_is(folder) != "folder":
@@ -55,8 +55,8 @@ def own_folder(reference: str, out: Path | None, *, robot: str = "go1") -> Path:
     else:
         return folder
     raise UsageError(
-        f"{reference} is {what}: it is not edited in place",
-        fix=f"label a copy: nw-eval twin label {reference} --out my-place",
+        f"{reference} is {what}: it cannot be edited itself",
+        fix=f"label a copy: nw-eval twin label {reference} --out my-scene",
     )
 
 

@@ -132,7 +132,7 @@ class PlaceEdits:
         if now is None or now < 1e-6 or metres <= 0:
             raise UsageError(
                 f"markers {now} m apart cannot be {metres:g} m apart",
-                fix="put two markers at places whose distance you know, and type it",
+                fix="put two markers at points whose distance you know, and type it",
             )
         self._move(stretch(metres / now), to_scale=True)
 
@@ -162,7 +162,7 @@ class PlaceEdits:
         after = replace(self.state, crop=box)
         shown = ShownPlace(self.place.mesh, after)
         if len(shown.mesh.faces) == 0:
-            raise UsageError("the crop leaves nothing of the place", fix="make it larger")
+            raise UsageError("the crop leaves nothing of the scene", fix="make it larger")
         self._do(after)
 
     def mark(self, point: Point) -> None:
@@ -182,7 +182,7 @@ class PlaceEdits:
 
     @property
     def distance_words(self) -> str:
-        """The distance for people: in metres, or units where nobody knows how long one is."""
+        """The distance for people: in metres, or in units of unknown length."""
         unit = "m" if self.state.to_scale else "units"
         return "" if self.distance is None else f"{self.distance:.3f} {unit}"
 
@@ -196,7 +196,7 @@ class PlaceEdits:
         if not self.place.is_scan:
             raise UsageError(
                 f"{self.place.collision} holds boxes, which are not moved here",
-                fix="edit them in that file; the trail and the start can be changed here",
+                fix="edit them in that file; the waypoints and the start can be changed here",
             )
 
     def _do(self, state: LabelState) -> None:
@@ -270,7 +270,7 @@ Propose = Callable[[TriangleMesh, NDArray[np.float64]], TrailProposal]
 """Proposes a course on a mesh (world, m) along places where somebody walked, (N, 3)."""
 
 NEEDS_SCALE = (
-    "put two markers at places whose distance you know, type it, and scale; or say the file's unit"
+    "put two markers at points whose distance you know, type it, and scale; or say the file's unit"
 )
 """What to do about a place that is not to scale."""
 
@@ -363,13 +363,13 @@ class Labelling(PlaceEdits):
             What was found, for people.
 
         Raises:
-            UsageError: nobody says where they went.
+            UsageError: there are no camera positions.
             SceneError: they went less than a metre, or there is no ground below them.
         """
         if not self.place.cameras:
             raise UsageError(
-                "this place does not say from where it was photographed",
-                fix="click waypoints to the end of the course, and propose a trail along them",
+                "this scene has no camera positions",
+                fix="click waypoints to the end of the course, and propose a course along them",
             )
         return self._take_over(self._propose(self.mesh, self.walk))
 
@@ -390,7 +390,7 @@ class Labelling(PlaceEdits):
             return self._take_over(self._propose(self.mesh, stops + _EYES))
         except SceneError as error:
             raise UsageError(
-                f"no trail from the start over the waypoints: {error.message}",
+                f"no course from the start over the waypoints: {error.message}",
                 fix="put waypoints a metre or more away, where the mesh has ground",
             ) from None
 
@@ -491,13 +491,13 @@ class Labelling(PlaceEdits):
         """Write the scene the published way, XML pair, meshes and splat; return its folder.
 
         Raises:
-            UsageError: there is no waypoint, or the place is not to scale.
+            UsageError: there is no waypoint, or the scene is not to scale.
             SceneError: the splat cannot be read.
             StoreError: it cannot be written.
         """
         self._check_trail()
         if not self.state.to_scale:
-            raise UsageError("the place is not to scale", fix=NEEDS_SCALE)
+            raise UsageError("the scene is not to scale", fix=NEEDS_SCALE)
         return publish_pair(
             folder,
             name=self.place.name,
@@ -518,7 +518,7 @@ class Labelling(PlaceEdits):
             )
         )
         found = "; ".join(proposal.reasons)
-        looks = "".join(f" Look at this: {warning}." for warning in proposal.warnings)
+        looks = "".join(f" Check this: {warning}." for warning in proposal.warnings)
         return f"Proposed for {proposal.task}: {found}.{looks}"
 
     def _waypoints(self, index: int) -> list[Point]:
@@ -541,12 +541,12 @@ class Labelling(PlaceEdits):
 
     def _on_ground(self, point: Point) -> Point:
         for part in point:
-            self._check_number("a place", part)
+            self._check_number("a position", part)
         found = self._shown.ground.dropped(*point)
         if found is None:
             raise UsageError(
                 f"there is no ground under x {point[0]:.2f}, y {point[1]:.2f}",
-                fix="stay on the place, or make the crop larger",
+                fix="stay on the scene, or make the crop larger",
             )
         return found
 

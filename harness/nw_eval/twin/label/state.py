@@ -55,7 +55,7 @@ class Placement:
         Raises:
             SceneError: it stretches, mirrors or flattens, or its scale is out of bounds.
         """
-        scale = check_similarity(T, "the place")
+        scale = check_similarity(T, "the scene")
         w, x, y, z = quaternions(T[:3, :3] / scale).tolist()
         return cls(scale=scale, quat=(w, x, y, z), translation=as_point(T[:3, 3]))
 
@@ -249,7 +249,7 @@ class LabelState:
         crop: what is kept of the place, after it was placed; None = all.
         markers: two at most, for measuring; world, m.
         floor: two at most of the three points that lay the floor; world, m.
-        to_scale: whether lengths are metres; else in a unit that nobody knows.
+        to_scale: whether lengths are metres; else in an unknown unit.
 
     Raises:
         UsageError: a point is no place for a waypoint, or there are too many.
@@ -274,7 +274,7 @@ class LabelState:
             if not all(abs(part) <= REACH for part in point):
                 raise UsageError(
                     f"a point at {list(point)}",
-                    fix=f"points lie within {REACH:g} m of the origin: shift or scale the place",
+                    fix=f"points lie within {REACH:g} m of the origin: shift or scale the scene",
                 )
 
     def moved(self, delta: NDArray[np.float64]) -> LabelState:

@@ -130,7 +130,8 @@ def _large_planes(
 def _one_sheet(mesh: ColourMesh, voxel: float) -> ColourMesh:
     """Return the mesh without faces of a plane that lie over or under a larger one, near to it.
 
-    What stands beside the larger one, as a step or a mat does, stays: nobody sees the floor below.
+    What stands beside the larger one, as a step or a mat does, stays: the floor below is not
+        visible.
     """
     search = PlaneSearch.of(mesh, voxel)
     larger: list[tuple[F64, float, NDArray[np.bool_]]] = []
@@ -279,8 +280,8 @@ def large_parts(
         mesh: to choose from.
         least: share.
         flat: (V,) whether a vertex lies on a plane of the place; parts that do for the most are
-            islands of a floor or a wall that is plain between them. None = nobody knows.
-        room: area from which on a part is no crumb: nobody photographs the sides of a platform
+            islands of a floor or a wall that is plain between them. None if unknown.
+        room: area from which on a part is no crumb: the sides of a platform are not photographed
             that stands in a pit, so that its top hangs together with nothing.
     """
     count, part = parts_of(mesh.faces, len(mesh.vertices))

@@ -91,7 +91,7 @@ def voxel_of(maps: Sequence[DepthMap]) -> float:
     if not breadths:
         raise SceneError(
             "no two photographs agree on any depth",
-            fix="photograph what has texture, from places closer to each other",
+            fix="photograph surfaces with texture, from positions closer to each other",
         )
     return 2.0 * float(np.median(breadths))
 

@@ -103,7 +103,7 @@ def write_looks(
     return [
         (
             f"splat of the mesh's colours: {len(gaussians.means):,} Gaussians, one every "
-            f"{1000 * spacing:.0f} mm near the trail; finer detail and gloss are lost"
+            f"{1000 * spacing:.0f} mm near the course; finer detail and gloss are lost"
         ),
         *remarks,
     ]

@@ -212,7 +212,7 @@ def _check_used(source: Path, options: ScanOptions) -> None:
     elif options.splat is None and (wrong := given("splat_transform")):
         what, fix = "of a splat, and there is none", "name it with --splat"
     elif options.splat is not None and (wrong := given("gaussians")):
-        what, fix = "of the mesh's colours, in whose place --splat is used", "leave out --splat"
+        what, fix = "of the mesh's colours, which --splat replaces", "leave out --splat"
     else:
         return
     verb = "are" if " and " in wrong else "is"
@@ -309,7 +309,7 @@ def _upright(painted: PaintedMesh, source: Path, options: ScanOptions) -> tuple[
         best = max(shares, key=lambda axis: shares[axis])
         is_clear = shares[best] > max(_CLEARLY * shares[usual], _FLOOR_SHARE)
         up = best if is_clear else usual
-    why = f"{100 * shares[up]:.0f} % of its area looks along it"
+    why = f"{100 * shares[up]:.0f} % of its area faces along it"
     if options.up == "auto" and up == usual:
         why += ", and it is up in glTF" if is_gltf else ""
     scale = UNITS[options.unit]
@@ -356,7 +356,7 @@ def lay_course(
     else:
         found = _proposed(mesh)
         if found is None:
-            fault = "no two metres of even ground, so the trail is one waypoint a metre ahead"
+            fault = "no two metres of even ground, so the course is one waypoint a metre ahead"
             return _placeholder(mesh, task or "open"), [], f"{fault}: {_FLOOR}"
         route, words = _straight(*found, task or "open")
     tilt = _tilt(mesh, route)
@@ -399,8 +399,8 @@ def _straight(points: Values, yaw: float, task: Task) -> tuple[Route, str]:
     )
     x, y, _ = course.spawn
     return course, (
-        f"trail proposed: {far:.1f} m straight over even ground from ({x:.2f}, {y:.2f}), heading "
-        f"{math.degrees(yaw):.0f} degrees; `--trail` or `nw-eval twin label` lays another"
+        f"course proposed: {far:.1f} m straight over even ground from ({x:.2f}, {y:.2f}), heading "
+        f"{math.degrees(yaw):.0f} degrees; `--trail` or `nw-eval twin label` sets another"
     )
 
 
@@ -414,7 +414,7 @@ def _placeholder(mesh: TriangleMesh, task: Task) -> Route:
 def _given(mesh: TriangleMesh, trail: Sequence[tuple[float, ...]], task: Task) -> tuple[Route, str]:
     if len(trail) < 2 or len(trail) > limits.WAYPOINTS + 1:
         raise UsageError(
-            f"a trail of {len(trail)} points",
+            f"--trail has {len(trail)} points",
             fix="give the start and then the waypoints: --trail 0,0 1.5,0 3,0",
         )
     rays = RayScene(mesh)
@@ -444,7 +444,7 @@ def _given(mesh: TriangleMesh, trail: Sequence[tuple[float, ...]], task: Task) -
         spawn=(float(first[0]), float(first[1]), float(first[2])),
         yaw=math.atan2(second[1] - first[1], second[0] - first[0]),
     )
-    return course, f"trail of {len(points) - 1} waypoints, laid on the ground as given"
+    return course, f"course of {len(points) - 1} waypoints, laid on the ground as given"
 
 
 def _floor_height(mesh: TriangleMesh) -> float:

@@ -303,7 +303,7 @@ def _write_observation(
 
 
 def term_entities(track: Track, topic: str, terms: Sequence[str]) -> list[str]:
-    """Return the entities of an observation's terms, which may be a stranger's words."""
+    """Return the entities of an observation's terms, which may be untrusted words."""
     parts = topic.strip("/").split("/")
     if len(terms) == 1:
         return [track.entity(*parts)]

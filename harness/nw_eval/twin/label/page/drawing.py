@@ -239,7 +239,8 @@ def first_level(
 
     Args:
         ground: of the place; a ceiling of it over the start is cut away.
-        splat: likewise treetops and roofs of it between eye and start; world; None = there is none.
+        splat: as above, treetops and roofs of it between eye and start; world; None = there is
+            none.
         eye: from where the start is looked at.
         start: on the ground.
     """
