@@ -37,8 +37,8 @@ def workers():
 
 
 def worker_numbers():
-    nursery = start._nursery
-    forked = [] if nursery is None else children_of(nursery._process.pid)
+    fork_server = start._fork_server
+    forked = [] if fork_server is None else children_of(fork_server._process.pid)
     return [child.pid for child in active_children() if not child.daemon] + forked
 
 
