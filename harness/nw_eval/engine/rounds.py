@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from nw_eval.engine.known import KnownTrials
-    from nw_eval.engine.workers import Finished, Hire, Workers
+    from nw_eval.engine.workers import Finished, StartWorkers, Workers
     from nw_eval.results.journal import Journal
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
@@ -81,7 +81,7 @@ def run_trials(
     journal: Journal,
     folder: RunFolder,
     policy: str,
-    hire: Hire,
+    start_workers: StartWorkers,
     arm: Arm = "candidate",
     workers: int | None = None,
     enough: Enough | None = None,
@@ -99,7 +99,7 @@ def run_trials(
         journal: open; its rows with a result are not run again.
         folder: of the run.
         policy: the policy's name, for rows.
-        hire: gets workers.
+        start_workers: gets workers.
         arm: whether the policy is the one that is judged, for rows.
         workers: how many; one for each core if None.
         enough: asked before the first trial and whenever one has ended, with the rows of those that
@@ -121,7 +121,7 @@ def run_trials(
         policy=policy,
         arm=arm,
         listener=ears,
-        hire=hire,
+        start_workers=start_workers,
         workers=worker_count(workers, len(jobs)),
         known=known or NothingKnown(),
     )
@@ -213,7 +213,7 @@ class Attempts:
         policy: the policy's name, for rows.
         arm: whether it is the one that is judged, for rows.
         listener: told of progress.
-        hire: gets workers.
+        start_workers: gets workers.
         workers: how many.
         known: what need not be run, because an earlier run has its result.
     """
@@ -226,7 +226,7 @@ class Attempts:
         policy: str,
         arm: Arm,
         listener: Listener,
-        hire: Hire,
+        start_workers: StartWorkers,
         workers: int,
         known: KnownTrials | NothingKnown,
     ) -> None:
@@ -236,10 +236,10 @@ class Attempts:
         self._policy = policy
         self._arm: Arm = arm
         self._listener = listener
-        self._hire = hire
+        self._start_workers = start_workers
         self.workers = workers
         self._known = known
-        self._staff: Workers | None = None  # They make first attempts, one round after the other.
+        self._pool: Workers | None = None  # They make first attempts, one round after the other.
         self._cleanup = ExitStack()
         latest = {row.trial_id: row for row in journal.rows}
         self._errors = {name: row for name, row in latest.items() if row.status == "error"}
@@ -256,7 +256,7 @@ class Attempts:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._dismiss()
+        self._stop_workers()
 
     def finished_of(self, jobs: Iterable[TrialJob]) -> int:
         """Return how many of the jobs had a result when the run began."""
@@ -297,13 +297,15 @@ class Attempts:
             first = [job for job in portion if not self._awaits_repeat(job)]
             self._is_held |= bool(again)
             if first and interrupts.requested is None:
-                if self._staff is None:
-                    self._staff = self._cleanup.enter_context(self._hire(self.workers, fresh=False))
-                again += self._attempt(self._staff, first, interrupts, more, fresh=False)
+                if self._pool is None:
+                    self._pool = self._cleanup.enter_context(
+                        self._start_workers(self.workers, fresh=False)
+                    )
+                again += self._attempt(self._pool, first, interrupts, more, fresh=False)
             while again and interrupts.requested is None and not self._is_enough:
-                self._dismiss()  # What they hold in memory may be what the others lack.
+                self._stop_workers()  # What they hold in memory may be what the others lack.
                 repeated = [_with_evidence(job) for job in again]
-                with self._hire(min(self.workers, len(again)), fresh=True) as workers:
+                with self._start_workers(min(self.workers, len(again)), fresh=True) as workers:
                     again = self._attempt(workers, repeated, interrupts, None, fresh=True)
             if self._is_enough:
                 self._known.unconfirmed()
@@ -325,8 +327,8 @@ class Attempts:
             self._ended[row.trial_id] = row
             self._listener.trial(row)
 
-    def _dismiss(self) -> None:
-        self._staff = None
+    def _stop_workers(self) -> None:
+        self._pool = None
         self._cleanup.close()
 
     def _awaits_repeat(self, job: TrialJob) -> bool:
@@ -368,7 +370,7 @@ class Attempts:
                     self._listener.trial(row)
                     self._take_over()
                 if more is not None and not self._go_on(workers, more):
-                    self._dismiss()  # What runs was given ahead of what is judged.
+                    self._stop_workers()  # What runs was given ahead of what is judged.
                     return []
             self.presence.check()
             if interrupts.requested is not None:
@@ -430,7 +432,7 @@ class Attempts:
     def _announce_retry(self, row: Row) -> None:
         self._listener.message(
             f"trial {row.trial_id}: {row.error_type}: {row.error_text}; it will run again "
-            f"{self._hire.again}"
+            f"{self._start_workers.again}"
         )
 
     def _announce_failure(self, row: Row) -> None:

@@ -210,9 +210,9 @@ class Round:
         pair = Pair(student=self.student.reference, teacher=self.teacher.reference)
         output = WorkerOutput(self.folder.parent / _WORKERS_LOG)
         count = worker_count(workers, len(jobs))
-        with LocalWorkers(count, start=start, run=pair, output=output) as staff:
-            staff.submit(jobs)
-            for done in staff.finished():
+        with LocalWorkers(count, start=start, run=pair, output=output) as local:
+            local.submit(jobs)
+            for done in local.finished():
                 yield None if done is None else (done.job, done.result)
 
 
