@@ -421,7 +421,7 @@ Box = tuple[float, float, float, float]
 """West, south, east, north: metres in the world frame."""
 
 MARGIN = 2.0
-"""Metres round the trail; a robot that is farther from it is off its course."""
+"""Metres round the course; a robot that is farther from it is off its course."""
 
 _SIDE = 480  # pixels of the longer side
 _FINER = 2  # It is drawn so many times larger, and then made smaller for smooth edges.

@@ -203,7 +203,7 @@ def _ahead(plan: Plan) -> Iterator[str]:
 
 
 def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
-    """Yield what `scenes check` says of the trails of a plan's own scenes, which still run.
+    """Yield what `scenes check` says of the courses of a plan's own scenes, which still run.
 
     The built-in ones are right.
     """

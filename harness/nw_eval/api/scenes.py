@@ -40,7 +40,7 @@ class CheckedScene:
     findings: tuple[SceneFinding, ...]
     """Errors first; none if nothing is worth saying."""
     survey: Survey | None
-    """What was measured along its trail; None where errors came before."""
+    """What was measured along its course; None where errors came before."""
 
     @property
     def has_errors(self) -> bool:

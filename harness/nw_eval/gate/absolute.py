@@ -1,4 +1,4 @@
-"""The absolute bar: whether mean success, beyond doubt, reaches what the suite asks for.
+"""The absolute bar: whether mean success significantly reaches what the suite asks for.
 
 1.  Complete? Errors left, trials missing or a critical scene without results: INFRASTRUCTURE. No
     trials at all can never pass.

@@ -422,7 +422,7 @@ def _partings(
     together: dict[tuple[int, str | None], tuple[HazardDifference, ...]] = {}
     alone: dict[tuple[int, str | None], tuple[HazardDifference, ...]] = {}
     for place, scenes in enumerate(others, 1):
-        # A trail without waypoints has none to part at.
+        # A course without waypoints has none to part at.
         pairs = {scene: (first[scene], ends) for scene, ends in scenes.items() if len(ends) > 1}
         if len(pairs) > 1:
             together[place, None] = differences_over(list(pairs.values()), confidence)

@@ -40,7 +40,7 @@ class SceneScore:
     mean: float | None  # Mean success; None without results.
     interval: Interval  # Of mean success: stratified bootstrap.
     weak: bool = False  # Its whole interval lies below the bar.
-    condemned: bool = False  # Critical, and below the bar beyond doubt: it convicts alone.
+    condemned: bool = False  # Critical, and significantly below the bar: REGRESSED by itself.
     outside: int = 0  # Trials that left the captured volume, and are in nothing above.
     split: Literal["train", "eval"] | None = None  # Whether the policy was trained in it.
     unseen: bool = False  # So many that this scene says too little (`gate.validity.at_most`).
@@ -186,12 +186,12 @@ class SceneDrop:
     evidence: float
     """E_s; 1 for an informational scene, which is not judged."""
     named: bool
-    """Whether it fell, beyond doubt."""
+    """Whether it regressed significantly."""
     interval: Interval | None = None
     """Drops in this scene that its own trials do not rule out, at the errors of the verdict; of
     many scenes some miss. None where it is not judged, or before a report is asked for."""
     waypoint: int | None = None
-    """The first waypoint, from 1, at which the two part beyond doubt, of a scene that fell or may
+    """The first waypoint, from 1, at which the two part significantly, of a scene that regressed or may
     have, or that speaks most of a policy that was convicted."""
     ends: tuple[Ends, Ends] | None = None
     """Of all starts of the bank, and of the trials judged that came to a result: how many ended

@@ -433,7 +433,7 @@ def from_dicts(values: Sequence[dict[str, Any]]) -> list[Row]:
 
 
 def _quickly(values: Sequence[dict[str, Any]]) -> list[Row] | None:
-    """Return rows that are beyond doubt when their columns are looked at; None where one is not."""
+    """Return rows whose columns alone show that they are valid; None where one is not."""
     if not values or (names := list(values[0])) != list(COLUMNS):
         return None  # The columns of another version, or in another order.
     if not all(list(one) == names for one in values):

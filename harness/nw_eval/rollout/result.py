@@ -135,7 +135,7 @@ class TrialResult:
 
     @property
     def success(self) -> float:
-        """Share of the trail's waypoints reached, or what another task scores, 0..1."""
+        """Share of the course's waypoints reached, or what another task scores, 0..1."""
         total = self.waypoints_total
         return self.waypoints_reached / total if total else self.task_success
 

@@ -43,7 +43,7 @@ SCENE_FILE = "scene.yaml"
 _GROUND_REACH = 60.0
 _NOT_TO_SCALE = "not_to_scale"
 _LEAST_WIDE, _MOST_WIDE = 0.3, 2.0 * limits.REACH
-# A place this much wider than its trail is told, metres and times.
+# A place this much wider than its course is told, metres and times.
 _ODDLY_WIDE, _TIMES_COURSE = 200.0, 40.0
 _OTHER_MESHES = (
     ".3ds", ".3mf", ".abc", ".blend", ".dae", ".fbx", ".gltf", ".off", ".step", ".stp", ".usd",
@@ -99,7 +99,7 @@ class _Box(_FolderModel):
     material: Line = ""
     """What it is made of, for people."""
     kind: Literal["obstacle", "structure", "clutter"] = "obstacle"
-    """Its class in `semantics` images: an obstacle of the trail, the place itself, or clutter."""
+    """Its class in `semantics` images: an obstacle of the course, the place itself, or clutter."""
 
 
 class _Collision(_FolderModel):
@@ -219,14 +219,14 @@ class _Prop(_FolderModel):
 
 
 class _SceneFile(_FolderModel):
-    """`scene.yaml`: a place, what can be touched there, its looks, and the trail through it."""
+    """`scene.yaml`: a place, what can be touched there, its looks, and the course through it."""
 
     version: Literal[1] = Field(alias="nw-scene")
     """Version of this format."""
     name: Annotated[str, AfterValidator(checked_name)]
     """Up to four words with slashes between, each of letters, digits, '_', '-' and '.'."""
     task: Task
-    """What the trail asks of the robot; reports group by it."""
+    """What the course asks of the robot; reports group by it."""
     title: Line = ""
     """One line for people; the name when absent."""
     licence: Line

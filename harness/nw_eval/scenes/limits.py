@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 
 REACH = 1000.0
-"""Of trail, spawn, ground and solids from the origin: the longest trial (600 s) ends before, and
+"""Of course, spawn, ground and solids from the origin: the longest trial (600 s) ends before, and
 rays in single precision are exact to 0.1 mm there."""
 
 MESH_REACH = 1e6
@@ -18,7 +18,7 @@ MESH_REACH = 1e6
 behind the place."""
 
 WAYPOINTS = 200
-"""Of one trail. Published ones have up to a dozen; every sample of a terrain is compared with all
+"""Of one course. Published ones have up to a dozen; every sample of a terrain is compared with all
 legs."""
 
 SOLIDS = 2000

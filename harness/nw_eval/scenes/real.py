@@ -44,7 +44,7 @@ class RealScan:
         licence: of the repository: an SPDX identifier, and whose.
         cell: width of a pixel, m.
         black, white: heights of black and white, m; the ground under the start is at 0.
-        scene: the rest of its scene.yaml: task, trail and spawn.
+        scene: the rest of its scene.yaml: task, course and spawn.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""What a place is: solids for physics, a mesh for rays, a splat for cameras, a trail to walk.
+"""What a scene is: solids for physics, a mesh for rays, a splat for cameras, a course to walk.
 
 A scan may say from where it was photographed: near those cameras its splat shows it, far away fog.
 """
@@ -180,7 +180,7 @@ class Box:
         quat: orientation, w x y z.
         friction: MuJoCo's sliding, torsional and rolling coefficients.
         material: what it is made of, for people and for cameras.
-        kind: what it is: an `obstacle` of the trail, the place's `structure`, or `clutter`.
+        kind: what it is: an `obstacle` of the course, the place's `structure`, or `clutter`.
     """
 
     center: Vector

@@ -222,7 +222,7 @@ def velocity_at(command: Command, error: float) -> tuple[float, float, float]:
 
 
 def commanded_speed(command: Command) -> float:
-    """Return the forward speed that a command asks for on a straight trail, m/s."""
+    """Return the forward speed that a command asks for on a straight course, m/s."""
     return command.velocity[0] if isinstance(command, ConstantCommand) else command.speed
 
 

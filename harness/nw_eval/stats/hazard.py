@@ -1,6 +1,6 @@
 """Where on its course a policy fails, and the first waypoint at which two policies part.
 
-A trial reaches the waypoints of its trail in order. The hazard of waypoint k is the share of the
+A trial reaches the waypoints of its course in order. The hazard of waypoint k is the share of the
 trials that reached k - 1 and then did not reach k. Success is made of hazards, and a hazard, other
 than the share of all trials that reached k, does not carry on what went wrong before k.
 
@@ -9,7 +9,7 @@ came so far. Its p-value holds for every number of them, so it holds although th
 Several waypoints are looked at, of one scene or of many; Holm's procedure keeps the probability
 that any waypoint is named at which the hazards are equal to at most `error`, whatever the
 dependence between them. The first parting is the first waypoint so named: that they part there is
-beyond doubt, that they did not part before is not.
+significantly, that they did not part before is not.
 
 Trials count as independent, also those of the two policies from one start. Where these go alike,
 the tests err less often than they may.
@@ -70,7 +70,7 @@ class HazardDifference:
 
 @dataclass(frozen=True, kw_only=True)
 class Parting(HazardDifference):
-    """The first waypoint at which two policies part beyond doubt."""
+    """The first waypoint at which two policies part significantly."""
 
     adjusted_p: float
     """Holm's, over all waypoints that were looked at: it is shown at any `error` from this on."""
@@ -153,7 +153,7 @@ def differences_over(
 
 
 def first_parting(first: Ends, second: Ends, error: float = 0.05) -> Parting | None:
-    """Return the first waypoint at which two policies part; None where none is beyond doubt.
+    """Return the first waypoint at which two policies part; None where none is significant.
 
     Args:
         first: ends of one policy's trials in a scene.

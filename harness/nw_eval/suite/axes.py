@@ -23,7 +23,7 @@ CONTROL_STEP = 0.02
 
 Felt = Literal["always", "camera", "splat_rgb", "cones"]
 """What a policy must have to feel an axis: nothing, a camera, a colour camera, or a camera that
-shows the cones of the trail."""
+shows the cones of the course."""
 
 
 @dataclass(frozen=True, kw_only=True)

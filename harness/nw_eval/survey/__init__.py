@@ -41,11 +41,11 @@ from nw_eval.survey.views import (
 
 @dataclass(frozen=True, kw_only=True)
 class Survey:
-    """What was measured along a trail, and what is wrong there.
+    """What was measured along a course, and what is wrong there.
 
     Attributes:
         robot: by whose stance and camera.
-        length: of the trail from the start, m.
+        length: of the course from the start, m.
         legs: what its steps and gaps ask of the robot's legs.
         ground: under its feet.
         feet: that were dropped there.
@@ -63,7 +63,7 @@ class Survey:
 
 
 def survey_scene(scene: Scene, *, robot: str = "go1", read_splat: bool = True) -> Survey:
-    """Go along a scene's trail with a robot's eye and feet.
+    """Go along a scene's course with a robot's eye and feet.
 
     Args:
         scene: whose mesh is in order as far as `check_scene` sees.
@@ -115,7 +115,7 @@ def survey_lines(survey: Survey) -> tuple[str, ...]:
 
 
 def footing_lines(survey: Survey) -> tuple[str, ...]:
-    """Return how rough the ground is along the trail, and how stepped and steep."""
+    """Return how rough the ground is along the course, and how stepped and steep."""
     found, length = survey.ground.footing, survey.length
     known = np.isfinite(found.roughness)
     if not known.any():

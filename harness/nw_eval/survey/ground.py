@@ -1,6 +1,6 @@
 """The ground where feet go: what the mesh shows there, what physics has, and what is wrong with it.
 
-Feet are dropped along the trail, too: whether physics carries them where the mesh shows ground.
+Feet are dropped along the course, too: whether physics carries them where the mesh shows ground.
 `footing_of` measures how rough, stepped and steep the ground is.
 """
 
@@ -29,23 +29,23 @@ Flaw = Literal["missing", "untouched", "unseen"]
 """Of ground: there is none; it is seen and nothing is there to be touched; or the other way."""
 
 SPACING = 0.02
-"""Between samples, along the trail and across it, m: as far as a foot's radius."""
+"""Between samples, along the course and across it, m: as far as a foot's radius."""
 WANDER = 0.1
-"""How far to each side of the trail a robot's feet are beside their usual place, m."""
+"""How far to each side of the course a robot's feet are beside their usual place, m."""
 TOLERANCE = 0.05
 """By which heights of mesh and physics may differ, m."""
 
 _BEHIND = 0.3  # m that the hind feet are behind the start, and its jitter
-_MOST = 20_000  # samples along a trail
+_MOST = 20_000  # samples along a course
 _DEEP = 1.0  # m below the course: no robot walks there
 _APART = 0.2  # m between flaws that are two
 
 FEET_SPACING = 0.1
-"""Between dropped feet along the trail, m."""
+"""Between dropped feet along the course, m."""
 SUNK = 0.01
 """How far a foot may come to rest under the ground that the mesh shows round it, m."""
 
-_MOST_FEET = 120  # places along the trail; on a longer one they are farther apart
+_MOST_FEET = 120  # places along the course; on a longer one they are farther apart
 _LINES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # of the half width
 _RADIUS = 0.02  # m, of a foot
 _MASS = 3.0  # kg, what a foot carries
@@ -90,7 +90,7 @@ _FIXES: dict[Flaw, str] = {
 
 
 def survey_ground(scene: Scene, rays: RayScene, half_width: float, length: float) -> SurveyedGround:
-    """Look down on the corridor along a scene's trail, and feel what carries there.
+    """Look down on the corridor along a scene's course, and feel what carries there.
 
     Args:
         scene: where.
@@ -141,7 +141,7 @@ class SurveyedGround:
         sound: share of its samples up to the last waypoint at which mesh and physics have the same
             ground.
         end: where the last waypoint is, m along the course; the corridor goes on behind it.
-        flaws: in the order of the trail; none is smaller than a foot.
+        flaws: in the order of the course; none is smaller than a foot.
         footing: how rough, stepped and steep it is.
     """
 
@@ -154,11 +154,11 @@ class SurveyedGround:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Footing:
-    """The ground of the corridor at stations along the trail, from the start on.
+    """The ground of the corridor at stations along the course, from the start on.
 
     Attributes:
         along: (S,) m from the start, `FEET_SPACING` apart.
-        places: (S, 3) on the trail's line, world, m.
+        places: (S, 3) on the course's line, world, m.
         roughness: (S,) root mean square distance from the plane of a square of `PATCH`, m. Where
             an edge crosses the square, of its smoothest half or quarter. nan without ground.
         step: (S,) largest change of height over `FOOT`, m, of an edge that is wider than a foot;
@@ -343,7 +343,7 @@ def _shifted(mask: Mask, by: int, axis: int) -> Mask:
 def _stretches(
     kind: Flaw, mask: Mask, samples: TrailSamples, xy: Values, off: Values
 ) -> Iterator[GroundFlaw]:
-    """Yield the stretches of a mask (S, L) along the trail."""
+    """Yield the stretches of a mask (S, L) along the course."""
     rows = np.flatnonzero(mask.any(axis=1))
     if not len(rows):
         return
@@ -438,7 +438,7 @@ def _fallen(scene: Scene, starts: Values) -> Values:
 
 
 def ground_findings(ground: SurveyedGround, task: Task) -> list[SceneFinding]:
-    """Return a finding for each of the largest flaws, in the order of the trail."""
+    """Return a finding for each of the largest flaws, in the order of the course."""
     largest = sorted(ground.flaws, key=lambda flaw: -flaw.area)[:_MOST_FINDINGS]
     return [_finding(flaw, ground, task) for flaw in ground.flaws if flaw in largest]
 

@@ -1,4 +1,4 @@
-"""What the splat and the mesh show a robot's camera along a trail, and what is wrong with it.
+"""What the splat and the mesh show a robot's camera along a course, and what is wrong with it.
 
 How far a splat lies off the mesh is told with the direction in which it does.
 """
@@ -23,9 +23,9 @@ from nw_eval.survey.trail import CAMERA, Stance, TrailSamples, camera_poses, tra
 Values = NDArray[np.float64]
 
 SPACING = 0.25
-"""Between views along the trail, m."""
+"""Between views along the course, m."""
 MOST_VIEWS = 240
-"""Views of one scene; on a longer trail they are farther apart."""
+"""Views of one scene; on a longer course they are farther apart."""
 NEAR = 3.0
 """Depth up to which splat and mesh are compared, m."""
 
@@ -33,7 +33,8 @@ _BEYOND = 1.0  # m behind what is near where Gaussians are left out: a far backd
 _SIZE = (96, 54)  # pixels
 _ENOUGH = 250  # pixels that a view is judged by
 _SOLID = 0.5  # coverage from which a pixel of the splat has a depth
-# What belongs to the course: so far to each side of the trail, and below and above it, m. Beside it
+# What belongs to the course: so far to each side of the course, and below and above it, m. Beside
+# it
 # Gaussians may be coarse, and the ground of a gap may be anything.
 _BESIDE = 0.5
 _BELOW = 0.1
@@ -72,7 +73,7 @@ WIDEST = 1.0
 
 
 def survey_views(scene: Scene, rays: RayScene, robot: RobotSpec, stance: Stance) -> SurveyedViews:
-    """Look along a scene's trail with a robot's camera, as it stands there.
+    """Look along a scene's course with a robot's camera, as it stands there.
 
     Args:
         scene: with a splat.
@@ -93,10 +94,10 @@ def survey_views(scene: Scene, rays: RayScene, robot: RobotSpec, stance: Stance)
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyedViews:
-    """All views along a trail, at least one.
+    """All views along a course, at least one.
 
     Attributes:
-        views: in the order of the trail.
+        views: in the order of the course.
         disagreement: of splat and mesh, over all of them.
     """
 
@@ -106,7 +107,7 @@ class SurveyedViews:
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyedView:
-    """What the robot's camera sees at one place of the trail.
+    """What the robot's camera sees at one place of the course.
 
     Attributes:
         along: m from the start.
@@ -195,7 +196,7 @@ class _Looker:
         return view, residuals
 
     def _over_trail(self, points: Values) -> Values:
-        """Return how high points (N, 3) of the way are over the trail, (N,) m; -inf beside it."""
+        """Return how high points (N, 3) of the way are over the course, (N,) m; -inf beside it."""
         x, y = (points[:, [axis]] - self._trail[:, axis] for axis in (0, 1))
         squares = x * x + y * y
         over = points[:, 2] - self._trail[squares.argmin(axis=1), 2]
@@ -277,7 +278,7 @@ class Residuals:
             camera.
         normals: (N, 3) of the mesh there, world, towards the camera.
         facing: (N,) cosine of the angle between normal and ray.
-        course: (N,) whether the place is on the course: near the trail, and neither high nor deep.
+        course: (N,) whether the place is on the course: near the course, and neither high nor deep.
         built: (N,) whether it is on the course, or of what was dug into it.
     """
 
@@ -326,7 +327,7 @@ def _most(values: Values) -> tuple[float, float]:
 
 
 def view_findings(seen: SurveyedViews) -> list[SceneFinding]:
-    """Return what is wrong with the splat as it is seen from a trail."""
+    """Return what is wrong with the splat as it is seen from a course."""
     return [*_coverage(seen.views), *_depth(seen), *_captures(seen.views)]
 
 

@@ -1,4 +1,4 @@
-"""Writing a scene folder: collision mesh in metres, splat, trail, and a suite that runs it.
+"""Writing a scene folder: collision mesh in metres, splat, course, and a suite that runs it.
 
 Edges of a mesh that hang over are cut off: a rim of centimetres stands on what it is the rim of.
 Photographs are taken from above, and none shows what is below a rim. There a mesh closes as it
@@ -55,7 +55,7 @@ class Route:
     """What the robot is to do in a place.
 
     Attributes:
-        task: what the trail asks of it.
+        task: what the course asks of it.
         trail: (N, 3) waypoints on top of what it steps on, in order; world, m.
         spawn: x, y, z of the start, on the ground; world, m.
         yaw: where it looks at the start, rad; 0 = along x.
@@ -102,7 +102,7 @@ def write_place(
         mesh: PLY in the capture's frame.
         splat: PLY in the capture's frame; None = the place has no looks.
         T_world_capture: (4, 4) similarity to metres, z up.
-        course: trail, task and start.
+        course: course, task and start.
         capture: whose cameras say from where the place was photographed; None if unknown.
         title: one line for people.
         robot: of the suite.

@@ -1,4 +1,4 @@
-"""A trail through a place that was photographed on a walk, proposed for a person to agree with.
+"""A course through a place that was photographed on a walk, proposed for a person to agree with.
 
 It is as the shipped scenes have them: waypoints on top of things, a spawn, and a task. What the
 trail leads over is told from the profile of the ground: hurdles, gaps, slopes, leaning boards and
@@ -54,7 +54,7 @@ _FEET = np.linspace(-0.3, 0.3, 13)
 _BEHIND = 0.3
 """Of ground behind the start on which hind feet stand, metres."""
 _LONGEST = 8.0
-"""Of a trail, metres: a trial has 12 s, in which go1-parkour walks about as far."""
+"""Of a course, metres: a trial has 12 s, in which go1-parkour walks about as far."""
 _BOW = 0.15
 """Distance of the way from a straight leg, metres, from which on it gets a waypoint."""
 _RUN_UP = 0.5
@@ -80,10 +80,10 @@ _LEAST_BOARD = 0.4
 
 @dataclass(frozen=True, kw_only=True)
 class TrailProposal:
-    """What somebody may take for a scene's trail, or change.
+    """What somebody may take for a scene's course, or change.
 
     Attributes:
-        task: that the trail seems to ask for.
+        task: that the course seems to ask for.
         reasons: for it, and what else was found.
         spawn: on the way, `_APPROACH` before the first feature or at its start, looking along it.
         trail: waypoints on top of what the robot steps on, metres.
@@ -104,7 +104,7 @@ class TrailProposal:
 def propose_trail(
     mesh: TriangleMesh, centres: Values, *, length: float = LENGTH, shown: Shown | None = None
 ) -> TrailProposal:
-    """Return a trail along the way that the cameras went, over what lies there.
+    """Return a course along the way that the cameras went, over what lies there.
 
     It is as long as the robot at least, `_LONGEST` at most, and ends a robot's length before the
     ground does.
@@ -127,7 +127,7 @@ def propose_trail(
 def propose_free_trail(
     mesh: TriangleMesh, centres: Values, *, length: float = LENGTH, shown: Shown | None = None
 ) -> TrailProposal:
-    """Return a trail on the longest straight strip of level ground, wherever the cameras went.
+    """Return a course on the longest straight strip of level ground, wherever the cameras went.
 
     It leads the way that the cameras went, as far as they went anywhere. Arguments as
     `propose_trail`.
@@ -148,7 +148,7 @@ def _proposed(
     *,
     from_start: bool = False,
 ) -> TrailProposal:
-    """Return the trail along a way, from before its first feature or from the way's start."""
+    """Return the course along a way, from before its first feature or from the way's start."""
     features = features_of(profile, stretches_of(profile))
     if features and features[0].start > _APPROACH and not from_start:
         profile = profile.after(features[0].start - _APPROACH)
@@ -172,7 +172,7 @@ def _proposed(
 
 
 def guess_task(features: Sequence[TrailFeature]) -> tuple[Task, tuple[str, ...]]:
-    """Return the task of the most features, and why; a flat trail is one of hurdles without bars.
+    """Return the task of the most features, and why; a flat course is one of hurdles without bars.
 
     Of tasks with as many features the one whose features are longer along the way wins.
     """
@@ -306,8 +306,8 @@ def _warnings(
 
     Args:
         profile: of the way.
-        features: that the trail leads over.
-        further: how far along the way a waypoint could stand, metres, where the trail does not go
+        features: that the course leads over.
+        further: how far along the way a waypoint could stand, metres, where the course does not go
             so far.
     """
     warnings: list[str] = []
@@ -342,7 +342,7 @@ def _warnings(
 
 @dataclass(frozen=True, kw_only=True)
 class TrailFeature:
-    """One thing that a trail leads over. Lengths in metres along the way.
+    """One thing that a course leads over. Lengths in metres along the way.
 
     Attributes:
         task: whose scenes have such things.

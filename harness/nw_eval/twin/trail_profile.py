@@ -50,7 +50,7 @@ STEP = 0.02
 _SMOOTH = 0.6
 """Length over which a way is rounded off, metres: hands and steps swing by less."""
 _LEAST = 1.0
-"""Of a way that can be a trail, metres."""
+"""Of a way that can be a course, metres."""
 _FREE_CELL, _MOST_CELLS = 0.1, 400
 """Edge of a square of ground where level ground is looked for, metres, and how many, each way."""
 _LEVEL = 0.15

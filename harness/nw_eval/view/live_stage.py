@@ -4,7 +4,7 @@ Friction, payload and all other axes are those of a suite's `perturb`: a change 
 that cell and goes on there from the same state. So what is saved is what a run then meets.
 
 The place is changed, too: boxes stand in it, solid to feet, seen by rays and painted for cameras,
-and its trail ends elsewhere.
+and its course ends elsewhere.
 """
 
 from __future__ import annotations

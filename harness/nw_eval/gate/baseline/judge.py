@@ -264,7 +264,7 @@ def _level(finding: Finding, panel: Panel, judged: Sequence[Stratum]) -> float:
 def _waypoints(
     strata: Iterable[Stratum], met: Met, used: Collection[int], panel: Panel
 ) -> Mapping[Stratum, int]:
-    """Return the first waypoint, from 1, of each stratum at which the two part beyond doubt.
+    """Return the first waypoint, from 1, of each stratum at which the two part significantly.
 
     The baseline is all starts of its panel, or the control's trials beside the candidate's; the
     candidate is the trials judged that came to a result. All strata are looked at together

@@ -144,7 +144,7 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
 
 _WHERE_TO = {"command", "delta_yaw", "speed"}
 _AT_REST = 0.2
-"""Metres a second below which a robot does not go on; trails are walked at 0.8."""
+"""Metres a second below which a robot does not go on; courses are walked at 0.8."""
 _TERMS_OF_ORDER_ONE = {"joint_pos", "joint_vel", "ang_vel", "lin_vel", "gravity", "last_output"}
 
 

@@ -1,9 +1,9 @@
-"""What a viewer draws: the place, the trail, the robot's parts, and waypoints that turn green.
+"""What a viewer draws: the place, the course, the robot's parts, and waypoints that turn green.
 
-Place, trail and waypoints stand in the frame `world`; each part of the robot stands in the frame of
-its body, which `/tf` moves.
+Place, course and waypoints stand in the frame `world`; each part of the robot stands in the frame
+of its body, which `/tf` moves.
 
-For viewers that draw no `SceneUpdate` (Rerun), place, robot, trail and path are coloured points
+For viewers that draw no `SceneUpdate` (Rerun), place, robot, course and path are coloured points
 too. Points are few: they show where things are, while `/scene` shows what they are.
 """
 
@@ -52,7 +52,7 @@ PLACE: dict[FaceKind, Colour] = {
 _WAYPOINT_DIAMETER = 0.6  # m; the reach radius of a waypoint is 0.3
 _WAYPOINT_HEIGHT = 0.02  # m
 _ENTITY = b"\x12"  # field 2 of a `SceneUpdate`
-_LINE = 0.02  # m, how thick the trail is, and how far above the waypoints
+_LINE = 0.02  # m, how thick the course is, and how far above the waypoints
 Points = NDArray[np.floating]
 
 _FIELDS = (("x", 0), ("y", 4), ("z", 8), ("red", 12), ("green", 13), ("blue", 14), ("alpha", 15))
@@ -63,7 +63,7 @@ _PLACE_POINTS = 3000
 _MESH_POINTS = 48
 _GRID = 128.0  # Points of place and rings stand on 1/128 m, whose zero bits compress.
 _PATH: Colour = (0.10, 0.45, 0.95, 1.0)
-_DOTS = 0.1  # m between two points of the trail
+_DOTS = 0.1  # m between two points of the course
 _RING, _RADIUS = 24, 0.3  # points around a waypoint, and how far from it, m: it is reached there
 # Steps of the additive recurrence that covers a square evenly (Roberts 2018, R2): no randomness.
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])
@@ -277,7 +277,7 @@ def robot_clouds(bodies: tuple[str, ...], visuals: tuple[Shape, ...]) -> dict[st
 
 
 class TrailClouds:
-    """The trail as dots and its waypoints as rings: green as far as they are reached.
+    """The course as dots and its waypoints as rings: green as far as they are reached.
 
     Args:
         start: where the robot was put down, (3,) m.

@@ -7,7 +7,7 @@ each null is bet against by `along`. A scene's own bets are settled when a trial
 
 **The rule.** REGRESSED once E_regr >= 1 / alpha_regr, or once a critical scene is named: E_s >=
 S / alpha_regr. It comes first where one trial does both. Once E_pass >= 1 / alpha_pass the drop of
-the mean is below max_drop beyond doubt, and stays so: by Ville's inequality a null may be rejected
+the mean is below max_drop significantly, and stays so: by Ville's inequality a null may be rejected
 for good at the first look that refutes it. Then only scenes can be left to settle. PASS waits for
 those that are suspect (E_s >= SUSPECT and not named) and for critical ones that have had fewer than
 CRITICAL_TRIALS trials. From there on the order is gone through for trials of these scenes alone:

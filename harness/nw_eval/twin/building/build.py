@@ -247,7 +247,7 @@ class Build:
         )
 
     def place(self) -> None:
-        """Write the scene folder, with the trail that the place itself suggests."""
+        """Write the scene folder, with the course that the place itself suggests."""
         for stage in ("reconstruct", "align", "splat"):
             self.folder.needs(stage)
         folder, robot = self.folder, self._robot()
@@ -320,7 +320,7 @@ class Build:
         self._say(f"place: {folder.scene} is a scene: nw-eval scenes check {folder.scene}")
 
     def check(self) -> bool:
-        """Say what is measured and wrong along the trail, and how the place is run.
+        """Say what is measured and wrong along the course, and how the place is run.
 
         Returns whether no error is found. The place stays as it is, whatever is found: most is
         mended by hand.
@@ -346,9 +346,9 @@ class Build:
         return not wrong
 
     def _unlike_photographs(self, survey: Survey | None) -> list[SceneFinding]:
-        """Return where the mesh along the trail is not as its own photographs show it.
+        """Return where the mesh along the course is not as its own photographs show it.
 
-        Where the trail was surveyed, `trail.json` is written, and what depths differ by is said.
+        Where the course was surveyed, `trail.json` is written, and what depths differ by is said.
         """
         scene = load_folder(self.folder.scene, needs_scale=False)
         depths = self.folder.mesh / "depth"
@@ -369,7 +369,7 @@ class Build:
         return findings
 
     def _write_trail(self, survey: Survey, differences: DepthDifferences) -> None:
-        """Write what is measured at each station of the trail, metres and radians."""
+        """Write what is measured at each station of the course, metres and radians."""
         footing = survey.ground.footing
         columns = {
             "along": footing.along,
@@ -408,7 +408,7 @@ class Build:
         *,
         silent: bool = False,
     ) -> TrailProposal:
-        """Return the trail of the walk, or else of the longest level ground, for the robot.
+        """Return the course of the walk, or else of the longest level ground, for the robot.
 
         Raises:
             SceneError: neither has enough ground.
@@ -438,7 +438,7 @@ class Build:
         return free
 
     def _route(self, proposal: TrailProposal) -> Route:
-        """Return the trail that the place suggests, and say what lies on it."""
+        """Return the course that the place suggests, and say what lies on it."""
         for line in (*proposal.reasons, *proposal.warnings):
             self._say(f"place: {line}")
         spawn = proposal.spawn

@@ -131,7 +131,7 @@ def save_label(
 
     Args:
         place: as it was opened; its folder is written.
-        course: task, trail and start.
+        course: task, course and start.
         mesh: what can be touched now, world, m; None = it is still the one that was opened.
         T_world_opened: (4, 4) similarity by which splat and cameras are moved.
         to_scale: whether all that is in metres now.

@@ -260,7 +260,7 @@ class ShownPlace:
         return Ground(mesh)
 
     def profile(self, start: StartPose) -> HeightProfile:
-        """Return the heights from the state's start along its trail."""
+        """Return the heights from the state's start along its course."""
         if self._profile is None:
             self._profile = height_profile(self.ground, (start.position, *self.state.waypoints))
         return self._profile
@@ -274,7 +274,7 @@ NEEDS_SCALE = (
 )
 """What to do about a place that is not to scale."""
 
-_EYES = np.array([0.0, 0.0, 1.0])  # m above a trail, to look at its ground; ceilings are higher
+_EYES = np.array([0.0, 0.0, 1.0])  # m above a course, to look at its ground; ceilings are higher
 _STRIDE = 1.0  # m from the last waypoint to one that is added without a place
 
 
@@ -294,7 +294,7 @@ class Labelling(PlaceEdits):
 
     Args:
         place: as opened.
-        propose: finds a trail along steps and edges.
+        propose: finds a course along steps and edges.
     """
 
     def __init__(self, place: OpenedPlace, *, propose: Propose = propose_trail) -> None:
@@ -357,7 +357,7 @@ class Labelling(PlaceEdits):
         return mapped(self.place.walk, self.state.placement.matrix)
 
     def propose_along_walk(self) -> str:
-        """Take over the trail, start and task that the place suggests where the cameras went.
+        """Take over the course, start and task that the place suggests where the cameras went.
 
         Returns:
             What was found, for people.
@@ -374,7 +374,7 @@ class Labelling(PlaceEdits):
         return self._take_over(self._propose(self.mesh, self.walk))
 
     def propose_along_trail(self) -> str:
-        """Take over the trail, start and task that the place suggests from the start to the end.
+        """Take over the course, start and task that the place suggests from the start to the end.
 
         The way goes over all waypoints; two clicks are enough.
 
@@ -419,7 +419,7 @@ class Labelling(PlaceEdits):
         self._do(replace(self.state, start=None))
 
     def set_task(self, task: Task) -> None:
-        """Say what the trail asks of the robot."""
+        """Say what the course asks of the robot."""
         self._do(replace(self.state, task=task))
 
     @property
@@ -429,7 +429,7 @@ class Labelling(PlaceEdits):
 
     @property
     def course(self) -> Route:
-        """Task, trail and start, as stages of a build pass them on."""
+        """Task, course and start, as stages of a build pass them on."""
         start = self.start
         return Route(
             task=self.state.task,
@@ -439,7 +439,7 @@ class Labelling(PlaceEdits):
         )
 
     def profile(self) -> HeightProfile:
-        """Return the height of the ground from the start along the trail."""
+        """Return the height of the ground from the start along the course."""
         return self._shown.profile(self.start)
 
     def hints(self) -> tuple[Hint, ...]:

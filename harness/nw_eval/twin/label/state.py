@@ -242,7 +242,7 @@ class LabelState:
     """One state of a labelling.
 
     Attributes:
-        task: what the trail asks of the robot.
+        task: what the course asks of the robot.
         waypoints: in order, on top of what the robot steps on; world, m.
         start: None = 1 m before the first waypoint, looking at it.
         placement: of the files that were opened.

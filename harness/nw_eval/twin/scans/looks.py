@@ -33,7 +33,7 @@ _KEPT = (".ply", ".spz", ".sog", ".splat")
 _SPACING = 0.02
 """Between Gaussians on a mesh at least, metres."""
 _NEAR, _COARSEST = 3.0, 8.0
-"""Metres from the trail up to which Gaussians lie finest; beyond, they are farther apart and larger
+"""Metres from the course up to which Gaussians lie finest; beyond, they are farther apart and larger
 in proportion to the distance, up to so many times."""
 _SIZE, _OPACITY = 0.85, 0.98
 """Standard deviation of one along the surface, as a share of their distance, and its opacity."""

@@ -1,4 +1,4 @@
-"""Scans that others made, to scenes: meshes and elevation maps, upright and with a trail.
+"""Scans that others made, to scenes: meshes and elevation maps, upright and with a course.
 
 What comes in is in the axes and the unit of its file. What comes out is a scene folder in metres
 with z up, its ground at z = 0 where the robot starts.
@@ -62,7 +62,7 @@ _STEP, _STRIDE, _ROOM = 0.25, 0.1, 0.2
 _INCLINED = math.radians(8.0)
 """Of the ground at the start, from which on it is said; beyond 20 degrees no robot starts there."""
 _LONGEST, _BEHIND = 4.0, 0.7
-"""Of a proposed trail, and of the ground behind its end and before its start; metres."""
+"""Of a proposed course, and of the ground behind its end and before its start; metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +81,7 @@ class ScanOptions:
         trail: start, and waypoints x, y or x, y, z, metres in the scene; None = it is proposed.
         name: of the scene; None = that of its folder.
         licence: of the scan.
-        task: what the trail asks of the robot; None = `open`.
+        task: what the course asks of the robot; None = `open`.
         robot: of the scene's suite.
     """
 
@@ -341,7 +341,7 @@ def _mesh_of(scan: _Scan, T: Values) -> TriangleMesh:
     )
 
 
-# --- The trail ---------------------------------------------------------------------------------
+# --- The course ---------------------------------------------------------------------------------
 
 
 def lay_course(
@@ -389,7 +389,7 @@ def _tilt(mesh: TriangleMesh, route: Route) -> float:
 
 
 def _straight(points: Values, yaw: float, task: Task) -> tuple[Route, str]:
-    """Return a proposed way (K, 3) as a trail, and what is said of it."""
+    """Return a proposed way (K, 3) as a course, and what is said of it."""
     far = float(np.linalg.norm(points[-1, :2] - points[0, :2]))
     course = Route(
         task=task,
