@@ -172,7 +172,7 @@ class Contest:
         left that hold back a PASS of the baseline; their trials do not bear on bar or mean.
 
         Args:
-            ended: rows of trials that have ended, by place in the order.
+            ended: rows of trials that have ended, by index in the order.
         """
         while True:
             now = self._standing(ended)
@@ -347,7 +347,7 @@ class Beside:
         return self._control
 
     def run(self, places: Collection[int], *, exactly: bool = False) -> None:
-        """Run the trials at some places of the candidate's order, those that have not run yet.
+        """Run the trials at some positions of the candidate's order, those that have not run yet.
 
         Args:
             places: in the order.

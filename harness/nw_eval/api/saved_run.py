@@ -85,7 +85,7 @@ def continued(run: Path, request: Request) -> Plan:
             whole,
             draft_of(suite),
             card=None if request.policy is not None else _card(info),
-            # A place that the suite's patterns match only now is none of the run's.
+            # A scene that the suite's patterns match only now is none of the run's.
             scenes=[escape(name) for name in info.scenes] if request.scenes is None else None,
             against=against,
             # Its suite as it was kept names the policy that was asked for.

@@ -28,7 +28,7 @@ class BisectedSeries:
     checkpoints: tuple[str, ...]
     """In order of age, the bad one last."""
     runs: Mapping[int, RunReport]
-    """By place in the series: those that were judged."""
+    """By position in the series: those that were judged."""
     found: Bisection | None
     """None if the search was interrupted."""
     folder: Path

@@ -46,12 +46,12 @@ _NOW, _EARLIER = 600, 300  # Characters of each, so that no later cut loses one 
 
 @dataclass(frozen=True, kw_only=True)
 class RunStanding:
-    """How a run against a baseline stands, by places in its drawn order."""
+    """How a run against a baseline stands, by positions in its drawn order."""
 
     first: int
-    """All places below it are judged."""
+    """All positions below it are judged."""
     followed: tuple[int, ...] = ()
-    """Later places that are judged for their scenes alone."""
+    """Later positions that are judged for their scenes alone."""
     ahead: tuple[int, ...] = ()
     """Places that come next, those that have ended already not among them; none: it is enough,
     unless a scene is waited for."""
@@ -103,7 +103,7 @@ def run_trials(
         arm: whether the policy is the one that is judged, for rows.
         workers: how many; one for each core if None.
         enough: asked before the first trial and whenever one has ended, with the rows of those that
-            have, by place in the drawn order, what comes next. No more trials run ahead than there
+            have, by index in the drawn order, what comes next. No more trials run ahead than there
             are workers. None = all of them run.
         listener: told of progress.
         known: what of it need not be run, because an earlier run has its result; nothing if None.
@@ -380,8 +380,9 @@ class Attempts:
     def _go_on(self, workers: Workers, more: Callable[[], list[TrialJob] | None]) -> bool:
         """Give the workers what comes next; return whether anything is needed any more.
 
-        Nothing is given once a trial is to run again after an error: its place in the order counts
-        only when it has, and what ran meanwhile might not be needed. `settle` is to be called anew.
+        Nothing is given once a trial is to run again after an error: its position in the order
+        counts only when it has, and what ran meanwhile might not be needed. `settle` is to be
+        called anew.
         """
         while (jobs := more()) is not None:
             self._is_held |= any(job.trial.id in self._errors for job in jobs)
@@ -492,7 +493,7 @@ class Presence:
         self._known = _identity(journal)
 
     def check(self) -> None:
-        """Do nothing while the file is in its place.
+        """Do nothing while the file is there.
 
         Raises:
             StoreError: it is not.

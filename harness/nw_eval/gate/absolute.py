@@ -18,7 +18,7 @@ together with at most twice that. Alone, ten trials convict a scene whose true s
 run of six where the bar is .75 (all or nothing): the test is valid, not keen.
 
 All this speaks of fresh starts in the suite's scenes. On the panel of starts that the suite's seed
-names success is not estimated but known, and of places that the suite does not have nothing is.
+names success is not estimated but known, and of scenes that the suite does not have nothing is.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ class Bisection:
     """What was asked of a series of n checkpoints, 0 .. n - 1, in order of age."""
 
     words: Mapping[int, Decision]
-    """The verdicts that were asked for, by place, in order of place."""
+    """The verdicts that were asked for, by index, in order of position."""
     length: int
 
     @property

@@ -191,8 +191,8 @@ class SceneDrop:
     """Drops in this scene that its own trials do not rule out, at the errors of the verdict; of
     many scenes some miss. None where it is not judged, or before a report is asked for."""
     waypoint: int | None = None
-    """The first waypoint, from 1, at which the two part significantly, of a scene that regressed or may
-    have, or that speaks most of a policy that was convicted."""
+    """The first waypoint, from 1, at which the two part significantly: of a scene that regressed or
+    may have, or has the largest drop of a policy that regressed."""
     ends: tuple[Ends, Ends] | None = None
     """Of all starts of the bank, and of the trials judged that came to a result: how many ended
     after 0, 1, .. K waypoints. None where the scene has no waypoints."""

@@ -100,7 +100,7 @@ def files_of(client: Client, reference: Reference, commit: str) -> tuple[RemoteF
     for entry in islice(_entries(client, reference, commit), 4 * limits.FILES):
         path = str(entry["path"])
         if entry["type"] != "file" or archive not in {None, path}:
-            continue  # A folder, or another place's archive.
+            continue  # A folder, or another scene's archive.
         if any(part.startswith(".") for part in _checked(reference, path).parts):
             continue
         large = entry.get("lfs")

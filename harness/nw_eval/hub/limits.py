@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 FILES = 1000
-"""Of one place or policy. A scene folder has a handful, a policy's code some dozen."""
+"""Of one scene or policy. A scene folder has a handful, a policy's code some dozen."""
 
 BYTES = 8 * 2**30
 """Of all files together, packed and unpacked. The largest published scene is said to have 4 GB."""

@@ -51,7 +51,7 @@ def named_parts(
     no number is left for any of them.
     """
     sizes = _sizes(terms, size)
-    # Terms without a place in the draft have the size 0: others stand in for them.
+    # Terms without an entry in the draft have the size 0: others stand in for them.
     rows = [(term, width) for term, width in zip(terms, sizes, strict=True) if width]
     groups = [list(group) for _, group in groupby(rows, key=lambda row: _kind(row[0]))]
     total = sum(width * (term.history or 1) for term, width in rows)

@@ -182,7 +182,7 @@ def _fed(recurrent: Recurrent | None) -> dict[str, Feedback]:
 
 
 def _free(place: int, feeding: Sequence[int]) -> int:
-    """Return the place among all outputs from that among those that feed no state."""
+    """Return the position among all outputs from that among those that feed no state."""
     for taken in sorted(set(feeding)):
         place += taken <= place
     return place

@@ -29,7 +29,7 @@ _ROUND = 0.8
 # Terrain has a surface of its own where it is this much above the plane that catches, metres.
 _ABOVE_VOID = 0.4
 # Shares of a splat round the course that are too little to be the same place: of the whole, and in
-# a place much larger than that, of the share that the mesh's surface has there.
+# a scene much larger than that, of the share that the mesh's surface has there.
 _LEAST_INSIDE = 0.02
 _LEAST_OF_MESH = 0.1
 _AROUND = 2.0

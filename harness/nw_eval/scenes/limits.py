@@ -15,7 +15,7 @@ rays in single precision are exact to 0.1 mm there."""
 
 MESH_REACH = 1e6
 """Of a mesh's and a splat's coordinates, which may be in COLMAP's unit: scans have stray points far
-behind the place."""
+behind the scene."""
 
 WAYPOINTS = 200
 """Of one course. Published ones have up to a dozen; every sample of a terrain is compared with all
@@ -56,7 +56,7 @@ CELLS = 2_000_000
 """Of an elevation map: two triangles each."""
 
 CAPTURES = 20_000
-"""Cameras that a place was photographed with. Frames of a long video are some thousands."""
+"""Cameras that a scene was photographed with. Frames of a long video are some thousands."""
 
 CAPTURE_BYTES = 16 * 2**20
 """Of their file: ten times what so many take."""

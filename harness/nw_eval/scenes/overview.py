@@ -1,6 +1,6 @@
 """A scene for people: in figures, from above, and on a way round it.
 
-The way round is a camera's, which looks at the middle of the place and stays within its walls.
+The way round is a camera's, which looks at the middle of the scene and stays within its walls.
 """
 
 from __future__ import annotations

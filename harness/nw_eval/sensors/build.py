@@ -70,7 +70,7 @@ def build_sensors(
             at most once, and only if a sensor needs images of the splat.
         code_from: the card's folder, if its `module:Class` plug-ins may be imported from there;
             None = a card that names one is an error.
-        air: through which cameras see the place.
+        air: through which cameras see the scene.
 
     Raises:
         PolicyError: an observation does not fit the robot, or a plug-in cannot be used.

@@ -46,7 +46,7 @@ def grid(x: Axis, y: Axis, order: GridOrder = "y_fastest") -> Array:
 
 
 def ground_under(rays: Rays, moment: Moment, xy: Array) -> Array:
-    """Return the height of the place and of its props at points, (N,) m, -inf where nothing is.
+    """Return the height of the scene and of its props at points, (N,) m, -inf where nothing is.
 
     Args:
         rays: of the scene's static geometry.

@@ -140,7 +140,7 @@ class PluginSensor(Measurement):
         self.is_image = bool(getattr(plugin, "is_image", False))
 
     def attach(self, place: TrialPlace) -> None:
-        """Show it the place."""
+        """Show it the scene."""
         self._call("attach", place)
 
     def reset(self) -> None:

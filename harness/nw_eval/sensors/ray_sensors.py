@@ -75,7 +75,7 @@ class Surroundings:
             origin: (3,) of all rays, world, m.
             directions: (N, 3) unit vectors, world.
             robot: met in place of the moment's.
-            place: (N,) m, how far the place is, in place of its geometry.
+            place: (N,) m, how far the scene is, instead of its geometry.
         """
         if place is None:
             starts = np.broadcast_to(origin, directions.shape)

@@ -141,7 +141,7 @@ FOG = 0.8
 
 @dataclass(frozen=True, kw_only=True)
 class Air:
-    """What lies between a camera and the place, and how long it is exposed.
+    """What lies between a camera and the scene, and how long it is exposed.
 
     Attributes:
         exposure: factor of all colours.
@@ -165,7 +165,7 @@ class Air:
 
 
 CLEAR = Air()
-"""As the place was captured."""
+"""As the scene was captured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,7 +266,7 @@ class Measurement(Memory[Arrays], Protocol):
     """What its size is the sum or the product of: `3 + 3 + 12`; empty if that says nothing."""
 
     def attach(self, place: TrialPlace) -> None:
-        """Take what it needs of the place; called once, before `reset`."""
+        """Take what it needs of the scene; called once, before `reset`."""
 
     def reset(self) -> None:
         """Forget earlier measurements."""

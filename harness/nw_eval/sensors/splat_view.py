@@ -80,7 +80,7 @@ class SplatView:
         return images
 
     def drawn(self, T_world_camera: Array, rows: Rows | None = None) -> Image:
-        """Return the picture from a place, or some rows of it."""
+        """Return the picture from a pose, or some rows of it."""
         assert self._renderer is not None, "attach comes before measure"
         # The splat's scale stays in the matrix: the renderer then measures depth in metres.
         camera = self.camera(self._T_splat_world @ T_world_camera)

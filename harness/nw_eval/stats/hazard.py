@@ -169,7 +169,7 @@ def first_parting(first: Ends, second: Ends, error: float = 0.05) -> Parting | N
 def first_partings(
     pairs: Mapping[Place, tuple[Ends, Ends]], error: float = 0.05
 ) -> dict[Place, Parting]:
-    """Return the first parting in every place that has one, all looked at together.
+    """Return the first parting in every scene that has one, all looked at together.
 
     Args:
         pairs: ends of two policies' trials, by scene, or by whatever else.
@@ -186,10 +186,10 @@ def first_partings(
 def first_shown(
     looked_at: Mapping[Place, Sequence[HazardDifference]], error: float = 0.05
 ) -> dict[Place, Parting]:
-    """Return the first waypoint that is shown in each place, all that were looked at together.
+    """Return the first waypoint that is shown in each scene, all that were looked at together.
 
     Args:
-        looked_at: every waypoint that could be named, in order, by place.
+        looked_at: every waypoint that could be named, in order, by scene.
         error: as in `first_partings`.
     """
     adjusted = holm([each.p for waypoints in looked_at.values() for each in waypoints])

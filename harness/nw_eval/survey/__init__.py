@@ -1,4 +1,4 @@
-"""A place gone along before a robot does: what its camera will see, and what its feet will meet."""
+"""A scene gone along before a robot does: what its camera will see, and what its feet will meet."""
 
 from __future__ import annotations
 

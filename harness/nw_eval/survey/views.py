@@ -57,7 +57,7 @@ _AGREED = 0.05  # m, within which half of what moved as one lies
 LEAST_COVERED = 0.9
 """Share of what is near that the splat should cover."""
 TOO_LITTLE = 0.75
-"""Share below which images show something else than the place."""
+"""Share below which images show something else than the scene."""
 MOST_SHIFT = 0.1
 """How far a splat may lie from the mesh, m."""
 MOST_MEDIAN = 0.1
@@ -107,7 +107,7 @@ class SurveyedViews:
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyedView:
-    """What the robot's camera sees at one place of the course.
+    """What the robot's camera sees at one point of the course.
 
     Attributes:
         along: m from the start.
@@ -278,7 +278,7 @@ class Residuals:
             camera.
         normals: (N, 3) of the mesh there, world, towards the camera.
         facing: (N,) cosine of the angle between normal and ray.
-        course: (N,) whether the place is on the course: near the course, and neither high nor deep.
+        course: (N,) whether the point is on the course: near the course, and neither high nor deep.
         built: (N,) whether it is on the course, or of what was dug into it.
     """
 

@@ -98,18 +98,18 @@ def write_place(
     Args:
         out: the folder, made if it is not there.
         name: of the scene, as `scene.yaml` wants it.
-        licence: of the photographs, which the place shows.
+        licence: of the photographs, which the scene shows.
         mesh: PLY in the capture's frame.
-        splat: PLY in the capture's frame; None = the place has no looks.
+        splat: PLY in the capture's frame; None = the scene has no appearance.
         T_world_capture: (4, 4) similarity to metres, z up.
         course: course, task and start.
-        capture: whose cameras say from where the place was photographed; None if unknown.
+        capture: whose cameras say from where the scene was photographed; None if unknown.
         title: one line for people.
         robot: of the suite.
         to_scale: whether T_world_capture leads to metres; else the scene says that it does not.
 
     Raises:
-        SceneError: the name is none, the mesh cannot be read, or the place cannot be loaded.
+        SceneError: the name is none, the mesh cannot be read, or the scene cannot be loaded.
         StoreError: it cannot be written.
     """
     check_scene_name(name)
@@ -218,7 +218,7 @@ def without_lips(vertices: F64, faces: NDArray[np.integer]) -> NDArray[np.intege
 
 
 def _solid(rays: RayScene, up: F64, places: F64) -> Mask:
-    """Return at which places (N, 3) ground is about as high, and thicker than a lip.
+    """Return at which points (N, 3) ground is about as high, and thicker than a lip.
 
     Args:
         rays: of the mesh.

@@ -1,4 +1,4 @@
-"""A course through a place that was photographed on a walk, proposed for a person to agree with.
+"""A course through a scene that was photographed on a walk, proposed for a person to agree with.
 
 It is as the shipped scenes have them: waypoints on top of things, a spawn, and a task. What the
 trail leads over is told from the profile of the ground: hurdles, gaps, slopes, leaning boards and
@@ -110,7 +110,7 @@ def propose_trail(
     ground does.
 
     Args:
-        mesh: of the place in metres, z up.
+        mesh: of the scene in metres, z up.
         centres: (V, 3) of the cameras in the order of the walk, in the same frame.
         length: of the robot from nose to tail, metres.
         shown: where photographs show the ground; None if unknown.
@@ -287,13 +287,13 @@ def _bends(profile: GroundProfile, first: float, last: float) -> list[float]:
 
 
 def _from_start(profile: GroundProfile, along: float) -> float:
-    """Return how far a place along the way is from its start, seen from above, metres."""
+    """Return how far a point along the way is from its start, seen from above, metres."""
     there = np.array(_point(profile, along)) - np.array(_point(profile, 0.0))
     return float(np.hypot(there[0], there[1]))
 
 
 def _point(profile: GroundProfile, along: float) -> Vector:
-    """Return the ground at a place along the way, to a millimetre."""
+    """Return the ground at a point along the way, to a millimetre."""
     place = min(len(profile.along) - 1, max(0, round(along / STEP)))
     x, y = profile.xy[place].tolist()
     return round(x, 3), round(y, 3), round(float(profile.height[place]), 3)

@@ -21,7 +21,7 @@ from nw_eval.scenes.rays import RayScene
 
 Values = NDArray[np.float64]
 Shown = Callable[[Values], NDArray[np.bool_]]
-"""Says at which places (N, 2), metres, photographs show the ground."""
+"""Says at which points (N, 2), metres, photographs show the ground."""
 
 _SIDES = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
 """Lines beside the way on which the ground is looked at, metres: what a robot stands on."""
@@ -187,7 +187,7 @@ def _longest_piece(seen: NDArray[np.bool_], run: int) -> tuple[int, int]:
 
 
 def sound(there: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return at which places (S,) of a way none of its lines has a hole that is wider than a foot.
+    """Return at which points (S,) of a way none of its lines has a hole that is wider than a foot.
 
     Args:
         there: (S, lines) whether there is ground, `STEP` apart along the way.
@@ -201,8 +201,8 @@ def sound(there: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _firm(seen: NDArray[np.bool_], share: Values, heights: Values, run: int) -> tuple[int, int]:
     """Return the first place of a way where a robot can stand, and one past the last with ground.
 
-    Not before the place `run`; without any, the whole way from there on. A robot that is set down
-    needs ground under every foot: a place whose ground is whole is preferred to an earlier one, and
+    Not before the point `run`; without any, the whole way from there on. A robot that is set down
+    needs ground under every foot: a point whose ground is whole is preferred to an earlier one, and
     one whose ground is even, a step farther, to that: what lies below the first camera was seen by
     none, and is filled as it may be.
 
@@ -227,9 +227,9 @@ def _firm(seen: NDArray[np.bool_], share: Values, heights: Values, run: int) -> 
 
 
 def _even(heights: Values, half: int) -> NDArray[np.bool_]:
-    """Return about which places (S,) the ground lies in a plane, level or not.
+    """Return about which points (S,) the ground lies in a plane, level or not.
 
-    On ground that is rough all along, these are the places where it is as even as it usually is.
+    On ground that is rough all along, these are the points where it is as even as it usually is.
 
     Args:
         heights: (S, lines) metres, nan without ground.
@@ -275,8 +275,8 @@ def way_of(centres: Values) -> Values:
     """Return the way there, (S, 2) metres, `STEP` apart: from the first camera to the walk's end.
 
     Who walked back took the same way twice; only the way there counts. So does it where somebody
-    then went around the place, and half a step farther: the end is the farthest camera of the first
-    time that the walk came near its greatest distance.
+    then went around the object, and half a step farther: the end is the farthest camera of the
+    first time that the walk came near its greatest distance.
 
     Args:
         centres: (V, 3) of the cameras in the order of the walk, metres, z up.

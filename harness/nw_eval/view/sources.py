@@ -1,4 +1,4 @@
-"""What is to be looked at: a log or run, a place, or a policy; and what a log or run has to show.
+"""What is to be looked at: a log or run, a scene, or a policy; and what a log or run has to show.
 
 A log or a run has trials by name, their ghosts, and the splat of their place.
 """
@@ -114,7 +114,7 @@ class Shelf:
 
         Args:
             name: of the trial.
-            others: trials of the same place that are ghosts too.
+            others: trials of the same scene that are ghosts too.
 
         Raises:
             StoreError: a log is damaged.
@@ -126,7 +126,7 @@ class Shelf:
         digest = trace.logged.job.trial.scene_digest
         same = [ghost for ghost in ghosts if ghost.logged.job.trial.scene_digest == digest]
         if digest not in self._splats:
-            self._splats.clear()  # One place at a time.
+            self._splats.clear()  # One scene at a time.
             self._splats[digest] = _splat_of(trace)
         return [trace, *same], self._splats[digest]
 

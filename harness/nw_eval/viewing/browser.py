@@ -108,7 +108,7 @@ def viser_server(port: int, label: str, opened: Opened | None = None) -> Any:
     if port not in {0, server.get_port()}:  # Somebody was faster.
         stop(server)
         raise UsageError(f"port {port} is in use", fix="choose another --port, or 0")
-    # Sharing would send the place to a server of viser's makers.
+    # Sharing would send the scene to a server of viser's makers.
     server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
     return server
 

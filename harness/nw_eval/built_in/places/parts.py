@@ -1,4 +1,4 @@
-"""The pieces that a place is made of, as plain data."""
+"""The pieces that a scene is made of, as plain data."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Lamp:
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
-    """What shines on a place from outside it.
+    """What shines on a scene from outside it.
 
     Attributes:
         sun: direction to the sun; any length.

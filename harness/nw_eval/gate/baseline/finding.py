@@ -39,7 +39,7 @@ class Met:
 
     order: Sequence[DrawnStart]
     rows: Sequence[Row | None]
-    """By place; None has not ended."""
+    """By index; None has not ended."""
     control: Sequence[Row | None] | None = None
     """Of the baseline's policy from the same starts, where it runs beside the candidate."""
     left: frozenset[str] = frozenset()
@@ -50,7 +50,7 @@ class Met:
     """What of a trial is compared, 0 to 1, None without a result: success, or a scaled score."""
 
     def places(self, judged: Sequence[Stratum]) -> Places:
-        """Return the places of the trials of some strata, in order, shape (T,)."""
+        """Return the positions of the trials of some strata, in order, shape (T,)."""
         which = set(judged)
         found = [place for place, (*stratum, _) in enumerate(self.order) if tuple(stratum) in which]
         return np.array(found, dtype=np.intp)
@@ -97,7 +97,7 @@ class Met:
         )
 
     def scores(self, stratum: Stratum, places: Collection[int]) -> Floats:
-        """Return c of the trials of a stratum among some places, NaN without a result.
+        """Return c of the trials of a stratum among some positions, NaN without a result.
 
         Beside a control means are of whole pairs, as the drop is: if the starts from which the
         candidate left counted for the control alone, means would be of other starts on each side.
@@ -110,11 +110,11 @@ class Met:
         return np.array(found, dtype=np.float64)
 
     def of(self, stratum: Stratum, places: Collection[int]) -> list[Row]:
-        """Return the rows of a stratum among some places that have a result which counts."""
+        """Return the rows of a stratum among some positions that have a result which counts."""
         return self._whole(self.rows, stratum, places)
 
     def beside(self, stratum: Stratum, places: Collection[int]) -> list[Row]:
-        """Return the control's rows of a stratum among some places, of pairs that count."""
+        """Return the control's rows of a stratum among some positions, of pairs that count."""
         return [] if self.control is None else self._whole(self.control, stratum, places)
 
     def _whole(
@@ -151,7 +151,7 @@ def budget_of(run: RunInfo) -> int:
 def by_place(
     rows: Iterable[Row], run: RunInfo, order: Sequence[DrawnStart], arm: Arm = "candidate"
 ) -> list[Row | None]:
-    """Return the rows of a run by the places of their trials.
+    """Return the rows of a run by the positions of their trials.
 
     Args:
         rows: in any order; those of strata that the order has none of, and of starts beyond the
@@ -200,9 +200,9 @@ class Finding:
 
     word: Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
     first: int
-    """All places below it bear on the mean: up to the trial that settled it, or those so far."""
+    """All positions below it bear on the mean: up to the trial that settled it, or those so far."""
     followed: tuple[int, ...] = ()
-    """Later places that were judged for their scenes alone."""
+    """Later positions that were judged for their scenes alone."""
     ahead: tuple[int, ...] = ()
     """Places that come next, as `TrialRuling.ahead`; those of strata that count."""
     used: tuple[int, ...] = ()

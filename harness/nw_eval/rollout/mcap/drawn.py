@@ -1,4 +1,4 @@
-"""What a viewer draws: the place, the course, the robot's parts, and waypoints that turn green.
+"""What a viewer draws: the scene, the course, the robot's parts, and waypoints that turn green.
 
 Place, course and waypoints stand in the frame `world`; each part of the robot stands in the frame
 of its body, which `/tf` moves.
@@ -73,7 +73,7 @@ _R2 = np.array([0.7548776662466927, 0.5698402909980532])
 def place_update(mesh: TriangleMesh) -> bytes:
     """Return the static geometry that rays meet, one entity for each kind of face, serialised.
 
-    It is the same in every trial of a place. Protobuf messages add up: the bytes of one
+    It is the same in every trial of a scene. Protobuf messages add up: the bytes of one
     `SceneUpdate` before those of another one are both in one.
     """
     update = SceneUpdate()

@@ -69,7 +69,7 @@ class TrialLog:
     """The log of one trial. Without a path, and once writing has failed, every method is free.
 
     Of a summary (`record: summary`) there is what names the trial, the course, the walked path,
-    events and scores: no message of each control step, no state, no image, nothing of the place.
+    events and scores: no message of each control step, no state, no image, nothing of the scene.
 
     Call order: `start`, then any of the others with times that do not decrease, then `finish` or
     `discard`.
@@ -136,11 +136,11 @@ class TrialLog:
         props: Sequence[Prop] = (),
         prop_bodies: Sequence[int] = (),
     ) -> None:
-        """Write what does not change: the trial, the place, the robot, the course (K, 3).
+        """Write what does not change: the trial, the scene, the robot, the course (K, 3).
 
         Args:
             robot: in whose bodies' frames its parts stand.
-            mesh: of the place.
+            mesh: of the scene.
             start: ground under the robot, (3,) m.
             trail: waypoints, (K, 3) m.
             bodies: numbers of the robot's bodies, trunk first, among those of the model.

@@ -1,4 +1,4 @@
-"""Pictures of a place that has no splat: its mesh, shaded. For people; no policy sees them."""
+"""Pictures of a scene that has no splat: its mesh, shaded. For people; no policy sees them."""
 
 from __future__ import annotations
 

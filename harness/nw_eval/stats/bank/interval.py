@@ -58,7 +58,7 @@ def drop_interval_after(
 
     Returns:
         An interval within B - 1 to B, or -1 to 1 beside a control; all of it without trials. Where
-        the ends cross, as they do in hardly any random order, they change places, which makes
+        the ends cross, as they do in hardly any random order, they change positions, which makes
         neither err more often.
 
     Raises:

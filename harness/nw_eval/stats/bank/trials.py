@@ -109,7 +109,7 @@ class DrawnTrials:
             check_successes(values[~np.isnan(values)])
 
     def at(self, places: Sequence[int]) -> DrawnTrials:
-        """Return the trials at some places of the order, in their order."""
+        """Return the trials at some positions of the order, in their order."""
         which = np.array(places, dtype=np.intp)
         return DrawnTrials(
             scenes=self.scenes[..., which],
@@ -118,7 +118,7 @@ class DrawnTrials:
         )
 
     def only(self, which: Places, count: int) -> DrawnTrials:
-        """Return the first trials of some of the gates, by their places along the first axis."""
+        """Return the first trials of some of the gates, by their positions along the first axis."""
         cut = np.s_[which, :count]
         return DrawnTrials(
             scenes=self.scenes[cut], candidate=self.candidate[cut], baseline=self.baseline[cut]
@@ -174,7 +174,7 @@ class TrialRules:
 
     @property
     def critical(self) -> frozenset[int]:
-        """Scenes that are judged alone too, by place."""
+        """Scenes that are judged alone too, by index."""
         return frozenset(place for place, tier in enumerate(self.tiers) if tier == "critical")
 
     @property
@@ -191,13 +191,13 @@ class TrialRuling:
     mean: int
     """How many trials, from the first in the order, the evidence on the mean rests on."""
     followed: tuple[int, ...]
-    """Trials after those, by place in the order, that were judged for their scenes alone."""
+    """Trials after those, by index in the order, that were judged for their scenes alone."""
     named: tuple[int, ...]
-    """Scenes that fell, whatever the word, by place."""
+    """Scenes that fell, whatever the word, by index."""
     waits_for: tuple[int, ...]
     """Scenes that alone hold back a PASS that the mean allows."""
     ahead: tuple[int, ...]
-    """Trials that come next if none of them settles it, by place in the order, those that have
+    """Trials that come next if none of them settles it, by index in the order, those that have
     ended already among them; none once it is settled or the budget is spent. W workers run those of
     the first W that have not ended: further ahead more would be run for nothing."""
 
@@ -341,7 +341,7 @@ class _Scenes:
     def follow(
         self, scenes: Places, own: Floats, ended: Truths, begin: int
     ) -> tuple[list[int], list[int]]:
-        """Judge trials from place `begin` on for the scenes that hold back a PASS, till none does.
+        """Judge trials from index `begin` on for the scenes that hold back a PASS.
 
         Returns:
             Those that were judged; and those that come next, if it ends for want of one.

@@ -44,7 +44,7 @@ _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
 @dataclass(frozen=True, kw_only=True)
 class KnownLength:
-    """Two points of a place whose distance somebody measured.
+    """Two points of a scene whose distance was measured.
 
     Attributes:
         first, second: (x, y, z) in the capture's frame; or pixels by the name of the shot in which

@@ -45,9 +45,9 @@ _WIDE = 0.4
 _STEP = 0.05
 """Metres below the highest ground about it that a hole's level is supposed at."""
 _OFF = 0.02
-"""Share of its depth by which a pixel shows what lies behind a place."""
+"""Share of its depth by which a pixel shows what lies behind a point."""
 _SHARE = 0.3
-"""Of what looks at a place, that has to show something behind it."""
+"""Of the views of a point, that have to show something behind it."""
 _SLIVER = 3
 """Squares of ground between two parts of a pit that nothing can stand on."""
 _DEEP = 0.08
@@ -166,7 +166,7 @@ class _Plan:
 
 
 def _behind(points: F64, capture: Capture, folder: Path, depths: Path, T: F64) -> Cells:
-    """Return behind which places (N, 3), metres, photographs show something.
+    """Return behind which points (N, 3), metres, photographs show something.
 
     Each counts by how finely it shows level ground there.
     """

@@ -1,4 +1,4 @@
-"""Where the mesh of a place is not as its photographs show it, along the course, and by how much.
+"""Where the mesh of a scene is not as its photographs show it, along the course, and by how much.
 
 A mesh that lacks the platforms between its gaps is whole: it has ground everywhere, a splat that
 lies on it, and a course that looks easy. Depths that photographs agree on know better. Each of
@@ -125,7 +125,7 @@ def unlike_photographs(
     """Return where along a course the mesh is not as photographs show it.
 
     Args:
-        mesh: of the place.
+        mesh: of the scene.
         line: (K, 3) of spawn and waypoints, world, m.
         seen: by photographs.
     """
@@ -189,7 +189,7 @@ def depth_differences(
     the smaller one counts, and `_OVER` where the mesh has nothing.
 
     Args:
-        mesh: of the place.
+        mesh: of the scene.
         places: (S, 3) on the ground, evenly spaced along the course, world, m.
         seen: by photographs.
     """

@@ -272,7 +272,7 @@ class _Solver:
 
 
 def _check_motion(matches: Matches) -> None:
-    """Refuse photographs without parallax: what is made of them may look like a place, and is none.
+    """Refuse photographs without parallax: what is made of them may look like a scene, and is none.
 
     Raises:
         SceneError: a mere turn of the camera explains nearly all pairs that match.

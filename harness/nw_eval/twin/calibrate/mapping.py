@@ -363,7 +363,7 @@ def tied(solution: Solution) -> Solution:
 
 
 def _largest(solution: Solution) -> list[int]:
-    """Return the places of the cameras of the largest part, in order; of equals the first."""
+    """Return the indices of the cameras of the largest part, in order; of equals the first."""
     parts = list(range(len(solution.placed)))
     for (one, other), count in sorted(_shared(solution).items()):
         if count >= _SHARED and parts[one] != parts[other]:

@@ -32,7 +32,7 @@ _BEFORE = 1.0  # m from the start to the first waypoint
 
 
 class Ground:
-    """The mesh of a place, as rays meet it.
+    """The mesh of a scene, as rays meet it.
 
     Attributes:
         mesh: world, m.

@@ -56,7 +56,7 @@ from nw_eval.words import Task
 class PlaceEdits:
     """A place: where it lies, what is kept of it, and every state that can be gone back to.
 
-    Trail, start and markers move along with the place.
+    Trail, start and markers move along with the scene.
 
     Args:
         place: as opened.
@@ -100,33 +100,33 @@ class PlaceEdits:
 
     @property
     def mesh(self) -> TriangleMesh:
-        """The place as it is moved and cropped now; world, m."""
+        """The scene as it is moved and cropped now; world, m."""
         return self._shown.mesh
 
     @property
     def ground(self) -> Ground:
-        """The place as rays meet it."""
+        """The scene as rays meet it."""
         return self._shown.ground
 
     @property
     def T_world_splat(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name.
-        """(4, 4), as the place is moved now."""
+        """(4, 4), as the scene is moved now."""
         return self.state.placement.matrix @ self.place.T_world_splat
 
     def turn(self, axis: Axis, angle: float) -> None:
-        """Turn the place by an angle, rad, about its middle: z turns it round, x and y tilt it."""
+        """Turn the scene by an angle, rad, about its middle: z turns it round, x and y tilt it."""
         self._check_number("an angle", angle)
         low, high = self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)
         self._move(turn(axis, angle, as_point((low + high) / 2)))
 
     def shift(self, x: float, y: float, z: float) -> None:
-        """Shift the place, m."""
+        """Shift the scene, m."""
         for part in (x, y, z):
             self._check_number("a shift", part)
         self._move(shift((x, y, z)))
 
     def scale_to(self, metres: float) -> None:
-        """Scale the place so that its two markers are `metres` apart."""
+        """Scale the scene so that its two markers are `metres` apart."""
         now = self.distance
         self._check_number("a distance", metres)
         if now is None or now < 1e-6 or metres <= 0:
@@ -142,13 +142,13 @@ class PlaceEdits:
         self._move(stretch(factor), to_scale=True)
 
     def flip(self) -> None:
-        """Turn the place upside down about z = 0, on which its floor then lies still."""
+        """Turn the scene upside down about z = 0, on which its floor then lies still."""
         low, high = self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)
         x, y, _ = as_point((low + high) / 2)
         self._move(turn("x", math.pi, (x, y, 0.0)))
 
     def click_floor(self, point: Point) -> None:
-        """Put a point on the floor; the third one turns the place so that all lie at z = 0."""
+        """Put a point on the floor; the third one turns the scene so that all lie at z = 0."""
         points = (*self.state.floor, point)
         if len(points) < 3:
             self._check_scan()
@@ -166,7 +166,7 @@ class PlaceEdits:
         self._do(after)
 
     def mark(self, point: Point) -> None:
-        """Put a marker; a third takes the place of the first."""
+        """Put a marker; a third replaces the first."""
         self._do(replace(self.state, markers=(*self.state.markers, point)[-2:]))
 
     def clear_markers(self) -> None:
@@ -187,7 +187,7 @@ class PlaceEdits:
         return "" if self.distance is None else f"{self.distance:.3f} {unit}"
 
     def _move(self, delta: NDArray[np.float64], **changes: Any) -> None:
-        """Move the place, and change other parts of the state in the same step."""
+        """Move the scene, and change other parts of the state in the same step."""
         self._check_scan()
         still = np.array_equal(delta, np.eye(4))
         self._do(replace(self.state if still else self.state.moved(delta), **changes))
@@ -245,12 +245,12 @@ class ShownPlace:
 
     @property
     def mesh(self) -> TriangleMesh:
-        """The place; world, m."""
+        """The scene; world, m."""
         return self.ground.mesh
 
     @cached_property
     def ground(self) -> Ground:
-        """The place as rays meet it."""
+        """The scene as rays meet it."""
         mesh = self._opened
         if self.state.placement != Placement():
             vertices = mapped(mesh.vertices, self.state.placement.matrix)
@@ -272,10 +272,10 @@ Propose = Callable[[TriangleMesh, NDArray[np.float64]], TrailProposal]
 NEEDS_SCALE = (
     "put two markers at points whose distance you know, type it, and scale; or say the file's unit"
 )
-"""What to do about a place that is not to scale."""
+"""What to do about a scene that is not to scale."""
 
 _EYES = np.array([0.0, 0.0, 1.0])  # m above a course, to look at its ground; ceilings are higher
-_STRIDE = 1.0  # m from the last waypoint to one that is added without a place
+_STRIDE = 1.0  # m from the last waypoint to one that is added without a click
 
 
 def open_labelling(folder: Path) -> Labelling:
@@ -303,7 +303,7 @@ class Labelling(PlaceEdits):
         self._saved = self.state
 
     def snapped(self, origin: Point, direction: Point) -> Point | None:
-        """Return where a ray (world, m) meets the place; None where it does not."""
+        """Return where a ray (world, m) meets the scene; None where it does not."""
         return self._shown.ground.hit(origin, direction)
 
     def add_waypoint(self, point: Point | None = None, *, index: int | None = None) -> None:
@@ -313,7 +313,7 @@ class Labelling(PlaceEdits):
         self._do(replace(self.state, waypoints=tuple(waypoints)))
 
     def move_waypoint(self, index: int, point: Point) -> None:
-        """Move a waypoint to a point of the place."""
+        """Move a waypoint to a point of the scene."""
         waypoints = self._waypoints(index)
         waypoints[index] = point
         self._do(replace(self.state, waypoints=tuple(waypoints)))
@@ -330,7 +330,7 @@ class Labelling(PlaceEdits):
         self._do(replace(self.state, waypoints=tuple(waypoints)))
 
     def reorder_waypoint(self, index: int, to: int) -> None:
-        """Give a waypoint another place in the order."""
+        """Move a waypoint to another position in the order."""
         waypoints = self._waypoints(index)
         self._waypoints(to)
         waypoints.insert(to, waypoints.pop(index))
@@ -353,11 +353,11 @@ class Labelling(PlaceEdits):
 
     @property
     def walk(self) -> NDArray[np.float64]:
-        """Where the cameras stood that photographed the place, (N, 3), in order; world, m."""
+        """Where the cameras stood that photographed the scene, (N, 3), in order; world, m."""
         return mapped(self.place.walk, self.state.placement.matrix)
 
     def propose_along_walk(self) -> str:
-        """Take over the course, start and task that the place suggests where the cameras went.
+        """Take over the course, start and task that the scene suggests where the cameras went.
 
         Returns:
             What was found, for people.
@@ -374,7 +374,7 @@ class Labelling(PlaceEdits):
         return self._take_over(self._propose(self.mesh, self.walk))
 
     def propose_along_trail(self) -> str:
-        """Take over the course, start and task that the place suggests from the start to the end.
+        """Take over the course, start and task that the scene suggests from the start to the end.
 
         The way goes over all waypoints; two clicks are enough.
 

@@ -1,4 +1,4 @@
-"""All that a labelling decides: where a place lies, what is kept of it, and the robot's course.
+"""All that a labelling decides: where a scene lies, what is kept of it, and the robot's course.
 
 A placement is a similarity, with the moves that change it. A crop is a box of the world; triangles
 of a mesh are cut at its sides. A state is one value that is never changed, only followed by
@@ -246,7 +246,7 @@ class LabelState:
         waypoints: in order, on top of what the robot steps on; world, m.
         start: None = 1 m before the first waypoint, looking at it.
         placement: of the files that were opened.
-        crop: what is kept of the place, after it was placed; None = all.
+        crop: what is kept of the scene, after it was placed; None = all.
         markers: two at most, for measuring; world, m.
         floor: two at most of the three points that lay the floor; world, m.
         to_scale: whether lengths are metres; else in an unknown unit.
@@ -278,13 +278,13 @@ class LabelState:
                 )
 
     def moved(self, delta: NDArray[np.float64]) -> LabelState:
-        """Return the state after the place was moved by a (4, 4) similarity.
+        """Return the state after the scene was moved by a (4, 4) similarity.
 
         Waypoints, start and markers move along. The crop's middle does too, and its size scales,
         but its sides stay along the axes.
 
         Raises:
-            SceneError: the place's scale would be out of bounds.
+            SceneError: the scene's scale would be out of bounds.
             UsageError: a point would be too far away.
         """
         scale = float(np.linalg.det(delta[:3, :3])) ** (1 / 3)

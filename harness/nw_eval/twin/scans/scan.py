@@ -72,7 +72,7 @@ class ScanOptions:
     Attributes:
         unit: of the file's numbers.
         up: which axis of the file is up; `auto` is the one that most of the ground looks along.
-        splat: Gaussians of the same place, such as the same app exports; None = they are made of
+        splat: Gaussians of the same scene, such as the same app exports; None = they are made of
             the mesh's colours, if it has some.
         splat_transform: a text file of 16 numbers, the 4 x 4 matrix from the splat's numbers to
             the mesh's; None = it is found among the turns by right angles.

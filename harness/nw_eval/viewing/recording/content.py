@@ -327,7 +327,7 @@ def _write(
 def place_splat(logged: LoggedTrial) -> tuple[Gaussians | None, str]:
     """Return the Gaussians of a logged trial's place in its world, or None and why there are none.
 
-    The place is found as for a replay. A log shows the rest of its trial without it.
+    The scene is found as for a replay. A log shows the rest of its trial without it.
     """
     job = logged.job
     try:

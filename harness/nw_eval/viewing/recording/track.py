@@ -117,6 +117,6 @@ class WrittenRecording:
     file: Path
     bytes: int
     gaussians: int
-    """Of the place's splat; 0 = it is not in the recording."""
+    """Of the scene's splat; 0 = it is not in the recording."""
     no_splat: str
     """Why it is not; empty if it is."""

@@ -33,7 +33,7 @@ they are off while you type. Ctrl+K lists all.
 """
 
 _TURNS: tuple[tuple[str, Axis], ...] = (("Turn", "z"), ("Tilt x", "x"), ("Tilt y", "y"))
-_ROUND_IT = 0.01  # m from the place to the crop that is offered
+_ROUND_IT = 0.01  # m from the scene to the crop that is offered
 
 Run = Callable[[Callable[[], object]], None]
 """Runs an action, shows what it changed, or why it could not."""
@@ -58,7 +58,7 @@ class Controls:
         chosen: index of the waypoint that is moved.
         click: what a click puts, one of `CLICKS`.
         by_name: all buttons and keys, by their labels.
-        place: the tabs of the place itself.
+        place: the tabs of the scene itself.
     """
 
     def __init__(
@@ -246,7 +246,7 @@ class PlaceControls:
 
     @property
     def cutaway(self) -> Cutaway:
-        """What is shown of the place."""
+        """What is shown of the scene."""
         return Cutaway(level=self._level.value if self._cuts else None)
 
     def refresh(self) -> None:
@@ -291,7 +291,7 @@ class PlaceControls:
         )
 
     def add_place(self) -> None:
-        """Add what turns, moves and crops the place to the tab that is open."""
+        """Add what turns, moves and crops the scene to the tab that is open."""
         labelling, panel, gui = self._labelling, self._panel, self._panel.gui
         panel.button("Three clicks on the floor (5)", self._click_floor)
         panel.button("Flip upside down", labelling.flip)

@@ -39,7 +39,7 @@ class LabelPage:
 
     Args:
         labelling: which no other code may change meanwhile.
-        splat: the looks of the place, in the splat's frame; None = the mesh is shown.
+        splat: the looks of the scene, in the splat's frame; None = the mesh is shown.
         port: to listen at; 0 = one that is free.
         on_save: takes a line for people whenever something was saved.
 
@@ -125,7 +125,7 @@ class LabelPage:
                 self._show_error(f"{type(error).__name__}: {error} (a fault of nw-eval)")
 
     def click(self, origin: Point, direction: Point) -> None:
-        """Put what is chosen where a ray (world, m) meets the place."""
+        """Put what is chosen where a ray (world, m) meets the scene."""
         labelling, controls = self._labelling, self.controls
         seen_from = self._drawing.cutaway.ray(origin, direction)
         point = labelling.snapped(seen_from, direction) if seen_from is not None else None
