@@ -63,8 +63,8 @@ def find_cause(
 
     Args:
         run: the run's folder; its suite, its starts and its policy.
-        baseline: a bank, whose policy is the old one; or a policy.
-        policy: where the bank's policy lies, if not where the bank says.
+        baseline: a baseline, whose policy is the old one; or a policy.
+        policy: where the baseline's policy lies, if not where the baseline says.
         checkpoint: weights in place of those that its card names.
         trials: in each scene; the run's own number if None. More than it has are those that would
             come next.
@@ -150,7 +150,7 @@ def _rounds(info: RunInfo, suite: Suite, trials: int | None) -> int:
     """Return how many trials of each scene, on average, the four policies run.
 
     Raises:
-        UsageError: the run has none, or its bank has too few starts for as many.
+        UsageError: the run has none, or its baseline has too few starts for as many.
     """
     rounds = trials or suite.trials
     if trials is None and info.stop is not None:

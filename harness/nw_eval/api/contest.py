@@ -1,10 +1,10 @@
 """A run against a bank: what comes before its first trial, and after which trial it may end.
 
-On a class of machine that its bank has not seen the baseline has trials of its own. They are a run
-of their own, `baseline/` in the folder of the candidate's: the bank's policy from the starts that
-the candidate meets, in its order. The first of them show whether bits are the bank's. If they are,
-nothing more of it runs. If not, the policy runs beside the candidate from every start (a concurrent
-control), and the bank's numbers take no part in the comparison.
+On a class of machine that its baseline has not seen the baseline has trials of its own. They are a
+run of their own, `baseline/` in the folder of the candidate's: the baseline's policy from the
+starts that the candidate meets, in its order. The first of them show whether bits are the
+baseline's. If they are, nothing more of it runs. If not, the policy runs beside the candidate from
+every start (a concurrent control), and the baseline's numbers take no part in the comparison.
 
 A part of a run looks at the first trials of the whole run, so that all parts find the same without
 hearing of each other, and what the run would have found. Its control runs from its own starts.
@@ -46,11 +46,11 @@ if TYPE_CHECKING:
 
 
 class Contest:
-    """A candidate's run against a bank, as `engine.session` asks about it.
+    """A candidate's run against a baseline, as `engine.session` asks about it.
 
     Args:
         plan: the candidate's.
-        against: the bank.
+        against: the baseline.
         workers: processes; one for each core if None.
         cluster: the address of the Ray cluster that trials run on; None = this machine.
         command: what was typed.
@@ -85,18 +85,18 @@ class Contest:
         self._looked = 0
 
     def begin(self, folder: RunFolder, run: RunInfo) -> RunInfo:
-        """Return what run.json is to say once it is known what the bank is to this machine.
+        """Return what run.json is to say once it is known what the baseline is to this machine.
 
-        On a class of machine that the bank has no panel of, some trials of its own policy run
-        first: they show whether bits are the bank's.
+        On a class of machine that the baseline has no results of, some trials of its own policy run
+        first: they show whether bits are the baseline's.
 
         Args:
             folder: of the run.
             run: its run.json.
 
         Raises:
-            IncomparableError: the bank's policy is not here.
-            TrialError: a trial of the bank's policy came to no result.
+            IncomparableError: the baseline's policy is not here.
+            TrialError: a trial of the baseline's policy came to no result.
         """
         name, own = self._against.info.name, self._plan.bundle.name
         if self._plan.is_baseline:
@@ -221,9 +221,10 @@ class Contest:
         )
 
     def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> RunStanding:
-        """Return what comes next of the bank's own policy: some starts of each scene.
+        """Return what comes next of the baseline's own policy: some starts of each scene.
 
-        Where the bank has not seen the class of machine, and bits are others, the bar is still to
+        Where the baseline has not seen the class of machine, and bits are others, the bar is still
+        to
         be judged: by the policy's own trials.
         """
         every = range(len(self._plan.trials))
@@ -296,11 +297,11 @@ CHUNK = 16
 
 
 class Beside:
-    """The bank's policy beside a candidate.
+    """The baseline's policy beside a candidate.
 
     Args:
         plan: the candidate's.
-        against: the bank.
+        against: the baseline.
         folder: of the candidate's run.
         run: its run.json.
         workers: processes; one for each core if None.
@@ -309,7 +310,7 @@ class Beside:
         cache: whether results of earlier runs are taken over.
 
     Raises:
-        IncomparableError: the bank's policy is not here.
+        IncomparableError: the baseline's policy is not here.
     """
 
     def __init__(
@@ -354,7 +355,7 @@ class Beside:
             exactly: whether only these are to be kept of all that have run.
 
         Raises:
-            TrialError: a trial of the bank's policy came to no result, or not to what the cache
+            TrialError: a trial of the baseline's policy came to no result, or not to what the cache
                 says.
         """
         from nw_eval.engine import session
@@ -384,9 +385,9 @@ class Beside:
         self._control = ControlArm(run=own, rows=control_rows(self._nested, own, self._folder))
 
     def looks_like_the_bank(self) -> bool | tuple[str, ...]:
-        """Return whether what has run has the bits of the bank; sentences where it contradicts it.
+        """Return whether the trials so far have the baseline's bits; sentences where they do not.
 
-        Only a candidate on the bank's own starts can be asked.
+        Only a candidate on the baseline's own starts can be asked.
         """
         assert self._control is not None, "something has run"
         bank, rows = self._against.bank, self._control.rows
@@ -407,7 +408,7 @@ class Beside:
 
 
 def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
-    """Return the baseline's policy: where the request says, or the bank.
+    """Return the baseline's policy: where the request says, or the baseline.
 
     Raises:
         IncomparableError: it is not there, cannot be used, or is another one.

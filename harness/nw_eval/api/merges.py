@@ -157,7 +157,7 @@ def _beside(sources: Sequence[MergeSource], ordered: Sequence[Trial]) -> MergedA
 
 
 def _bank(sources: Sequence[MergeSource]) -> Against | None:
-    """Return the bank that the parts were begun against, if any of them can still show it."""
+    """Return the baseline that the parts were begun against, if any of them can still show it."""
     from nw_eval.api.banks import kept_bank
 
     for source in sources:

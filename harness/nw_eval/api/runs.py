@@ -109,11 +109,11 @@ def roll_out(
     all_rounds: bool = False,
     cluster: str | None = None,
 ) -> RunFolder:
-    """Run what is planned: against a bank, trial by trial, until bar and baseline are settled.
+    """Run what is planned: against a baseline, trial by trial, until bar and baseline are settled.
 
     A part of a run has all its trials: whether some are enough shows in the whole alone. Of the
-    bank's own policy some starts of each scene run, and the rest is taken over from the bank if
-    these are as it says.
+    baseline's own policy some starts of each scene run, and the others are taken from the baseline
+    if these are as it says.
 
     Args:
         plan: what is to be run.

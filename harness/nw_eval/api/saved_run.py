@@ -226,7 +226,7 @@ def spare_trials(info: RunInfo, suite: Suite) -> frozenset[str]:
 def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     """Return all trials of the run that a run is, or is a part of, in the order of its suite.
 
-    Against a bank the run says how many starts it drew them from.
+    Against a baseline the run says how many starts it drew them from.
 
     Raises:
         StoreError: run.json contradicts itself about them.

@@ -215,7 +215,7 @@ def _journal(plan: Plan, folder: RunFolder, info: RunInfo) -> Journal:
 
 
 def _keep_bank(plan: Plan, folder: RunFolder) -> None:
-    """Copy the bank that the run is compared with into its folder, if it is not there."""
+    """Copy the baseline that the run is compared with into its folder, if it is not there."""
     if plan.against is None:
         return
     path = folder.bank(plan.against.info.name)

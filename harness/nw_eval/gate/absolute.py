@@ -17,7 +17,7 @@ The mean and the critical scenes each convict wrongly with probability 1 - confi
 together with at most twice that. Alone, ten trials convict a scene whose true success is .5 in one
 run of six where the bar is .75 (all or nothing): the test is valid, not keen.
 
-All this speaks of fresh starts in the suite's scenes. On the panel of starts that the suite's seed
+All this speaks of fresh starts in the suite's scenes. On the seed set that the suite's seed
 names success is not estimated but known, and of scenes that the suite does not have nothing is.
 """
 

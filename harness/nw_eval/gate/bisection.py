@@ -1,8 +1,9 @@
 """Which checkpoint of a series is flagged first: a search that asks for few verdicts.
 
-Each verdict is a test of its own against the same bank, with its own errors: of k that were asked
-for, each convicts an unharmed checkpoint with at most the gate's false alarm, and passes one that
-fell by the gate's max_drop with at most 1 - confidence. So the first that is flagged need not be
+Each verdict is a test of its own against the same baseline, with its own errors: of k that were
+asked for, each convicts an unharmed checkpoint with at most the gate's false alarm, and passes one
+that fell by the gate's max_drop with at most 1 - confidence. So the first that is flagged need not
+be
 the first that is worse: one before it that passed may be worse by less than max_drop.
 """
 

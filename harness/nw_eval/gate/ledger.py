@@ -70,7 +70,7 @@ class BaselineEntry(_Line):
 
     bank: str
     digest: str
-    """Of the bank's file."""
+    """Of the baseline's file."""
     basis: Basis | Literal["sample"]
     """"sample" is of an older nw-eval, which ran no control."""
     word: Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
@@ -98,7 +98,7 @@ class LedgerEntry(_Line):
     """The run's name."""
     suite: str
     suite_digest: str
-    """With the seed in it: it names the panel."""
+    """With the seed in it: it names the seed set."""
     panel: PanelKind
     candidate: str
     """The policy's name."""

@@ -17,7 +17,7 @@ from nw_eval.words import PanelKind
 
 _DAYS = 365.25
 _SHORTEST = 7.0  # days from which a year is foretold
-_MOST_CANDIDATES = 200  # of a panel that are simulated: more say no more
+_MOST_CANDIDATES = 200  # of a seed set that are simulated: more say no more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class Reroll:
 
 @dataclass(frozen=True, kw_only=True)
 class BestOfMany:
-    """Candidates that met the same panel, of which the best may be chosen."""
+    """Candidates that met the same seed set, of which the best may be chosen."""
 
     suite: str
     suite_digest: str
@@ -256,7 +256,7 @@ def _best_of_many(tests: Sequence[LedgerEntry], whose: Mapping[str, str]) -> tup
 
 
 def _best(tests: Sequence[LedgerEntry]) -> BestOfMany:
-    """Return the best of some candidates, each with its last verdict on one panel."""
+    """Return the best of some candidates, each with its last verdict on one seed set."""
     best = max(tests, key=lambda test: (test.success or 0.0, test.candidate_digest))
     mean = fmean(test.success or 0.0 for test in tests)
     simulated = [test.scenes for test in tests[-_MOST_CANDIDATES:]]

@@ -3,7 +3,8 @@
 On these starts success is known. What is left to chance, and what intervals and ranks speak of, is
 fresh starts in the same scenes. Every scene counts alike, whatever its tier.
 
-Runs that each drew trials of their own from a bank share few starts. They are compared on starts of
+Runs that each drew trials of their own from a baseline share few starts. They are compared on
+starts of
 their own, the first of each with the first of the others: which ones they drew follows from hashes,
 so that the differences are as independent as those of fresh starts.
 
@@ -47,7 +48,7 @@ StartName = tuple[str, Settings, int]
 
 @dataclass(frozen=True, kw_only=True)
 class Entrant:
-    """A policy with its results, of a run or of a bank."""
+    """A policy with its results, of a run or of a baseline."""
 
     source: str
     """The run or bank as it was named."""
@@ -73,7 +74,7 @@ def entrant_of_run(source: str, run: RunInfo, rows: Iterable[Row]) -> Entrant:
 
 
 def entrant_of_bank(source: str, bank: SavedBank, panel: Panel) -> Entrant:
-    """Return what a bank compares with, on one class of machine."""
+    """Return what a baseline compares with, on one class of machine."""
     return Entrant(
         source=source,
         suite=bank.manifest.suite,
@@ -325,7 +326,7 @@ def _scenes(entrants: Sequence[Entrant]) -> list[str]:
 
 
 def _successes(entrant: Entrant, names: Sequence[StartName]) -> NDArray[np.float64]:
-    # Neither a bank nor a trial that came to a result is without one.
+    # Neither a baseline nor a trial that came to a result is without one.
     return np.array([entrant.results[name].success for name in names], dtype=np.float64)
 
 
@@ -549,7 +550,7 @@ def _entrant(result: RealResult, entrants: Sequence[Entrant]) -> Entrant:
 
 
 def _own_name(entrant: Entrant) -> str:
-    """Return the name of a run's folder, or of a bank without its suffix."""
+    """Return the name of a run's folder, or of a baseline without its suffix."""
     return Path(entrant.source).name.removesuffix(".parquet")
 
 

@@ -128,14 +128,14 @@ class Verdict:
 
 
 Basis = Literal["same", "panel", "control", "fresh"]
-"""What the bank is to the candidate's trials. same: the policy is the baseline, by its digests.
+"""What the baseline is to the candidate's trials. same: the policy is the baseline, by its digests.
 panel: the baseline's result from every start is known exactly on this class of machine. control:
 bits are others here, and the baseline's policy ran beside the candidate, from the same starts.
 fresh: the candidate met other starts."""
 
 Claim = Literal["fresh", "panel"]
-"""Of which starts a comparison speaks: of fresh ones in the same scenes, or of those of the bank's
-panel alone (`gate.claim`)."""
+"""Of which starts a comparison speaks: of fresh ones in the same scenes, or of those of the
+baseline's panel alone (`gate.claim`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,8 +178,10 @@ class SceneDrop:
     perturbation: Settings = ()
     tier: Tier
     baseline: float | None
-    """B_s, mean success over all starts of the bank. Beside a control it is that of the control's
-    trials which were judged: None without any, since the bank's scores are not compared with."""
+    """B_s, mean success over all starts of the baseline. Beside a control it is that of the
+    control's
+    trials which were judged: None without any, since the baseline's scores are not compared
+        with."""
     candidate: float | None
     """Mean success over the trials judged; None without any."""
     trials: int
@@ -194,7 +196,7 @@ class SceneDrop:
     """The first waypoint, from 1, at which the two part significantly: of a scene that regressed or
     may have, or has the largest drop of a policy that regressed."""
     ends: tuple[Ends, Ends] | None = None
-    """Of all starts of the bank, and of the trials judged that came to a result: how many ended
+    """Of all starts of the baseline, and of the trials judged that came to a result: how many ended
     after 0, 1, .. K waypoints. None where the scene has no waypoints."""
 
     @property
@@ -229,7 +231,7 @@ class Comparison:
 
     word: Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
     bank: str
-    """The bank's name."""
+    """The baseline's name."""
     policy: str
     """The baseline's policy."""
     basis: Basis
@@ -242,7 +244,7 @@ class Comparison:
     """M."""
     baseline: float
     """B, of the scenes that count. Beside a control it is that of the pairs of trials that bear on
-    the drop, and the bank's while there are none."""
+    the drop, and the baseline's while there are none."""
     drop: float | None
     """Estimate of the drop; None without a trial."""
     interval: Interval | None
@@ -263,7 +265,7 @@ class Comparison:
     more: str | None = None
     """About how many more trials would settle it, where that was simulated."""
     left_aside: int = 0
-    """Scenes of the bank that the run was not asked for."""
+    """Scenes of the baseline that the run was not asked for."""
     control: int = 0
     """Trials of the baseline's own policy that ran beside the candidate."""
     again: Recheck | None = None

@@ -250,7 +250,7 @@ def leave_verdicts_out(session: pytest.Session) -> None:
 
 
 def save_bank(suite: SuiteFile) -> None:
-    """Save the bank of a suite; fail if that changed it, so that a review comes before its use."""
+    """Save the baseline of a suite; fail if that changed it, so that it is reviewed first."""
     from nw_eval import api
     from nw_eval.pytest_plugin.runs import Log
 

@@ -366,8 +366,8 @@ def write_merged(
     Args:
         out: the folder, which holds nothing yet.
         arm: the run.
-        against: the bank that its parts were begun against.
-        beside: the run of the bank's own policy beside them, if there is one.
+        against: the baseline that its parts were begun against.
+        beside: the run of the baseline's own policy beside them, if there is one.
 
     Raises:
         UsageError: it holds something else.

@@ -115,7 +115,7 @@ class MachineInfo(_Saved):
 
 
 class BaselineInfo(_Saved):
-    """The bank that a run is compared with, and what its policy did on this machine.
+    """The baseline that a run is compared with, and what its policy did on this machine.
 
     The run's folder has a copy of the bank: whoever judges the run again needs no other file.
     """
@@ -125,10 +125,12 @@ class BaselineInfo(_Saved):
     sha256: str  # Hex, of the file.
     # "scores" is of an older nw-eval, which ran no control.
     checked: Literal["bits", "control", "scores"] | None = None
-    """What trials of the bank's policy showed on this class of machine: the bank's bits, or scores
-    in line with it; None where there were none, because the bank has a panel of it."""
-    moved: tuple[str, ...] = ()
-    """Sentences: in what the bank's policy does not do here what the bank says of it. Where there
+    """What trials of the baseline's policy showed on this class of machine: the baseline's bits,
+    or scores
+    in line with it; None where there were none, because the baseline has results of it."""
+    moved: tuple[str, ...] =
+    ()
+    """Sentences: in what the baseline's policy does not do here what the baseline says of it. Where there
     are any, the run is INVALID, and no trial of the candidate has run."""
 
 
@@ -219,7 +221,7 @@ class RunInfo(_Saved):
     scenes: dict[str, SceneInfo]
     left_out: tuple[str, ...] = ()  # Scenes of the suite that the run was not to have, by name.
     panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the policy's `key`.
-    drawn_from: int | None = None  # Starts of the bank that drew the order; None = 0, 1, 2, ...
+    drawn_from: int | None = None  # Starts of the baseline that drew the order; None = 0, 1, 2, ...
     # Whose order it meets them in, if not its policy's: the key of another policy, or of the draw
     # of what runs again (`recheck_key`).
     drawn_for: str | None = None
@@ -244,7 +246,7 @@ class RunInfo(_Saved):
 
     @property
     def drawn_by(self) -> str:
-        """By what the order of its starts is drawn, where a bank draws it."""
+        """By what the order of its starts is drawn, where a baseline draws it."""
         return candidate_in(self.drawn_for or self.policy.key)
 
     @property

@@ -62,7 +62,7 @@ class RunFolder:
 
     @property
     def baseline(self) -> RunFolder:
-        """The run of the bank's own policy, on a class of machine that the bank has not seen."""
+        """The run of the baseline's own policy, on a new class of machine."""
         return RunFolder(path=self.path / "baseline")
 
     @property
@@ -122,7 +122,7 @@ class RunFolder:
         return logs / PurePosixPath(scene) / f"{trial_id}.mcap"
 
     def bank(self, name: str) -> Path:
-        """Path of the copy of the bank that the run is compared with.
+        """Path of the copy of the baseline that the run is compared with.
 
         Raises:
             StoreError: the name leads out of the folder.

@@ -75,7 +75,7 @@ class Met:
         Args:
             judged: the strata.
             known: the baseline's panel; or its mean success in each stratum, where the starts are
-                others than the panel's. A control, if there is one, comes before it.
+                others than the seed set's. A control, if there is one, comes before it.
         """
         places = self.places(judged).tolist()
         number = {stratum: index for index, stratum in enumerate(judged)}
@@ -320,7 +320,7 @@ def find(
         met: trials of the candidate.
         judged: strata that count.
         panel: of the baseline.
-        basis: what the panel is to the trials.
+        basis: what the baseline is to the trials.
         gate: margins, errors and tiers.
         claim: of which starts it is to hold. Of fresh ones no draw leaves less for the rest.
         alone: whether to ask for intervals: they take longer than all else.

@@ -1,7 +1,7 @@
-"""Whether the candidate is worse than the baseline: a run's rows and a bank in, a comparison out.
+"""Whether the candidate is worse than the baseline: from a run's rows to a comparison.
 
 The candidate's rows become trials in the order of the draw (`finding.Met`), these become evidence
-and a word (`finding.find`), and what that may claim depends on what the bank is to the run
+and a word (`finding.find`), and what that may claim depends on what the baseline is to the run
 (`match.basis_of`). Here are also the waypoint at which the candidate parts from the baseline, the
 comparison in words, and what is simulated for a report: other policies at this gate, and this one
 after more trials.
@@ -47,7 +47,7 @@ _FURTHER = 4
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonSetup:
-    """A run against a bank that holds for it, before anything of its trials is looked at."""
+    """A run against a baseline that holds for it, before anything of its trials is looked at."""
 
     run: RunInfo
     against: Against
@@ -61,11 +61,11 @@ class ComparisonSetup:
     """Those that count."""
     order: Sequence[DrawnStart]
     left_aside: int
-    """Scenes of the bank that the run was not asked for."""
+    """Scenes of the baseline that the run was not asked for."""
 
     @property
     def bank(self) -> SavedBank:
-        """The bank."""
+        """The baseline."""
         return self.against.bank
 
     def met(self, rows: Sequence[Row], *, further: bool = False) -> Met:
@@ -106,16 +106,16 @@ class ComparisonSetup:
 
 
 def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
-    """Return a run against a bank.
+    """Return a run against a baseline.
 
     Args:
-        run: the candidate's. What it says of the bank (`BaselineInfo.checked`) counts.
-        against: the bank.
+        run: the candidate's. What it says of the baseline (`BaselineInfo.checked`) counts.
+        against: the baseline.
         gate: margins, errors and tiers.
 
     Raises:
-        IncomparableError: the bank does not hold for the run, or has too few starts for its trials;
-            or it is unchecked on this class of machine; or no scene of it counts.
+        IncomparableError: the baseline does not hold for the run, or has too few starts for its
+            trials; or it is unchecked on this class of machine; or no scene of it counts.
     """
     bank = against.bank
     check_match(run, bank)
@@ -144,12 +144,12 @@ def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
 def compare(
     rows: Sequence[Row], run: RunInfo, against: Against, gate: Gate, *, foresee: bool = False
 ) -> Comparison:
-    """Compare the trials that a run has so far with a bank.
+    """Compare the trials that a run has so far with a baseline.
 
     Args:
         rows: of the candidate, in any order.
         run: what they are of.
-        against: the bank of the baseline, with the control's rows if one ran.
+        against: the baseline, with the control's rows if one ran.
         gate: margins, errors and tiers.
         foresee: also find intervals, and simulate what this gate would show of other policies, and
             of this one after more trials: for a report, and too slow to be asked after each trial.
@@ -266,7 +266,7 @@ def _waypoints(
 ) -> Mapping[Stratum, int]:
     """Return the first waypoint, from 1, of each stratum at which the two part significantly.
 
-    The baseline is all starts of its panel, or the control's trials beside the candidate's; the
+    The baseline is all of its starts, or the control's trials beside the candidate's; the
     candidate is the trials judged that came to a result. All strata are looked at together
     (`stats.hazard`), and some may have none.
 
@@ -449,7 +449,7 @@ def _foresee(
     Args:
         found: the comparison.
         met: trials of the candidate, and those that may be run beyond the budget.
-        judged: strata that count, in the order of the panel.
+        judged: strata that count, in the order of the seed set.
         panel: of the baseline, in the scenes of the run.
         gate: margins, errors and tiers.
     """

@@ -48,7 +48,7 @@ class Trials(ConfigModel):
     trials: int = Field(ge=2, le=10_000)
     """In each scene. One alone has no interval."""
     seed: int = Field(default=20261, ge=0, lt=2**63)
-    """Names the pinned panel of starts, as the seed of a suite does."""
+    """Names the pinned seed set, as the seed of a suite does."""
     duration: float = Field(default=20.0, gt=0.0, le=600.0)
     """Longest simulated time of a trial, s."""
 

@@ -71,8 +71,8 @@ def draw(
     """Return repetitions of a gate against a baseline, the same ones for the same counts.
 
     Args:
-        seen: the baseline's trials; without `starts` they are the bank itself, all of it.
-        starts: M of the banks to be drawn, each anew, from what was seen of the baseline.
+        seen: the baseline's trials; without `starts` they are the baseline itself, all of it.
+        starts: M of the baselines to be drawn, each anew, from what was seen of the baseline.
         budget: T, how many trials to draw; at most S x M.
         repetitions: how many.
         against: what the gate compares with.
@@ -205,9 +205,9 @@ def operating_curve(
         seen: the baseline's trials, waypoints reached in each scene. Without `starts` they are the
             bank itself, with as many in each scene.
         rules: of the gate.
-        budget: most trials, no more than the bank has pairs of a scene and a start.
-        starts: M of a bank that is not there yet. Banks are then drawn, one a repetition, from what
-            was seen, as if the success that was seen were the true one.
+        budget: most trials, no more than the baseline has pairs of a scene and a start.
+        starts: M of a baseline that is not there yet. Baselines are then drawn, one a repetition,
+            from what was seen, as if the success that was seen were the true one.
         drops: of true success, scenes weighted equally.
         repetitions: simulated gates at each drop.
         against: what the gate compares with.
@@ -242,7 +242,7 @@ def progress_at(
     repetitions: int = REPETITIONS,
     against: Against = "fresh",
 ) -> Progress:
-    """Return how gates of a policy of this drop end if all starts of the bank may be run.
+    """Return how gates of a policy of this drop end if all starts of the baseline may be run.
 
     Args:
         seen: as for `operating_curve`.

@@ -1,6 +1,6 @@
-"""Evidence against a drop: a bank, the nulls that are bet against, and what a gambler wins.
+"""Evidence against a drop: a baseline, null hypotheses, and a test martingale for each.
 
-**The bank** is what the baseline scores from every start, known because simulation repeats its
+**The baseline** is what the baseline scores from every start, known because simulation repeats its
 bits. There are S scenes with M starts each. b_si is the baseline's success from start i of scene s,
 B_s its mean over the starts of scene s, and B the mean of all B_s; c_si is the candidate's success.
 
@@ -8,7 +8,7 @@ The candidate is judged by c less what is known of the starts' difficulty:
 
     z_si = c_si - g_si + B,     g_si = B_s + beta (b_si - B_s),     0 <= beta <= 1.
 
-Over the panel the mean of g is B, so that z has the candidate's mean whatever beta is. Within a
+Over the seed set the mean of g is B, so that z has the candidate's mean whatever beta is. Within a
 scene z varies less than c as far as the two policies find the same starts hard.
 
 **The wealth** is that of a gambler who bets that a mean is higher than a null allows, drawing for
@@ -31,7 +31,7 @@ What is left cannot have a mean below 0: where n_r is, the null is impossible an
 With M infinite nothing is ever used up, n_r = n, and no null of n >= 0 is impossible: y may be any
 numbers of which each has at most the expectation n, given the past. That is what a claim about
 fresh starts needs: the starts that were drawn are then a sample, and say nothing certain of those
-that were not. `trials` says what becomes of it on a panel that is finite after all.
+that were not. `trials` says what becomes of it on a seed set that is finite after all.
 
 **Three nulls** are bet against, each by `along` on numbers y >= 0. With z as above, and z_min and
 z_max the least and the most that it can be:
@@ -65,7 +65,7 @@ Truths = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Bank:
-    """What must be known of the whole panel before the first trial.
+    """What must be known of the whole seed set before the first trial.
 
     Raises:
         ValueError: a mean is not between 0 and 1, there is no scene, or not one start.
@@ -89,17 +89,17 @@ class Bank:
 
     @classmethod
     def of(cls, scores: Floats) -> Bank:
-        """Return the bank of the baseline's successes b_si on the whole panel, shape (S, M)."""
+        """Return the known baseline of successes b_si on the whole seed set, shape (S, M)."""
         check_successes(scores)
         return cls(means=scores.mean(axis=-1), starts=scores.shape[-1])
 
     @classmethod
     def control(cls, scenes: int) -> Bank:
-        """Return what stands for the bank of a concurrent control of S scenes: no mean of it."""
+        """Return the stand-in for the baseline of a concurrent control of S scenes: no mean."""
         return cls(means=np.ones(scenes), paired=True)
 
     def fresh(self) -> Bank:
-        """Return the bank for a claim about fresh starts: M is infinite."""
+        """Return the baseline for a claim about fresh starts: M is infinite."""
         return replace(self, starts=inf)
 
     @property
@@ -216,7 +216,7 @@ def nulls_at_least(bank: Bank, drop: Floats | float) -> list[Floats]:
 
     Args:
         bank: of the baseline.
-        drop: shape (); or, of one bank without leading axes, any shape: so many nulls apart.
+        drop: shape (); or, of one baseline without leading axes, any shape: so many nulls apart.
     """
     return [bank.mean[..., 0] - drop - bank.least(beta)[..., 0] for beta in bank.betas]
 

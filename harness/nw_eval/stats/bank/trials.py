@@ -29,7 +29,7 @@ with replacement and starts afresh, that would be the case of M infinite there. 
 drawn without replacement, which makes sums vary less: a product of 1 + k (y - n) / n over t draws
 still has at most the expectation 1 (Maclaurin's inequality for elementary symmetric means;
 Hoeffding, 1963, section 6, has it for all convex functions of a sum). That evidence *ever* reaches
-1 / alpha is then bounded by no theorem here: it was enumerated for small panels and simulated on
+1 / alpha is then bounded by no theorem here: it was enumerated for small seed sets and simulated on
 real ones, and happens less often than alpha. A claim about fresh starts takes the baseline's means
 for true. What a small baseline errs in them was simulated: a policy exactly at `tolerate`, of whom
 1 % should be convicted, is in up to 2.3 % with 10 starts in all scenes together, in 1.8 % with 12
@@ -93,13 +93,13 @@ class DrawnTrials:
     """
 
     scenes: Places
-    """Place of the scene among those of the bank, shape (..., T)."""
+    """Index of the scene among those of the baseline, shape (..., T)."""
     candidate: Floats
     """c, shape (..., T). NaN is a trial that has no result: it counts as 0 in E_pass and as 1 in
     E_regr and E_s, so that no verdict gains by what is missing."""
     baseline: Floats
-    """b of the same starts, shape (..., T): from the bank, or of a control. There NaN has no result
-    either, and counts the other way round."""
+    """b of the same starts, shape (..., T): from the baseline, or of a control. There NaN has no
+    result either, and counts the other way round."""
 
     def __post_init__(self) -> None:
         shapes = {self.scenes.shape, self.candidate.shape, self.baseline.shape}
@@ -255,7 +255,7 @@ def settle(
             judged if it settled nothing.
 
     Raises:
-        ValueError: the tiers are not those of the bank; or as `looks`.
+        ValueError: the tiers are not those of the baseline; or as `looks`.
     """
     _check(bank, rules)
     budget = len(trials.scenes)
@@ -377,7 +377,7 @@ def settle_all(bank: Bank, trials: DrawnTrials, rules: TrialRules) -> list[Trial
     """Return how gates end of which every trial is known: `settle` of each, and much faster.
 
     Args:
-        bank: means of shape (S,), or (gates, S) for a bank of each.
+        bank: means of shape (S,), or (gates, S) for a baseline of each.
         trials: shape (gates, T).
         rules: of all gates.
     """
@@ -503,8 +503,8 @@ def order_of_starts(
 
     The order is random as far as scores go: it follows sha256 of who is judged by what, so that it
     is the same on every machine and in every run, differs between scenes and between candidates,
-    and cannot be chosen after the trials have been seen. A bank with more starts keeps the order of
-    those that it had.
+    and cannot be chosen after the trials have been seen. A baseline with more starts keeps the
+    order of those that it had.
 
     Args:
         starts: M.
@@ -523,8 +523,8 @@ def order_of_trials(
 
     They are one simple random sample without replacement, as far as scores go: whoever has the
     smaller sha256 comes first, whatever its scene. Within a scene the starts come as in
-    `order_of_starts`. Scenes that are left out, or starts that are added to a bank, do not change
-    the order of the others.
+    `order_of_starts`. Scenes that are left out, or starts that are added to a baseline, do not
+    change the order of the others.
 
     Args:
         scenes: their names, shape (S,), each once.
