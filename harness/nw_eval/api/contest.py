@@ -224,8 +224,7 @@ class Contest:
         """Return what comes next of the baseline's own policy: some starts of each scene.
 
         Where the baseline has not seen the class of machine, and bits are others, the bar is still
-        to
-        be judged: by the policy's own trials.
+        to be judged: by the policy's own trials.
         """
         every = range(len(self._plan.trials))
         first = min(rechecks(self._plan.request) * len(setup.strata), len(every))

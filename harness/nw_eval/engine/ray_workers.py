@@ -7,9 +7,8 @@ ray_node_agent.py     the worker processes of a node, with one of Ray's between 
 
 Policies never share a process with Ray: a node agent is an actor that owns confined processes,
 those that the local engine starts, so that limits, fences, faults and bits are the same. There is
-one for
-a node, and not for a core: its workers are forked from one process that has imported what they
-need, share their pages, and keep to their scenes as on one machine.
+one for a node, and not for a core: its workers are forked from one process that has imported what
+they need, share their pages, and keep to their scenes as on one machine.
 
 The head asks nodes what they are, makes them ready, refuses them, loses them. Logs that came back
 from a node are written into the run's folder by the head alone.

@@ -3,8 +3,7 @@
 Each verdict is a test of its own against the same baseline, with its own errors: of k that were
 asked for, each convicts an unharmed checkpoint with at most the gate's false alarm, and passes one
 that fell by the gate's max_drop with at most 1 - confidence. So the first that is flagged need not
-be
-the first that is worse: one before it that passed may be worse by less than max_drop.
+be the first that is worse: one before it that passed may be worse by less than max_drop.
 """
 
 from __future__ import annotations

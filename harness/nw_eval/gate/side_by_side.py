@@ -4,9 +4,8 @@ On these starts success is known. What is left to chance, and what intervals and
 fresh starts in the same scenes. Every scene counts alike, whatever its tier.
 
 Runs that each drew trials of their own from a baseline share few starts. They are compared on
-starts of
-their own, the first of each with the first of the others: which ones they drew follows from hashes,
-so that the differences are as independent as those of fresh starts.
+starts of their own, the first of each with the first of the others: which ones they drew follows
+from hashes, so that the differences are as independent as those of fresh starts.
 
 Results on the robot are put beside those of the same policies in the simulator (`measured`).
 """

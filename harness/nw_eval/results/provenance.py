@@ -126,11 +126,9 @@ class BaselineInfo(_Saved):
     # "scores" is of an older nw-eval, which ran no control.
     checked: Literal["bits", "control", "scores"] | None = None
     """What trials of the baseline's policy showed on this class of machine: the baseline's bits,
-    or scores
-    in line with it; None where there were none, because the baseline has results of it."""
-    moved: tuple[str, ...] =
-    ()
-    """Sentences: in what the baseline's policy does not do here what the baseline says of it. Where there
+    or scores in line with it; None without any, because the baseline has results of it."""
+    moved: tuple[str, ...] = ()
+    """Sentences: in what the baseline's policy differs here from the baseline. Where there
     are any, the run is INVALID, and no trial of the candidate has run."""
 
 

@@ -34,8 +34,7 @@ _SIZE = (96, 54)  # pixels
 _ENOUGH = 250  # pixels that a view is judged by
 _SOLID = 0.5  # coverage from which a pixel of the splat has a depth
 # What belongs to the course: so far to each side of the course, and below and above it, m. Beside
-# it
-# Gaussians may be coarse, and the ground of a gap may be anything.
+# it Gaussians may be coarse, and the ground of a gap may be anything.
 _BESIDE = 0.5
 _BELOW = 0.1
 _ABOVE = 0.6

@@ -31,10 +31,9 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
 
     Where a result came out otherwise than the cache of trials says, the verdict is INFRASTRUCTURE.
     Where the baseline's own policy did other than the baseline says on the machine of the run, the
-    verdict
-    is INVALID: nothing is attributed to the candidate. Where the candidate is the baseline's own
-    policy, the baseline's results are judged in place of the run's only if all that ran again is
-    equal. A part of a run is not judged (`_of_part`).
+    verdict is INVALID: nothing is attributed to the candidate. Where the candidate is the
+    baseline's own policy, the baseline's results are judged in place of the run's only if all that
+    ran again is equal. A part of a run is not judged (`_of_part`).
 
     Args:
         rows: of the run's plan.
