@@ -78,7 +78,7 @@ class Request:
     absent."""
     recheck: int | None = None
     """Starts of each scene that run again, drawn when the run begins, where the policy is the
-    baseline's own and the rest is taken over from the baseline; 1 when absent."""
+    baseline's own and the rest is reused from the baseline; 1 when absent."""
     panel: PanelKind | None = None
     """The starts of the suite's seed (pinned), or starts of the checkpoint's own (fresh), by its
     digest, for a release. pinned when absent."""

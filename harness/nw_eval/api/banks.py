@@ -1,4 +1,4 @@
-"""Which bank a run is compared with: the one that is asked for, the suite's own, or none."""
+"""Which baseline a run is compared with: the one that is asked for, the suite's own, or none."""
 
 from __future__ import annotations
 

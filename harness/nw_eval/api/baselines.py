@@ -38,7 +38,7 @@ class ListedBaseline:
 
 @dataclass(frozen=True, kw_only=True)
 class ShownBaseline:
-    """One bank, and where it lies."""
+    """One baseline, and where it lies."""
 
     file: Path
     bank: SavedBank
@@ -249,7 +249,7 @@ def check_baseline(
         changes: of `Request`: checkpoint, render, allow_code.
 
     Raises:
-        UsageError: there is no such bank or suite.
+        UsageError: there is no such baseline or suite.
         SuiteError: the suite cannot be used.
         StoreError: the baseline is damaged.
         IncomparableError: it is no baseline that anything can be compared with.

@@ -66,7 +66,7 @@ def verify_baseline(
 ) -> VerifiedBaseline:
     """Run starts of a baseline again by its own policy, and compare each with its row.
 
-    Nothing is taken over from the cache of trials, and nothing is written into the project.
+    Nothing is reused from the cache of trials, and nothing is written into the project.
 
     Args:
         baseline: its name, `<suite>/<name>`, or its path.

@@ -90,9 +90,9 @@ def blame(
         ended: told of each trial, as it ends.
 
     Raises:
-        UsageError: it is no run's folder, there is neither bank nor policy of that name, `at_most`
-            is no number of trials, or no failed trial has a log.
-        StoreError: run or bank are damaged.
+        UsageError: it is no run's folder, there is neither baseline nor policy of that name,
+            `at_most` is no number of trials, or no failed trial has a log.
+        StoreError: run or baseline are damaged.
         IncomparableError: the baseline's policy is not the one that is there.
         PolicyError: the policy cannot be used.
     """

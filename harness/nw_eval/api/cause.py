@@ -1,9 +1,9 @@
 """Whether a run is worse than a baseline for what its policy sees, or for what it does about it.
 
-Two policies are taken apart, and put together crosswise: one's control with the other's sight.
-Sight is what a card says of sensors of the world around (images, depth, classes, heights, laser
-scanners) and of where cameras sit; control is all the rest: weights, gains, what an action means,
-and what the robot feels of itself or is told.
+Two policies are taken apart, and put together crosswise: one's control with the other's perception.
+Perception is what a card says of sensors of the world around (images, depth, classes, heights,
+laser scanners) and of where cameras sit; control is all the rest: weights, gains, what an action
+means, and what the robot feels of itself or is told.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def find_cause(
     out: Path | None = None,
     listener: Listener | None = None,
 ) -> FoundCause:
-    """Run old and new control with old and new sight in the trials of a run, and compare.
+    """Run old and new control with old and new perception in the trials of a run, and compare.
 
     Args:
         run: the run's folder; its suite, its starts and its policy.
@@ -70,7 +70,7 @@ def find_cause(
             come next.
         workers: processes; one for each core if None.
         allow_code: whether Python code that cards name may be imported.
-        cache: whether results of earlier runs are taken over.
+        cache: whether results of earlier runs are reused.
         out: a new folder; `cause` or `cause-<n>` in the run's folder if None.
         listener: hears of progress.
 
@@ -245,7 +245,7 @@ def apart(old: Bundle, new: Bundle) -> Apart:
     """Return in what two policies differ.
 
     Raises:
-        PolicyError: they cannot be taken apart, or their sights cannot be exchanged.
+        PolicyError: they cannot be taken apart, or their sensors cannot be swapped.
     """
     from nw_eval.gate.cause import Apart
 
@@ -286,7 +286,7 @@ def apart(old: Bundle, new: Bundle) -> Apart:
 
 
 def write_crossed(folder: Path, control: Bundle, sight: Bundle, *, name: str) -> Path:
-    """Write the card of one policy with the sight of another one; return its file.
+    """Write the card of one policy with the perception of another one; return its file.
 
     Its own weights stay where they are; those of networks that feed them, and Python code, are
     copied beside the card.
@@ -302,7 +302,7 @@ def write_crossed(folder: Path, control: Bundle, sight: Bundle, *, name: str) ->
         key: other["observations"][key] if key in seen else value
         for key, value in card["observations"].items()
     }
-    card |= {"name": name, "title": f"control of {control.name}, sight of {sight.name}"}
+    card |= {"name": name, "title": f"control of {control.name}, perception of {sight.name}"}
     card.pop("cameras", None)
     if "cameras" in other:
         card["cameras"] = other["cameras"]

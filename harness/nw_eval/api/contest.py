@@ -55,7 +55,7 @@ class Contest:
         cluster: the address of the Ray cluster that trials run on; None = this machine.
         command: what was typed.
         listener: hears of progress.
-        cache: whether results of earlier runs are taken over.
+        cache: whether results of earlier runs are reused.
         all_rounds: whether all trials run, settled or not.
     """
 
@@ -168,7 +168,7 @@ class Contest:
         """Return how bar and baseline stand, and which trials come next.
 
         The bar and the mean rest on the first trials of the drawn order, all of them. The run ends
-        at the first trial after which one of them convicts or both pass. Then only scenes can be
+        at the first trial after which one of them flags or both pass. Then only scenes can be
         left that hold back a PASS of the baseline; their trials do not bear on bar or mean.
 
         Args:
@@ -306,7 +306,7 @@ class Beside:
         workers: processes; one for each core if None.
         cluster: the address of the Ray cluster that trials run on; None = this machine.
         command: what was typed.
-        cache: whether results of earlier runs are taken over.
+        cache: whether results of earlier runs are reused.
 
     Raises:
         IncomparableError: the baseline's policy is not here.

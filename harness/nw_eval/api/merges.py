@@ -35,7 +35,7 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
 
     Raises:
         UsageError: there is nothing to merge, one is no run's folder or that of a whole run, there
-            is no such bank, or `out` holds something else.
+            is no such baseline, or `out` holds something else.
         IncomparableError: two are not parts of one run, each field is named; or, once the rows are
             merged, as `judge`.
         StoreError: a part or trials of one are missing, a trial has two different results, a folder

@@ -238,8 +238,8 @@ def judge(
         out: where to write the report, as in `report`; nowhere if None.
 
     Raises:
-        UsageError: it is no run's folder or that of a part of a run, there is no such bank, or a
-            drop is none.
+        UsageError: it is no run's folder or that of a part of a run, there is no such baseline, or
+            a drop is none.
         IncomparableError: the baseline does not hold for the run, or has too few starts for it.
         StoreError: its rows or the baseline are damaged, or the report cannot be written.
     """

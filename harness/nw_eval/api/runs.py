@@ -60,7 +60,7 @@ def run(
         cache: take over results that earlier runs have of the same trials, all but a few, which are
             run again and compared; trials in this very process always run.
         all_rounds: go on when the verdict against a baseline is settled, also where the policy is
-            the baseline itself and the rest would be taken over.
+            the baseline itself and the others would be reused.
         engine: where trials run; rows are the same, and a run that is resumed may use another.
         address: of the Ray cluster; one of this machine is started if None.
         listener: hears of progress.
@@ -122,7 +122,7 @@ def roll_out(
         resume: the folder of an interrupted run.
         in_process: whether trials run in this very process.
         listener: hears of progress.
-        cache: whether results of earlier runs are taken over.
+        cache: whether results of earlier runs are reused.
         all_rounds: whether to go on when bar and baseline are settled.
         cluster: the address of a Ray cluster; None = this machine.
 

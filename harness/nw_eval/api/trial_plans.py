@@ -79,7 +79,7 @@ def plan_trials(
     png: Path | None = None,
     workers: int | None = None,
 ) -> TrialPlan | BarPlan:
-    """Return how many trials it takes to convict a drop, and what else the suite's gate sees.
+    """Return how many trials it takes to flag a drop, and what else the suite's gate sees.
 
     Of a suite that has a bar, and neither names a baseline nor has one, it says what the bar takes.
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from nw_eval.words import Arm
 
 SHARE = 0.02
-"""Of the results that could be taken over, how many run all the same; at least one does."""
+"""Of the results that could be reused, how many run all the same; at least one does."""
 
 
 @contextmanager

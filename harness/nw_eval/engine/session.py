@@ -78,7 +78,7 @@ def carry_out(
             returns what it is to say from then on; a `stop` with no trial, or `interrupted`, ends
             the run there.
         enough: asked after each trial what comes next: see `run_trials`.
-        cache: whether results of earlier runs are taken over: see `engine.known`.
+        cache: whether results of earlier runs are reused: see `engine.known`.
         meanwhile: called in a thread while trials run in other processes; it raises nothing.
 
     Raises:

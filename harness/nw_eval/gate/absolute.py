@@ -11,10 +11,10 @@ them for failures, the upper one for successes. Where too many did, nothing is j
 
 Scenes weigh equally; `informational` ones do not count. Each bound errs with probability at most
 1 - confidence, for any distribution of success (`stats.betting`), however often one adds whole
-rounds of trials and looks again. A `critical` scene is also judged alone, and can only convict: its
+rounds of trials and looks again. A `critical` scene is also judged alone, and can only flag: its
 upper bound, at a confidence that is shared among all critical scenes, must not be below the bar.
-The mean and the critical scenes each convict wrongly with probability 1 - confidence at most, so
-together with at most twice that. Alone, ten trials convict a scene whose true success is .5 in one
+The mean and the critical scenes each flag wrongly with probability 1 - confidence at most, so
+together with at most twice that. Alone, ten trials flag a scene whose true success is .5 in one
 run of six where the bar is .75 (all or nothing): the test is valid, not keen.
 
 All this speaks of fresh starts in the suite's scenes. On the seed set that the suite's seed
@@ -91,7 +91,7 @@ def judge(
     elif bar.capped:
         word, reasons = "INCONCLUSIVE", [bar.capped]
     elif condemned:
-        # The suite's mean speaks first only if it convicts too.
+        # The suite's mean speaks first only if it flags too.
         alone = [_alone(scene, most, gate) for scene, most in condemned.items()]
         word, reasons = "REGRESSED", [*(reasons if word == "REGRESSED" else ()), *alone]
     elif word in {"PASS", "RAN"} and (unseen := _unseen(scores)):
@@ -190,7 +190,7 @@ def _bounds(judged: Sequence[Sequence[Row]], left: frozenset[str], gate: Gate) -
 def _is_open(word: Word, left: frozenset[str], against: Comparison | None) -> bool:
     """Return whether it can be said what more trials would bring to the bar.
 
-    They are of no use to it once the baseline has convicted; and how many would leave the captured
+    They are of no use to it once the baseline has flagged; and how many would leave the captured
     volume, once some have, is unknown.
     """
     moot = against is not None and against.word == "REGRESSED"

@@ -1,8 +1,8 @@
-"""Perception or control: the two-by-two of old and new sight with old and new control.
+"""Perception or control: an ablation of old and new perception with old and new control.
 
-Both policies are taken apart by their cards: sight is every sensor of the world around, control is
-all the rest. Four policies come of that, which meet the same trials. The drop from old to new is
-the sum of two effects in every single trial (Shapley 1953 for two players),
+Both policies are taken apart by their cards: perception is every sensor of the world around,
+control is all the rest. Four policies come of that, which meet the same trials. The drop from old
+to new is the sum of two effects in every single trial (Shapley 1953 for two players),
 
     sight   = 1/2 [y(old, old) - y(old, new) + y(new, old) - y(new, new)]
     control = 1/2 [y(old, old) - y(new, old) + y(old, new) - y(new, new)]
@@ -35,7 +35,7 @@ from nw_eval.stats.interval import leans_above
 
 Side = Literal["old", "new"]
 Arm = tuple[Side, Side]
-"""Whose control, and whose sight."""
+"""Whose control, and whose perception."""
 ARMS: tuple[Arm, ...] = (("old", "old"), ("old", "new"), ("new", "old"), ("new", "new"))
 
 _ONE_NETWORK = (
@@ -106,7 +106,7 @@ class Cause:
         trials: that all four policies ended.
         left_out: trials that one of them did not end.
         regressed: trials that the old policy completes and the new one does not.
-        arms: old and new control, each with old and new sight.
+        arms: old and new control, each with old and new perception.
         drop: from old to new.
         sight: its part.
         control: as above.

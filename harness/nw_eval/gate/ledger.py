@@ -86,7 +86,7 @@ class BaselineEntry(_Line):
     scenes: int = Field(default=0, ge=0)
     """Scenes that count, each as often as it has cells of perturbations; 0: as above."""
     critical: int = Field(default=0, ge=0)
-    """Of these, such as convict alone."""
+    """Of these, such as flag alone."""
 
 
 class LedgerEntry(_Line):

@@ -188,9 +188,9 @@ def _has_bar(test: LedgerEntry) -> bool:
 
 
 def _alphas(test: LedgerEntry, *, bar: bool, baseline: bool) -> tuple[float, float]:
-    """Return with which probability a test convicts and passes wrongly, by bar, baseline or either.
+    """Return with which probability a test flags and passes wrongly, by bar, baseline or either.
 
-    Either of them convicts, and so do critical scenes alone. Both must pass, so that no wrong PASS
+    Either of them flags, and so do critical scenes alone. Both must pass, so that no wrong PASS
     is likelier than by the one of them that it slips through.
     """
     by_bar = 1.0 - test.confidence if bar and _has_bar(test) else None

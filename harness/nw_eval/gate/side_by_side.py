@@ -50,7 +50,7 @@ class Entrant:
     """A policy with its results, of a run or of a baseline."""
 
     source: str
-    """The run or bank as it was named."""
+    """The run or baseline as it was named."""
     suite: str
     policy: str
     key: BankKey
@@ -138,7 +138,7 @@ class ComparedPolicy:
     """What it is called here: the policy's name, and more where two have one name."""
     policy: str
     source: str
-    """The run or bank as it was named."""
+    """The run or baseline as it was named."""
     mean: float
     """Mean success over its starts."""
     interval: Interval

@@ -2,7 +2,7 @@
 
 What a policy does in fog says nothing of it. So such a trial is no success and no failure, and its
 start is unknown: whatever would speak for the policy counts it as the worst that it could have
-been, and whatever would convict as the best. Then neither error grows, whichever trials leave; if
+been, and whatever would flag as the best. Then neither error grows, whichever trials leave; if
 they were left out, a policy that walks into the fog where it would fail would pass. Where more than
 a share of all trials leave, the run says too little to be judged.
 

@@ -145,7 +145,7 @@ class Recheck:
     compared: int
     """Trials with a result."""
     ran: int
-    """Of these, such as ran in this run; the others were taken over from the cache of trials."""
+    """Of these, such as ran in this run; the others were reused from the cache of trials."""
     equal: bool
     """Whether all of them have the baseline's values and bits."""
     differing: tuple[str, ...]

@@ -57,8 +57,8 @@ class Settings:
     """What a session was asked for. None: the suite, or nw-eval, decides."""
 
     project: Path
-    """Where names of policies, banks and suites are looked for: the folder of pytest's ini file, or
-    the one that pytest was started in."""
+    """Where names of policies, baselines and suites are looked for: the folder of pytest's ini
+    file, or the one that pytest was started in."""
     report_dir: Path
     policy: str | None
     checkpoint: Path | None

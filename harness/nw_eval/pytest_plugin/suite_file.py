@@ -158,7 +158,7 @@ class SceneItem(SuiteItem):
             pytest.skip(clean(self.state.sentence))
 
     def runtest(self) -> None:
-        """Fail if the scene fell, or shares in what no other test is here to say."""
+        """Fail if the scene regressed, or shares in what no other test is here to say."""
         from nw_eval.pytest_plugin.telling import scene_text
 
         judged = self.judged()

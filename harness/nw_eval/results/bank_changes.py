@@ -46,7 +46,7 @@ class SceneChange:
 
 @dataclass(frozen=True, kw_only=True)
 class BankChange:
-    """What differs between an earlier and a later bank of a suite."""
+    """What differs between an earlier and a later baseline of a suite."""
 
     then: SavedBank
     now: SavedBank

@@ -47,7 +47,7 @@ def write_bank(path: Path, bank: SavedBank) -> None:
         raise StoreError(f"cannot write {path}: {fault}", fix="save the baseline anew from a run")
     content = bank.manifest.model_dump(mode="json")
     if not bank.manifest.scores:
-        del content["scores"]  # An older bank stays as it is.
+        del content["scores"]  # An older baseline stays as it is.
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     write_small_table(path, bank_table(bank), {_MANIFEST: text})
 
@@ -256,7 +256,7 @@ def find_any(reference: str | Path, *, suite: str | None = None, root: Path = BA
     banks = bank_files(root=root)
     suites = sorted({path.parent.name for path in banks if path.stem == name})
     if suite is not None and folder in {"", suite}:
-        suites = [suite]  # Whose bank it is not, if it has none.
+        suites = [suite]  # Whose baseline it is not, if it has none.
     elif folder:
         suites = [each for each in suites if each == folder]
     if len(suites) > 1:

@@ -89,7 +89,7 @@ class RunFolder:
 
     @property
     def cached(self) -> Path:
-        """The logs of trials that were taken over from earlier runs, as `logs` has the others.
+        """The logs of trials that were reused from earlier runs, as `logs` has the others.
 
         They are the cache's own files, which no worker process may write.
         """
@@ -143,7 +143,7 @@ class RunFolder:
 def taken_over_log(log: Path) -> Path:
     """Return where the log of a trial lies that is named as RUN/mcap/SCENE/TRIAL.mcap.
 
-    That of a trial that was taken over from an earlier run lies in `RunFolder.cached`. A path is
+    That of a trial that was reused from an earlier run lies in `RunFolder.cached`. A path is
     returned as it is where a file is there, or none is in either place.
     """
     for place in range(len(log.parts) - 2, 0, -1):

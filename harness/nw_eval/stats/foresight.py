@@ -1,4 +1,4 @@
-"""How often runs that were not made would be passed or convicted by the bounds of `betting`.
+"""How often runs that were not made would be passed or flagged by the bounds of `betting`.
 
 A policy in a scene is a chance: that of reaching the next waypoint, whichever it is. With chance p
 a trial ends after j of k waypoints with probability p^j (1 - p), and reaches all with p^k. That is
@@ -210,7 +210,7 @@ def _draw(
 def _judge(
     parts: list[list[NDArray[np.int64]]], courses: list[SceneCounts], bar: float, confidence: float
 ) -> Shares:
-    """Return how many runs pass and are convicted."""
+    """Return how many runs pass and are flagged."""
     passed, regressed = _judged(parts, courses, bar, confidence)
     return Shares(float(passed.mean()), float(regressed.mean()))
 
@@ -218,7 +218,7 @@ def _judge(
 def _judged(
     parts: list[list[NDArray[np.int64]]], courses: list[SceneCounts], bar: float, confidence: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which runs pass and are convicted; a run's counts are the sum of its parts."""
+    """Return which runs pass and are flagged; a run's counts are the sum of its parts."""
     counts = [np.sum(part, axis=0) for part in zip(*parts, strict=True)]
     trials = [int(ended[0].sum()) for ended in counts]
     above = below = np.zeros(1)

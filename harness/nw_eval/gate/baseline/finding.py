@@ -226,7 +226,7 @@ class Finding:
 
     @property
     def worst(self) -> tuple[Stratum, ...]:
-        """Those that regressed or may have, and of a policy that was convicted some of the rest."""
+        """Those that regressed or may have, and of a policy that was flagged some of the rest."""
         ranked = sorted(self.evidence, key=lambda stratum: (-self.evidence[stratum], stratum))
         least = _WORST if self.word == "REGRESSED" else 0
         return tuple(

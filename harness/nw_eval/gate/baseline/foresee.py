@@ -81,7 +81,7 @@ class Outset:
         return f"at most {plural(self.budget, 'trial')} in {plural(self.scenes, 'scene')}"
 
     def curve(self) -> tuple[CurvePoint, ...]:
-        """Return what the gate convicts, passes and leaves open at drops of .00 to .30."""
+        """Return what the gate flags, passes and leaves open at drops of .00 to .30."""
         return operating_curve(
             self.seen, self.rules, budget=self.budget, starts=self._drawn, against=self.against
         )

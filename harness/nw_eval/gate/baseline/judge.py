@@ -155,7 +155,7 @@ def compare(
             of this one after more trials: for a report, and too slow to be asked after each trial.
 
     Raises:
-        IncomparableError: as `setup_of`, or the gate could never convict.
+        IncomparableError: as `setup_of`, or the gate could never flag.
         StoreError: a row is not of this run, or appears twice.
     """
     setup = setup_of(run, against, gate)
@@ -359,7 +359,7 @@ def _mean(found: Comparison) -> str:
 
 
 def _fallen(found: Comparison) -> tuple[str, ...]:
-    """Return which scenes regressed, whatever the word; those that convict first."""
+    """Return which scenes regressed, whatever the word; those that flag first."""
     order = {"critical": 0, "supporting": 1, "informational": 2}
     named = [item for item in found.scenes if item.named]
     named.sort(key=lambda item: (order[item.tier], -item.evidence, item.name))
@@ -375,7 +375,7 @@ def _fell(item: SceneDrop) -> str:
 
 
 def _largest(found: Comparison) -> Iterable[str]:
-    """Return where a policy that the mean convicts seems worst, if no scene convicts alone."""
+    """Return where a policy that the mean flags seems worst, if no scene flags alone."""
     if not found.mean_convicts or any(item.named for item in found.scenes):
         return
     lower = [item for item in found.scenes if item.counts and item.drop and item.drop > 0.0]

@@ -83,7 +83,7 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank) -> Recheck:
     """Compare trials of the baseline's own policy with what the baseline says of these starts.
 
     On a class of machine that the baseline has been run on, values and bits must be equal. On
-    another one bits may be others. Then nothing is taken over, and only a trial that has the
+    another one bits may be others. Then nothing is reused, and only a trial that has the
     baseline's bits and another result speaks against the baseline.
 
     Args:

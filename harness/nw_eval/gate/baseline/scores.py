@@ -9,7 +9,7 @@ trial runs. Scaled to [0, 1], 1 the best, it is judged as success is:
   as that of success (`stats.bank.interval`), must end below `max_drop` to PASS, and begin above
   `tolerate` to be REGRESSED.
 
-A critical scene convicts by a score alone as it does by success: its own upper bound is below the
+A critical scene flags by a score alone as it does by success: its own upper bound is below the
 bar at a confidence that all critical scenes share, or its own interval of the drop begins above
 `max_drop` at a level that all scenes share.
 

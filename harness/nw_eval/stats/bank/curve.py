@@ -1,4 +1,4 @@
-"""What a gate convicts, passes and leaves open, and after how many trials: by simulation.
+"""What a gate flags, passes and leaves open, and after how many trials: by simulation.
 
 **Gates that were not run.** A policy of a known drop is judged as a real one is, many times over:
 trial by trial with `settle_all`, critical scenes and the wait of PASS included. What scores look

@@ -11,13 +11,13 @@ The candidate is judged by c less what is known of the starts' difficulty:
 Over the seed set the mean of g is B, so that z has the candidate's mean whatever beta is. Within a
 scene z varies less than c as far as the two policies find the same starts hard.
 
-**The wealth** is that of a gambler who bets that a mean is higher than a null allows, drawing for
+**The capital** is that of a bettor who bets that a mean is higher than a null allows, drawing for
 good. A box has M numbers y >= 0. They are drawn one by one in random order and not put back. The
 null says that their mean is at most n. Then those that are left before draw r have at most the mean
 
     n_r = (M n - sum over earlier draws q of y_q) / (M - r + 1),
 
-and a gambler who bets the share k of the wealth at odds that are fair at n_r has
+and a bettor who bets the share k of the capital at odds that are fair at n_r has
 
     E = sum_k w_k  prod_r (1 + k (y_r - n_r) / n_r),     sum_k w_k = 1,  0 < k < 1.
 
@@ -104,7 +104,7 @@ class Bank:
 
     @property
     def betas(self) -> tuple[float, ...]:
-        """How much of a start's own difficulty is used, once for each gambler."""
+        """How much of a start's own difficulty is used, once for each bettor."""
         return (1.0,) if self.paired else (0.0, 0.5)
 
     @property
@@ -136,12 +136,12 @@ _SMALLEST = 1e-6
 rounding must not win. Smaller bets than fair odds allow are valid bets."""
 
 _MOST = 1e150
-"""Where wealth is capped, so that the product of two is finite; a cap only loses evidence."""
+"""Where capital is capped, so that the product of two is finite; a cap only loses evidence."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bets:
-    """Shares of the wealth that are bet, each on an account of its own."""
+    """Shares of the capital that are bet, each on an account of its own."""
 
     shares: tuple[float, ...]
     """k, shape (K,), each above 0 and below 1."""
@@ -152,13 +152,13 @@ class Bets:
 def along(values: Floats, null: Floats, size: float, bets: Bets) -> Floats:
     """Return E after each of T draws, shape (..., T); leading axes are boxes apart.
 
-    Wealth is a product and not a sum of logarithms: products are the same bits on every machine.
+    Capital is a product and not a sum of logarithms: products are the same bits on every machine.
 
     Args:
         values: y in the order drawn, shape (..., T).
         null: n, shape (...).
         size: M, how many numbers a box has, T at least; may be infinite.
-        bets: shares of the wealth.
+        bets: shares of the capital.
 
     Raises:
         ValueError: there are more draws than numbers.
@@ -200,7 +200,7 @@ class Margins:
     max_drop: float = 0.10
     """A drop as large as this must not pass."""
     tolerate: float = 0.02
-    """A drop as small as this must not be convicted; between the two either may happen."""
+    """A drop as small as this must not be flagged; between the two either may happen."""
     scene_drop: float = 0.10
     """A drop in one scene as small as this must not be held against that scene."""
 

@@ -15,7 +15,7 @@ how many trials a scene has may depend on anything that is known, so that E_s st
 evidence on the mean takes no part. Waiting makes PASS rarer, and no other error more frequent.
 
 By Ville's inequality a drop of max_drop or more passes with probability at most alpha_pass. One of
-at most `tolerate` is convicted by the mean with at most alpha_regr. If no scene dropped by more
+at most `tolerate` is flagged by the mean with at most alpha_regr. If no scene dropped by more
 than scene_drop, any is named with at most alpha_regr besides: the S scenes share that error.
 
 **The same trials whatever the number of workers.** Which trials are judged follows from the order
@@ -32,7 +32,7 @@ Hoeffding, 1963, section 6, has it for all convex functions of a sum). That evid
 1 / alpha is then bounded by no theorem here: it was enumerated for small seed sets and simulated on
 real ones, and happens less often than alpha. A claim about fresh starts takes the baseline's means
 for true. What a small baseline errs in them was simulated: a policy exactly at `tolerate`, of whom
-1 % should be convicted, is in up to 2.3 % with 10 starts in all scenes together, in 1.8 % with 12
+1 % should be flagged, is in up to 2.3 % with 10 starts in all scenes together, in 1.8 % with 12
 to 200, and in 1.0 % with more, unless most of them are drawn (1.4 %).
 
 A randomised last look (U / alpha in place of 1 / alpha at the end of the budget, U uniform) would
@@ -78,7 +78,7 @@ SUSPECT = 4.0
 
 CRITICAL_TRIALS = 4
 """Trials of each critical scene, at least, before a PASS. The mean of 64 scenes may pass before
-half of them have been met: a critical one that always fails was then convicted in 24 %, and is with
+half of them have been met: a critical one that always fails was then flagged in 24 %, and is with
 this in all (simulated). Where nothing fell it takes 1 to 3 trials more for each critical scene."""
 
 _Word = Literal["PASS", "REGRESSED", "undecided"]
@@ -161,7 +161,7 @@ class TrialRules:
     alpha_pass: float = 0.05
     """Probability, at most, that a drop of max_drop or more passes."""
     alpha_regr: float = 0.01
-    """Probability, at most, that a drop of `tolerate` or less is convicted by the mean; and, at
+    """Probability, at most, that a drop of `tolerate` or less is flagged by the mean; and, at
     most, that any scene is named where none dropped by more than scene_drop."""
 
     def __post_init__(self) -> None:
@@ -193,7 +193,7 @@ class TrialRuling:
     followed: tuple[int, ...]
     """Trials after those, by index in the order, that were judged for their scenes alone."""
     named: tuple[int, ...]
-    """Scenes that fell, whatever the word, by index."""
+    """Scenes that regressed, whatever the word, by index."""
     waits_for: tuple[int, ...]
     """Scenes that alone hold back a PASS that the mean allows."""
     ahead: tuple[int, ...]
@@ -272,7 +272,7 @@ def settle(
 def _rule(
     scenes: Places, every: Looks, count: int, ended: Truths, rules: TrialRules
 ) -> TrialRuling:
-    """Return the ruling on one gate.
+    """Return the decision on one gate.
 
     Args:
         scenes: of all trials of the budget, shape (T,).
@@ -306,7 +306,7 @@ def _rule(
 
 
 def _reached(scenes: Places, every: Looks, rules: TrialRules) -> tuple[Truths, Truths]:
-    """Return where evidence convicts, and where that on the mean passes; of the shape of scenes."""
+    """Return where evidence flags, and where that on the mean passes; of the shape of scenes."""
     count = scenes.shape[-1]
     convicts = every.regressed[..., :count] >= 1.0 / rules.alpha_regr
     if critical := rules.critical:
@@ -411,9 +411,9 @@ def most_false_alarms(
     critical: int,
     scenes: int,
 ) -> float:
-    """Return how often a gate convicts wrongly at most: the sum of what its parts do.
+    """Return how often a gate flags wrongly at most: the sum of what its parts do.
 
-    A policy is convicted wrongly if it is above the bar, in every critical scene too, dropped by
+    A policy is flagged wrongly if it is above the bar, in every critical scene too, dropped by
     `tolerate` at most, and in no critical scene by more than scene_drop. By Boole's inequality the
     parts together err with the sum of their probabilities at most.
 
@@ -421,7 +421,7 @@ def most_false_alarms(
         bar: 1 - confidence of the absolute bar, None without one.
         bar_critical: whether critical scenes are judged alone by it, which share another of these.
         baseline: alpha_regr of the gate against a baseline, None without one.
-        critical: scenes of it that convict alone. Each is named wrongly with alpha_regr / S.
+        critical: scenes of it that flag alone. Each is named wrongly with alpha_regr / S.
         scenes: S.
 
     Raises:
