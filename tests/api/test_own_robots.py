@@ -11,7 +11,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.engine import ray_file_bundles
-from nw_eval.engine.listener import Silence
+from nw_eval.engine.listener import NullListener
 from nw_eval.engine.ray_file_bundles import Outgoing
 from nw_eval.errors import PolicyError, RobotError, SuiteError
 from nw_eval.results.row import rows_digest
@@ -201,7 +201,7 @@ def test_the_published_protocol_has_control_steps_of_its_own(mine):
 def test_a_run_says_first_what_no_leg_of_its_robot_could_do(mine):
     said: list[str] = []
 
-    class Ears(Silence):
+    class Ears(NullListener):
         def message(self, text: str) -> None:
             said.append(text)
 

@@ -219,13 +219,13 @@ def _new_results(
         TrialError: one is not what the cache of trials says.
     """
     from nw_eval.engine import session
-    from nw_eval.engine.listener import Silence
+    from nw_eval.engine.listener import NullListener
     from nw_eval.results.ended import read_trials
     from nw_eval.results.journal import has_begun
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import RunFolder
 
-    listener = listener or Silence()
+    listener = listener or NullListener()
     listener.message(_ahead(place, workers=workers))
     work = RunFolder(path=place.work)
     is_begun = has_begun(work.journal)

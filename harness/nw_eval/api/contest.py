@@ -275,20 +275,20 @@ def _ends_at(finding: Finding, bar: tuple[int, Word] | None) -> int | None:
         finding: of the baseline.
         bar: after how many trials it was decided, and how.
     """
-    convicts = [bar[0]] if bar is not None and bar[1] == "REGRESSED" else []
+    flags = [bar[0]] if bar is not None and bar[1] == "REGRESSED" else []
     by_scene = finding.word == "REGRESSED" and bool(finding.followed)
     if finding.word == "REGRESSED" and not by_scene:
-        convicts.append(finding.first)
+        flags.append(finding.first)
     mean_passes = finding.word == "PASS" or by_scene or bool(finding.waits_for)
     passes = None
     if mean_passes and bar is not None and bar[1] != "REGRESSED":
         passes = max(finding.first, bar[0])
     if by_scene:
-        convicted = finding.followed[-1] + 1
-        if passes is not None and passes < convicted:
+        flagged = finding.followed[-1] + 1
+        if passes is not None and passes < flagged:
             return passes
-        convicts.append(convicted)
-    return min(convicts) if convicts else passes
+        flags.append(flagged)
+    return min(flags) if flags else passes
 
 
 CHUNK = 16

@@ -133,11 +133,11 @@ def roll_out(
     from nw_eval.api.plans import rechecked
     from nw_eval.api.verifying import unforeseen_seed
     from nw_eval.engine import session
-    from nw_eval.engine.listener import Silence
+    from nw_eval.engine.listener import NullListener
     from nw_eval.gate.baseline.combine import unjudged
     from nw_eval.results.provenance import read_run_info
 
-    ears, command = listener or Silence(), tuple(sys.argv)
+    ears, command = listener or NullListener(), tuple(sys.argv)
     # Scores are judged once, of all trials: only success alone may settle a run early.
     all_rounds = all_rounds or bool(plan.suite.gate.scores)
     if plan.is_baseline and plan.drawn is None:

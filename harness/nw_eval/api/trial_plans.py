@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from nw_eval.engine.forecast import Forecast
     from nw_eval.engine.plan import Plan
-    from nw_eval.gate.baseline.foresee import Outset
+    from nw_eval.gate.baseline.power_forecast import Outset
     from nw_eval.gate.baseline.scores import ScoreForecast
     from nw_eval.request import Request
     from nw_eval.stats.bank.curve import CurvePoint, Progress
@@ -164,7 +164,7 @@ def _of_bar(resolved: Plan, bar: float) -> BarPlan:
 
     from nw_eval.engine.forecast import obstacles_of
     from nw_eval.gate.absolute import trials_to_pass
-    from nw_eval.stats.foresight import SceneCounts, shares_at
+    from nw_eval.stats.power import SceneCounts, shares_at
 
     suite = resolved.suite
     gate, cells = suite.gate, len(suite.perturb.cells)
@@ -213,7 +213,7 @@ def _draw(planned: TrialPlan, png: Path) -> None:
 
 def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
     """Return what a baseline is, in words, and what is known with it."""
-    from nw_eval.gate.baseline.foresee import outset_of_bank
+    from nw_eval.gate.baseline.power_forecast import outset_of_bank
     from nw_eval.results.bank_file import read_bank
 
     suite = resolved.suite
@@ -255,7 +255,7 @@ def _of_run(resolved: Plan, folder: Path) -> tuple[str, Outset]:
     """Return what a run is, in words, and what is known with it."""
     from nw_eval.api.baselines_saved import STARTS
     from nw_eval.api.saved_run import check_whole, saved_rows
-    from nw_eval.gate.baseline.foresee import outset_of_rows
+    from nw_eval.gate.baseline.power_forecast import outset_of_rows
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
 

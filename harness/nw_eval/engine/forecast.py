@@ -121,7 +121,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
     Args:
         plan: what would be run.
     """
-    from nw_eval.gate.baseline.foresee import bar_obstacles
+    from nw_eval.gate.baseline.power_forecast import bar_obstacles
 
     suite, against = plan.suite, plan.against
     if suite.gate.success_rate is None and against is None:
@@ -176,7 +176,7 @@ def _warnings(plan: Plan) -> tuple[str, ...]:
 
 def _against_the_bank(plan: Plan, against: Against) -> list[str]:
     """Return that the trials of a plan are too few to exclude max_drop, if they are."""
-    from nw_eval.gate.baseline.foresee import trials_to_pass_baseline
+    from nw_eval.gate.baseline.power_forecast import trials_to_pass_baseline
 
     suite, manifest, panel = plan.suite, against.bank.manifest, against.bank.panels[0]
     fresh = plan.drawn_from is None
@@ -209,8 +209,12 @@ def obstacles_among_equals(
         scenes: that are run, by name.
         left_out: scenes of the suite that are not, by name.
     """
-    from nw_eval.gate.baseline.foresee import bar_obstacles, perfect_panel, trials_to_pass_baseline
     from nw_eval.gate.baseline.match import draw_trials
+    from nw_eval.gate.baseline.power_forecast import (
+        bar_obstacles,
+        perfect_panel,
+        trials_to_pass_baseline,
+    )
 
     gate, cells = suite.gate, suite.perturb.cells
     if gate.success_rate is not None:

@@ -80,7 +80,7 @@ def make_ready(spec: JobSpec, pieces: Mapping[str, Sequence[Any]]) -> None:
     import ray
 
     from nw_eval.catalogue import open_scene
-    from nw_eval.engine.listener import Silence
+    from nw_eval.engine.listener import NullListener
     from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
 
     def fetch(sha256: str) -> Iterator[bytes]:
@@ -90,10 +90,10 @@ def make_ready(spec: JobSpec, pieces: Mapping[str, Sequence[Any]]) -> None:
     ray_file_bundles.receive(spec.file_bundles, fetch)
     places = ray_file_bundles.places(spec.file_bundles)
     scenes = [open_scene(places.get(name, name), collision) for name, collision in spec.scenes]
-    ready_scans(scenes, Silence())
+    ready_scans(scenes, NullListener())
     if spec.renders:
-        open_backend(spec.render, Silence(), is_fenced=False)
-        build_splats(scenes, Silence())
+        open_backend(spec.render, NullListener(), is_fenced=False)
+        build_splats(scenes, NullListener())
 
 
 def scratch(token: str) -> Path:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Self
 
 from nw_eval.clean import clean
 from nw_eval.engine.known import NothingKnown
-from nw_eval.engine.listener import Listener, Silence
+from nw_eval.engine.listener import Listener, NullListener
 from nw_eval.engine.machine import Interrupts, worker_count
 from nw_eval.engine.rows import make_row
 from nw_eval.errors import StoreError
@@ -114,7 +114,7 @@ def run_trials(
         KeyboardInterrupt: a second signal came before the first was obeyed.
     """
     began = perf_counter()
-    ears = listener or Silence()
+    ears = listener or NullListener()
     attempts = Attempts(
         journal=journal,
         folder=folder,

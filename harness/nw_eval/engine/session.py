@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Self
 from nw_eval.engine.building import SplatBuilders
 from nw_eval.engine.cache import limit_bytes
 from nw_eval.engine.known import known_trials
-from nw_eval.engine.listener import Listener, Silence
+from nw_eval.engine.listener import Listener, NullListener
 from nw_eval.engine.machine import worker_count
 from nw_eval.engine.order import in_order
 from nw_eval.engine.plan import Plan, plan_jobs
@@ -95,7 +95,7 @@ def carry_out(
         if meanwhile is not None and not in_process:
             meanwhile()
 
-    listener = listener or Silence()
+    listener = listener or NullListener()
     limit_bytes()  # Before anything is written, if it is none.
     with (
         worker_pool(workers=workers, in_process=in_process, cluster=cluster) as place,

@@ -39,7 +39,7 @@ from nw_eval.results.bank import trajectory
 from nw_eval.results.provenance import BaselineInfo, RunInfo
 from nw_eval.results.row import Row
 from nw_eval.results.seal import seal, unseal
-from nw_eval.stats.foresight import SceneCounts
+from nw_eval.stats.power import SceneCounts
 from nw_eval.words import PanelKind, Tier
 
 _MOST_TRAJECTORIES = 64

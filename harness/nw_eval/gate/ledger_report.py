@@ -12,7 +12,7 @@ from statistics import fmean
 from nw_eval.gate.ledger import LedgerEntry
 from nw_eval.gate.verdict import Word
 from nw_eval.stats.bank.trials import most_false_alarms
-from nw_eval.stats.foresight import luck_of_the_best
+from nw_eval.stats.power import luck_of_the_best
 from nw_eval.words import PanelKind
 
 _DAYS = 365.25

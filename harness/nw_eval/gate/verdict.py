@@ -40,7 +40,7 @@ class SceneScore:
     mean: float | None  # Mean success; None without results.
     interval: Interval  # Of mean success: stratified bootstrap.
     weak: bool = False  # Its whole interval lies below the bar.
-    condemned: bool = False  # Critical, and significantly below the bar: REGRESSED by itself.
+    flagged: bool = False  # Critical, and significantly below the bar: REGRESSED by itself.
     outside: int = 0  # Trials that left the captured volume, and are in nothing above.
     split: Literal["train", "eval"] | None = None  # Whether the policy was trained in it.
     unseen: bool = False  # So many that this scene says too little (`gate.validity.at_most`).
@@ -250,7 +250,7 @@ class Comparison:
     interval: Interval | None
     """Drops not excluded: its low end errs with alpha_regr, its high end with alpha_pass. None
     where nothing was tested, or before a report is asked for."""
-    mean_convicts: bool
+    mean_regressed: bool
     """Whether the mean itself has regressed significantly."""
     false_alarm: float
     """Probability, at most, that this gate is REGRESSED by a policy that is good enough: of its

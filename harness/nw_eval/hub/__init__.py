@@ -28,7 +28,7 @@ class FetchListener(Protocol):
         ...
 
 
-class _Silence:
+class _NullListener:
     def fetching(self, name: str, done: int, total: int) -> None:
         """Ignore it."""
 
@@ -36,7 +36,7 @@ class _Silence:
         """Ignore it."""
 
 
-_LISTENER: ContextVar[FetchListener] = ContextVar("listener", default=_Silence())  # noqa: B039 - it holds nothing.
+_LISTENER: ContextVar[FetchListener] = ContextVar("listener", default=_NullListener())  # noqa: B039 - it holds nothing.
 
 
 def listener() -> FetchListener:

@@ -123,9 +123,7 @@ def bank_of(table: PlainTable, path: Path) -> SavedBank:
     groups: list[list[Start]] = [[] for _ in manifest.panels[: MOST_PANELS + 1]]
     for number, start in zip(table.columns["panel"], _starts(table, path), strict=True):
         if not (isinstance(number, int) and 0 <= number < len(groups)):
-            raise _unusable(
-                path, f"it has initial states of a seed set {number}, and {len(groups)} panels"
-            )
+            raise _unusable(path, f"it has results of machine {number}, of {len(groups)} listed")
         groups[number].append(start)
     panels = [
         Panel(machine=info.machine, starts=tuple(starts))

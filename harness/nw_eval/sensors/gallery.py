@@ -18,7 +18,7 @@ from nw_eval.sensors.build import build_sensors
 from nw_eval.sensors.drawing import pictures
 from nw_eval.sensors.drawing.pictures import Bytes
 from nw_eval.sensors.drawing.sheet import Cell, draw_sheet, text_strip
-from nw_eval.sensors.sensor import Moment, Sensor
+from nw_eval.sensors.sensor import Sensor, StepContext
 from nw_eval.sensors.shutter import shutter_words
 from nw_eval.sim import World
 from nw_eval.tasks import Course
@@ -212,7 +212,7 @@ def _observe(
         sensors = build_sensors(card, world, renderer=opened, code_from=code_from)
         for sensor in sensors.values():
             sensor.reset(0)
-        moment = Moment(
+        moment = StepContext(
             world=world,
             task=Course.along(scene.trail),
             step=_SETTLING,

@@ -21,7 +21,7 @@ from nw_eval.files.importable import importable
 from nw_eval.memory import Arrays
 from nw_eval.plugins import SENSORS, WRAPPERS, installed, is_code, subject, warn_of_rivals
 from nw_eval.robots import RobotSpec
-from nw_eval.sensors.sensor import Measurement, Moment, Sample, Shot, TrialPlace, Wrapper
+from nw_eval.sensors.sensor import Measurement, Sample, SceneView, Shot, StepContext, Wrapper
 
 
 def make_plugin(
@@ -139,7 +139,7 @@ class PluginSensor(Measurement):
         self.unit = str(getattr(plugin, "unit", "mixed"))
         self.is_image = bool(getattr(plugin, "is_image", False))
 
-    def attach(self, place: TrialPlace) -> None:
+    def attach(self, place: SceneView) -> None:
         """Show it the scene."""
         self._call("attach", place)
 
@@ -147,7 +147,7 @@ class PluginSensor(Measurement):
         """Begin a trial."""
         self._call("reset")
 
-    def measure(self, moment: Moment) -> NDArray[Any]:
+    def measure(self, moment: StepContext) -> NDArray[Any]:
         """Ask it.
 
         Raises:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import UsageError
 from nw_eval.lens import Intrinsics
-from nw_eval.sensors.sensor import Moment, TrialPlace
+from nw_eval.sensors.sensor import SceneView, StepContext
 from nw_eval.sensors.shutter import Band
 from nw_eval.splat.camera import Camera, Pixels, Rows
 from nw_eval.splat.image import Image, stacked
@@ -51,7 +51,7 @@ class SplatView:
         self._key = f"splat of {name}, {lens.width}x{lens.height}, {pixels}"
         self._renderer: Renderer | None = None
 
-    def attach(self, place: TrialPlace) -> None:
+    def attach(self, place: SceneView) -> None:
         """Open the renderer of the scene's splat.
 
         Raises:
@@ -64,7 +64,7 @@ class SplatView:
         """Return the camera at a pose."""
         return Camera.of(self._lens, T_splat_camera)
 
-    def seen(self, moment: Moment, draws: Sequence[Sequence[Band]]) -> list[Image]:
+    def seen(self, moment: StepContext, draws: Sequence[Sequence[Band]]) -> list[Image]:
         """Return the splat alone, an image of each draw; must not be changed the arrays."""
         key = f"{self._key}, {len(draws)}"
         images: list[Image] | None = moment.shared.get(key)
@@ -129,7 +129,7 @@ class SplatScan:
             focal = min(1.0 / step, _FINEST)
             self._sectors.append(_Sector(f"{name} {each}", directions, rays, middle, focal))
 
-    def attach(self, place: TrialPlace) -> None:
+    def attach(self, place: SceneView) -> None:
         """Open the renderer of the scene's splat.
 
         Raises:

@@ -75,7 +75,7 @@ def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | N
     if begun is not None and begun.moved:
         reasons = (*begun.moved, _mend(run, against))
         return replace(by_bar(rows, gate, run.planned), verdict="INVALID", reasons=reasons)
-    found = compare(rows, run, against, gate, foresee=True)
+    found = compare(rows, run, against, gate, power_forecast=True)
     by_bar = partial(by_bar, drawn=_drawn(rows, run, against, gate))
     if found.again is not None and found.again.differing:
         verdict = by_bar(rows, gate, run.planned, against=found)

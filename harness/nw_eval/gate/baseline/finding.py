@@ -204,7 +204,7 @@ class Finding:
     followed: tuple[int, ...] = ()
     """Later positions that were judged for their scenes alone."""
     ahead: tuple[int, ...] = ()
-    """Places that come next, as `TrialRuling.ahead`; those of strata that count."""
+    """Places that come next, as `TrialDecision.ahead`; those of strata that count."""
     used: tuple[int, ...] = ()
     """Places of trials of strata that count which were judged, in order."""
     evidence: Mapping[Stratum, float] = field(default_factory=dict)
@@ -213,7 +213,7 @@ class Finding:
     """Those that regressed significantly."""
     waits_for: tuple[Stratum, ...] = ()
     """Those that alone hold back a PASS."""
-    mean_convicts: bool = False
+    mean_regressed: bool = False
     """Whether the mean itself regressed significantly."""
     drop: float | None = None
     """Estimate of the drop; None without a trial."""
@@ -340,26 +340,26 @@ def find(
     check_level(panel, judged, gate)
     bank, rules = bank_of(panel, judged, basis, claim), rules_of(gate, judged)
     trials = numbers_of(met, judged, panel, basis, bank)
-    ruling = settle(bank, trials, rules, ended)
-    used = [*range(ruling.mean), *ruling.followed]
+    decision = settle(bank, trials, rules, ended)
+    used = [*range(decision.mean), *decision.followed]
     seen = trials.at(used)
     evidence = dict.fromkeys(judged, 1.0)
     own = looks(bank, seen, rules.margins).own if used else np.empty(0)
     for which, value in zip(seen.scenes.tolist(), own.tolist(), strict=True):
         evidence[judged[which]] = value
     alphas = {"alpha_pass": rules.alpha_pass, "alpha_regr": rules.alpha_regr}
-    mean = trials.at(range(ruling.mean))
-    regressed = looks(bank, mean, rules.margins).regressed if ruling.mean else np.empty(0)
+    mean = trials.at(range(decision.mean))
+    regressed = looks(bank, mean, rules.margins).regressed if decision.mean else np.empty(0)
     return Finding(
-        word="INCONCLUSIVE" if ruling.word == "undecided" else ruling.word,
-        first=int(places[ruling.mean - 1]) + 1 if ruling.mean else 0,
-        followed=tuple(places[list(ruling.followed)].tolist()) if ruling.followed else (),
-        ahead=tuple(places[list(ruling.ahead)].tolist()) if ruling.ahead else (),
+        word="INCONCLUSIVE" if decision.word == "undecided" else decision.word,
+        first=int(places[decision.mean - 1]) + 1 if decision.mean else 0,
+        followed=tuple(places[list(decision.followed)].tolist()) if decision.followed else (),
+        ahead=tuple(places[list(decision.ahead)].tolist()) if decision.ahead else (),
         used=tuple(places[used].tolist()) if used else (),
         evidence=evidence,
-        named=tuple(judged[index] for index in ruling.named),
-        waits_for=tuple(judged[index] for index in ruling.waits_for),
-        mean_convicts=bool((regressed >= 1.0 / rules.alpha_regr).any()),
+        named=tuple(judged[index] for index in decision.named),
+        waits_for=tuple(judged[index] for index in decision.waits_for),
+        mean_regressed=bool((regressed >= 1.0 / rules.alpha_regr).any()),
         drop=_drop(bank, mean),
         control=_control(mean) if bank.paired else None,
         interval=drop_interval_after(bank, mean, **alphas) if alone else None,

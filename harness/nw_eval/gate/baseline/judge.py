@@ -26,9 +26,9 @@ from nw_eval.gate.baseline.finding import (
     scores_of,
     strata_that_count,
 )
-from nw_eval.gate.baseline.foresee import Outset, about_more_trials, outset_of_bank
 from nw_eval.gate.baseline.known import recheck
 from nw_eval.gate.baseline.match import basis_of, check_match, claim_of, drawn_order
+from nw_eval.gate.baseline.power_forecast import Outset, about_more_trials, outset_of_bank
 from nw_eval.gate.validity import over_the_cap, that_left
 from nw_eval.gate.verdict import Basis, Claim, Comparison, SceneDrop, percent_sure
 from nw_eval.plural import plural
@@ -142,7 +142,7 @@ def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
 
 
 def compare(
-    rows: Sequence[Row], run: RunInfo, against: Against, gate: Gate, *, foresee: bool = False
+    rows: Sequence[Row], run: RunInfo, against: Against, gate: Gate, *, power_forecast: bool = False
 ) -> Comparison:
     """Compare the trials that a run has so far with a baseline.
 
@@ -151,7 +151,8 @@ def compare(
         run: what they are of.
         against: the baseline, with the control's rows if one ran.
         gate: margins, errors and tiers.
-        foresee: also find intervals, and simulate what this gate would show of other policies, and
+        power_forecast: also find intervals, and simulate what this gate would show of other
+            policies, and
             of this one after more trials: for a report, and too slow to be asked after each trial.
 
     Raises:
@@ -160,7 +161,7 @@ def compare(
     """
     setup = setup_of(run, against, gate)
     met = setup.met(rows)
-    finding = setup.find(met, alone=foresee)
+    finding = setup.find(met, alone=power_forecast)
     basis, panel, strata = setup.basis, setup.panel, setup.strata
     used = frozenset(finding.used) | {
         place for place in range(finding.first) if met.order[place][0] not in _scenes(setup)
@@ -187,7 +188,7 @@ def compare(
         baseline=_level(finding, panel, setup.judged),
         drop=finding.drop,
         interval=finding.interval,
-        mean_convicts=finding.mean_convicts,
+        mean_regressed=finding.mean_regressed,
         false_alarm=most_false_alarms(
             bar=None if all(bar is None for bar in bars) else alpha_pass,
             bar_critical=critical > 0,
@@ -207,9 +208,9 @@ def compare(
         again=recheck(rows, run, setup.bank) if meets_starts else None,
     )
     curve = more = None
-    if foresee and basis != "same":
+    if power_forecast and basis != "same":
         further = setup.met(rows, further=True)
-        curve, more = _foresee(comparison, further, setup.judged, panel, gate)
+        curve, more = _power_forecast(comparison, further, setup.judged, panel, gate)
     reasons = _in_words(comparison, finding)
     return replace(
         comparison,
@@ -314,7 +315,7 @@ def _in_words(found: Comparison, finding: Finding) -> tuple[str, ...]:
         over = "taken over from the baseline, " if again.taken_over else ""
         return (f"the same policy as the baseline {found.policy}: {over}{again.in_words}",)
     fallen, mean = _fallen(found), _mean(found)
-    by_scenes_alone = found.word == "REGRESSED" and not found.mean_convicts
+    by_scenes_alone = found.word == "REGRESSED" and not found.mean_regressed
     return (
         *((*fallen, mean) if by_scenes_alone else (mean, *fallen)),
         *_largest(found),
@@ -343,7 +344,7 @@ def _mean(found: Comparison) -> str:
     span = (
         f"at least {drops.low:z.3f} ({at_least} confidence), at most {drops.high:z.3f} ({at_most})"
     )
-    if found.mean_convicts:
+    if found.mean_regressed:
         return f"mean success regressed from {name}: {span} worse {in_trials}"
     change = f"dropped by {found.drop:z.3f} from {name}"
     if found.drop < 0.0:
@@ -376,7 +377,7 @@ def _fell(item: SceneDrop) -> str:
 
 def _largest(found: Comparison) -> Iterable[str]:
     """Return where a policy that the mean flags seems worst, if no scene flags alone."""
-    if not found.mean_convicts or any(item.named for item in found.scenes):
+    if not found.mean_regressed or any(item.named for item in found.scenes):
         return
     lower = [item for item in found.scenes if item.counts and item.drop and item.drop > 0.0]
     lower.sort(key=lambda item: (-item.evidence, item.name))
@@ -437,7 +438,7 @@ def _listed(names: Sequence[str]) -> str:
     return f"{', '.join(names[:_NAMED])}{more}"
 
 
-def _foresee(
+def _power_forecast(
     found: Comparison, met: Met, judged: Sequence[Stratum], panel: Panel, gate: Gate
 ) -> tuple[tuple[CurvePoint, CurvePoint, CurvePoint], str | None]:
     """Simulate what a comparison leaves open.
@@ -457,7 +458,7 @@ def _foresee(
     outset = outset_of_bank(panel, gate, budget=found.budget, against=against)
     is_open = found.word == "INCONCLUSIVE" and found.trials > 0
     more = _more(met, judged, panel, found, outset) if is_open else None
-    return outset.foresee(), more
+    return outset.power_forecast(), more
 
 
 def _more(

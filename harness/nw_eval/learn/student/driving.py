@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.built_in.splits import split_of
 from nw_eval.catalogue import FoundScene, references
-from nw_eval.engine.listener import Silence
+from nw_eval.engine.listener import NullListener
 from nw_eval.engine.local import LocalWorkers
 from nw_eval.engine.machine import WorkerOutput, worker_count
 from nw_eval.engine.plan import default_time_limit
@@ -77,7 +77,7 @@ def make_ready(scenes: Sequence[FoundScene], card: Card, say: Callable[[str], No
         build_splats(opened, listener)
 
 
-class _Told(Silence):
+class _Told(NullListener):
     """Passes lines for people on, and every ten seconds which splat is being built."""
 
     def __init__(self, say: Callable[[str], None]) -> None:

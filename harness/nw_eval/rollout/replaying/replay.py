@@ -11,8 +11,8 @@ from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.record import provenance
 from nw_eval.rollout.record import verdict_metadata as as_metadata
-from nw_eval.rollout.replaying.led import driver, handover_of, lead_to, run_on
 from nw_eval.rollout.replaying.logged import LoggedTrial, agreed, check_inside, check_start, step_at
+from nw_eval.rollout.replaying.policy_switch import driver, lead_to, run_on, switch_of
 from nw_eval.rollout.replaying.reports import Difference, ReplayReport
 from nw_eval.rollout.result import StageClock, TrialResult
 
@@ -85,7 +85,7 @@ def replay(
     check_inside(start, logged)
     job = logged.job
     with open_trial(job, library, StageClock()) as trial:
-        earlier = handover_of(logged)
+        earlier = switch_of(logged)
         if earlier is not None and step_at(start, logged.control_rate) < earlier.step:
             lead_to(earlier.step, trial, logged, library)
         elif start > 0.0:

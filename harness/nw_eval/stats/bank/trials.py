@@ -19,9 +19,9 @@ at most `tolerate` is flagged by the mean with at most alpha_regr. If no scene d
 than scene_drop, any is named with at most alpha_regr besides: the S scenes share that error.
 
 **The same trials whatever the number of workers.** Which trials are judged follows from the order
-and from the results of those before. Workers may run ahead in the order (`TrialRuling.ahead`); what
-they find beyond the trial that settles it is not judged. So no batch has to be waited for, and the
-number of trials that are judged is the least that there can be.
+and from the results of those before. Workers may run ahead in the order (`TrialDecision.ahead`);
+what they find beyond the trial that settles it is not judged. So no batch has to be waited for, and
+the number of trials that are judged is the least that there can be.
 
 **Validity.** With M finite, `evidence` has the proof, for one box of S M numbers: the claim is of
 these starts only. With M infinite the null's mean is not moved by what was drawn. Were scenes drawn
@@ -184,7 +184,7 @@ class TrialRules:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrialRuling:
+class TrialDecision:
     """What was found in a gate, and by which trials."""
 
     word: _Word
@@ -243,7 +243,7 @@ def looks(bank: Bank, trials: DrawnTrials, margins: Margins) -> Looks:
 
 def settle(
     bank: Bank, trials: DrawnTrials, rules: TrialRules, known: Sequence[bool] | Truths | None = None
-) -> TrialRuling:
+) -> TrialDecision:
     """Return what the trials that are known so far settle.
 
     Args:
@@ -271,7 +271,7 @@ def settle(
 
 def _rule(
     scenes: Places, every: Looks, count: int, ended: Truths, rules: TrialRules
-) -> TrialRuling:
+) -> TrialDecision:
     """Return the decision on one gate.
 
     Args:
@@ -283,19 +283,19 @@ def _rule(
         rules: of the gate.
     """
     convicting, passing = _reached(scenes[:count], every, rules)
-    convicts, passes = _first(convicting), _first(passing)
-    mean = min(count, convicts + 1, passes + 1)
+    flags, passes = _first(convicting), _first(passing)
+    mean = min(count, flags + 1, passes + 1)
     found = _Scenes(scenes[:mean], every.own[:mean], rules)
     word: _Word = "undecided"
     followed, ahead = list[int](), list[int]()
-    if convicts < mean:
+    if flags < mean:
         word = "REGRESSED"
     elif passes < mean:
         followed, ahead = found.follow(scenes, every.own, ended, mean)
-        word = "REGRESSED" if found.convicted else "undecided" if found.waits else "PASS"
+        word = "REGRESSED" if found.flagged else "undecided" if found.waits else "PASS"
     else:
         ahead = list(range(count, len(scenes)))
-    return TrialRuling(
+    return TrialDecision(
         word=word,
         mean=mean,
         followed=tuple(followed),
@@ -308,11 +308,11 @@ def _rule(
 def _reached(scenes: Places, every: Looks, rules: TrialRules) -> tuple[Truths, Truths]:
     """Return where evidence flags, and where that on the mean passes; of the shape of scenes."""
     count = scenes.shape[-1]
-    convicts = every.regressed[..., :count] >= 1.0 / rules.alpha_regr
+    flags = every.regressed[..., :count] >= 1.0 / rules.alpha_regr
     if critical := rules.critical:
         alone = every.own[..., :count] >= rules.names_at
-        convicts |= alone & np.isin(scenes, list(critical))
-    return convicts, every.passed[..., :count] >= 1.0 / rules.alpha_pass
+        flags |= alone & np.isin(scenes, list(critical))
+    return flags, every.passed[..., :count] >= 1.0 / rules.alpha_pass
 
 
 class _Scenes:
@@ -334,7 +334,7 @@ class _Scenes:
         """Scenes that hold back a PASS, once it is asked for."""
 
     @property
-    def convicted(self) -> bool:
+    def flagged(self) -> bool:
         """Whether a critical scene is named."""
         return not self.named.isdisjoint(self._critical)
 
@@ -350,7 +350,7 @@ class _Scenes:
         followed = list[int]()
         for place in range(begin, len(scenes)):
             scene = int(scenes[place])
-            if self.convicted or not self.waits:
+            if self.flagged or not self.waits:
                 break
             if scene not in self.waits:
                 continue
@@ -373,7 +373,7 @@ class _Scenes:
         return bool(few or self._own[scene] >= SUSPECT)
 
 
-def settle_all(bank: Bank, trials: DrawnTrials, rules: TrialRules) -> list[TrialRuling]:
+def settle_all(bank: Bank, trials: DrawnTrials, rules: TrialRules) -> list[TrialDecision]:
     """Return how gates end of which every trial is known: `settle` of each, and much faster.
 
     Args:
@@ -384,20 +384,20 @@ def settle_all(bank: Bank, trials: DrawnTrials, rules: TrialRules) -> list[Trial
     _check(bank, rules)
     gates, budget = trials.scenes.shape
     means = np.broadcast_to(bank.means, (gates, bank.means.shape[-1]))
-    found: dict[int, TrialRuling] = {}
+    found: dict[int, TrialDecision] = {}
     going, count = np.arange(gates), min(64, budget)
     while going.size:
         cut = trials.only(going, count)
         every = looks(replace(bank, means=means[going]), cut, rules.margins)
-        convicts, passes = _reached(cut.scenes, every, rules)
-        reached = set(np.flatnonzero((convicts | passes).any(axis=-1)).tolist())
+        flags, passes = _reached(cut.scenes, every, rules)
+        reached = set(np.flatnonzero((flags | passes).any(axis=-1)).tolist())
         for row, gate in enumerate(going.tolist()):
             if row not in reached and count < budget:
                 continue
             one = Looks(every.passed[row], every.regressed[row], every.own[row])
-            ruling = _rule(cut.scenes[row], one, count, np.ones(count, dtype=bool), rules)
-            if count == budget or ruling.word != "undecided":
-                found[gate] = ruling
+            decision = _rule(cut.scenes[row], one, count, np.ones(count, dtype=bool), rules)
+            if count == budget or decision.word != "undecided":
+                found[gate] = decision
         going = np.array([gate for gate in going.tolist() if gate not in found], dtype=np.intp)
         count = min(2 * count, budget)
     return [found[gate] for gate in range(gates)]

@@ -8,7 +8,7 @@ success passes a bar. Scenes differ in p; a better or worse policy has the odds 
 scene multiplied by one factor, as in Rasch's model of tests and their takers.
 
 Runs are drawn from these chances and judged as real ones are. The draws are seeded by what was
-seen, so the same rows foresee the same, digit by digit.
+seen, so the same rows forecast the same, digit by digit.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ def _judged(
     counts = [np.sum(part, axis=0) for part in zip(*parts, strict=True)]
     trials = [int(ended[0].sum()) for ended in counts]
     above = below = np.zeros(1)
-    condemned = np.zeros(len(counts[0]), dtype=bool)
+    flagged = np.zeros(len(counts[0]), dtype=bool)
     level = -log(1.0 - confidence)
     stricter = level + log(max(1, sum(course.alone for course in courses)))
     for course, ended, n in zip(courses, counts, trials, strict=True):
@@ -232,9 +232,9 @@ def _judged(
         below = below + ended @ log_bets(1.0 - course.values, share, 1.0 - bar).T
         if course.alone:
             alone = ended @ log_bets(1.0 - course.values, 1.0, 1.0 - bar).T
-            condemned |= log_mixture(alone) >= stricter
-    passed = (log_mixture(above) >= level) & ~condemned
-    regressed = (log_mixture(below) >= level) | condemned
+            flagged |= log_mixture(alone) >= stricter
+    passed = (log_mixture(above) >= level) & ~flagged
+    regressed = (log_mixture(below) >= level) | flagged
     return passed, regressed
 
 

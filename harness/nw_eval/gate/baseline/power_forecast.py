@@ -35,7 +35,7 @@ from nw_eval.stats.bank.curve import (
     trials_for,
 )
 from nw_eval.stats.bank.trials import TrialRules, settle
-from nw_eval.stats.foresight import SceneCounts
+from nw_eval.stats.power import SceneCounts
 from nw_eval.suite.model import Gate
 from nw_eval.suite.trials import DrawnStart
 
@@ -90,7 +90,7 @@ class Outset:
         """Return after how many trials policies of this drop are judged, with all starts run."""
         return progress_at(self.seen, self.rules, drop, starts=self._drawn, against=self.against)
 
-    def foresee(self) -> tuple[CurvePoint, CurvePoint, CurvePoint]:
+    def power_forecast(self) -> tuple[CurvePoint, CurvePoint, CurvePoint]:
         """Return three points of the curve, fast: no drop, half of max_drop, and max_drop."""
         worst = self.rules.margins.max_drop
         same, half, worse = operating_curve(
@@ -160,7 +160,7 @@ def outset_of_rows(rows: Iterable[Row], gate: Gate, starts: int) -> Outset:
 
 
 def in_a_sentence(points: tuple[CurvePoint, CurvePoint, CurvePoint]) -> str:
-    """Return the points of `Outset.foresee` in words: the power of the gate."""
+    """Return the points of `Outset.power_forecast` in words: the power of the gate."""
     same, half, worse = points
     return (
         f"Power at this size: an equally good policy {_fate(same)}; {_worse(half)}; "
@@ -249,8 +249,8 @@ def trials_to_pass_baseline(
     bank = bank_of(panel, judged, basis, gate.claim if not fresh else "fresh")
     trials = numbers_of(met, judged, panel, basis, bank)
     perfect = replace(trials, candidate=np.ones(len(trials.scenes)))
-    ruling = settle(bank, perfect, rules_of(gate, judged))
-    return ruling.trials if ruling.word == "PASS" else None
+    decision = settle(bank, perfect, rules_of(gate, judged))
+    return decision.trials if decision.word == "PASS" else None
 
 
 def perfect_panel(strata: Sequence[Stratum], starts: int) -> Panel:
