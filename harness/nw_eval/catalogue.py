@@ -393,7 +393,7 @@ class InspectedScene:
 
     Attributes:
         findings: all that is wrong or remarkable, errors first.
-        survey: what was measured along its trail; None where errors came before.
+        survey: what was measured along its course; None where errors came before.
     """
 
     findings: tuple[SceneFinding, ...]
@@ -405,7 +405,7 @@ def inspect_scene(
 ) -> InspectedScene:
     """Return all that is wrong or remarkable about a scene for a robot, and its figures.
 
-    Its trail is gone along with eye and feet only where nothing else is an error.
+    Its course is gone along with eye and feet only where nothing else is an error.
 
     Args:
         reference: what `get_scene` understands.

@@ -1,9 +1,9 @@
 """Foreign words made harmless: one line, printable, bounded.
 
-Names, errors and logs may come from strangers: a checkpoint's message, a scene's name, a server's
-answer. Printed raw, an escape sequence repaints a terminal, a line that begins with `::` gives a
-CI runner orders, and a bidirectional mark turns a name around. Everything foreign passes here on
-its way to a console, a log, a row or a page. Passwords in addresses stay behind.
+Names, errors and logs may come from third parties: a checkpoint's message, a scene's name, a
+server's answer. Printed raw, an escape sequence repaints a terminal, a line that begins with `::`
+gives a CI runner orders, and a bidirectional mark turns a name around. Everything foreign passes
+here on its way to a console, a log, a row or a page. Passwords in addresses stay behind.
 """
 
 from __future__ import annotations

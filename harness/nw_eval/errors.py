@@ -20,7 +20,7 @@
     └─ IncomparableError   exit 5   runs that do not pair
 
 A message says what happened, the value, the place and the fix, in that order, on one line. Names
-and texts of strangers' files are made harmless here, once, whoever prints the error.
+and texts of untrusted files are made harmless here, once, whoever prints the error.
 """
 
 from __future__ import annotations

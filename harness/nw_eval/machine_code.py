@@ -12,7 +12,7 @@ no cache to run code. Where nothing can be kept or read, as in a fenced process,
 compiled in memory.
 
 That all kernels of a folder have been compiled is remembered by a mark. Each kernel has its file in
-the cache, and which files there should be is known to nobody before they are called. The mark says
+the cache, and which files there should be is not known before they are called. The mark says
 only that it takes no time to call them: one that is wrong costs some.
 """
 

@@ -65,11 +65,11 @@ class EvaluationProtocol:
     timer, which rises within 0.3 m and is set back only when the waypoint is credited."""
 
     ends_when_stuck: bool
-    """A robot that gets no closer to the trail's end ends its trial. Source: the published
+    """A robot that gets no closer to the course's end ends its trial. Source: the published
     termination knows tilt, contact and time only."""
 
     ends_off_course: bool
-    """A robot that leaves the trail, or falls through the ground, ends its trial. Source: as for
+    """A robot that leaves the course, or falls through the ground, ends its trial. Source: as for
     `ends_when_stuck`."""
 
     # What the policy sees.

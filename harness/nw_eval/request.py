@@ -78,7 +78,7 @@ class Request:
     absent."""
     recheck: int | None = None
     """Starts of each scene that run again, drawn when the run begins, where the policy is the
-    baseline's own and the rest is taken over from the baseline; 1 when absent."""
+    baseline's own and the rest is reused from the baseline; 1 when absent."""
     panel: PanelKind | None = None
     """The starts of the suite's seed (pinned), or starts of the checkpoint's own (fresh), by its
     digest, for a release. pinned when absent."""
@@ -123,7 +123,8 @@ class Request:
             raise _unusable(str(first["loc"][0]), values, first["msg"].lower()) from None
         if checked.panel == "fresh" and checked.seed is not None:
             raise UsageError(
-                f"--seed {checked.seed} with --panel fresh, whose seed is the checkpoint's word",
+                f"--seed {checked.seed} with --panel fresh, which derives the seed from the "
+                "checkpoint",
                 fix="drop one of them",
             )
         if checked.time_limit is not None and not checked.time_limit > 0.0:
@@ -131,7 +132,7 @@ class Request:
         if checked.recheck is not None and checked.recheck < 1:
             raise _unusable("recheck", values, "give at least 1")
         _ = checked.part  # It raises.
-        _ = checked.memory_bytes  # Likewise.
+        _ = checked.memory_bytes  # As above.
         return checked
 
     @property

@@ -20,7 +20,7 @@ from nw_eval.policies import Bundle
 from nw_eval.policies.bundle import instance_bundle
 from nw_eval.robots import get_robot
 from nw_eval.rollout.perturbed import TrialSetup
-from nw_eval.sensors import Moment
+from nw_eval.sensors import StepContext
 from nw_eval.sim import World
 from nw_eval.suite.trials import Trial
 from nw_eval.tasks import Course
@@ -178,10 +178,10 @@ def gliding_world(
     return GlidingWorld(get_robot(robot), get_scene(scene), velocity=velocity)
 
 
-def moment_of(world: World) -> Moment:
+def moment_of(world: World) -> StepContext:
     """Return what a sensor's `measure` gets, as a world stands; the actions so far are zeros."""
     nothing = np.zeros(len(world.robot.joints))
-    return Moment(
+    return StepContext(
         world=world,
         task=Course.along(world.scene.trail),
         step=world.steps,

@@ -215,7 +215,7 @@ def test_what_a_drop_is_due_to_is_found_in_the_very_trials_of_the_run():
     )
     with pytest.raises(UsageError, match="drew its starts from the 4 of a baseline"):
         api.find_cause(Path("run"), baseline="shipped", policy="go1-parkour", trials=5)
-    with pytest.raises(IncomparableError, match="meets the starts of another run"):
+    with pytest.raises(IncomparableError, match="chose its initial states from another run"):
         api.run(resume=first.out / "old-control-old-sight" / "run")
 
 
@@ -639,7 +639,7 @@ def test_on_a_class_of_machine_that_the_bank_has_not_seen_its_own_policy_runs_an
     assert not Path("run/baseline").exists(), "its own trials show what the bank is here"
     if not same_bits:
         told = headline(judged.verdict, judged.info)
-        assert "run again, with other bits, and nothing taken over" in told
+        assert "run again with different results, so none is taken from the baseline" in told
 
 
 def test_the_same_bits_with_other_results_make_the_run_invalid(capsys):
@@ -733,7 +733,7 @@ def test_parts_run_all_trials_and_are_judged_against_their_bank_once_they_are_me
     parts = parts_of(2, ears=ears)
     assert [(part.verdict.verdict, len(part.rows)) for part in parts] == [("RAN", 2), ("RAN", 2)]
     assert not [line for line in ears.lines if "enough" in line]
-    assert "part 2 of 2: 2 trials; `nw-eval merge` judges the whole" in ears.lines
+    assert "part 2 of 2: 2 trials; `nw-eval merge` judges the whole run" in ears.lines
     BANK.unlink()  # Every part has a copy, and so has the merged run.
     merged = api.merge(["part-2", "part-1"], out="merged")
     plain = {row.trial_id: row for row in read_journal(project / "plain" / "journal.jsonl").rows}

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api, cli
-from nw_eval.engine.listener import Silence
+from nw_eval.engine.listener import NullListener
 from nw_eval.errors import IncomparableError, StoreError, TrialError, UsageError
 from nw_eval.files.shipped import shipped
 from nw_eval.results.bank_file import read_bank
@@ -95,7 +95,7 @@ def test_saving_again_runs_nothing_and_leaves_the_file_as_it_is(project):
 
 @pytest.mark.usefixtures("project")
 def test_a_save_that_was_interrupted_goes_on_where_it_was_and_saves_the_same_bank():
-    class Impatient(Silence):
+    class Impatient(NullListener):
         def trial(self, row):  # noqa: ARG002  # The first one is enough.
             os.kill(os.getpid(), signal.SIGINT)
 
@@ -156,7 +156,7 @@ def timeless(bank):
 
 @pytest.mark.usefixtures("project")
 def test_a_save_that_is_interrupted_before_its_first_trial_says_that_it_begins_again():
-    class Impatient(Silence):
+    class Impatient(NullListener):
         said = ()
 
         def message(self, text):

@@ -12,7 +12,7 @@ from nw_eval.engine import cache, provenance
 from nw_eval.engine import known as knowing
 from nw_eval.engine.cache import TrialStore, read_entry, write_entry
 from nw_eval.engine.known import known_trials
-from nw_eval.engine.listener import Silence
+from nw_eval.engine.listener import NullListener
 from nw_eval.engine.plan import plan_jobs
 from nw_eval.errors import TrialError, UsageError
 from nw_eval.results.row import from_dict, rows_digest, to_dict
@@ -126,7 +126,7 @@ def jobs_and_known(place, *, suite="tiny.yaml", off="", listener=None, **changes
     plan = api.plan(suite, **changes)
     folder = RunFolder(path=place / "nowhere")
     with known_trials(
-        plan, folder, off=off, listener=listener or Silence(), doubted=lambda: None
+        plan, folder, off=off, listener=listener or NullListener(), doubted=lambda: None
     ) as known:
         return plan_jobs(plan, folder), known
 
@@ -275,7 +275,7 @@ def test_a_size_that_is_none_is_refused_before_anything_is_written(place, monkey
 def test_a_cache_that_cannot_be_opened_is_a_sentence(place, tmp_path, monkeypatch):
     told = []
 
-    class Ears(Silence):
+    class Ears(NullListener):
         def message(self, text):
             told.append(text)
 
@@ -285,5 +285,5 @@ def test_a_cache_that_cannot_be_opened_is_a_sentence(place, tmp_path, monkeypatc
     jobs, known = jobs_and_known(place, listener=Ears())
     assert known.to_run(jobs) == list(jobs)
     [message] = told
-    assert message.startswith("no result is taken over from earlier runs, or kept for later: ")
+    assert message.startswith("results of earlier runs are not used, and none is kept for later: ")
     assert "trials" in known.info.off

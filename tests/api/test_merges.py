@@ -295,7 +295,9 @@ def test_parts_of_another_number_and_whole_runs_and_nothing_are_refused(parts, w
     with pytest.raises(IncomparableError, match=r"number of parts is 3 in .*, 2 in .*half"):
         api.merge([parts[0], half], out=tmp_path / "merged")
     whole = written("whole")
-    with pytest.raises(UsageError, match="whole is no part of a run: it was run whole"):
+    with pytest.raises(
+        UsageError, match="whole is not a part of a run: all of its trials ran together"
+    ):
         api.merge([*parts, whole], out=tmp_path / "merged")
     with pytest.raises(UsageError, match="nothing to merge"):
         api.merge([], out=tmp_path / "merged")
@@ -356,7 +358,7 @@ def test_a_row_that_names_another_place_than_its_logs_is_refused(path, parts, wr
         return row_of(trial, mcap_path=path.format(trial.scene, trial.id), mcap_bytes=len(LOG))
 
     evil = written("evil", "3/3", rows=row)
-    with pytest.raises(StoreError, match="where none of a run has its place"):
+    with pytest.raises(StoreError, match="where no trial of a run belongs"):
         api.merge([*parts[:2], evil], out=tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
 
@@ -416,12 +418,12 @@ def test_a_part_alone_has_no_verdict(parts, written, tmp_path):
     assert (shown.verdict.verdict, shown.exit_code) == ("RAN", 0)
     # These rows have no logs.
     assert shown.verdict.reasons[:-1] == (
-        "part 1 of 3: `nw-eval merge` puts all parts together, and judges the whole",
+        "part 1 of 3: `nw-eval merge` joins all parts and judges the run",
     )
     page = (parts[0] / "report.md").read_text()
     assert page.startswith("# RAN · part 1 of 3 · ")
     assert "it is known" not in page
-    refused = "run part-1 is part 1 of 3: of the whole run it says nothing"
+    refused = "run part-1 is part 1 of 3, which is not the whole run"
     with pytest.raises(UsageError, match=refused):
         api.judge(parts[0])
     with pytest.raises(UsageError, match=refused):

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api
-from nw_eval.engine import ray_parcels
-from nw_eval.engine.listener import Silence
-from nw_eval.engine.ray_parcels import Outgoing
+from nw_eval.engine import ray_file_bundles
+from nw_eval.engine.listener import NullListener
+from nw_eval.engine.ray_file_bundles import Outgoing
 from nw_eval.errors import PolicyError, RobotError, SuiteError
 from nw_eval.results.row import rows_digest
 from nw_eval.robots import find_robot
@@ -127,8 +127,10 @@ def test_a_node_receives_the_robots_files(mine, monkeypatch):
     plan = api.plan(mine / "mine.yaml")
     outgoing = Outgoing(plan)
     monkeypatch.setenv("NW_EVAL_CACHE", str(mine / "node"))
-    ray_parcels.receive(outgoing.parcels, lambda sha256: [outgoing.sources[sha256].read_bytes()])
-    there = ray_parcels.places(outgoing.parcels)[str(plan.robot_folder)]
+    ray_file_bundles.receive(
+        outgoing.file_bundles, lambda sha256: [outgoing.sources[sha256].read_bytes()]
+    )
+    there = ray_file_bundles.places(outgoing.file_bundles)[str(plan.robot_folder)]
     assert Path(there).is_relative_to(mine / "node")
     assert find_robot(f"{there}/").reference == plan.suite.robot
 
@@ -199,7 +201,7 @@ def test_the_published_protocol_has_control_steps_of_its_own(mine):
 def test_a_run_says_first_what_no_leg_of_its_robot_could_do(mine):
     said: list[str] = []
 
-    class Ears(Silence):
+    class Ears(NullListener):
         def message(self, text: str) -> None:
             said.append(text)
 

@@ -304,6 +304,6 @@ def test_rows_that_contradict_themselves_are_refused_though_all_their_sums_fit(s
     with pytest.raises(StoreError) as caught:
         read(folder.path)
     assert "the row of trial hurdles-one-000 contradicts itself" in caught.value.message
-    assert "success 1.0 of a trail without waypoints" in caught.value.message
+    assert "success 1.0 of a course without waypoints" in caught.value.message
     site = api.write_site([folder.path], folder.path.with_name("site"))
     assert site.exit_code != 0, "nothing of it is published"

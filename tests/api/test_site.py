@@ -206,7 +206,7 @@ def test_runs_that_have_not_ended_or_are_damaged_are_left_out_and_named(runs, tm
 def test_a_part_of_a_run_is_left_out(runs, tmp_path):
     part = save_run(tmp_path / "runs" / "part", "good", 12, part=Shard(index=1, count=2))
     site = nw_eval.write_site([*runs, part], tmp_path / "site")
-    assert site.left_out == ("part: a part of a run; `nw-eval merge` makes it whole",)
+    assert site.left_out == ("part: a part of a run; join the parts with `nw-eval merge`",)
 
 
 def test_a_folder_of_something_else_stays_as_it_is(runs, tmp_path):

@@ -18,7 +18,7 @@ from onnx import numpy_helper
 from nw_eval import api
 from nw_eval.api.watching import checkpoints_in, training_step
 from nw_eval.cli.verbs.watch import checkpoint_line
-from nw_eval.engine.listener import Silence
+from nw_eval.engine.listener import NullListener
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.policies import load_bundle
 
@@ -211,7 +211,7 @@ def test_numbers_of_no_use_are_refused_before_anything_runs(training, settings, 
     assert not (training.parent / "reports").exists()
 
 
-class Ears(Silence):
+class Ears(NullListener):
     def __init__(self):
         self.heard = []
 

@@ -70,9 +70,9 @@ def pss_by_kind(head):
 def _kind(line, names, head):
     if line[0] == head:
         return "head"
-    if any("ray::Station" in names[process] for process in line[1:]):
+    if any("ray::NodeAgent" in names[process] for process in line[1:]):
         return "workers"
-    if "ray::Station" in names[line[0]]:
+    if "ray::NodeAgent" in names[line[0]]:
         return "station"
     if any("/ray/" in names[process] or "ray::" in names[process] for process in line):
         return "Ray"

@@ -20,7 +20,7 @@ from nw_eval.robots import get_robot
 from nw_eval.scenes import Scene
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors import Moment, build_sensors
+from nw_eval.sensors import StepContext, build_sensors
 from nw_eval.sim import World
 from nw_eval.tasks import Course
 
@@ -115,7 +115,7 @@ def observing(world, sensors):
     zeros, step = np.zeros(12), iter(range(1_000_000_000))
 
     def read():
-        moment = Moment(
+        moment = StepContext(
             world=world,
             task=task,
             step=next(step),

@@ -544,7 +544,7 @@ def test_a_layout_with_turned_joints_is_written_out_as_terms():
     written = YAML(typ="safe", pure=True).load("\n".join(lines[1:2]).partition(": ")[2])
     assert [term["term"] for term in written][6:8] == ["joint_pos", "joint_vel"]
     assert written[7]["scale"] == [-0.05, 0.05, 0.05] * 4
-    assert lines[1].endswith("# in place of `layout: parkour53`")
+    assert lines[1].endswith("# instead of `layout: parkour53`")
 
 
 def test_values_for_joints_are_written_as_short_as_they_can_be():

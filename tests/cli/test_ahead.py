@@ -36,9 +36,9 @@ def test_a_run_in_forked_processes_starts_what_they_are_forked_from(arguments, b
 def test_that_is_the_one_that_the_run_goes_on_with():
     code = (
         "from nw_eval.cli.verbs import begin; begin(['run', 'hurdles']); "
-        "from nw_eval.rollout.confined import start; first = start._nursery; "
+        "from nw_eval.rollout.confined import start; first = start._fork_server; "
         "from nw_eval.cli.verbs import parse; import nw_eval.api.runs; start.prepare(); "
-        "assert first is not None and first is start._nursery; first.__del__()"
+        "assert first is not None and first is start._fork_server; first.__del__()"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 

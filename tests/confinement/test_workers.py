@@ -66,9 +66,9 @@ def jobs_of(policy, folder, *, scene=SCENE, allow_code=False, record="all"):
 def run(jobs, folder):
     header = JournalHeader(suite_digest="s", policy_digest="p", scene_digests={})
     with Journal.create(folder.journal, header) as journal:
-        hire = LocalProcesses(jobs, folder)
+        start_workers = LocalProcesses(jobs, folder)
         return run_trials(
-            jobs, journal=journal, folder=folder, policy="p", hire=hire, workers=1
+            jobs, journal=journal, folder=folder, policy="p", start_workers=start_workers, workers=1
         ).rows
 
 

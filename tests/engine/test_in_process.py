@@ -140,7 +140,7 @@ def go(tmp_path):
                 journal=journal,
                 folder=folder,
                 policy=bundle.name,
-                hire=LocalProcesses(jobs, folder) if apart else InProcess(bundle),
+                start_workers=LocalProcesses(jobs, folder) if apart else InProcess(bundle),
                 workers=1,
                 listener=ears or Ears(),
             )

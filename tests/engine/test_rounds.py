@@ -202,7 +202,7 @@ def go(tmp_path):
                 journal=journal,
                 folder=folder,
                 policy="p",
-                hire=office,
+                start_workers=office,
                 workers=workers,
                 enough=enough,
                 listener=ears,

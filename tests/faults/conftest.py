@@ -37,8 +37,8 @@ def workers():
 
 
 def worker_numbers():
-    nursery = start._nursery
-    forked = [] if nursery is None else children_of(nursery._process.pid)
+    fork_server = start._fork_server
+    forked = [] if fork_server is None else children_of(fork_server._process.pid)
     return [child.pid for child in active_children() if not child.daemon] + forked
 
 
@@ -283,7 +283,9 @@ class TinyRun:
                 journal=journal,
                 folder=self.folder,
                 policy=self.policy,
-                hire=LocalProcesses(self.jobs, self.folder, memory_limit=self.memory_limit),
+                start_workers=LocalProcesses(
+                    self.jobs, self.folder, memory_limit=self.memory_limit
+                ),
                 workers=workers,
                 listener=self.ears,
             )
@@ -291,8 +293,8 @@ class TinyRun:
     @contextmanager
     def pool(self):
         """One worker, for those who want to see what comes out of it."""
-        hire = LocalProcesses(self.jobs, self.folder, memory_limit=self.memory_limit)
-        with hire(1, fresh=False) as workers:
+        start_workers = LocalProcesses(self.jobs, self.folder, memory_limit=self.memory_limit)
+        with start_workers(1, fresh=False) as workers:
             yield workers
 
 

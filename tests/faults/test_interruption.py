@@ -28,7 +28,7 @@ if __name__ == "__main__":
             journal=journal,
             folder=run["folder"],
             policy=run["policy"],
-            hire=LocalProcesses(run["jobs"], run["folder"]),
+            start_workers=LocalProcesses(run["jobs"], run["folder"]),
             workers=2,
         )
     print(outcome.interrupted.name if outcome.interrupted else "whole", len(outcome.missing))

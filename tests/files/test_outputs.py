@@ -25,7 +25,7 @@ ELSEWHERE = {
     "engine/known.py": "marks an entry of the cache as used",
     "engine/machine.py": "tells the kernel, in /proc; appends to what `open_own` opened",
     "engine/ray_connection.py": "turns the output of a library away",
-    "engine/ray_parcels.py": "fills a folder of the cache that appears by one rename",
+    "engine/ray_file_bundles.py": "fills a folder of the cache that appears by one rename",
     "files/cache.py": "is the one that writes",
     "files/new_folder.py": "fills a temporary folder that appears by one rename",
     "files/traceback_file.py": "writes what nobody foresaw, perhaps in the one that writes",

@@ -242,12 +242,12 @@ def test_a_critical_scene_of_ten_coins_is_convicted_as_often_as_the_gate_says(
     # "One run of six": exactly, over all numbers of heads, (45 + 10 + ...) / 1024.
     critical = gate(tiers={"weak": "critical"})
     rest = [row for k in range(9) for row in run_scene(f"s{k}", [4] * 20)]
-    convicted = 0.0
+    flagged = 0.0
     for heads in range(11):
         rows = rest + run_scene("weak", [4] * heads + [0] * (10 - heads))
         planned = {row.scene: 20 for row in rest} | {"weak": 10}
-        convicted += comb(10, heads) / 2**10 * (judge(rows, critical, planned).exit_code == 1)
-    assert convicted == pytest.approx(1 / 6, abs=0.01)
+        flagged += comb(10, heads) / 2**10 * (judge(rows, critical, planned).exit_code == 1)
+    assert flagged == pytest.approx(1 / 6, abs=0.01)
 
 
 def test_a_trial_that_appears_twice_is_refused(run_scene: Callable[..., Any]) -> None:

@@ -387,7 +387,7 @@ CHECKED = {
     "a place beyond the outputs": (
         lambda: scripted(PlusOne()),
         "output: 1",
-        "network `encoder` of policy 'fed' returned 1 tensor, none at place 1",
+        "network `encoder` of policy 'fed' returned 1 tensor, none at index 1",
     ),
 }
 

@@ -195,8 +195,8 @@ def test_zeros_that_init_wrote_in_place_of_terms_are_noted(tmp_path):
         "  known: {sensor: proprio, layout: parkour53}\n"
     )
     told = probe_page(probe_here(load_bundle(tmp_path, checkpoint=tmp_path / "deaf.pt")))
-    words = "note: `body` holds 132 zeros in place of what the checkpoint was trained on\n"
-    assert told.count("in place of what") == told.count(words) == 1
+    words = "note: `body` holds 132 zeros instead of what the checkpoint was trained on\n"
+    assert told.count("instead of what") == told.count(words) == 1
     assert "moves against its targets" not in told
 
 

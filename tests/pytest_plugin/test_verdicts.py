@@ -274,7 +274,7 @@ def test_a_bank_is_saved_for_a_review_and_passes_once_it_is_there(
     first.stdout.fnmatch_lines(
         [
             f"{bank} is new: stand, 1 start in each scene",
-            "Look at what has changed, commit it, and run again without --nw-update-baseline.",
+            "Check what has changed, commit it, and run again without --nw-update-baseline.",
             f"FAILED tiny.yaml::verdict - {bank} is new*",
             "SKIPPED * the baseline is being saved",
         ]

@@ -64,7 +64,7 @@ def regressed() -> Comparison:
     )  # fmt: skip
     return Comparison(
         word="REGRESSED", bank="shipped", policy="go1-act-rgb", basis="panel", claim="fresh",
-        trials=80, budget=320, starts=60, mean_convicts=True, false_alarm=0.07,
+        trials=80, budget=320, starts=60, mean_regressed=True, false_alarm=0.07,
         baseline=0.925, drop=0.25, interval=Interval(0.12, 0.41),
         max_drop=0.1, tolerate=0.02, scene_drop=0.1, alpha_pass=0.05, alpha_regr=0.01,
         scenes=(fell,), reasons=("worse than the baseline shipped",),

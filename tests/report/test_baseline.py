@@ -152,7 +152,7 @@ def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again
     assert "A drop of 0.1 or more" not in text
     other = replace(same, again=replace(again, equal=False, taken_over=False))
     text = page(other)
-    assert "2 run again, with other bits, and nothing taken over" in text
+    assert "2 run again with different results, so none is taken from the baseline" in text
     assert "Results that did not run again" not in text
 
 

@@ -86,8 +86,8 @@ def against(regressed: Comparison) -> Any:
         )  # fmt: skip
         drop = 1.0 - sum(now.values()) / len(now)
         return replace(
-            regressed, word=word, trials=4, budget=40, mean_convicts=False, baseline=1.0, drop=drop,
-            interval=Interval(0.0, 1.0), scenes=drops, reasons=("because",), curve=None,
+            regressed, word=word, trials=4, budget=40, mean_regressed=False, baseline=1.0,
+            drop=drop, interval=Interval(0.0, 1.0), scenes=drops, reasons=("because",), curve=None,
         )  # fmt: skip
 
     return make

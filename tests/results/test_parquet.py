@@ -104,7 +104,7 @@ def test_the_file_itself_says_what_each_column_holds(
     schema = pq.read_schema(tmp_path / "t.parquet")
     told = {field.name: field.metadata[b"about"].decode() for field in schema}
     assert set(told) == set(Row.__dataclass_fields__)
-    assert "share of the trail's waypoints reached" in told["success"]
+    assert "share of the course's waypoints reached" in told["success"]
     assert all(len(words) > 5 for words in told.values())
 
 

@@ -265,7 +265,7 @@ def test_times_that_are_none_are_one_sentence(make_row: Callable[..., Row], time
                 "waypoints_total": 0,
                 "waypoint_times": (),
             },
-            "success 1.0 of a trail without waypoints",
+            "success 1.0 of a course without waypoints",
         ),
         ({"success": 0.9}, "success 0.9 with 3 of 4 waypoints reached"),
         ({"outcome": "completed"}, "completed is False and the outcome completed"),

@@ -12,7 +12,7 @@ import trimesh
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from nw_eval import api
-from nw_eval.engine.listener import Silence
+from nw_eval.engine.listener import NullListener
 from nw_eval.files.cache import sealed_path
 from nw_eval.robots import Triangles, find_robot, get_robot
 from nw_eval.robots.looks import MOST_FACES, kept_thinned, shares, thinned
@@ -435,7 +435,7 @@ def test_a_run_says_what_of_its_robot_is_not_drawn(tmp_path):
     (tmp_path / "tables.yaml").write_text(SUITE.replace("trials: 2", "trials: 1"))
     said = []
 
-    class Ear(Silence):
+    class Ear(NullListener):
         def message(self, text):
             said.append(text)
 

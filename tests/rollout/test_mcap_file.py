@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
-from nw_eval.rollout.library import Recent
+from nw_eval.rollout.library import LRUCache
 from nw_eval.rollout.mcap import file as file_module
 from nw_eval.rollout.mcap.batch import filled
 from nw_eval.rollout.mcap.file import CHUNK_BYTES, McapFile
@@ -147,7 +147,7 @@ def test_messages_of_notes_stand_where_they_were_noted(tmp_path, images, seconds
 
 def test_only_the_values_used_last_are_kept():
     made = []
-    recent = Recent(2, lambda key: made.append(key) or key.upper())
+    recent = LRUCache(2, lambda key: made.append(key) or key.upper())
     assert [recent(key) for key in "abacab"] == list("ABACAB")
     # `b` was used longest ago when `c` came, and is made again at the end.
     assert made == ["a", "b", "c", "b"]

@@ -75,7 +75,7 @@ def test_another_file_is_not_taken_and_nothing_is_kept_of_it(published):
 
 
 def test_a_name_that_is_none_and_a_file_of_another_place_are_usage(tmp_path, capsys):
-    with pytest.raises(SceneError, match=r"no real place is called 'stars'; did you mean.*stairs"):
+    with pytest.raises(SceneError, match=r"no real scene is called 'stars'; did you mean.*stairs"):
         get_scene("real:stars")
     (tmp_path / "other.png").write_bytes(b"x")
     for words in (

@@ -7,7 +7,7 @@ from nw_eval.cards import Card
 from nw_eval.robots import get_robot
 from nw_eval.scenes import Box, Scene
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
-from nw_eval.sensors import Moment
+from nw_eval.sensors import StepContext
 from nw_eval.sim import World
 from nw_eval.tasks import Course
 
@@ -44,7 +44,7 @@ def make_card(observations, **fields):
 
 
 def make_moment(world, step=0, applied=0.0, output=0.0):
-    return Moment(
+    return StepContext(
         world=world,
         task=Course.along(world.scene.trail),
         step=step,

@@ -8,7 +8,7 @@ import pytest
 from nw_eval.cards import JointControl, actuator_values
 from nw_eval.policies import ActionDelay, load_bundle, open_policy
 from nw_eval.robots import get_robot
-from nw_eval.sensors import Moment, build_sensors
+from nw_eval.sensors import StepContext, build_sensors
 from nw_eval.sim import Actuators, World
 from nw_eval.tasks import Course, TaskRules
 
@@ -30,7 +30,7 @@ def run(bundle, scene, *, duration, y=0.0):
         applied = output = np.zeros(12)
         outcome, step = None, 0
         while outcome is None:
-            moment = Moment(
+            moment = StepContext(
                 world=world,
                 task=task,
                 step=step,

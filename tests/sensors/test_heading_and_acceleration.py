@@ -7,7 +7,7 @@ import pytest
 from nw_eval.cards.terms import EARLIER_OUTPUTS
 from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.robots import get_robot
-from nw_eval.sensors import Moment, build_sensors
+from nw_eval.sensors import StepContext, build_sensors
 from nw_eval.sim import World
 from nw_eval.sim import model as sim_model
 from nw_eval.tasks import Course
@@ -134,7 +134,7 @@ def test_a_restored_world_reads_the_same_to_the_last_bit(place, read, protocol):
 
 
 def test_outputs_before_the_last_one_can_be_read(world, read):
-    moment = Moment(
+    moment = StepContext(
         world=world,
         task=Course.along(world.scene.trail),
         step=3,

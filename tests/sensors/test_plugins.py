@@ -12,7 +12,7 @@ from nw_eval.cards.wrappers import BUILT_IN_WRAPPERS
 from nw_eval.errors import PolicyError
 from nw_eval.plugins import SENSORS, WRAPPERS, PluginWarning, installed, usable
 from nw_eval.rollout.episode import Actions
-from nw_eval.sensors import Moment, build_sensors, check_card
+from nw_eval.sensors import StepContext, build_sensors, check_card
 from nw_eval.tasks import Course
 
 GOOD = """
@@ -341,7 +341,7 @@ def test_a_sensor_cannot_write_into_what_it_is_shown(what, world, card_of, tmp_p
     task = Course.along(world.scene.trail)
     actions = Actions(control, world.robot.joints, delay_steps=1, action_filter=None)
     actions.take(np.ones(12))
-    moment = Moment(
+    moment = StepContext(
         world=world,
         task=task,
         step=1,

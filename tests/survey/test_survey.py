@@ -45,7 +45,7 @@ def test_a_splat_of_half_the_place_covers_too_little(place):
     thin = found(place(means=means[means[:, 1] < 0.0]))["splat_thin"]
     assert thin.severity == "error"
     assert thin.value == pytest.approx(0.5, abs=0.05)
-    assert "m along the trail" in thin.message
+    assert "m along the course" in thin.message
     assert "90 % is wanted" in thin.message
 
 

@@ -1,4 +1,4 @@
-"""Which bank a run is compared with: the one that is asked for, the suite's own, or none."""
+"""Which baseline a run is compared with: the one that is asked for, the suite's own, or none."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from nw_eval.suite import Suite
 
 NO_BASELINE = "none"
-"""What is asked for where a suite names a bank and none is wanted."""
+"""What is asked for where a suite names a baseline and none is wanted."""
 
 _latest: dict[tuple[str, str], Against] = {}
-"""The bank that this process read last, by its file's name and digest: a run is judged by the bank
+"""The baseline that was read last, by its file's name and digest: a run is judged by the baseline
 that it was planned with, and a process of its own takes a third of a second to read it."""
 
 
 def wanted_bank(request: Request, suite: Suite, *, own_policy: bool) -> Against | None:
-    """Return the bank to compare with; None if there is to be none.
+    """Return the baseline to compare with; None if there is to be none.
 
     Args:
         request: what is asked for.
@@ -51,7 +51,7 @@ def wanted_bank(request: Request, suite: Suite, *, own_policy: bool) -> Against 
 
 
 def kept_bank(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Against | None:
-    """Return the bank that a run was begun with, from the copy in its folder, or where it was.
+    """Return the baseline that a run was begun with, from the copy in its folder, or where it was.
 
     Args:
         folder: of the run.
@@ -76,7 +76,7 @@ def kept_bank(folder: RunFolder, info: RunInfo, *, elsewhere: bool = True) -> Ag
 
 
 def _beside(against: Against, folder: RunFolder, info: RunInfo) -> Against:
-    """Return a bank with the trials of its policy that ran beside those of a run, if any did.
+    """Return a baseline with the trials of its policy that ran beside those of a run, if any did.
 
     Raises:
         StoreError: they are damaged.
@@ -120,13 +120,13 @@ def control_rows(nested: RunFolder, own: RunInfo, folder: RunFolder) -> tuple[Ro
 def judging_bank(
     folder: RunFolder, info: RunInfo, suite: Suite, reference: str | None
 ) -> Against | None:
-    """Return the bank to judge the rows of a run against; None if there is to be none.
+    """Return the baseline to judge the rows of a run against; None if there is to be none.
 
     Args:
         folder: of the run.
         info: its run.json.
         suite: its suite.
-        reference: the bank that is asked for; if None, that which the run was begun against, or
+        reference: the baseline that is asked for; if None, that which the run was begun against, or
             else the one that the suite names for its own policy.
 
     Raises:
@@ -145,7 +145,7 @@ def judging_bank(
 def resumed_bank(
     folder: RunFolder, info: RunInfo, suite: Suite, request: Request
 ) -> Against | None:
-    """Return the bank to go on with in a run: the one that it was begun with.
+    """Return the baseline to go on with in a run: the one that it was begun with.
 
     Args:
         folder: of the run.
@@ -155,7 +155,7 @@ def resumed_bank(
 
     Raises:
         UsageError, StoreError: as `wanted_bank`.
-        IncomparableError: as `kept_bank`; or another bank is asked for now.
+        IncomparableError: as `kept_bank`; or another baseline is asked for now.
     """
     kept = kept_bank(folder, info)
     if request.baseline is None:
@@ -172,7 +172,7 @@ def resumed_bank(
 
 
 def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) -> None:
-    """Refuse more trials of each scene than a bank has starts.
+    """Refuse more trials of each scene than a baseline has starts.
 
     Raises:
         IncomparableError: it has fewer.

@@ -23,7 +23,7 @@ _READERS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class ListedBaseline:
-    """A bank, as far as it can be read."""
+    """A baseline, as far as it can be read."""
 
     file: Path
     suite: str
@@ -38,7 +38,7 @@ class ListedBaseline:
 
 @dataclass(frozen=True, kw_only=True)
 class ShownBaseline:
-    """One bank, and where it lies."""
+    """One baseline, and where it lies."""
 
     file: Path
     bank: SavedBank
@@ -53,16 +53,16 @@ def list_baselines() -> tuple[ListedBaseline, ...]:
 
 
 def show_baseline(baseline: str | Path, *, suite: str | None = None) -> ShownBaseline:
-    """Read one bank.
+    """Read one baseline.
 
     Args:
         baseline: its name, `<suite>/<name>` as `list_baselines` has them, or its path.
-        suite: the suite's name, where several have a bank of that name.
+        suite: the suite's name, where several have a baseline of that name.
 
     Raises:
         UsageError: there is none, or it is not clear which.
         StoreError: it is damaged.
-        IncomparableError: it is no bank that anything can be compared with.
+        IncomparableError: it is no baseline that anything can be compared with.
     """
     from nw_eval.results.bank_file import find_any, read_bank
 
@@ -123,7 +123,7 @@ class Here:
         return _REPORTS / f"bank-{self.plan.suite.name}-{digest[:8]}"
 
     def is_in(self, bank: SavedBank, starts: int) -> bool:
-        """Whether a bank has all of it, so that nothing need be run."""
+        """Whether a baseline has all of it, so that nothing need be run."""
         from nw_eval.results.bank_changes import key_changes, policy_changes
 
         return (
@@ -148,7 +148,7 @@ class Here:
 
 
 def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
-    """Return what a bank of a suite would be.
+    """Return what a baseline of a suite would be.
 
     Args:
         suite: a file, or the name of a shipped one.
@@ -165,7 +165,7 @@ def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
     from nw_eval.suite import load_suite
 
     read = load_suite(suite)
-    # Without a baseline: a bank is a run like any other, of all its starts.
+    # Without a baseline: a baseline is a run like any other, of all its starts.
     gate = read.gate.model_copy(update={"baseline": None, "max_drop": None})
     alone = read.model_copy(update={"gate": gate})
     plan = plan_of(alone, policy=policy, record="none", **changes)
@@ -210,26 +210,26 @@ def card_reference(card: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class CheckedBaseline:
-    """A bank against what it would be here and now."""
+    """A baseline against what it would be here and now."""
 
     file: Path
     bank: SavedBank
     changes: tuple[FieldChange, ...]
-    """What must match and does not; none of it, and the bank holds."""
+    """What must match and does not; none of it, and the baseline holds."""
     has_panel: bool
     """Whether it has this class of machine."""
     machine: tuple[FieldChange, ...]
-    """In what the bank's first class of machine is another one; empty with a panel of this one."""
+    """In what this class of machine differs from the baseline's first; empty if it has this one."""
     unchecked: str | None = None
     """Why its policy was not looked at, where it is not here."""
     suite: str
     """The suite as it was asked for, or by its name."""
     policy: str
-    """The bank's policy as it was asked for, or as the bank knows where it lies."""
+    """The baseline's policy as it was asked for, or as the baseline knows where it lies."""
 
     @property
     def exit_code(self) -> int:
-        """0 if the bank holds, 5 if it does not."""
+        """0 if the baseline holds, 5 if it does not."""
         return IncomparableError.exit_code if self.changes else 0
 
 
@@ -240,19 +240,19 @@ def check_baseline(
     policy: str | None = None,
     **changes: Any,
 ) -> CheckedBaseline:
-    """Compare what a bank holds for with what is here: suite, scenes, simulator, policy.
+    """Compare what a baseline holds for with what is here: suite, scenes, simulator, policy.
 
     Args:
         baseline: its name, `<suite>/<name>`, or its path.
-        suite: the suite's file; the suite of the bank's own by name if None.
-        policy: where the bank's policy lies; where the bank says if None.
+        suite: the suite's file; the suite of the baseline's own by name if None.
+        policy: where the baseline's policy lies; where the baseline says if None.
         changes: of `Request`: checkpoint, render, allow_code.
 
     Raises:
-        UsageError: there is no such bank or suite.
+        UsageError: there is no such baseline or suite.
         SuiteError: the suite cannot be used.
-        StoreError: the bank is damaged.
-        IncomparableError: it is no bank that anything can be compared with.
+        StoreError: the baseline is damaged.
+        IncomparableError: it is no baseline that anything can be compared with.
     """
     from nw_eval.results.bank_changes import key_changes, machine_changes, policy_changes
     from nw_eval.suite import load_suite

@@ -25,20 +25,20 @@ if TYPE_CHECKING:
     from nw_eval.results.row import Row
 
 STARTS = 60
-"""M where nobody says: three times the default `gate.rounds`, so a run draws a third at most."""
+"""M where it is unknown: three times the default `gate.rounds`, so a run draws a third at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SavedBaseline:
-    """What became of a bank."""
+    """What became of a baseline."""
 
     file: Path
     action: Literal["new", "panel", "unchanged", "renewed", "kept"]
     """new: there was none. panel: it has this class of machine now, too. unchanged: it had all of
     this. renewed: it was replaced. kept: it would hold for something else, or say something else,
-    and is as it was, because nobody asked for a renewal."""
+    and is unchanged, because no renewal was asked for."""
     bank: SavedBank
-    """The bank that is there now; for `kept` the one that would be."""
+    """The baseline that is there now; for `kept` the one that would be."""
     change: BankChange | None = None
     """What differs from the one that was there."""
 
@@ -66,12 +66,12 @@ def save_baseline(
     Args:
         suite: a suite file or the name of a shipped one.
         policy: as for `run`; the suite's own if None.
-        starts: in each scene; if None, as many as the bank has, and 60 for a new one.
-        name: the bank's; the policy's if None.
+        starts: in each scene; if None, as many as the baseline has, and 60 for a new one.
+        name: the baseline's; the policy's if None.
         note: why it is saved; if empty, as before.
         from_run: the folder of a run to take the results from; nothing is run.
-        renew: whether a bank that is there is replaced, with the panels of all machines.
-        root: the folder of banks; `reports/baselines` if None.
+        renew: whether a baseline that is there is replaced, with the results of all machines.
+        root: the folder of baselines; `reports/baselines` if None.
         workers: processes; one for each core if None.
         cache: as for `run`.
         listener: hears of progress.
@@ -81,10 +81,10 @@ def save_baseline(
     Raises:
         UsageError, SuiteError, PolicyError: nothing was run.
         KeyboardInterrupt: it was interrupted; the trials that have ended are kept.
-        TrialError: a trial came to no result, or to another one than the cache says; no bank was
-            written.
-        StoreError: results cannot be written, or the bank that is there is damaged.
-        IncomparableError: the run makes no bank.
+        TrialError: a trial came to no result, or to another one than the cache says; no baseline
+            was written.
+        StoreError: results cannot be written, or the baseline that is there is damaged.
+        IncomparableError: the run makes no baseline.
     """
     from nw_eval.api.baselines import card_reference, here
     from nw_eval.results.bank_build import bank_of_run
@@ -148,12 +148,12 @@ def _check_seen(rows: Sequence[Row], run: RunInfo) -> None:
     gate = saved_suite(run).gate
     if capped := over_the_cap(rows, that_left(rows, gate), gate):
         raise IncomparableError(
-            f"run {run.id} makes no baseline: {capped}", fix="photograph the places again"
+            f"run {run.id} makes no baseline: {capped}", fix="photograph the scenes again"
         )
 
 
 def _file(root: Path | None, suite: str, name: str) -> Path:
-    """Return where a bank belongs.
+    """Return where a baseline belongs.
 
     Raises:
         UsageError: its name is none.
@@ -167,10 +167,10 @@ def _file(root: Path | None, suite: str, name: str) -> Path:
 
 
 def _earlier(file: Path, *, renew: bool) -> SavedBank | None:
-    """Return the bank that is there; None if there is none, or one to replace that is unreadable.
+    """Return the baseline that is there; None if there is none, or an unreadable one is replaced.
 
     Raises:
-        StoreError, IncomparableError: it cannot be read, and nobody wants it replaced.
+        StoreError, IncomparableError: it cannot be read, and is not to be replaced.
     """
     from nw_eval.results.bank_file import read_bank
 
@@ -185,7 +185,7 @@ def _earlier(file: Path, *, renew: bool) -> SavedBank | None:
 def _written(
     file: Path, earlier: SavedBank | None, found: SavedBank, *, renew: bool
 ) -> SavedBaseline:
-    """Write a bank unless it would silently become another one."""
+    """Write a baseline unless it would silently become another one."""
     from nw_eval.files.cache import followed
     from nw_eval.results.bank_build import with_panel
     from nw_eval.results.bank_changes import bank_change
@@ -219,13 +219,13 @@ def _new_results(
         TrialError: one is not what the cache of trials says.
     """
     from nw_eval.engine import session
-    from nw_eval.engine.listener import Silence
+    from nw_eval.engine.listener import NullListener
     from nw_eval.results.ended import read_trials
     from nw_eval.results.journal import has_begun
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import RunFolder
 
-    listener = listener or Silence()
+    listener = listener or NullListener()
     listener.message(_ahead(place, workers=workers))
     work = RunFolder(path=place.work)
     is_begun = has_begun(work.journal)

@@ -66,13 +66,13 @@ def verify_baseline(
 ) -> VerifiedBaseline:
     """Run starts of a baseline again by its own policy, and compare each with its row.
 
-    Nothing is taken over from the cache of trials, and nothing is written into the project.
+    Nothing is reused from the cache of trials, and nothing is written into the project.
 
     Args:
         baseline: its name, `<suite>/<name>`, or its path.
         share: of all its starts, such as `10%`, at least one; 10 % if neither this nor `trials`.
         trials: how many instead.
-        seed: draws them, an int; one that nobody can foresee if None.
+        seed: draws them, an int; one that cannot be predicted if None.
         suite: the suite's file; the suite of the baseline's own by name if None.
         policy: where its policy lies; where the baseline says if None.
         workers: processes; one for each core if None.
@@ -185,7 +185,7 @@ def _is_here(reference: str) -> bool:
 
 
 def _differing(rows: Sequence[Row], bank: SavedBank, machine: dict[str, str]) -> tuple[str, ...]:
-    """Return what differs from the panel that a run on a class of machine is compared with."""
+    """Return what differs from the results that a run on a class of machine is compared with."""
     from nw_eval.gate.baseline.known import differences
 
     return differences(rows, bank.panel_of(machine) or bank.panels[0])

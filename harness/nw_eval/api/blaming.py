@@ -80,8 +80,8 @@ def blame(
 
     Args:
         run: the run's folder, with its logs.
-        baseline: a bank, whose policy takes over; or a policy.
-        policy: where the bank's policy lies, if not where the bank says.
+        baseline: a baseline, whose policy takes over; or a policy.
+        policy: where the baseline's policy lies, if not where the baseline says.
         checkpoint: weights in place of those that its card names.
         at_most: trials; the worst first.
         workers: processes; one for each core if None.
@@ -90,10 +90,10 @@ def blame(
         ended: told of each trial, as it ends.
 
     Raises:
-        UsageError: it is no run's folder, there is neither bank nor policy of that name, `at_most`
-            is no number of trials, or no failed trial has a log.
-        StoreError: run or bank are damaged.
-        IncomparableError: the bank's policy is not the one that is there.
+        UsageError: it is no run's folder, there is neither baseline nor policy of that name,
+            `at_most` is no number of trials, or no failed trial has a log.
+        StoreError: run or baseline are damaged.
+        IncomparableError: the baseline's policy is not the one that is there.
         PolicyError: the policy cannot be used.
     """
     from nw_eval.engine.machine import worker_count
@@ -111,7 +111,7 @@ def blame(
     robot = None if info.request is None else info.request.robot
     named = str(info.suite.get("robot", ""))
     for each in (robot or named, named):
-        know_robot(each, None)  # The run may be a stranger's, which fetches nothing.
+        know_robot(each, None)  # The run may be untrusted, which fetches nothing.
     if robot is not None:
         find_robot(robot)  # A folder's name is known from then on.
     vet_bundle(bundle, named, allow_code=allow_code)
@@ -185,18 +185,18 @@ def _minutes(rows: Sequence[Row], chosen: Sequence[Row], info: RunInfo, *, worke
 def baseline_bundle(
     baseline: str, info: RunInfo, *, policy: str | None, checkpoint: Path | None
 ) -> Bundle:
-    """Return the policy that a baseline's name means: that of a bank, or else one of that name.
+    """Return the policy that a baseline's name means: that of a baseline, or else one of that name.
 
     Args:
-        baseline: see above; a bank of the run's own suite goes before a policy.
+        baseline: see above; a baseline of the run's own suite goes before a policy.
         info: the run's.
-        policy: where the bank's policy lies.
+        policy: where the baseline's policy lies.
         checkpoint: weights of it.
 
     Raises:
-        UsageError: there is neither; or no bank, and a policy is named as well.
-        StoreError: the bank is damaged.
-        IncomparableError: the bank's policy is not the one that is there.
+        UsageError: there is neither; or no baseline, and a policy is named as well.
+        StoreError: the baseline is damaged.
+        IncomparableError: the baseline's policy is not the one that is there.
         PolicyError: the policy cannot be loaded.
     """
     from nw_eval.errors import IncomparableError, PolicyError, UsageError

@@ -1,9 +1,9 @@
 """Whether a run is worse than a baseline for what its policy sees, or for what it does about it.
 
-Two policies are taken apart, and put together crosswise: one's control with the other's sight.
-Sight is what a card says of sensors of the world around (images, depth, classes, heights, laser
-scanners) and of where cameras sit; control is all the rest: weights, gains, what an action means,
-and what the robot feels of itself or is told.
+Two policies are taken apart, and put together crosswise: one's control with the other's perception.
+Perception is what a card says of sensors of the world around (images, depth, classes, heights,
+laser scanners) and of where cameras sit; control is all the rest: weights, gains, what an action
+means, and what the robot feels of itself or is told.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class FoundCause:
 
     Attributes:
         run: the run's folder.
-        cause: what came of it.
+        cause: its result.
         out: folder of the four policies' runs, and of `cause.md`.
     """
 
@@ -59,18 +59,18 @@ def find_cause(
     out: Path | None = None,
     listener: Listener | None = None,
 ) -> FoundCause:
-    """Run old and new control with old and new sight in the trials of a run, and compare.
+    """Run old and new control with old and new perception in the trials of a run, and compare.
 
     Args:
         run: the run's folder; its suite, its starts and its policy.
-        baseline: a bank, whose policy is the old one; or a policy.
-        policy: where the bank's policy lies, if not where the bank says.
+        baseline: a baseline, whose policy is the old one; or a policy.
+        policy: where the baseline's policy lies, if not where the baseline says.
         checkpoint: weights in place of those that its card names.
         trials: in each scene; the run's own number if None. More than it has are those that would
             come next.
         workers: processes; one for each core if None.
         allow_code: whether Python code that cards name may be imported.
-        cache: whether results of earlier runs are taken over.
+        cache: whether results of earlier runs are reused.
         out: a new folder; `cause` or `cause-<n>` in the run's folder if None.
         listener: hears of progress.
 
@@ -150,7 +150,7 @@ def _rounds(info: RunInfo, suite: Suite, trials: int | None) -> int:
     """Return how many trials of each scene, on average, the four policies run.
 
     Raises:
-        UsageError: the run has none, or its bank has too few starts for as many.
+        UsageError: the run has none, or its baseline has too few starts for as many.
     """
     rounds = trials or suite.trials
     if trials is None and info.stop is not None:
@@ -219,7 +219,9 @@ def _rolled(
     )
     report = judge(done.path, baseline="none")
     if report.interrupted:
-        raise UsageError(f"{out} was interrupted: four whole runs are needed", fix="run it again")
+        raise UsageError(
+            f"{out} was interrupted: the comparison needs four complete runs", fix="run it again"
+        )
     return report.rows
 
 
@@ -243,22 +245,24 @@ def apart(old: Bundle, new: Bundle) -> Apart:
     """Return in what two policies differ.
 
     Raises:
-        PolicyError: they cannot be taken apart, or their sights cannot be exchanged.
+        PolicyError: they cannot be taken apart, or their sensors cannot be swapped.
     """
     from nw_eval.gate.cause import Apart
 
     for bundle in (old, new):
         if bundle.instance is not None or bundle.card.adapter == "remote":
             raise PolicyError(
-                f"{bundle.subject} has no files here, and cannot be taken apart into sight and "
+                f"{bundle.subject} has no files here: its perception cannot be separated from its "
                 "control",
-                fix="`nw-eval blame` without --cause says since when its trials were lost",
+                fix="run `nw-eval blame` without --cause, which finds the point of no return of "
+                "each failed trial",
             )
     one, other = (set(_sight(bundle.card)) for bundle in (old, new))
     if not one or one != other:
         raise PolicyError(
-            f"the sights of {old.name} ({_named(one)}) and {new.name} ({_named(other)}) cannot be "
-            "exchanged: their observations have other names",
+            f"the camera inputs of {old.name} ({_named(one)}) and {new.name} ({_named(other)}) "
+            "cannot be "
+            "swapped: their observations have different names",
             fix="compare policies whose networks take the same inputs",
         )
     cards = [_values_of(bundle.card) for bundle in (old, new)]
@@ -282,7 +286,7 @@ def apart(old: Bundle, new: Bundle) -> Apart:
 
 
 def write_crossed(folder: Path, control: Bundle, sight: Bundle, *, name: str) -> Path:
-    """Write the card of one policy with the sight of another one; return its file.
+    """Write the card of one policy with the perception of another one; return its file.
 
     Its own weights stay where they are; those of networks that feed them, and Python code, are
     copied beside the card.
@@ -298,7 +302,7 @@ def write_crossed(folder: Path, control: Bundle, sight: Bundle, *, name: str) ->
         key: other["observations"][key] if key in seen else value
         for key, value in card["observations"].items()
     }
-    card |= {"name": name, "title": f"control of {control.name}, sight of {sight.name}"}
+    card |= {"name": name, "title": f"control of {control.name}, perception of {sight.name}"}
     card.pop("cameras", None)
     if "cameras" in other:
         card["cameras"] = other["cameras"]

@@ -39,8 +39,8 @@ def compare(
         confidence: of each interval alone; of all ranks together.
 
     Raises:
-        UsageError: there are fewer than two, one is neither a run nor a bank, or the confidence is
-            not between 0 and 1.
+        UsageError: there are fewer than two, one is neither a run nor a baseline, or the confidence
+            is not between 0 and 1.
         IncomparableError: they differ in suite, scenes, starts or simulator; each field is named.
         StoreError: rows are damaged, or a page cannot be written.
     """
@@ -104,7 +104,7 @@ def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
 
 
 def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
-    """Return a bank, on the class of machine of the first run if it has been there."""
+    """Return a baseline, on the class of machine of the first run if it has been there."""
     from nw_eval.gate.side_by_side import entrant_of_bank
     from nw_eval.results.bank import machine_of
     from nw_eval.results.bank_file import find_bank, read_bank
@@ -136,7 +136,7 @@ def agree(
 
     Args:
         real: a CSV with the columns policy, scene, trials and success (0 to 1). A policy is named
-            as in its run, or by the name of its run's folder or its bank.
+            as in its run, or by the name of its run's folder or its baseline.
         runs: folders of runs, and banks by path or, beside a run, by name; others than the CSV's
             policies may be among them.
         confidence: of each interval.

@@ -1,10 +1,10 @@
 """A run against a bank: what comes before its first trial, and after which trial it may end.
 
-On a class of machine that its bank has not seen the baseline has trials of its own. They are a run
-of their own, `baseline/` in the folder of the candidate's: the bank's policy from the starts that
-the candidate meets, in its order. The first of them show whether bits are the bank's. If they are,
-nothing more of it runs. If not, the policy runs beside the candidate from every start (a concurrent
-control), and the bank's numbers take no part in the comparison.
+On a class of machine that its baseline has not seen the baseline has trials of its own. They are a
+run of their own, `baseline/` in the folder of the candidate's: the baseline's policy from the
+starts that the candidate meets, in its order. The first of them show whether bits are the
+baseline's. If they are, nothing more of it runs. If not, the policy runs beside the candidate from
+every start (a concurrent control), and the baseline's numbers take no part in the comparison.
 
 A part of a run looks at the first trials of the whole run, so that all parts find the same without
 hearing of each other, and what the run would have found. Its control runs from its own starts.
@@ -46,16 +46,16 @@ if TYPE_CHECKING:
 
 
 class Contest:
-    """A candidate's run against a bank, as `engine.session` asks about it.
+    """A candidate's run against a baseline, as `engine.session` asks about it.
 
     Args:
         plan: the candidate's.
-        against: the bank.
+        against: the baseline.
         workers: processes; one for each core if None.
         cluster: the address of the Ray cluster that trials run on; None = this machine.
         command: what was typed.
         listener: hears of progress.
-        cache: whether results of earlier runs are taken over.
+        cache: whether results of earlier runs are reused.
         all_rounds: whether all trials run, settled or not.
     """
 
@@ -85,25 +85,25 @@ class Contest:
         self._looked = 0
 
     def begin(self, folder: RunFolder, run: RunInfo) -> RunInfo:
-        """Return what run.json is to say once it is known what the bank is to this machine.
+        """Return what run.json is to say once it is known what the baseline is to this machine.
 
-        On a class of machine that the bank has no panel of, some trials of its own policy run
-        first: they show whether bits are the bank's.
+        On a class of machine that the baseline has no results of, some trials of its own policy run
+        first: they show whether bits are the baseline's.
 
         Args:
             folder: of the run.
             run: its run.json.
 
         Raises:
-            IncomparableError: the bank's policy is not here.
-            TrialError: a trial of the bank's policy came to no result.
+            IncomparableError: the baseline's policy is not here.
+            TrialError: a trial of the baseline's policy came to no result.
         """
         name, own = self._against.info.name, self._plan.bundle.name
         if self._plan.is_baseline:
             count = plural(rechecks(self._plan.request), "start")
             self._listener.message(
                 f"{own} is the policy of baseline {name}: {count} of each scene run again, and if "
-                "they are as it says the rest is taken over"
+                "they match, the other results are taken from the baseline"
             )
         elif not self._is_seen(run):
             run = self._looked_at(folder, run)
@@ -168,11 +168,11 @@ class Contest:
         """Return how bar and baseline stand, and which trials come next.
 
         The bar and the mean rest on the first trials of the drawn order, all of them. The run ends
-        at the first trial after which one of them convicts or both pass. Then only scenes can be
+        at the first trial after which one of them flags or both pass. Then only scenes can be
         left that hold back a PASS of the baseline; their trials do not bear on bar or mean.
 
         Args:
-            ended: rows of trials that have ended, by place in the order.
+            ended: rows of trials that have ended, by index in the order.
         """
         while True:
             now = self._standing(ended)
@@ -221,10 +221,10 @@ class Contest:
         )
 
     def _of_recheck(self, ended: Mapping[int, Row], setup: ComparisonSetup) -> RunStanding:
-        """Return what comes next of the bank's own policy: some starts of each scene.
+        """Return what comes next of the baseline's own policy: some starts of each scene.
 
-        Where the bank has not seen the class of machine, and bits are others, the bar is still to
-        be judged: by the policy's own trials.
+        Where the baseline has not seen the class of machine, and bits are others, the bar is still
+        to be judged: by the policy's own trials.
         """
         every = range(len(self._plan.trials))
         first = min(rechecks(self._plan.request) * len(setup.strata), len(every))
@@ -275,20 +275,20 @@ def _ends_at(finding: Finding, bar: tuple[int, Word] | None) -> int | None:
         finding: of the baseline.
         bar: after how many trials it was decided, and how.
     """
-    convicts = [bar[0]] if bar is not None and bar[1] == "REGRESSED" else []
+    flags = [bar[0]] if bar is not None and bar[1] == "REGRESSED" else []
     by_scene = finding.word == "REGRESSED" and bool(finding.followed)
     if finding.word == "REGRESSED" and not by_scene:
-        convicts.append(finding.first)
+        flags.append(finding.first)
     mean_passes = finding.word == "PASS" or by_scene or bool(finding.waits_for)
     passes = None
     if mean_passes and bar is not None and bar[1] != "REGRESSED":
         passes = max(finding.first, bar[0])
     if by_scene:
-        convicted = finding.followed[-1] + 1
-        if passes is not None and passes < convicted:
+        flagged = finding.followed[-1] + 1
+        if passes is not None and passes < flagged:
             return passes
-        convicts.append(convicted)
-    return min(convicts) if convicts else passes
+        flags.append(flagged)
+    return min(flags) if flags else passes
 
 
 CHUNK = 16
@@ -296,20 +296,20 @@ CHUNK = 16
 
 
 class Beside:
-    """The bank's policy beside a candidate.
+    """The baseline's policy beside a candidate.
 
     Args:
         plan: the candidate's.
-        against: the bank.
+        against: the baseline.
         folder: of the candidate's run.
         run: its run.json.
         workers: processes; one for each core if None.
         cluster: the address of the Ray cluster that trials run on; None = this machine.
         command: what was typed.
-        cache: whether results of earlier runs are taken over.
+        cache: whether results of earlier runs are reused.
 
     Raises:
-        IncomparableError: the bank's policy is not here.
+        IncomparableError: the baseline's policy is not here.
     """
 
     def __init__(
@@ -347,14 +347,14 @@ class Beside:
         return self._control
 
     def run(self, places: Collection[int], *, exactly: bool = False) -> None:
-        """Run the trials at some places of the candidate's order, those that have not run yet.
+        """Run the trials at some positions of the candidate's order, those that have not run yet.
 
         Args:
             places: in the order.
             exactly: whether only these are to be kept of all that have run.
 
         Raises:
-            TrialError: a trial of the bank's policy came to no result, or not to what the cache
+            TrialError: a trial of the baseline's policy came to no result, or not to what the cache
                 says.
         """
         from nw_eval.engine import session
@@ -384,9 +384,9 @@ class Beside:
         self._control = ControlArm(run=own, rows=control_rows(self._nested, own, self._folder))
 
     def looks_like_the_bank(self) -> bool | tuple[str, ...]:
-        """Return whether what has run has the bits of the bank; sentences where it contradicts it.
+        """Return whether the trials so far have the baseline's bits; sentences where they do not.
 
-        Only a candidate on the bank's own starts can be asked.
+        Only a candidate on the baseline's own starts can be asked.
         """
         assert self._control is not None, "something has run"
         bank, rows = self._against.bank, self._control.rows
@@ -407,7 +407,7 @@ class Beside:
 
 
 def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
-    """Return the baseline's policy: where the request says, or the bank.
+    """Return the baseline's policy: where the request says, or the baseline.
 
     Raises:
         IncomparableError: it is not there, cannot be used, or is another one.
@@ -440,6 +440,6 @@ def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
     raise IncomparableError(
         f"baseline {against.info.name} has not seen this class of machine, and its policy "
         f"{own.name} cannot be run on it: {fault}",
-        fix="say where it lies with --baseline-policy PATH, or save a panel here: "
+        fix="name its card with --baseline-policy PATH, or save the baseline on this machine: "
         f"`{renewing(run, against.bank)}`",
     )

@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 _MOST_READ = 256 * 2**20
 """Bytes of all logs that are read; those of 160 trials have 70 to 110 MB."""
 _LARGEST_PICTURE = 40_000
-"""Bytes of one place's; the built-in places take some hundred, scans more."""
+"""Bytes of one scene's; the built-in scenes take some hundred, scans more."""
 
 
 def gather_evidence(
@@ -168,7 +168,7 @@ class WantedLog:
 
     path: Path
     scene: str
-    """Of which the first log that can be read shows the place."""
+    """Of which the first log that can be read shows the scene."""
     clip: bool
 
 
@@ -180,7 +180,7 @@ def read_apart(
     Args:
         wanted: logs below the folder.
         folder: the only one that can be read.
-        room: bytes that one `picture` of a place and one `clip` may have.
+        room: bytes that one `picture` of a scene and one `clip` may have.
     """
     rules = Rules(reads=(folder.resolve(),), seconds=_PROCESSOR_SECONDS)
     found: list[tuple[WantedLog, ReadLog]] = []
@@ -287,7 +287,7 @@ class KeptEvidence:
         """Keep what logs show, but not what kept one from being read: that may not last."""
         if not key or any(log.fault or log.unseen for log in logs):
             return
-        if (self.folder / key).is_fifo():  # Nobody may ever read from it.
+        if (self.folder / key).is_fifo():  # It may never be read.
             return
         content = ReadLogs(logs=tuple(logs)).model_dump_json()
         with suppress(StoreError), sealed_path(self.folder / key) as path:
@@ -349,7 +349,7 @@ def composed(results: Sequence[Row], read: Mapping[str, ReadLog]) -> LogEvidence
 
 
 def _place(scene: str, logs: Sequence[ReadLog]) -> tuple[PlaceView, float]:
-    """Return a place, and how far, in m, a trial's waypoint is from the one that is drawn."""
+    """Return a scene, and how far, in m, a trial's waypoint is from the one that is drawn."""
     count = len(logs[0].waypoints)
     alike = [log.waypoints for log in logs if len(log.waypoints) == count]
     trails = np.array(alike, dtype=np.float64).reshape(len(alike), count, 2)
@@ -410,7 +410,7 @@ def _moved(spread: float) -> str:
     if spread < _SAME:
         return ""
     return (
-        "Trials of a scene have their waypoints in places of their own; drawn is the mean, from "
+        "The waypoints of this scene differ between trials; the picture shows their mean, from "
         f"which they are up to {100 * spread:.0f} cm away."
     )
 

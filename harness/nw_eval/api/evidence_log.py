@@ -1,7 +1,7 @@
 """One log read for what a page shows of it, within bounds, and without the simulator.
 
-It runs in a confined process (`evidence`): a log may be a stranger's, and pictures are unpacked. A
-log shows the walk, the place from straight above as the mesh that the log holds, drawn small, and
+It runs in a confined process (`evidence`): a log may be untrusted, and pictures are unpacked. A
+log shows the walk, the scene from straight above as the mesh that the log holds, drawn small, and
 the last seconds of a camera's pictures as one that moves: an animated WebP, small enough.
 """
 
@@ -96,11 +96,11 @@ class ReadLogs(_Read):
 
 _PATH, _WAYPOINTS, _SCENE = "/robot/path", "/waypoints", "/scene"
 _HIDDEN = frozenset({"place/overhead", "place/beside"})
-"""Parts of a place that stand over the course or are left out of it."""
+"""Parts of a scene that stand over the course or are left out of it."""
 _FAR = 100.0
 """Metres round the course in which a walk is drawn."""
 _LEAST_ROUND, _MOST_ROUND = 5.0, 20.0
-"""Metres to each side of the start that are drawn of a place where there are no waypoints."""
+"""Metres to each side of the start that are drawn of a scene where there are no waypoints."""
 
 
 def read_logs(wanted: Sequence[tuple[str, str]], clips: Sequence[str], room: dict[str, int]) -> str:
@@ -109,7 +109,7 @@ def read_logs(wanted: Sequence[tuple[str, str]], clips: Sequence[str], room: dic
     Args:
         wanted: path and scene of each log; the first of a scene that can be read shows its place.
         clips: paths of those whose last pictures are wanted too.
-        room: bytes of one `picture` of a place and of one `clip`.
+        room: bytes of one `picture` of a scene and of one `clip`.
     """
     drawn: set[str] = set()
     found: list[ReadLog] = []
@@ -421,11 +421,11 @@ Box = tuple[float, float, float, float]
 """West, south, east, north: metres in the world frame."""
 
 MARGIN = 2.0
-"""Metres round the trail; a robot that is farther from it is off its course."""
+"""Metres round the course; a robot that is farther from it is off its course."""
 
 _SIDE = 480  # pixels of the longer side
 _FINER = 2  # It is drawn so many times larger, and then made smaller for smooth edges.
-_MOST_TRIANGLES = 300_000  # in the picture; those of the built-in places have some thousand
+_MOST_TRIANGLES = 300_000  # in the picture; those of the built-in scenes have some thousand
 # Heights against the ground at the start, m, and their greys: pits are dark, and what stands up is
 # darker the higher it is. Obstacles of a legged robot are low, so most greys are spent on those.
 _HEIGHTS, _GREYS = (-0.6, 0.0, 0.3, 1.2), (120, 232, 176, 104)
@@ -462,7 +462,7 @@ def picture_from_above(
     picture = Image.new("L", (max(_FINER, round(width)), max(_FINER, round(height))), 255)
     brush = ImageDraw.Draw(picture)
     corners = (seen[:, :, :2] - (west, north)) * (scale, -scale)
-    # The painter's way: what lies lower first. Faces of a place hardly cut through each other.
+    # The painter's way: what lies lower first. Faces of a scene hardly cut through each other.
     for corner, grey in zip(
         corners.reshape(-1, 6).tolist(), _heights_as_greys(seen, ground).tolist(), strict=True
     ):

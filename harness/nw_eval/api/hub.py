@@ -30,7 +30,7 @@ class PushedScene:
 def fetch_scene(
     reference: str, *, file: Path | None = None, listener: FetchListener | None = None
 ) -> Fetched:
-    """Return a place as its hub has it now, fetched as far as it is not on this machine.
+    """Return a scene as its hub has it now, fetched as far as it is not on this machine.
 
     Runs use it without a network from then on. What they find missing they fetch by themselves.
 
@@ -41,7 +41,7 @@ def fetch_scene(
         listener: hears how far it is.
 
     Raises:
-        SceneError: there is no such place, or it is none; or not for this user.
+        SceneError: there is no such scene, or it is none; or not for this user.
         FetchError: the hub cannot be reached or fails; the next call goes on from what came.
         PrerequisiteError: the extra `hub` is not installed.
         StoreError: it cannot be kept.
@@ -141,7 +141,7 @@ def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
 
 
 def _is_own_file(path: Path) -> bool:
-    """Whether a file lies there itself: a link may lead to what is nobody's business."""
+    """Whether a file lies there itself: a link may lead outside of the folder."""
     return path.is_file() and not path.is_symlink()
 
 

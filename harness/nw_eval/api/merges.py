@@ -35,7 +35,7 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
 
     Raises:
         UsageError: there is nothing to merge, one is no run's folder or that of a whole run, there
-            is no such bank, or `out` holds something else.
+            is no such baseline, or `out` holds something else.
         IncomparableError: two are not parts of one run, each field is named; or, once the rows are
             merged, as `judge`.
         StoreError: a part or trials of one are missing, a trial has two different results, a folder
@@ -157,12 +157,12 @@ def _beside(sources: Sequence[MergeSource], ordered: Sequence[Trial]) -> MergedA
 
 
 def _bank(sources: Sequence[MergeSource]) -> Against | None:
-    """Return the bank that the parts were begun against, if any of them can still show it."""
+    """Return the baseline that the parts were begun against, if any of them can still show it."""
     from nw_eval.api.banks import kept_bank
 
     for source in sources:
         try:
             return kept_bank(source.folder, source.info)
-        except (IncomparableError, StoreError):  # Judging says so, if nobody has it.
+        except (IncomparableError, StoreError):  # Judging reports it, if it is missing.
             continue
     return None

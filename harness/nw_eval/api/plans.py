@@ -83,14 +83,14 @@ def plan_of(
             its policy as it was asked for, and finds it where it was.
         scenes: globs in place of the request's.
         bundle: a policy that is loaded already, in place of the request's.
-        against: a bank that is read already, in place of the request's.
+        against: a baseline that is read already, in place of the request's.
         arm: whether its policy is the one that is judged.
         own_policy: whether the policy is the suite's own; None = the request says.
         may_fail: whether a policy that answers zeros with NaN is left to its trials, which count
             it as the policy's own failure; else it is a fault.
 
     Raises:
-        IncomparableError: the bank does not hold for it.
+        IncomparableError: the baseline does not hold for it.
     """
     from nw_eval.engine.order import shard_of
     from nw_eval.engine.plan import Plan
@@ -109,7 +109,7 @@ def plan_of(
             suite = with_robot(suite, robot.reference)
     if own_policy is None:
         own_policy = bundle is None and _is_own_policy(draft, request)
-    # A process of its own reads the bank, for no longer than an interrupt can wait.
+    # A process of its own reads the baseline, for no longer than an interrupt can wait.
     with ThreadPoolExecutor(max_workers=1) as beside:
         read = None
         if suite is not None and against is None:
@@ -232,13 +232,13 @@ def _try_axes(trials: Sequence[Trial], suite: Suite, bundle: Bundle) -> None:
 
 
 def baseline_plan(plan: Plan, bundle: Bundle) -> Plan:
-    """Return the plan of a bank's own policy from the starts that a candidate meets, in its order.
+    """Return the plan of a baseline's own policy from a candidate's starts, in its order.
 
     Of a part of a run it is that of the whole run.
 
     Args:
         plan: the candidate's.
-        bundle: the bank's policy.
+        bundle: the baseline's policy.
 
     Raises:
         UsageError: it needs images of a scene that has no splat.
@@ -270,7 +270,7 @@ def baseline_plan(plan: Plan, bundle: Bundle) -> Plan:
 
 
 def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
-    """Return the plan of a bank's own policy with trials that run, whatever the cache has of them.
+    """Return the plan of a baseline's own policy with trials that run in spite of the cache.
 
     Args:
         plan: with `is_baseline`.
@@ -278,7 +278,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
         all_rounds: whether all trials run, in the order that they have.
 
     Raises:
-        IncomparableError: the bank has fewer starts than are to run again.
+        IncomparableError: the baseline has fewer starts than are to run again.
     """
     from nw_eval.api.verifying import draw
     from nw_eval.engine.plan import DrawnOrder
@@ -287,7 +287,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
     from nw_eval.results.provenance import candidate_in, recheck_key, rounds_key
     from nw_eval.suite import expand, override
 
-    assert plan.against is not None, "the policy of a bank has one"
+    assert plan.against is not None, "a baseline policy's plan has a baseline"
     count, against = rechecks(plan.request), plan.against
     starts = against.bank.manifest.starts
     strata = _strata(plan.suite, plan.scenes)
@@ -323,7 +323,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
 
 
 def rechecks(request: Request) -> int:
-    """Return how many starts of each scene run again of a bank's own policy."""
+    """Return how many starts of each scene run again of a baseline's own policy."""
     return 1 if request.recheck is None else request.recheck
 
 
@@ -332,7 +332,7 @@ def _strata(suite: Suite, scenes: Sequence[Scene]) -> list[Stratum]:
 
 
 def _on_panel(request: Request, suite: Suite, policy: PolicyInfo, against: Against | None) -> Suite:
-    """Return a suite with the seed of the panel that is met, and the trials that may run."""
+    """Return a suite with the seed of the seed set in use, and the trials that may run."""
     from nw_eval.gate.baseline.match import fresh_seed
     from nw_eval.suite import override
 
@@ -348,10 +348,10 @@ def _drawn(
     policy: PolicyInfo,
     against: Against | None,
 ) -> list[DrawnStart] | None:
-    """Return the trials of a run against a bank in their order; None where there is no bank.
+    """Return the trials of a run against a baseline in their order; None without a baseline.
 
     Raises:
-        IncomparableError: the bank has fewer starts than are drawn of each scene on average.
+        IncomparableError: the baseline has fewer starts than are drawn of each scene on average.
     """
     from nw_eval.gate.baseline.match import draw_fresh, draw_trials
 
@@ -366,10 +366,10 @@ def _drawn(
 
 
 def _matched(plan: Plan, against: Against) -> Plan:
-    """Return a plan that its bank holds for, with whether its policy is the bank's own.
+    """Return a plan that its baseline holds for, with whether its policy is the baseline's own.
 
     Raises:
-        IncomparableError: the bank does not hold for it, or could convict nobody.
+        IncomparableError: the baseline does not fit it, or is too low for any regression.
     """
     from nw_eval.engine.provenance import run_info
     from nw_eval.gate.baseline.finding import check_level
@@ -378,7 +378,7 @@ def _matched(plan: Plan, against: Against) -> Plan:
 
     folder = RunFolder(path=Path(plan.suite.name))
     run = run_info(plan, folder, workers=None, in_process=False, command=())
-    # Whether this class of machine has the bank's bits is found out by running something.
+    # Whether this class of machine has the baseline's bits is found out by running something.
     known = against.info.model_copy(update={"checked": "bits"})
     setup = setup_of(run.model_copy(update={"baseline": known}), against, plan.suite.gate)
     if setup.basis != "same":

@@ -191,7 +191,7 @@ def rerun_layout(log: Path, out: Path) -> Path:
 
 
 def rerun_recording(log: Path, out: Path) -> WrittenRecording:
-    """Write a log as a recording of Rerun, with the place's Gaussians where the place is at hand.
+    """Write a log as a recording of Rerun, with the scene's Gaussians where the scene is at hand.
 
     Nothing is run again, no viewer is started, and nothing goes over a network.
 

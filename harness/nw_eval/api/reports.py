@@ -55,7 +55,7 @@ class RunReport:
     evidence: LogEvidence | None = None
     """What its logs showed on that page; None if none was written."""
     bank: BaselineInfo | None = None
-    """The bank that it was compared with."""
+    """The baseline that it was compared with."""
     training: TrainingStep | None = None
     """Of a watched training: trackers show its scores at this step of a curve."""
 
@@ -150,8 +150,9 @@ def as_begun(run: str | Path) -> RunReport:
     """Judge a run as it was begun, by its bar and its baseline, and write nothing.
 
     What of its rows was not judged, or was damaged and has another copy, is among the reasons.
-    Where the bank that it was begun against is gone or does not hold for it the verdict is INVALID,
-    and what the bar alone would say is among the reasons. A part of a run is not judged: RAN.
+    Where the baseline that it was begun against is gone or does not hold for it the verdict is
+    INVALID, and what the bar alone would say is among the reasons. A part of a run is not judged:
+    RAN.
 
     Raises:
         UsageError: it is no run's folder.
@@ -230,17 +231,17 @@ def judge(
 
     Args:
         run: the run's folder; it may go on, or have been interrupted.
-        baseline: the bank's name, its file, or `none`; if None, that which the run was begun
+        baseline: the baseline's name, its file, or `none`; if None, that which the run was begun
             against, or else the one that its suite names for its own policy.
         max_drop: in place of the suite's.
         tolerate: in place of the suite's.
         out: where to write the report, as in `report`; nowhere if None.
 
     Raises:
-        UsageError: it is no run's folder or that of a part of a run, there is no such bank, or a
-            drop is none.
-        IncomparableError: the bank does not hold for the run, or has too few starts for it.
-        StoreError: its rows or the bank are damaged, or the report cannot be written.
+        UsageError: it is no run's folder or that of a part of a run, there is no such baseline, or
+            a drop is none.
+        IncomparableError: the baseline does not hold for the run, or has too few starts for it.
+        StoreError: its rows or the baseline are damaged, or the report cannot be written.
     """
     from nw_eval.api.banks import judging_bank
     from nw_eval.api.saved_run import check_whole, saved_suite
@@ -269,7 +270,7 @@ def _judged(
     from nw_eval.api.saved_run import saved_trials, spare_trials
     from nw_eval.results.ended import read_trials
 
-    # A process of its own reads the bank, which takes as long as the rows do.
+    # A process of its own reads the baseline, which takes as long as the rows do.
     with ThreadPoolExecutor(max_workers=1) as beside:
         opened = beside.submit(bank)
         trials, spare = saved_trials(info, suite), spare_trials(info, suite)
@@ -324,7 +325,7 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     page, html = _pages(out)
     facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
     folder = RunFolder(path=judged.folder)
-    # Links in a run's folder may be a stranger's.
+    # Links in a run's folder may be untrusted.
     is_own = out == folder.report_md
     only = None if is_own or not is_stream(out) else out
     evidence = gather_evidence(folder, judged.rows, kept)

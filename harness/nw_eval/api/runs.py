@@ -60,7 +60,7 @@ def run(
         cache: take over results that earlier runs have of the same trials, all but a few, which are
             run again and compared; trials in this very process always run.
         all_rounds: go on when the verdict against a baseline is settled, also where the policy is
-            the baseline itself and the rest would be taken over.
+            the baseline itself and the others would be reused.
         engine: where trials run; rows are the same, and a run that is resumed may use another.
         address: of the Ray cluster; one of this machine is started if None.
         listener: hears of progress.
@@ -109,11 +109,11 @@ def roll_out(
     all_rounds: bool = False,
     cluster: str | None = None,
 ) -> RunFolder:
-    """Run what is planned: against a bank, trial by trial, until bar and baseline are settled.
+    """Run what is planned: against a baseline, trial by trial, until bar and baseline are settled.
 
     A part of a run has all its trials: whether some are enough shows in the whole alone. Of the
-    bank's own policy some starts of each scene run, and the rest is taken over from the bank if
-    these are as it says.
+    baseline's own policy some starts of each scene run, and the others are taken from the baseline
+    if these are as it says.
 
     Args:
         plan: what is to be run.
@@ -122,7 +122,7 @@ def roll_out(
         resume: the folder of an interrupted run.
         in_process: whether trials run in this very process.
         listener: hears of progress.
-        cache: whether results of earlier runs are taken over.
+        cache: whether results of earlier runs are reused.
         all_rounds: whether to go on when bar and baseline are settled.
         cluster: the address of a Ray cluster; None = this machine.
 
@@ -133,11 +133,11 @@ def roll_out(
     from nw_eval.api.plans import rechecked
     from nw_eval.api.verifying import unforeseen_seed
     from nw_eval.engine import session
-    from nw_eval.engine.listener import Silence
+    from nw_eval.engine.listener import NullListener
     from nw_eval.gate.baseline.combine import unjudged
     from nw_eval.results.provenance import read_run_info
 
-    ears, command = listener or Silence(), tuple(sys.argv)
+    ears, command = listener or NullListener(), tuple(sys.argv)
     # Scores are judged once, of all trials: only success alone may settle a run early.
     all_rounds = all_rounds or bool(plan.suite.gate.scores)
     if plan.is_baseline and plan.drawn is None:
@@ -203,7 +203,7 @@ def _ahead(plan: Plan) -> Iterator[str]:
 
 
 def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
-    """Yield what `scenes check` says of the trails of a plan's own scenes, which still run.
+    """Yield what `scenes check` says of the courses of a plan's own scenes, which still run.
 
     The built-in ones are right.
     """
@@ -243,7 +243,7 @@ def _beyond_legs(plan: Plan) -> Iterator[str]:
 def _part(plan: Plan, shard: ShardInfo) -> str:
     """Return which part of a run is run here."""
     trials = plural(len(plan.trials), "trial")
-    return f"{shard}: {trials}; `nw-eval merge` judges the whole"
+    return f"{shard}: {trials}; `nw-eval merge` judges the whole run"
 
 
 def _cluster(engine: Engine, address: str | None) -> str | None:
@@ -265,7 +265,7 @@ def _check_in_process(request: Request, workers: int | None, cluster: str | None
     """Refuse what one process cannot do.
 
     Raises:
-        UsageError: more workers than one, or a limit that nobody could hold a trial to.
+        UsageError: more workers than one, or a limit that cannot be enforced.
     """
     if cluster is not None:
         raise UsageError(
@@ -287,14 +287,14 @@ def _check_limits(request: Request, door: str) -> None:
         door: why they do, in words.
 
     Raises:
-        UsageError: there is a limit that nobody could hold a trial to.
+        UsageError: there is a limit that cannot be enforced.
     """
     time, memory = request.time_limit, request.memory_limit
     limits = [] if time is None else [f"--time-limit {time:g}"]
     limits += [] if memory is None else [f"--memory-limit {memory}"]
     if limits:
         raise UsageError(
-            f"{' and '.join(limits)} with {door}: nobody could end the trial",
+            f"{' and '.join(limits)} with {door}: no process of its own could be stopped",
             fix="drop one of them",
         )
 
@@ -319,7 +319,7 @@ def judged(folder: RunFolder) -> RunReport:
 
 
 UNNAMED = "unnamed"
-"""What rows have in place of a digest where nobody says which policy it was."""
+"""What rows have in place of a digest where it is unknown which policy it was."""
 
 
 class ActingPolicy(Protocol):
@@ -347,7 +347,7 @@ def evaluate(
 
     A policy by name runs as `run` does it. An object runs in this process, one trial after another,
     each begun with `reset(seed)`; nothing confines it, and nothing ends it if it hangs. Its digest
-    is what `version` says, which nobody can verify, and its logs cannot be replayed.
+    is what `version` says, which cannot be verified, and its logs cannot be replayed.
 
     Args:
         policy: a bundle's name, folder or card; or an object with `act(observation)`, or a function

@@ -56,13 +56,14 @@ def continued(run: Path, request: Request) -> Plan:
     suite = saved_suite(info)
     if info.request is None:
         raise IncomparableError(
-            f"cannot resume {run}: an older nw-eval began it, whose run.json holds no request",
+            f"cannot resume {run}: an older version of nw-eval started it, and its run.json "
+            "holds no request",
             fix="start a new run without --resume",
         )
     if info.drawn_for is not None and not (info.is_recheck or info.goes_by_rounds):
         raise IncomparableError(
-            f"cannot resume {run}: it meets the starts of another run, as `nw-eval blame` chose",
-            fix="ask `nw-eval blame --cause` again; what has run is taken from the cache",
+            f"cannot resume {run}: `nw-eval blame` chose its initial states from another run",
+            fix="run `nw-eval blame --cause` again; finished trials come from the cache",
         )
     if request.shard is not None and request.shard != info.request.shard:
         was = "all of its trials" if info.shard is None else str(info.shard)
@@ -84,7 +85,7 @@ def continued(run: Path, request: Request) -> Plan:
             whole,
             draft_of(suite),
             card=None if request.policy is not None else _card(info),
-            # A place that the suite's patterns match only now is none of the run's.
+            # A scene that the suite's patterns match only now is none of the run's.
             scenes=[escape(name) for name in info.scenes] if request.scenes is None else None,
             against=against,
             # Its suite as it was kept names the policy that was asked for.
@@ -225,7 +226,7 @@ def spare_trials(info: RunInfo, suite: Suite) -> frozenset[str]:
 def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
     """Return all trials of the run that a run is, or is a part of, in the order of its suite.
 
-    Against a bank the run says how many starts it drew them from.
+    Against a baseline the run says how many starts it drew them from.
 
     Raises:
         StoreError: run.json contradicts itself about them.
@@ -257,7 +258,7 @@ def check_whole(info: RunInfo) -> RunInfo:
     """
     if info.shard is not None:
         raise UsageError(
-            f"run {info.id} is {info.shard}: of the whole run it says nothing",
+            f"run {info.id} is {info.shard}, which is not the whole run",
             fix="put all parts together with `nw-eval merge RUN... --out FOLDER`",
         )
     return info

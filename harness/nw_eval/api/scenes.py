@@ -40,7 +40,7 @@ class CheckedScene:
     findings: tuple[SceneFinding, ...]
     """Errors first; none if nothing is worth saying."""
     survey: Survey | None
-    """What was measured along its trail; None where errors came before."""
+    """What was measured along its course; None where errors came before."""
 
     @property
     def has_errors(self) -> bool:
@@ -186,14 +186,14 @@ def render_scenes(
         StoreError: the picture cannot be written.
     """
     from nw_eval.catalogue import match_scenes
-    from nw_eval.engine.listener import Silence
+    from nw_eval.engine.listener import NullListener
     from nw_eval.engine.prepare import build_splats
     from nw_eval.files.cache import followed
     from nw_eval.rollout.replaying.contact_sheet import write_scene_sheet
 
     followed(out)  # What can never be written is said before anything is drawn.
     found = match_scenes(tuple(patterns) or ("*",))
-    build_splats(found, listener or Silence())
+    build_splats(found, listener or NullListener())
     write_scene_sheet(found, out, width=width)
     return out
 
@@ -205,11 +205,11 @@ def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> W
         SceneError: a pattern matches nothing, or a splat cannot be made.
     """
     from nw_eval.catalogue import match_scenes
-    from nw_eval.engine.listener import Silence
+    from nw_eval.engine.listener import NullListener
     from nw_eval.engine.prepare import build_splats
     from nw_eval.splat.warmup import warmup as compile_kernels
 
     seconds = compile_kernels()
     found = match_scenes(tuple(scenes)) if scenes else ()
-    build_splats(found, listener or Silence())
+    build_splats(found, listener or NullListener())
     return WarmUp(kernel_seconds=seconds, scenes=tuple(scene.name for scene in found))

@@ -28,14 +28,14 @@ class BisectedSeries:
     checkpoints: tuple[str, ...]
     """In order of age, the bad one last."""
     runs: Mapping[int, RunReport]
-    """By place in the series: those that were judged."""
+    """By position in the series: those that were judged."""
     found: Bisection | None
     """None if the search was interrupted."""
     folder: Path
 
     @property
     def trials(self) -> int:
-        """Trials that it took, without those of the bank."""
+        """Trials that it took, without those of the baseline."""
         return sum(len(run.rows) for run in self.runs.values())
 
     @property
@@ -66,20 +66,21 @@ def bisect(
 ) -> BisectedSeries:
     """Find which checkpoint of a series is the first that the gate flags as worse than a good one.
 
-    Each that is asked for is judged against the bank of the good one, trial by trial, as `run` does
-    it, by success and by each of `gate.scores` that has a `max_drop`. The suite's bars are left
-    out, since all of a series may lie on one side of one.
+    Each that is asked for is judged against the baseline of the good one, trial by trial, as `run`
+    does it, by success and by each of `gate.scores` that has a `max_drop`. The suite's bars are
+    left out, since all of a series may lie on one side of one.
 
     Args:
         suite: a suite file or the name of a shipped one.
         checkpoints: the series in order of age: files of weights for the card of `policy`, or
             bundles; the folder of a training stands for its checkpoints in order of their steps,
             after `good` and before `bad` where these are among them.
-        good: a bank; or a checkpoint that is older than the series, of which one is saved first.
+        good: a baseline; or a checkpoint that is older than the series, of which one is saved
+            first.
         bad: the checkpoint that is known to be worse, younger than the series.
         policy: whose card the weights are for; the suite's own if None.
         everyone: judge all of them in place of searching.
-        starts: in each scene, of a bank that is saved.
+        starts: in each scene, of a baseline that is saved.
         out: the folder of the runs; a search that was interrupted goes on in it. If None, one in
             `reports/` that is named by the suite.
         workers: processes; one for each core if None.
@@ -91,7 +92,7 @@ def bisect(
 
     Raises:
         UsageError, SuiteError, PolicyError: a checkpoint or the suite cannot be used.
-        IncomparableError: the bank does not hold here, or moved on this machine.
+        IncomparableError: the baseline does not hold here, or moved on this machine.
         TrialError: a trial came to no result.
         StoreError: results cannot be written.
     """
@@ -140,7 +141,7 @@ class _InterruptedSeriesError(Exception):
 
 
 def _is_bank(good: str | Path, suite: str) -> bool:
-    """Whether a name or path means a bank, and no checkpoint."""
+    """Whether a name or path means a baseline, and no checkpoint."""
     from nw_eval.errors import UsageError
     from nw_eval.results.bank_file import find_bank
 
@@ -204,10 +205,10 @@ def _of(request: Request, checkpoint: str, bank: str | None = None) -> Request:
 def _bank_of(
     good: str | Path, request: Request, suite: str, starts: int | None, means: _Means
 ) -> str:
-    """Return the bank of the good checkpoint, saved first if there is none.
+    """Return the baseline of the good checkpoint, saved first if there is none.
 
     Raises:
-        IncomparableError: there is a bank of its name, of something else.
+        IncomparableError: there is a baseline of its name, of something else.
     """
     from nw_eval.api.baselines_saved import save_baseline
     from nw_eval.errors import IncomparableError
@@ -280,7 +281,7 @@ def _finding(run: RunReport) -> Decision:
     """Return what a run found of its checkpoint: the worst word on success and on its scores.
 
     Raises:
-        IncomparableError: the bank's own policy moved on this machine.
+        IncomparableError: the baseline's own policy moved on this machine.
         TrialError: trials have no result, or another one than the cache says.
         _InterruptedSeriesError: a signal ended it.
     """
@@ -291,7 +292,7 @@ def _finding(run: RunReport) -> Decision:
         raise _InterruptedSeriesError
     if verdict.verdict == "INVALID":
         raise IncomparableError(
-            f"nothing is charged to {run.info.policy.name}: {'; '.join(verdict.reasons)}",
+            f"no failure is attributed to {run.info.policy.name}: {'; '.join(verdict.reasons)}",
             fix="renew the baseline of the good checkpoint",
         )
     if verdict.verdict == "INFRASTRUCTURE" or verdict.against is None:

@@ -92,7 +92,7 @@ def write_site(
             left_out.append(f"{clean(each.name)}: {fault_of(error)}")
             continue
         if run.info.shard is not None:
-            left_out.append(f"{each.name}: a part of a run; `nw-eval merge` makes it whole")
+            left_out.append(f"{each.name}: a part of a run; join the parts with `nw-eval merge`")
         elif run.info.finished is None:
             left_out.append(f"{each.name}: the run has not ended; --resume it")
         else:
@@ -264,7 +264,7 @@ def _picture(name: str, digest: str) -> bytes | None:
     from nw_eval.catalogue import get_scene, is_built_in
     from nw_eval.rollout.replaying.contact_sheet import scene_views
 
-    if not is_built_in(name):  # Nothing that a stranger's run names is opened or fetched.
+    if not is_built_in(name):  # Nothing that an untrusted run names is opened or fetched.
         return None
     try:
         scene = get_scene(name)

@@ -80,7 +80,7 @@ def splat_render(
         eye: where the camera stands, in the file's own frame or the scene's world; chosen if None.
             A turn then looks round from there.
         target: what a still looks at; the middle of a file, or straight ahead in a scene, if None.
-        frames: of a turn: around a file, or round a scene's trail within its walls.
+        frames: of a turn: around a file, or round a scene's course within its walls.
         backend: the renderer.
         projection: `ray`, each Gaussian along the pixel's own ray, or `ewa`, as gsplat draws.
 

@@ -170,7 +170,7 @@ def publish(judged: RunReport, where: Surfaces, *, exit_code: int | None = None)
 
 
 def publish_error(error: NwEvalError, suite: str, where: Surfaces) -> Published:
-    """Show that a run came to no verdict, so that nobody takes an earlier one for its own.
+    """Show that a run came to no verdict, so that no reader takes an earlier one for its own.
 
     Args:
         error: what kept it from one.
@@ -225,7 +225,7 @@ def _writer(
 
 
 def _remove(reporter: Reporter, target: str | None) -> None:
-    """Remove what an earlier run wrote, so that nobody takes it for this run's."""
+    """Remove what an earlier run wrote, so that no reader takes it for this run's."""
     if target is None or reporter.target != "file" or not Path(target).is_file():
         return
     with Path(target).open("rb") as stream:

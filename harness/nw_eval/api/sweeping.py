@@ -56,7 +56,7 @@ def sweep(
     """Run a suite at values of one axis after another, and find where its policy breaks off.
 
     What the suite itself perturbs, its bar and its baseline are left out. Trials that an earlier
-    sweep had with the same values of an axis are taken over from the cache.
+    sweep had with the same values of an axis are reused from the cache.
 
     Args:
         request: suite, policy, trials, scenes and seed as for `run`; neither shard nor baseline.

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from nw_eval.engine.forecast import Forecast
     from nw_eval.engine.plan import Plan
-    from nw_eval.gate.baseline.foresee import Outset
+    from nw_eval.gate.baseline.power_forecast import Outset
     from nw_eval.gate.baseline.scores import ScoreForecast
     from nw_eval.request import Request
     from nw_eval.stats.bank.curve import CurvePoint, Progress
@@ -26,13 +26,13 @@ class TrialPlan:
 
     suite: str
     source: str
-    """What it is reckoned from: a bank or a run, in words."""
+    """What it is reckoned from: a baseline or a run, in words."""
     outset: Outset
     """What is known before the first trial: the baseline's scores, margins, budget."""
     detect: float
     """The drop that is asked about."""
     dropped: Progress
-    """How soon policies of that drop are judged, with all starts of the bank run."""
+    """How soon policies of that drop are judged, with all starts of the baseline run."""
     equal: Progress
     """How soon equal ones are."""
     curve: tuple[CurvePoint, ...]
@@ -79,27 +79,27 @@ def plan_trials(
     png: Path | None = None,
     workers: int | None = None,
 ) -> TrialPlan | BarPlan:
-    """Return how many trials it takes to convict a drop, and what else the suite's gate sees.
+    """Return how many trials it takes to flag a drop, and what else the suite's gate sees.
 
-    Of a suite that has a bar, and neither names a bank nor has one, it says what the bar takes.
+    Of a suite that has a bar, and neither names a baseline nor has one, it says what the bar takes.
 
     `plan` resolves a request to its trials; this one says how many would be needed.
 
     Args:
         suite: a file, the name of a shipped one, or one that was read already.
         detect: drop of mean success; the suite's `gate.max_drop` if None.
-        baseline: the bank to compare with, by name or path; if None the suite's, or the only one
-            that there is of it.
+        baseline: the baseline to compare with, by name or path; if None the suite's, or the only
+            one that there is of it.
         run: a run's folder in place of a bank: what it scored is taken for the baseline's success.
         png: file to draw the curve into.
         workers: processes to reckon minutes with; one for each core if None.
 
     Raises:
-        UsageError: there is neither a bank nor a run, the run is a part of one, or no policy can
-            drop by `detect`.
+        UsageError: there is neither a baseline nor a run, the run is a part of one, or no policy
+            can drop by `detect`.
         SuiteError, PolicyError: as `plan`.
-        StoreError: the bank or the run is damaged, or the picture cannot be written.
-        IncomparableError: the bank or the run has other scenes than the suite.
+        StoreError: the baseline or the run is damaged, or the picture cannot be written.
+        IncomparableError: the baseline or the run has other scenes than the suite.
     """
     from nw_eval.api.banks import NO_BASELINE
     from nw_eval.api.plans import check_workers, plan
@@ -107,7 +107,7 @@ def plan_trials(
     check_workers(workers)
     if baseline is not None and run is not None:
         raise UsageError("--baseline and --run exclude each other", fix="drop one of them")
-    resolved = plan(suite, baseline=NO_BASELINE)  # The bank is here what is asked about.
+    resolved = plan(suite, baseline=NO_BASELINE)  # The baseline is here what is asked about.
     gate = resolved.suite.gate
     if run is None and detect is None and (baseline or gate.baseline) in {None, NO_BASELINE}:
         from nw_eval.results.bank_file import bank_files
@@ -150,7 +150,7 @@ def plan_trials(
 
 
 def _of_scores(resolved: Plan, reference: str | None) -> tuple[ScoreForecast, ...]:
-    """Return what the gate makes of each score that it compares with a bank."""
+    """Return what the gate makes of each score that it compares with a baseline."""
     from nw_eval.gate.baseline.scores import forecast_scores
     from nw_eval.results.bank_file import read_bank
 
@@ -164,7 +164,7 @@ def _of_bar(resolved: Plan, bar: float) -> BarPlan:
 
     from nw_eval.engine.forecast import obstacles_of
     from nw_eval.gate.absolute import trials_to_pass
-    from nw_eval.stats.foresight import SceneCounts, shares_at
+    from nw_eval.stats.power import SceneCounts, shares_at
 
     suite = resolved.suite
     gate, cells = suite.gate, len(suite.perturb.cells)
@@ -212,8 +212,8 @@ def _draw(planned: TrialPlan, png: Path) -> None:
 
 
 def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
-    """Return what a bank is, in words, and what is known with it."""
-    from nw_eval.gate.baseline.foresee import outset_of_bank
+    """Return what a baseline is, in words, and what is known with it."""
+    from nw_eval.gate.baseline.power_forecast import outset_of_bank
     from nw_eval.results.bank_file import read_bank
 
     suite = resolved.suite
@@ -234,7 +234,7 @@ def _bank_file(suite: Suite, reference: str | None) -> Path:
 
 
 def _only_bank(suite: str) -> Path:
-    """Return the bank that a suite which names none can be planned with.
+    """Return the baseline that a suite which names none can be planned with.
 
     Raises:
         UsageError: it has none, or several.
@@ -255,7 +255,7 @@ def _of_run(resolved: Plan, folder: Path) -> tuple[str, Outset]:
     """Return what a run is, in words, and what is known with it."""
     from nw_eval.api.baselines_saved import STARTS
     from nw_eval.api.saved_run import check_whole, saved_rows
-    from nw_eval.gate.baseline.foresee import outset_of_rows
+    from nw_eval.gate.baseline.power_forecast import outset_of_rows
     from nw_eval.results.provenance import read_run_info
     from nw_eval.results.run_folder import open_run_folder
 

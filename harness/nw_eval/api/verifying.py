@@ -1,6 +1,6 @@
 """Verifying a run: its files first, and then some of its trials once more.
 
-Which trials run again nobody can foresee.
+Which trials run again cannot be predicted.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def verify(
         offline: look at its files only, and run nothing.
         sample: how many trials with a result are run again: a share such as `5%`, or a number. At
             least one is.
-        seed: draws them; one that nobody can foresee if None.
+        seed: draws them; one that cannot be predicted if None.
         root: the Merkle root that the run had, kept elsewhere.
         policy: the bundle that made it, where it has moved since, or is served elsewhere.
         checkpoint: weights that were used instead of the card's, where they have moved since.
@@ -179,7 +179,7 @@ _SHARE = re.compile(r"([0-9]{1,3}(?:\.[0-9]{1,9})?) ?%|([0-9]{1,9})")
 
 
 def unforeseen_seed() -> int:
-    """Return a seed that nobody knew before."""
+    """Return a seed that was not known before."""
     return secrets.randbits(_BITS)
 
 

@@ -172,7 +172,7 @@ def compared(row: Row, again: Row, *, run: RunFolder, now: RunFolder) -> Repeate
     """
     fault = "" if again.status == "ok" else f"{again.error_type}: {again.error_text}"
     if again.cached:  # What an earlier run says of it shows nothing.
-        fault = "it was taken over from another run, and not run"
+        fault = "its result comes from another run; it did not run"
     log, parted = _logs(row, again, run, now)
     return RepeatedTrial(
         trial=row.trial_id,

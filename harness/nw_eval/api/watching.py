@@ -420,7 +420,7 @@ class _Watch:
         from nw_eval.api.baselines_saved import save_baseline
 
         best = self._best()
-        # Of one that scores less than `max_drop` nobody can fall by so much.
+        # One that scores less than `max_drop` cannot drop by so much.
         if best is None or best.success is None or not best.success > self._most_drop:
             return None
         assert self.request.suite is not None, "a watch is of a suite"

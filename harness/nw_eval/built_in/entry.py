@@ -156,7 +156,7 @@ class Setting(Protocol):
         ...
 
     def build(self, builder: PlaceBuilder, length: float) -> None:
-        """Build the place, round a trail of `length` metres along x."""
+        """Build the scene, round a trail of `length` metres along x."""
         ...
 
 
@@ -167,7 +167,7 @@ class Entry:
     Attributes:
         name: such as `hurdles/one_low_carpet`.
         title: one line for people.
-        setting: the place round the course.
+        setting: the scene round the course.
         course: obstacles and trail.
         light: a name of `LIGHTS`.
         exposure: multiplies that light's own, where the camera's automatic would choose badly.
@@ -187,7 +187,7 @@ class Entry:
     spawn: Spawn = field(default_factory=Spawn)
 
     def place(self) -> Place:
-        """Return the parts of the place, course included; its ground is at z = 0."""
+        """Return the parts of the scene, course included; its ground is at z = 0."""
         trail = self._trail()
         up = EYE_HEIGHT - self.course.floor
         eyes = [(0.0, 0.0, up), *((x, y, z + up) for x, y, z in trail)]
@@ -244,13 +244,13 @@ def place_mesh(place: Place) -> TriangleMesh:
 
 @dataclass(frozen=True, kw_only=True)
 class BuiltInSplat:
-    """Gaussians generated from a place's textured geometry."""
+    """Gaussians generated from a scene's textured geometry."""
 
     place: Place
 
     @property
     def key(self) -> str:
-        """Hex digest of the place and of the generator's version."""
+        """Hex digest of the scene and of the generator's version."""
         return self._key
 
     @cached_property

@@ -30,7 +30,7 @@ class Gaps:
         gaps: metres of nothing before each platform, nearest first. With `last` = `platform` the
             last gap is the one before the end platform.
         edge: where the platform under the spawn ends, metres along x.
-        length: of each platform along the trail, metres.
+        length: of each platform along the course, metres.
         width: of each platform across the trail, metres.
         shift: of each platform's middle to the left, metres; missing ones are 0.
         material: of the platforms' sides.

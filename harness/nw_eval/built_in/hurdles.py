@@ -1,4 +1,4 @@
-"""Hurdles: bars, blocks and benches across the trail; and one place with nothing in the way."""
+"""Hurdles: bars, blocks and benches across the trail; and one scene with nothing in the way."""
 
 from __future__ import annotations
 

@@ -195,7 +195,7 @@ def pitched_board(
     """Lay a board whose upper surface runs from one height to another along the trail.
 
     Args:
-        builder: of the place that it is part of.
+        builder: of the scene that it is part of.
         x: where its upper surface starts and ends, metres.
         z: the heights there.
         y: from and to.
@@ -255,7 +255,7 @@ def rolled_board(
     """Lay a board along the trail that leans to one side.
 
     Args:
-        builder: of the place that it is part of.
+        builder: of the scene that it is part of.
         x: from and to.
         y: of the middle of its upper surface, metres.
         z: height of that middle, metres.

@@ -101,7 +101,7 @@ class Card(CardModel):
 
     None = the checkpoint has one input, made of all observations."""
     output: OutputKey | None = None
-    """Which output of the checkpoint is the action: its name, or its place (from 0) among those
+    """Which output of the checkpoint is the action: its name, or its position (from 0) among those
     that feed no recurrent state; None = its only or first one."""
     recurrent: Recurrent | None = None
     """Inputs of the checkpoint that an output of its last step feeds, and that output: `{h_in:

@@ -25,14 +25,14 @@ Inputs = dict[str, list[str] | TensorList] | list[str]
 """By input of a file, what is joined to make it; a list makes the one input of a file."""
 
 OutputKey = Annotated[str, Field(min_length=1)] | Annotated[int, Field(ge=0)]
-"""An output of a file: its name, or its place, from 0."""
+"""An output of a file: its name, or its position, from 0."""
 
 
 class Feedback(CardModel):
     """What a TorchScript file gives back to one of its own inputs at the next step."""
 
     output: Annotated[int, Field(ge=0)]
-    """Its place, from 0, among all that `forward` returns."""
+    """Its position, from 0, among all that `forward` returns."""
     shape: Annotated[list[Annotated[int, Field(ge=1, le=100_000)]], Field(max_length=5)]
     """Shape of the zeros that a trial begins with: these files do not declare it."""
 
@@ -61,7 +61,7 @@ class NetworkOutput(CardModel):
     """Numbers that a network gives, under a name of their own."""
 
     output: OutputKey | None = None
-    """Which output of the file, by its name, or by its place (from 0) among those that feed no
+    """Which output of the file, by its name, or by its position (from 0) among those that feed no
     recurrent state; None = its first one."""
     select: Select | None = None
     """Which of its numbers are kept: indices and ranges such as "0:3" (end excluded)."""

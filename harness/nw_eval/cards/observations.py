@@ -305,11 +305,11 @@ class DepthObservation(_GeometryView):
     stereo: Stereo | None = None
     """What a stereo camera makes of the depth; null = every pixel has its exact depth."""
     source: Source = "geometry"
-    """What of the place is met."""
+    """What of the scene is met."""
 
     @property
     def needs_splat(self) -> bool:
-        """Whether the place is its splat."""
+        """Whether the scene is its splat."""
         return self.source == "splat"
 
     @model_validator(mode="after")
@@ -395,11 +395,11 @@ class LidarObservation(BaseObservation):
     robot: bool = False
     """Whether the robot's own legs are seen; never the trunk that carries the sensor."""
     source: Source = "geometry"
-    """What of the place is met."""
+    """What of the scene is met."""
 
     @property
     def needs_splat(self) -> bool:
-        """Whether the place is its splat."""
+        """Whether the scene is its splat."""
         return self.source == "splat"
 
     @model_validator(mode="after")

@@ -299,7 +299,7 @@ def check_feet(term: FootContacts, feet: Sequence[str]) -> None:
 
 
 def seen_joints(term: JointPosition | JointVelocity, joints: Sequence[str]) -> list[int]:
-    """Return the places in `joints` that a term has a number for.
+    """Return the positions in `joints` that a term has a number for.
 
     Raises:
         PolicyError: `leave_out` names no joint, or all of them.
@@ -311,7 +311,7 @@ def seen_joints(term: JointPosition | JointVelocity, joints: Sequence[str]) -> l
 
 
 def named_places(keys: Sequence[str], joints: Sequence[str], where: str) -> set[int]:
-    """Return the places in `joints` that keys name: joints, types or patterns.
+    """Return the positions in `joints` that keys name: joints, types or patterns.
 
     Raises:
         PolicyError: a key names no joint; the message begins with `where`.

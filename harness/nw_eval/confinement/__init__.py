@@ -1,4 +1,4 @@
-"""Processes that open strangers' files: confined before the first of these is opened.
+"""Processes that open untrusted files: confined before the first of these is opened.
 
 rules.py        what a process may do, its memory and time; `confine` makes it so
 fence.py        Landlock and seccomp together, what libraries read on their own, what it came to
@@ -7,14 +7,14 @@ seccomp.py      which system calls are refused, and their numbers
 kernel.py       calls that Python has no function for
 family.py       parents, children and the terminal
 environment.py  what children inherit
-nursery.py      children that need not import anything
-files.py        what each kind of a stranger's file may do
+fork_server.py  children that need not import anything
+files.py        what each kind of untrusted file may do
 """
 
 from nw_eval.confinement.environment import child_environment
 from nw_eval.confinement.family import GONE, LEFT, interrupts_blocked, kill_group, without_script
 from nw_eval.confinement.fence import Fence, fence_stands, offered, raise_fence
-from nw_eval.confinement.nursery import Child, Nursery
+from nw_eval.confinement.fork_server import Child, ForkServer
 from nw_eval.confinement.rules import Rules, confine, memory_to_open, memory_to_run, processor_time
 
 __all__ = [
@@ -22,7 +22,7 @@ __all__ = [
     "LEFT",
     "Child",
     "Fence",
-    "Nursery",
+    "ForkServer",
     "Rules",
     "child_environment",
     "confine",

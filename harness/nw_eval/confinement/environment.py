@@ -25,7 +25,7 @@ _CHILDREN = {
     "VECLIB_MAXIMUM_THREADS": "1",
     "NUMBA_NUM_THREADS": "1",
     "PYTHONFAULTHANDLER": "1",
-    "PYTHONBREAKPOINT": "0",  # Nobody sits in front of a child; `--in-process` is for that.
+    "PYTHONBREAKPOINT": "0",  # A child has no terminal; `--in-process` is for that.
     "ORT_DISABLE_TELEMETRY": "1",  # onnxruntime would start a thread that sends.
 }
 _FENCED = {"MUJOCO_GL": "disable"}  # MuJoCo would start a program to look for OpenGL.

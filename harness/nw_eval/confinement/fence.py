@@ -1,4 +1,4 @@
-"""The operating system's fence round a process that opens strangers' files, and what it came to."""
+"""The operating system's fence round a process that opens untrusted files, and what it came to."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def restrict(*, reads: Iterable[Path], writes: Iterable[Path], network: Network)
 
     Args:
         reads: files, and folders with all below them, that may be read. Nothing may be executed.
-        writes: likewise written too, made and removed.
+        writes: may be written too, made and removed.
         network: which sockets may be used.
 
     Returns:

@@ -46,7 +46,7 @@ class Rules:
 
 
 def confine(rules: Rules, *, output: int | None = None) -> Fence:
-    """Confine this process: at its start, before it has other threads or a stranger's file.
+    """Confine this process: at its start, before it has other threads or an untrusted file.
 
     Args:
         rules: what it may do.

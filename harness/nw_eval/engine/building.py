@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Self
 
 from nw_eval.built_in.entry import BuiltInSplat
 from nw_eval.confinement.environment import environment_of_child
-from nw_eval.engine.listener import Listener, Silence
+from nw_eval.engine.listener import Listener, NullListener
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -50,7 +50,7 @@ class SplatBuilders:
         ]
         self._queue = deque(missing)
         self._count = min(count, len(missing)) if len(missing) >= _WORTH else 0
-        self._listener = listener or Silence()
+        self._listener = listener or NullListener()
         self._lock = threading.Lock()
         self._processes: list[subprocess.Popen[bytes]] = []
         self._threads: list[threading.Thread] = []
@@ -58,7 +58,7 @@ class SplatBuilders:
     def __enter__(self) -> Self:
         start = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve()"
         for _ in range(self._count):
-            with suppress(OSError):  # Then others build it, or nobody before it is needed.
+            with suppress(OSError):  # Then others build it, or it is built when it is needed.
                 process = subprocess.Popen(  # noqa: S603  # Our own module, no shell.
                     [sys.executable, "-P", "-c", start],
                     stdin=subprocess.PIPE,

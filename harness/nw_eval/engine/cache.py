@@ -48,7 +48,7 @@ LIMIT_GB = 5.0
 """Size that the cache may have, in GB, where `NW_EVAL_CACHE_GB` says nothing."""
 
 _GB = 10**9
-_ABANDONED = 3600.0  # s after which nobody goes on with what is half written.
+_ABANDONED = 3600.0  # s after which a half-written file is given up.
 _HEADROOM = 0.9  # of the limit to which it is pruned, so that not every run has to.
 _ROW, _LOG = "row.json", "log.mcap"
 _MOST_ROW = 2**20
@@ -60,7 +60,7 @@ _FOLDER = os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY
 NO_ENTRY = (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError)
 """What reading raises where there is no entry that can be used."""
 FORMAT = 1
-"""Of an entry. Those of another one are found by nobody, and go as they grow old."""
+"""Of an entry. Those of another one are never read, and are removed as they age."""
 
 # What names things, and what says where a trial runs, how long it may take, and where its log goes.
 # Every other field counts, those that are added too. Scene, policy and checkpoint count by their
@@ -274,8 +274,8 @@ def read_entry(path: Path) -> CacheEntry:
 def write_entry(path: Path, row: Row, log: Path) -> None:
     """Keep a trial's row and a copy of its log; whatever was there goes.
 
-    A copy: the run's own file can be written by the processes that run trials, and may be a
-    stranger's to tamper with.
+    A copy: the run's own file can be written by the processes that run trials, which may
+    tamper with it.
 
     Args:
         path: the entry's folder, named by its key.

@@ -30,7 +30,7 @@ _SEEING = 0.10
 # Wall seconds until a worker has its libraries and kernels.
 _START = 4.0
 _LEAST = 0.1  # minutes
-# Trials of each scene on a fresh panel up to which it is asked whether a gate can pass.
+# Trials of each scene on a fresh seed set up to which it is asked whether a gate can pass.
 _MOST_FRESH = 100
 
 
@@ -49,7 +49,8 @@ class Forecast:
     """A run that has not been run."""
 
     suite: Suite
-    """With what was asked of it otherwise; it has a digest of its panel and one of all it says."""
+    """With what was asked of it otherwise; it has a digest of its seed set and one of all it
+    says."""
     policy: Bundle
     scenes: tuple[SceneForecast, ...]
     left_out: tuple[str, ...] = ()
@@ -58,7 +59,7 @@ class Forecast:
     """Which part of a run it is, in trials and minutes too; None: all of it."""
     workers: int
     baseline: str | None = None
-    """The name of the bank that it would be compared with; it may then end early."""
+    """The name of the baseline that it would be compared with; it may then end early."""
     obstacles: tuple[str, ...] = ()
     """Why no policy can reach PASS in it, a sentence for each reason; none where one can."""
     warnings: tuple[str, ...] = ()
@@ -98,7 +99,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
 
 
 def _expected(plan: Plan) -> tuple[Trial, ...]:
-    """Return the trials that would run; of the bank's own policy, those that run again."""
+    """Return the trials that would run; of the baseline's own policy, those that run again."""
     machine = machine_in(engine_of(plan.render, plan.suite.plugins))
     if not plan.is_baseline or plan.against is None or not plan.against.bank.panel_of(machine):
         return plan.trials
@@ -120,13 +121,13 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
     Args:
         plan: what would be run.
     """
-    from nw_eval.gate.baseline.foresee import bar_obstacles
+    from nw_eval.gate.baseline.power_forecast import bar_obstacles
 
     suite, against = plan.suite, plan.against
     if suite.gate.success_rate is None and against is None:
         return ()  # Without a bar or a baseline the verdict is RAN.
     unknown = () if against is None else _scores_it_lacks(plan, against)
-    # Of the bank's own policy nothing runs: the scores of its starts are judged.
+    # Of the baseline's own policy nothing runs: the scores of its starts are judged.
     known = None if against is None or not plan.is_baseline else against.bank.manifest.starts
     found = bar_obstacles(
         suite.gate,
@@ -142,7 +143,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
 
 
 def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
-    """Return which gated scores a bank was saved without, that holds on this class of machine.
+    """Return which gated scores a baseline was saved without, that holds on this class of machine.
 
     On another one its policy runs beside the candidate, and is measured, too.
     """
@@ -175,7 +176,7 @@ def _warnings(plan: Plan) -> tuple[str, ...]:
 
 def _against_the_bank(plan: Plan, against: Against) -> list[str]:
     """Return that the trials of a plan are too few to exclude max_drop, if they are."""
-    from nw_eval.gate.baseline.foresee import trials_to_pass_baseline
+    from nw_eval.gate.baseline.power_forecast import trials_to_pass_baseline
 
     suite, manifest, panel = plan.suite, against.bank.manifest, against.bank.panels[0]
     fresh = plan.drawn_from is None
@@ -208,8 +209,12 @@ def obstacles_among_equals(
         scenes: that are run, by name.
         left_out: scenes of the suite that are not, by name.
     """
-    from nw_eval.gate.baseline.foresee import bar_obstacles, perfect_panel, trials_to_pass_baseline
     from nw_eval.gate.baseline.match import draw_trials
+    from nw_eval.gate.baseline.power_forecast import (
+        bar_obstacles,
+        perfect_panel,
+        trials_to_pass_baseline,
+    )
 
     gate, cells = suite.gate, suite.perturb.cells
     if gate.success_rate is not None:

@@ -1,8 +1,8 @@
 """Trials in this very process, one after the other: for debuggers, notebooks and tests.
 
 The bits are those of worker processes, but nothing stands between a policy and this process. It is
-not confined, so this is for policies that one trusts. One that hangs is never `hung`, since nobody
-is there to end it, and one that ends its process ends this one. What it prints goes where this
+not confined, so this is for policies that one trusts. One that hangs is never `hung`, since no
+process could end it, and one that ends its process ends this one. What it prints goes where this
 process prints, and a `breakpoint()` in it works.
 """
 
@@ -78,7 +78,7 @@ class InProcessWorkers:
         """Run the queued jobs and yield what they come to.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C, where nobody listens for the first one.
+            KeyboardInterrupt: Ctrl-C, where the first one is not handled.
         """
         while self._queue:
             job = self._queue.popleft()

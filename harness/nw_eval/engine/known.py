@@ -1,9 +1,9 @@
-"""What one run takes over from the cache of trials, what of it runs all the same, and what it adds.
+"""Which results one run takes from the cache of trials, which run again, and which it adds.
 
 A key may lack something that changes results, a file may have been tampered with, a machine may be
-faulty. So some results that could be taken over are computed again, drawn by chance that nobody can
-foresee, and compared. Until those have agreed nothing is taken over. If one differs, all entries of
-the same conditions are void, the run makes no further use of the cache, and says so for good.
+faulty. So some results that the cache has are computed again, drawn at random in a way that cannot
+be predicted, and compared. Until those agree no cached result is used. If one differs, all entries
+of the same conditions are void, the run makes no further use of the cache, and says so for good.
 
 `known_trials` says whether a run uses the cache at all.
 """
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from nw_eval.words import Arm
 
 SHARE = 0.02
-"""Of the results that could be taken over, how many run all the same; at least one does."""
+"""Of the results that could be reused, how many run all the same; at least one does."""
 
 
 @contextmanager
@@ -74,7 +74,9 @@ def known_trials(
     try:
         store = TrialStore.of_user()
     except StoreError as error:
-        listener.message(f"no result is taken over from earlier runs, or kept for later: {error}")
+        listener.message(
+            f"results of earlier runs are not used, and none is kept for later: {error}"
+        )
         yield NothingKnown(error.message)
         return
     known = KnownTrials(
@@ -282,7 +284,7 @@ class KnownTrials:
             f"trial {row.trial_id} came out otherwise than the cache of trials says "
             f"({row.outcome} after {row.steps} steps, {row.digest[:8]}; in the cache "
             f"{expected.outcome} after {expected.steps}, {expected.digest[:8]}): results that were "
-            "taken over may be wrong; start a new run, which cannot take over any of them"
+            "used from the cache may be wrong; start a new run, which does not use them"
         )
         self._say(f"{self._differing[-1]}; {plural(count, 'entry', 'entries')} of the cache voided")
         self._doubted()

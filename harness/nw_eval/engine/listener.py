@@ -31,7 +31,7 @@ class Listener(Protocol):
         ...
 
 
-class Silence:
+class NullListener:
     """A listener that does nothing."""
 
     def message(self, text: str) -> None:

@@ -39,7 +39,7 @@ RECYCLE_AFTER = 100
 POLL = 0.1
 # Processes in a row, for each worker, that may die before they take a trial (killed while they
 # start, no memory).
-_STILLBORN = 3
+_MOST_FAILED_STARTS = 3
 
 
 class LocalProcesses:
@@ -133,7 +133,7 @@ class LocalWorkers:
         self._queue: deque[TrialJob] = deque()
         self._busy: list[WorkerProcess] = []
         self._idle: list[WorkerProcess] = []  # For jobs to come: they have scenes loaded.
-        self._stillborn = 0
+        self._failed_starts = 0
 
     def __enter__(self) -> Self:
         self._cleanup.enter_context(self._output)
@@ -204,23 +204,23 @@ class LocalWorkers:
         try:
             result = each.look()
         except UnstartedError:
-            self._dismiss(each)
+            self._end(each)
             self._queue.appendleft(job)
-            self._stillborn += 1
-            if self._stillborn > _STILLBORN * self._count:
+            self._failed_starts += 1
+            if self._failed_starts > _MOST_FAILED_STARTS * self._count:
                 raise TrialError(
-                    f"{self._stillborn} worker processes in a row died before they could take a "
+                    f"{self._failed_starts} worker processes in a row died before they could "
+                    "take a "
                     "trial",
-                    fix="look for the out-of-memory killer in the system log, or use fewer "
-                    "--workers",
+                    fix="check the system log for the out-of-memory killer, or use fewer --workers",
                 ) from None
             return None
         if result is None:
             return None
-        self._stillborn = 0
+        self._failed_starts = 0
         is_well = each.jobs_done > count and each.jobs_done < self._recycle_after
         if not is_well:
-            self._dismiss(each)
+            self._end(each)
         elif self._queue:
             each.give(self._next(each))
         else:
@@ -228,7 +228,7 @@ class LocalWorkers:
             self._idle.append(each)
         return Finished(job=job, result=result)
 
-    def _dismiss(self, each: WorkerProcess) -> None:
+    def _end(self, each: WorkerProcess) -> None:
         self._busy.remove(each)
         each.kill()
         each.close()

@@ -30,10 +30,11 @@ _NEAR = 16
 def in_order(trials: Iterable[Trial]) -> tuple[Trial, ...]:
     """Return trials in the order in which they are started.
 
-    Those that were drawn for a run against a baseline keep their places. Others go round by round:
-    every scene's first trials, then the second ones, and so on. Within a round the order is that
-    of a hash of the identity, so that neighbours differ in difficulty, and it is the same for every
-    worker count, shard and resume. A run that is cut short has met every scene about equally often.
+    Those that were drawn for a run against a baseline keep their positions. Others go round by
+    round: every scene's first trials, then the second ones, and so on. Within a round the order is
+    that of a hash of the identity, so that neighbours differ in difficulty, and it is the same for
+    every worker count, shard and resume. A run that is cut short has met every scene about equally
+    often.
     """
 
     def key(trial: Trial) -> tuple[int, bytes]:
@@ -45,11 +46,11 @@ def in_order(trials: Iterable[Trial]) -> tuple[Trial, ...]:
 
 
 def next_place(waiting: Iterable[Trial], *, own: Container[str], taken: Container[str]) -> int:
-    """Return the place, among waiting trials in order, of the one that a worker takes next.
+    """Return the position, among waiting trials in order, of the one that a worker takes next.
 
     It is of the first's round, or among the next `_NEAR` of a drawn order, so that scenes are met
     as equally as without choice: one in a scene that the worker has loaded, or else one in a scene
-    that nobody has, or else the first.
+    that no worker has, or else the first.
 
     Args:
         waiting: one trial or more.

@@ -34,10 +34,10 @@ _SECONDS_MORE = 90.0
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnOrder:
-    """An order of the starts of a bank that is not the policy's own.
+    """An order of the starts of a baseline that is not the policy's own.
 
     Attributes:
-        starts: of the bank, in each scene; None where fresh ones are met.
+        starts: of the baseline, in each scene; None where fresh ones are met.
         candidate: for whom it was drawn, by the `key` of another policy, or `recheck_key`.
     """
 
@@ -50,7 +50,7 @@ class Plan:
     """What a run is to be: everything resolved and checked, nothing run."""
 
     request: Request
-    suite: Suite  # with what was asked otherwise; against a bank `trials` is the most of each scene
+    suite: Suite  # with the request's changes; with a baseline `trials` is the most of each scene
     bundle: Bundle
     found: tuple[FoundScene, ...]
     trials: tuple[Trial, ...]  # that are to be run here: of a shard, its own
@@ -62,8 +62,8 @@ class Plan:
     """Which part of a run it is; None: all of it."""
     against: Against | None = None
     is_baseline: bool = False
-    """Whether the policy to be judged is the bank's own, on the bank's starts, of which only some
-    need run again."""
+    """Whether the policy to be judged is the baseline's own, on the baseline's starts, of which
+    only some need run again."""
     again: frozenset[str] = frozenset()
     """Trials that run though the cache of trials has their results."""
     drawn: DrawnOrder | None = None
@@ -84,7 +84,7 @@ class Plan:
 
     @property
     def drawn_from(self) -> int | None:
-        """Starts of the bank that drew the order of the trials; None if none did."""
+        """Starts of the baseline that drew the order of the trials; None if none did."""
         if self.drawn is not None:
             return self.drawn.starts
         if self.against is None or self.panel == "fresh":

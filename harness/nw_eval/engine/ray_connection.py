@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 HERE = "local"
 """In place of an address: a cluster of this machine alone."""
 
-# Nobody is told how Ray is used, and announcements are left out.
+# Ray's usage reports and announcements are off.
 _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
@@ -48,7 +48,7 @@ _ATTEMPTS = "2"  # Of some 40 s each, at asking what answers at an address, but 
 _CLIENT_PORT, _HEAD_PORT = 10001, 6379
 # Bytes in shared memory on this machine: logs on their way, pieces of splats. More goes to disk.
 _STORE = 2**28
-# Lets this process and what it starts into a cluster of this machine, and nobody else. One for all
+# Lets this process and what it starts into a cluster of this machine, and no other. One for all
 # of them: Ray remembers the first that it has seen.
 _TOKEN = token_hex(32)
 _SHORT = 40  # Characters of a folder in which a Unix socket's path, 107 at most, has room.
@@ -127,7 +127,7 @@ def joined(address: str, *, cores: int | None) -> Generator[Joined]:
 
     Raises:
         PrerequisiteError: Ray is not installed.
-        UsageError: nobody answers at the address, or no cluster that can be used.
+        UsageError: there is no answer at the address, or no cluster that can be used.
     """
     with ExitStack() as cleanup:
         cleanup.enter_context(_environment(**_QUIET))
@@ -212,10 +212,10 @@ def _started_here(cleanup: ExitStack, cores: int | None) -> dict[str, Any]:
 
 
 def _check_answers(address: str) -> None:
-    """Find out in seconds that nobody is there; Ray itself tries for minutes.
+    """Find out in seconds that the address does not answer; Ray itself tries for minutes.
 
     Raises:
-        UsageError: nobody is, or the address is none.
+        UsageError: it does not answer, or the address is invalid.
     """
     if address in {HERE, "auto"}:
         return
@@ -242,7 +242,7 @@ def _unusable(address: str, error: Exception) -> UsageError:
     where = "on this machine" if address in {HERE, "auto"} else f"at {address}"
     return UsageError(
         f"no Ray cluster can be used {where}: {clean(reason, at_most=300)}",
-        fix="look at --address and at `ray status` on the cluster's head; without --address a "
+        fix="check --address and `ray status` on the cluster's head node; without --address a "
         "cluster of this machine is started",
     )
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nw_eval import __version__
-from nw_eval.engine import ray_parcels
-from nw_eval.engine.ray_parcels import Parcel
+from nw_eval.engine import ray_file_bundles
+from nw_eval.engine.ray_file_bundles import FileBundle
 from nw_eval.words import Backend, Collision
 
 if TYPE_CHECKING:
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Orders:
+class JobSpec:
     """What a node makes ready for a run."""
 
     token: str
     """Names the run's folders on nodes: letters and digits."""
     scenes: tuple[tuple[str, Collision], ...]
     """References of the head's, and how meshes collide."""
-    parcels: tuple[Parcel, ...]
+    file_bundles: tuple[FileBundle, ...]
     render: Backend
     renders: bool
     """Whether any trial may render."""
@@ -61,16 +61,16 @@ def facts(
     }
 
 
-def lacking(parcels: tuple[Parcel, ...]) -> tuple[str, ...]:
+def lacking(file_bundles: tuple[FileBundle, ...]) -> tuple[str, ...]:
     """Return the sha256 of the files that this node does not have."""
-    return ray_parcels.missing(parcels)
+    return ray_file_bundles.missing(file_bundles)
 
 
-def make_ready(orders: Orders, pieces: Mapping[str, Sequence[Any]]) -> None:
+def make_ready(spec: JobSpec, pieces: Mapping[str, Sequence[Any]]) -> None:
     """Get what is missing, and compile what all workers need, as the head does for its own.
 
     Args:
-        orders: of the run.
+        spec: of the run.
         pieces: references of Ray's to the pieces of each file that was missing, by sha256.
 
     Raises:
@@ -80,27 +80,27 @@ def make_ready(orders: Orders, pieces: Mapping[str, Sequence[Any]]) -> None:
     import ray
 
     from nw_eval.catalogue import open_scene
-    from nw_eval.engine.listener import Silence
+    from nw_eval.engine.listener import NullListener
     from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
 
     def fetch(sha256: str) -> Iterator[bytes]:
         for piece in pieces.get(sha256, ()):
             yield ray.get(piece)
 
-    ray_parcels.receive(orders.parcels, fetch)
-    places = ray_parcels.places(orders.parcels)
-    scenes = [open_scene(places.get(name, name), collision) for name, collision in orders.scenes]
-    ready_scans(scenes, Silence())
-    if orders.renders:
-        open_backend(orders.render, Silence(), is_fenced=False)
-        build_splats(scenes, Silence())
+    ray_file_bundles.receive(spec.file_bundles, fetch)
+    places = ray_file_bundles.places(spec.file_bundles)
+    scenes = [open_scene(places.get(name, name), collision) for name, collision in spec.scenes]
+    ready_scans(scenes, NullListener())
+    if spec.renders:
+        open_backend(spec.render, NullListener(), is_fenced=False)
+        build_splats(scenes, NullListener())
 
 
 def scratch(token: str) -> Path:
-    """Return the folder in which a run's station on this node writes, until the head has it."""
+    """Return the folder in which a run's node agent on this node writes, until the head has it."""
     return Path(tempfile.gettempdir()) / f"nw-eval-{token}"
 
 
 def tidy(token: str) -> None:
-    """Remove what a run's stations have left: logs of trials that were killed."""
+    """Remove what a run's node agents have left: logs of trials that were killed."""
     shutil.rmtree(scratch(token), ignore_errors=True)

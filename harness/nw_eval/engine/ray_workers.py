@@ -1,14 +1,14 @@
-"""Workers on the nodes of a cluster: a queue here, and a station on each node that is ready.
+"""Workers on the nodes of a cluster: a queue here, and a node agent on each node that is ready.
 
 ray_connection.py  join a cluster, or start one on this machine
-ray_parcels.py     what travels to nodes, by content, and where a node keeps what it got
+ray_file_bundles.py     what travels to nodes, by content, and where a node keeps what it got
 ray_node.py        what a node is asked: what it is, to make ready, to tidy up
-ray_station.py     the worker processes of a node, with one of Ray's between them and the cluster
+ray_node_agent.py     the worker processes of a node, with one of Ray's between them and the cluster
 
-Policies never share a process with Ray: a station is an actor that owns confined processes, those
-that the local engine starts, so that limits, fences, faults and bits are the same. There is one for
-a node, and not for a core: its workers are forked from one process that has imported what they
-need, share their pages, and keep to their scenes as on one machine.
+Policies never share a process with Ray: a node agent is an actor that owns confined processes,
+those that the local engine starts, so that limits, fences, faults and bits are the same. There is
+one for a node, and not for a core: its workers are forked from one process that has imported what
+they need, share their pages, and keep to their scenes as on one machine.
 
 The head asks nodes what they are, makes them ready, refuses them, loses them. Logs that came back
 from a node are written into the run's folder by the head alone.
@@ -28,9 +28,9 @@ from nw_eval.clean import clean
 from nw_eval.engine import ray_node as there
 from nw_eval.engine.machine import WorkerOutput
 from nw_eval.engine.order import next_place
-from nw_eval.engine.ray_node import Orders
-from nw_eval.engine.ray_parcels import Outgoing
-from nw_eval.engine.ray_station import Answer, Station
+from nw_eval.engine.ray_file_bundles import Outgoing
+from nw_eval.engine.ray_node import JobSpec
+from nw_eval.engine.ray_node_agent import Answer, NodeAgent
 from nw_eval.engine.workers import Finished
 from nw_eval.errors import NwEvalError, PrerequisiteError, StoreError, TrialError, UsageError
 from nw_eval.files.cache import atomic_path
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 POLL = 0.1  # s between two looks at whether somebody asked to stop
 # Seconds beyond a trial's limit after which its node, which would have said `hung`, is silent.
-_SILENCE = 600.0
+_NO_ANSWER = 600.0
 # Seconds in which a node must have as many cores free as it has, or half of them are tried.
 _OPENING = 60.0
 # Seconds between two looks at which nodes there are, and for which there may be none.
@@ -95,10 +95,10 @@ class RayProcesses:
         self._folder = folder
         self._one_each = tuple({job.trial.scene: job for job in jobs}.values())
         outgoing = Outgoing(plan)
-        self._orders = Orders(
+        self._spec = JobSpec(
             token=token_hex(8),
             scenes=tuple((found.reference, found.collision) for found in plan.found),
-            parcels=outgoing.parcels,
+            file_bundles=outgoing.file_bundles,
             render=plan.render,
             renders=plan.renders,
             memory_limit=plan.memory_limit,
@@ -112,7 +112,7 @@ class RayProcesses:
                 key: said for key, said in plan.plugins.items() if key not in plan.suite.own_code
             },
         }
-        self._nodes = Nodes(joined, self._orders, outgoing, question, listener)
+        self._nodes = Nodes(joined, self._spec, outgoing, question, listener)
 
     def __enter__(self) -> Self:
         return self
@@ -126,14 +126,14 @@ class RayProcesses:
             count,
             joined=self._joined,
             nodes=self._nodes,
-            station=(self._orders, self._one_each, fresh),
+            agent=(self._spec, self._one_each, fresh),
             output=WorkerOutput(self._folder.workers_log),
         )
 
 
 @dataclass(kw_only=True, eq=False)
-class _Staffed:
-    """A station as the head knows it."""
+class _OpenAgent:
+    """A node agent as the head knows it."""
 
     node: Node
     actor: Any
@@ -165,7 +165,7 @@ class RayWorkers:
         workers: number of jobs that run at a time.
         joined: the cluster.
         nodes: of the cluster.
-        station: orders, jobs and `fresh` of `Station`.
+        agent: spec, jobs and `fresh` of `NodeAgent`.
         output: where what workers print goes; not entered yet.
     """
 
@@ -175,17 +175,17 @@ class RayWorkers:
         *,
         joined: Joined,
         nodes: Nodes,
-        station: tuple[Orders, Sequence[TrialJob], bool],
+        agent: tuple[JobSpec, Sequence[TrialJob], bool],
         output: WorkerOutput,
     ) -> None:
         self._count = workers
         self._joined = joined
         self._nodes = nodes
-        self._station = station
+        self._agent = agent
         self._output = output
         self._cleanup = ExitStack()
         self._queue: deque[TrialJob] = deque()
-        self._staff: list[_Staffed] = []
+        self._agents: list[_OpenAgent] = []
 
     def __enter__(self) -> Self:
         self._cleanup.enter_context(self._output)
@@ -204,39 +204,39 @@ class RayWorkers:
         Raises:
             PrerequisiteError, TrialError: no node can be used, or none is left.
         """
-        while self._queue or any(each.jobs for each in self._staff):
+        while self._queue or any(each.jobs for each in self._agents):
             self._nodes.look()
             self._open()
-            for each in self._staff:
+            for each in self._agents:
                 if each.is_open and each.awaited is None:
                     self._ask(each)
             ended = [done for each in self._heard() for done in self._look(each)]
             yield from ended or (None,)
 
     def stop(self) -> None:
-        """End every station now, running trials included; calling it again does nothing."""
+        """End every node agent now, running trials included; calling it again does nothing."""
         self._queue.clear()
-        while self._staff:
-            self._leave(self._staff[-1])
+        while self._agents:
+            self._leave(self._agents[-1])
         self._cleanup.close()
 
     def _open(self) -> None:
-        """Open stations on nodes that have none, for as many workers as have something to do."""
-        begun = sum(len(each.jobs) for each in self._staff)
+        """Open node agents on nodes that have none, for as many workers as have something to do."""
+        begun = sum(len(each.jobs) for each in self._agents)
         wanted = min(self._count, len(self._queue) + begun)
-        wanted -= sum(each.workers for each in self._staff)
-        staffed = {each.node.id for each in self._staff}
-        for node in [node for node in self._nodes.ready if node.id not in staffed]:
+        wanted -= sum(each.workers for each in self._agents)
+        busy = {each.node.id for each in self._agents}
+        for node in [node for node in self._nodes.ready if node.id not in busy]:
             workers = min(wanted, node.cores)
             if workers < 1 or not self._joined.check():
                 return
             wanted -= workers
-            orders, jobs, fresh = self._station
-            actor = self._joined.on(node.id, Station, cores=workers).remote(
-                orders, jobs, workers, fresh=fresh
+            spec, jobs, fresh = self._agent
+            actor = self._joined.on(node.id, NodeAgent, cores=workers).remote(
+                spec, jobs, workers, fresh=fresh
             )
-            self._staff.append(
-                _Staffed(
+            self._agents.append(
+                _OpenAgent(
                     node=node,
                     actor=actor,
                     workers=workers,
@@ -245,28 +245,28 @@ class RayWorkers:
                 )
             )
 
-    def _ask(self, each: _Staffed) -> None:
-        """Give a station what it has workers for, and ask what it has come to."""
+    def _ask(self, each: _OpenAgent) -> None:
+        """Give a node agent what it has workers for, and ask what it has come to."""
         jobs_to_go: list[TrialJob] = []
         while self._queue and len(each.jobs) < each.workers:
             job = self._next(each)
-            each.jobs[job.trial.id] = job, monotonic() + job.time_limit + _SILENCE
+            each.jobs[job.trial.id] = job, monotonic() + job.time_limit + _NO_ANSWER
             each.scenes.add(job.trial.scene)
             jobs_to_go.append(job)
         if each.jobs:
             each.awaited = each.actor.work.remote(jobs_to_go)
 
-    def _next(self, each: _Staffed) -> TrialJob:
-        """Take a station's next job from the queue."""
-        taken = {scene for other in self._staff for scene in other.scenes}
+    def _next(self, each: _OpenAgent) -> TrialJob:
+        """Take a node agent's next job from the queue."""
+        taken = {scene for other in self._agents for scene in other.scenes}
         place = next_place((job.trial for job in self._queue), own=each.scenes, taken=taken)
         job = self._queue[place]
         del self._queue[place]
         return job
 
-    def _heard(self) -> list[_Staffed]:
-        """Wait a moment; return stations that have said something, or should have long ago."""
-        pending = {each.awaited: each for each in self._staff if each.awaited is not None}
+    def _heard(self) -> list[_OpenAgent]:
+        """Wait a moment; return node agents that have said something, or should have long ago."""
+        pending = {each.awaited: each for each in self._agents if each.awaited is not None}
         if not pending:
             sleep(POLL)
             return []
@@ -276,8 +276,8 @@ class RayWorkers:
         there = {*answered}
         return [each for each in pending.values() if each.awaited in there or each.is_late]
 
-    def _look(self, each: _Staffed) -> Iterator[Finished]:
-        """Take in what a station says, and yield jobs that have ended."""
+    def _look(self, each: _OpenAgent) -> Iterator[Finished]:
+        """Take in what a node agent says, and yield jobs that have ended."""
         try:
             answer: Answer | None = self._joined.ray.get(each.awaited, timeout=POLL)
         except self._joined.ray.exceptions.RayError as error:
@@ -293,8 +293,8 @@ class RayWorkers:
         job, _ = each.jobs.pop(answer.trial)
         yield Finished(job=job, result=_keep_log(answer, job), host=answer.host)
 
-    def _lost(self, each: _Staffed, error: Exception) -> Iterator[Finished]:
-        """Yield what the jobs of a station that is gone came to: an error, if they were begun."""
+    def _lost(self, each: _OpenAgent, error: Exception) -> Iterator[Finished]:
+        """Yield the ends of the jobs of a lost node agent: an error, if they were begun."""
         node = each.node
         if not each.is_open and each.is_late:
             node.cores = max(1, each.workers // 2)  # Somebody else has the others.
@@ -309,8 +309,8 @@ class RayWorkers:
         result = TrialResult(status="error", error_type="crashed", error_text=text)
         yield from (Finished(job=job, result=result) for job in jobs)
 
-    def _leave(self, each: _Staffed) -> None:
-        self._staff.remove(each)
+    def _leave(self, each: _OpenAgent) -> None:
+        self._agents.remove(each)
         if self._joined.answers:
             with suppress(self._joined.ray.exceptions.RayError, ValueError):  # It is gone already.
                 self._joined.ray.kill(each.actor, no_restart=True)
@@ -336,7 +336,7 @@ class Nodes:
 
     Args:
         joined: the cluster.
-        orders: what nodes make ready.
+        spec: what nodes make ready.
         outgoing: the files that they may lack.
         question: the arguments of `ray_node.facts`.
         listener: hears of nodes that are refused or lost.
@@ -345,13 +345,13 @@ class Nodes:
     def __init__(
         self,
         joined: Joined,
-        orders: Orders,
+        spec: JobSpec,
         outgoing: Outgoing,
         question: Mapping[str, Any],
         listener: Listener,
     ) -> None:
         self._joined = joined
-        self._orders = orders
+        self._spec = spec
         self._outgoing = outgoing
         self._question = dict(question)
         self._listener = listener
@@ -402,7 +402,7 @@ class Nodes:
 
     def tidy(self) -> None:
         """Have nodes remove what the run left there; wait some seconds at most."""
-        ray, token = self._joined.ray, self._orders.token
+        ray, token = self._joined.ray, self._spec.token
         if not self._joined.answers:
             return
         pending = [self._ask(each, there.tidy, token) for each in self._nodes.values()]
@@ -441,11 +441,11 @@ class Nodes:
                     self._refuse(node, differences)
                     return
                 node.stage = "listing"
-                node.awaited = self._ask(node, there.lacking, self._orders.parcels)
+                node.awaited = self._ask(node, there.lacking, self._spec.file_bundles)
             elif node.stage == "listing":
                 node.stage = "packing"
                 pieces = {sha256: self._cut(sha256) for sha256 in answer}
-                node.awaited = self._ask(node, there.make_ready, self._orders, pieces)
+                node.awaited = self._ask(node, there.make_ready, self._spec, pieces)
             else:
                 node.stage = "ready"
         except self._joined.ray.exceptions.RayError as error:
@@ -488,7 +488,7 @@ class Nodes:
         elif monotonic() > self._last_hope + _PATIENCE:
             raise TrialError(
                 f"the cluster has had no node with a core to offer for {_PATIENCE:.0f} s",
-                fix="look at `ray status`; --resume goes on with the run",
+                fix="check `ray status`; --resume continues the run",
             )
 
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Self
 
 from nw_eval.clean import clean
 from nw_eval.engine.known import NothingKnown
-from nw_eval.engine.listener import Listener, Silence
+from nw_eval.engine.listener import Listener, NullListener
 from nw_eval.engine.machine import Interrupts, worker_count
 from nw_eval.engine.rows import make_row
 from nw_eval.errors import StoreError
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from nw_eval.engine.known import KnownTrials
-    from nw_eval.engine.workers import Finished, Hire, Workers
+    from nw_eval.engine.workers import Finished, StartWorkers, Workers
     from nw_eval.results.journal import Journal
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
@@ -46,12 +46,12 @@ _NOW, _EARLIER = 600, 300  # Characters of each, so that no later cut loses one 
 
 @dataclass(frozen=True, kw_only=True)
 class RunStanding:
-    """How a run against a baseline stands, by places in its drawn order."""
+    """How a run against a baseline stands, by positions in its drawn order."""
 
     first: int
-    """All places below it are judged."""
+    """All positions below it are judged."""
     followed: tuple[int, ...] = ()
-    """Later places that are judged for their scenes alone."""
+    """Later positions that are judged for their scenes alone."""
     ahead: tuple[int, ...] = ()
     """Places that come next, those that have ended already not among them; none: it is enough,
     unless a scene is waited for."""
@@ -81,7 +81,7 @@ def run_trials(
     journal: Journal,
     folder: RunFolder,
     policy: str,
-    hire: Hire,
+    start_workers: StartWorkers,
     arm: Arm = "candidate",
     workers: int | None = None,
     enough: Enough | None = None,
@@ -99,11 +99,11 @@ def run_trials(
         journal: open; its rows with a result are not run again.
         folder: of the run.
         policy: the policy's name, for rows.
-        hire: gets workers.
+        start_workers: gets workers.
         arm: whether the policy is the one that is judged, for rows.
         workers: how many; one for each core if None.
         enough: asked before the first trial and whenever one has ended, with the rows of those that
-            have, by place in the drawn order, what comes next. No more trials run ahead than there
+            have, by index in the drawn order, what comes next. No more trials run ahead than there
             are workers. None = all of them run.
         listener: told of progress.
         known: what of it need not be run, because an earlier run has its result; nothing if None.
@@ -114,14 +114,14 @@ def run_trials(
         KeyboardInterrupt: a second signal came before the first was obeyed.
     """
     began = perf_counter()
-    ears = listener or Silence()
+    ears = listener or NullListener()
     attempts = Attempts(
         journal=journal,
         folder=folder,
         policy=policy,
         arm=arm,
         listener=ears,
-        hire=hire,
+        start_workers=start_workers,
         workers=worker_count(workers, len(jobs)),
         known=known or NothingKnown(),
     )
@@ -213,7 +213,7 @@ class Attempts:
         policy: the policy's name, for rows.
         arm: whether it is the one that is judged, for rows.
         listener: told of progress.
-        hire: gets workers.
+        start_workers: gets workers.
         workers: how many.
         known: what need not be run, because an earlier run has its result.
     """
@@ -226,7 +226,7 @@ class Attempts:
         policy: str,
         arm: Arm,
         listener: Listener,
-        hire: Hire,
+        start_workers: StartWorkers,
         workers: int,
         known: KnownTrials | NothingKnown,
     ) -> None:
@@ -236,10 +236,10 @@ class Attempts:
         self._policy = policy
         self._arm: Arm = arm
         self._listener = listener
-        self._hire = hire
+        self._start_workers = start_workers
         self.workers = workers
         self._known = known
-        self._staff: Workers | None = None  # They make first attempts, one round after the other.
+        self._pool: Workers | None = None  # They make first attempts, one round after the other.
         self._cleanup = ExitStack()
         latest = {row.trial_id: row for row in journal.rows}
         self._errors = {name: row for name, row in latest.items() if row.status == "error"}
@@ -256,7 +256,7 @@ class Attempts:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._dismiss()
+        self._stop_workers()
 
     def finished_of(self, jobs: Iterable[TrialJob]) -> int:
         """Return how many of the jobs had a result when the run began."""
@@ -297,13 +297,15 @@ class Attempts:
             first = [job for job in portion if not self._awaits_repeat(job)]
             self._is_held |= bool(again)
             if first and interrupts.requested is None:
-                if self._staff is None:
-                    self._staff = self._cleanup.enter_context(self._hire(self.workers, fresh=False))
-                again += self._attempt(self._staff, first, interrupts, more, fresh=False)
+                if self._pool is None:
+                    self._pool = self._cleanup.enter_context(
+                        self._start_workers(self.workers, fresh=False)
+                    )
+                again += self._attempt(self._pool, first, interrupts, more, fresh=False)
             while again and interrupts.requested is None and not self._is_enough:
-                self._dismiss()  # What they hold in memory may be what the others lack.
+                self._stop_workers()  # What they hold in memory may be what the others lack.
                 repeated = [_with_evidence(job) for job in again]
-                with self._hire(min(self.workers, len(again)), fresh=True) as workers:
+                with self._start_workers(min(self.workers, len(again)), fresh=True) as workers:
                     again = self._attempt(workers, repeated, interrupts, None, fresh=True)
             if self._is_enough:
                 self._known.unconfirmed()
@@ -325,8 +327,8 @@ class Attempts:
             self._ended[row.trial_id] = row
             self._listener.trial(row)
 
-    def _dismiss(self) -> None:
-        self._staff = None
+    def _stop_workers(self) -> None:
+        self._pool = None
         self._cleanup.close()
 
     def _awaits_repeat(self, job: TrialJob) -> bool:
@@ -368,7 +370,7 @@ class Attempts:
                     self._listener.trial(row)
                     self._take_over()
                 if more is not None and not self._go_on(workers, more):
-                    self._dismiss()  # What runs was given ahead of what is judged.
+                    self._stop_workers()  # What runs was given ahead of what is judged.
                     return []
             self.presence.check()
             if interrupts.requested is not None:
@@ -378,8 +380,9 @@ class Attempts:
     def _go_on(self, workers: Workers, more: Callable[[], list[TrialJob] | None]) -> bool:
         """Give the workers what comes next; return whether anything is needed any more.
 
-        Nothing is given once a trial is to run again after an error: its place in the order counts
-        only when it has, and what ran meanwhile might not be needed. `settle` is to be called anew.
+        Nothing is given once a trial is to run again after an error: its position in the order
+        counts only when it has, and what ran meanwhile might not be needed. `settle` is to be
+        called anew.
         """
         while (jobs := more()) is not None:
             self._is_held |= any(job.trial.id in self._errors for job in jobs)
@@ -430,7 +433,7 @@ class Attempts:
     def _announce_retry(self, row: Row) -> None:
         self._listener.message(
             f"trial {row.trial_id}: {row.error_type}: {row.error_text}; it will run again "
-            f"{self._hire.again}"
+            f"{self._start_workers.again}"
         )
 
     def _announce_failure(self, row: Row) -> None:
@@ -490,7 +493,7 @@ class Presence:
         self._known = _identity(journal)
 
     def check(self) -> None:
-        """Do nothing while the file is in its place.
+        """Do nothing while the file is there.
 
         Raises:
             StoreError: it is not.

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Self
 from nw_eval.engine.building import SplatBuilders
 from nw_eval.engine.cache import limit_bytes
 from nw_eval.engine.known import known_trials
-from nw_eval.engine.listener import Listener, Silence
+from nw_eval.engine.listener import Listener, NullListener
 from nw_eval.engine.machine import worker_count
 from nw_eval.engine.order import in_order
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
 from nw_eval.engine.provenance import journal_header, now, run_info
 from nw_eval.engine.rounds import run_trials
-from nw_eval.engine.workplace import workplace
+from nw_eval.engine.worker_pool import worker_pool
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.traceback_file import TracebackIn
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from nw_eval.engine.rounds import Enough, RunStanding
-    from nw_eval.engine.workers import Hire, Workers
+    from nw_eval.engine.workers import StartWorkers, Workers
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.scenes import Scene
@@ -78,7 +78,7 @@ def carry_out(
             returns what it is to say from then on; a `stop` with no trial, or `interrupted`, ends
             the run there.
         enough: asked after each trial what comes next: see `run_trials`.
-        cache: whether results of earlier runs are taken over: see `engine.known`.
+        cache: whether results of earlier runs are reused: see `engine.known`.
         meanwhile: called in a thread while trials run in other processes; it raises nothing.
 
     Raises:
@@ -95,10 +95,10 @@ def carry_out(
         if meanwhile is not None and not in_process:
             meanwhile()
 
-    listener = listener or Silence()
+    listener = listener or NullListener()
     limit_bytes()  # Before anything is written, if it is none.
     with (
-        workplace(workers=workers, in_process=in_process, cluster=cluster) as place,
+        worker_pool(workers=workers, in_process=in_process, cluster=cluster) as place,
         SplatBuilders(
             _in_need(plan) if plan.renders else (),
             count=worker_count(place.workers, len(plan.scenes)),
@@ -136,7 +136,7 @@ def carry_out(
                     build_splats(plan.scenes, listener)
                 jobs = plan_jobs(plan, folder)
                 with (
-                    place.hire(plan, jobs, folder, listener) as hire,
+                    place.start_workers(plan, jobs, folder, listener) as start_workers,
                     known_trials(
                         plan,
                         folder,
@@ -146,7 +146,7 @@ def carry_out(
                             folder.run_json, _with_cache(info, known.info)
                         ),
                     ) as known,
-                    Meanwhile(hire, beside_trials) as begins,
+                    BackgroundTask(start_workers, beside_trials) as begins,
                 ):
                     outcome = run_trials(
                         jobs,
@@ -154,7 +154,7 @@ def carry_out(
                         folder=folder,
                         policy=plan.bundle.name,
                         arm=plan.arm,
-                        hire=begins,
+                        start_workers=begins,
                         workers=place.workers,
                         enough=enough,
                         listener=listener,
@@ -215,7 +215,7 @@ def _journal(plan: Plan, folder: RunFolder, info: RunInfo) -> Journal:
 
 
 def _keep_bank(plan: Plan, folder: RunFolder) -> None:
-    """Copy the bank that the run is compared with into its folder, if it is not there."""
+    """Copy the baseline that the run is compared with into its folder, if it is not there."""
     if plan.against is None:
         return
     path = folder.bank(plan.against.info.name)
@@ -285,19 +285,19 @@ def _finish(
     )
 
 
-class Meanwhile:
+class BackgroundTask:
     """Gets workers, and does something else once it has; a context manager.
 
     Before it has, whatever else this process does keeps the first trial waiting.
 
     Args:
-        hire: gets the workers.
+        start_workers: gets the workers.
         work: done once, in a thread of its own; at the block's end if there was nothing to run. The
             block's end waits for it, and raises what it raises.
     """
 
-    def __init__(self, hire: Hire, work: Callable[[], None]) -> None:
-        self._hire = hire
+    def __init__(self, start_workers: StartWorkers, work: Callable[[], None]) -> None:
+        self._start_workers = start_workers
         self._work = work
         self._thread = ThreadPoolExecutor(max_workers=1)
         self._done: Future[None] | None = None
@@ -305,11 +305,11 @@ class Meanwhile:
     @property
     def again(self) -> str:
         """Where a job that is run again runs."""
-        return self._hire.again
+        return self._start_workers.again
 
     def __call__(self, count: int, *, fresh: bool) -> Workers:
         """Return workers."""
-        workers = self._hire(count, fresh=fresh)
+        workers = self._start_workers(count, fresh=fresh)
         self._begin()
         return workers
 

@@ -2,8 +2,8 @@
 
 What a worker says is text and never an object of Python's: one that a hostile file has taken over
 can say something wrong, but run nothing here. Parent and worker share no lock, so none is left
-behind in shared memory by a group that is killed, and nobody waits for one that a dead process
-holds.
+behind in shared memory by a group that is killed, and no process waits for one that a dead
+process holds.
 
 The end of this file runs inside it.
 """
@@ -210,7 +210,7 @@ def _hung(job: TrialJob) -> TrialResult:
         status="error",
         error_type="hung",
         error_text=f"no result within {job.time_limit:g} s; raise --time-limit if the machine "
-        "is slow, or look at the policy",
+        "is slow, or check the policy",
     )
 
 
@@ -257,12 +257,12 @@ def _serve(
             _say(results, _TAKEN)
             answer = _answer(run, job)
             if os.getpid() != own:
-                break  # A copy that a policy made with os.fork speaks for nobody.
+                break  # A copy that a policy made with os.fork must not answer.
             _say(results, answer)
     except EOFError:
         os._exit(0)
     finally:
-        # Nothing is left to tidy up, and nobody to read a traceback.
+        # Nothing is left to tidy up, and no reader for a traceback.
         os._exit(_SPEECHLESS)
 
 

@@ -56,7 +56,7 @@ class Workers(Protocol):
         ...
 
 
-class Hire(Protocol):
+class StartWorkers(Protocol):
     """Gets workers for the jobs of one run."""
 
     @property

@@ -60,7 +60,7 @@ def cache_dir(*parts: str) -> Path:
 
 
 def private_dir(*parts: str) -> Path:
-    """Return (and create) a folder of the cache into which nobody but this user can write.
+    """Return (and create) a folder of the cache into which only this user can write.
 
     Raises:
         StoreError: it cannot be made; it is a link or another user's, or others may write into it
@@ -76,7 +76,7 @@ def private_dir(*parts: str) -> Path:
 
 
 def check_private(folder: Path) -> None:
-    """Check that nobody but this user can write into a folder.
+    """Check that only this user can write into a folder.
 
     Raises:
         StoreError: it is a link or another user's, or others may write into it or exchange it.
@@ -94,7 +94,7 @@ def check_private(folder: Path) -> None:
         for parent in folder.resolve().parents:
             mode = parent.stat().st_mode
             if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-                fault = f"lies in {parent}, where everybody may exchange it"
+                fault = f"lies in {parent}, where any user may replace it"
     if fault is not None:
         raise StoreError(
             f"the cache folder {folder} {fault}",
@@ -116,7 +116,7 @@ def followed(path: Path) -> Path:
     """Return the path that an output goes to whose path the user gave: links are followed.
 
     A link may lead to nothing yet. Only what the user named is followed; `atomic_path` refuses
-    links, since a link in a stranger's run folder could lead anywhere.
+    links, since a link in an untrusted run folder could lead anywhere.
 
     Raises:
         UsageError: a folder, a socket or a disk is there, or the links form a circle.
@@ -193,7 +193,7 @@ def atomic_path(path: Path) -> Generator[Path]:
 def open_own(path: Path, flags: int) -> int:
     """Open a file of a run's folder for appending or changing; return its descriptor.
 
-    As `os.open`, but nothing is followed or waited for: a stranger's folder may hold links and
+    As `os.open`, but nothing is followed or waited for: an untrusted folder may hold links and
     pipes. A new file has the mode 0666 without the umask.
 
     Raises:
@@ -308,7 +308,7 @@ def _opened(path: Path) -> int:
     """Open a device or a pipe; wait some seconds for a program that reads the pipe.
 
     Raises:
-        OSError: it cannot be opened, or nobody reads it.
+        OSError: it cannot be opened, or it has no reader.
     """
     deadline = time.monotonic() + _READER_COMES
     while True:

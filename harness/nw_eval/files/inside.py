@@ -1,4 +1,4 @@
-"""The one way to resolve a path that a stranger's file names, within a folder of ours or theirs."""
+"""The one way to resolve a path that an untrusted file names, within a folder of ours or theirs."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def checked(name: str) -> PurePosixPath:
-    """Return a name as a relative path, where there is nothing to look at yet.
+    """Return a name as a relative path, where there is nothing to view yet.
 
     Raises:
         OutsideError: the name is empty or too long, is absolute, has `..`, a drive, a scheme, a

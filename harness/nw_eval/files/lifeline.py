@@ -16,7 +16,7 @@ import sys
 
 
 def hold(line: int) -> None:
-    """End this process when nobody has the other end of a pipe any more; for its first line.
+    """End this process when the other end of a pipe is closed; for its first line.
 
     The kernel sends SIGIO when the last writer is gone, which ends the process in the midst of an
     import or of native code, too. `PR_SET_PDEATHSIG` would not do: it means the thread that started

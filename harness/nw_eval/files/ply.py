@@ -101,7 +101,8 @@ class Ply:
         newline = head.find(b"\n", end)
         if end < 0 or newline < 0:
             raise SceneError(
-                f"{path}: no end_header in its first {len(head)} bytes", fix="give a whole PLY file"
+                f"{path}: no end_header in its first {len(head)} bytes",
+                fix="give a complete PLY file",
             )
         lines = head[:end].decode("latin-1").splitlines()
         order, layout, comments = _parse(path, lines)

@@ -13,9 +13,9 @@ def shipped(kind: Kind | Literal["baselines"]) -> Path:
     """Return the folder of the shipped suites, policies, or banks of baselines.
 
     An installed wheel carries them as `nw_eval/data/<kind>`. An editable install has no such
-    folder: there they are `<kind>/` at the root of the checkout, and the banks where every project
-    has its own. The folder may be missing where neither was packed; callers then find nothing in
-    it.
+    folder: there they are `<kind>/` at the root of the checkout, and the baselines where every
+    project has its own. The folder may be missing where neither was packed; callers then find
+    nothing in it.
     """
     packed = Path(str(files("nw_eval"))) / "data" / kind
     if packed.is_dir():

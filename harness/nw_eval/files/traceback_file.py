@@ -1,4 +1,4 @@
-"""Where the traceback of an exception that nobody foresaw is kept: in a file, never on a screen."""
+"""Where the traceback of an unexpected exception is kept: in a file, never on a screen."""
 
 from __future__ import annotations
 

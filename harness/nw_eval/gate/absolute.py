@@ -1,4 +1,4 @@
-"""The absolute bar: whether mean success, beyond doubt, reaches what the suite asks for.
+"""The absolute bar: whether mean success significantly reaches what the suite asks for.
 
 1.  Complete? Errors left, trials missing or a critical scene without results: INFRASTRUCTURE. No
     trials at all can never pass.
@@ -11,14 +11,14 @@ them for failures, the upper one for successes. Where too many did, nothing is j
 
 Scenes weigh equally; `informational` ones do not count. Each bound errs with probability at most
 1 - confidence, for any distribution of success (`stats.betting`), however often one adds whole
-rounds of trials and looks again. A `critical` scene is also judged alone, and can only convict: its
+rounds of trials and looks again. A `critical` scene is also judged alone, and can only flag: its
 upper bound, at a confidence that is shared among all critical scenes, must not be below the bar.
-The mean and the critical scenes each convict wrongly with probability 1 - confidence at most, so
-together with at most twice that. Alone, ten trials convict a scene whose true success is .5 in one
+The mean and the critical scenes each flag wrongly with probability 1 - confidence at most, so
+together with at most twice that. Alone, ten trials flag a scene whose true success is .5 in one
 run of six where the bar is .75 (all or nothing): the test is valid, not keen.
 
-All this speaks of fresh starts in the suite's scenes. On the panel of starts that the suite's seed
-names success is not estimated but known, and of places that the suite does not have nothing is.
+All this speaks of fresh starts in the suite's scenes. On the seed set that the suite's seed
+names success is not estimated but known, and of scenes that the suite does not have nothing is.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from nw_eval.plural import plural
 from nw_eval.results.row import Row
 from nw_eval.stats.betting import Groups, lower_bound, trials_to_certify, upper_bound
 from nw_eval.stats.bootstrap import mean_of_scenes
-from nw_eval.stats.foresight import SceneCounts, shares_after
 from nw_eval.stats.interval import Interval
+from nw_eval.stats.power import SceneCounts, shares_after
 from nw_eval.suite.model import Gate
 
 _NAMED = 3  # Scenes or trials that a reason names before it says "and more".
@@ -80,8 +80,8 @@ def judge(
         bar = _bar(rows, gate, left, critical, is_drawn=False)
     else:
         bar = _bar(drawn, gate, left, critical, is_drawn=True)
-    condemned, bounds = bar.condemned, bar.bounds
-    scores = tuple(replace(item, condemned=item.scene in condemned) for item in scores)
+    flagged, bounds = bar.flagged, bar.bounds
+    scores = tuple(replace(item, flagged=item.scene in flagged) for item in scores)
     counted = [values for found in bar.groups if (values := successes(found, left)).size]
     success = float(np.mean([values.mean() for values in counted])) if counted else None
     seen = courses(groups, scores, left)
@@ -90,9 +90,9 @@ def judge(
         word, reasons = "INFRASTRUCTURE", holes
     elif bar.capped:
         word, reasons = "INCONCLUSIVE", [bar.capped]
-    elif condemned:
-        # The suite's mean speaks first only if it convicts too.
-        alone = [_alone(scene, most, gate) for scene, most in condemned.items()]
+    elif flagged:
+        # The suite's mean speaks first only if it flags too.
+        alone = [_alone(scene, most, gate) for scene, most in flagged.items()]
         word, reasons = "REGRESSED", [*(reasons if word == "REGRESSED" else ()), *alone]
     elif word in {"PASS", "RAN"} and (unseen := _unseen(scores)):
         word, reasons = "INCONCLUSIVE", [*unseen, *reasons]
@@ -125,7 +125,7 @@ class _Bar:
     groups: Sequence[Sequence[Row]]
     """Of scenes that count, each with the same weight; one alone of a random draw."""
     bounds: Interval
-    condemned: Mapping[str, float]
+    flagged: Mapping[str, float]
     """Critical scenes that are certainly below the bar, with their upper bounds."""
     capped: str | None
     """Why nothing is judged: too many left the captured volume."""
@@ -149,7 +149,7 @@ def _bar(
     return _Bar(
         groups=groups,
         bounds=_bounds(groups, left, gate),
-        condemned=_condemned(scenes, left, gate, critical),
+        flagged=_flagged(scenes, left, gate, critical),
         capped=over_the_cap(rows, left, gate),
     )
 
@@ -170,7 +170,7 @@ def word_of_bar(rows: Sequence[Row], gate: Gate, scenes: Collection[str]) -> Wor
     bar = _bar(rows, gate, left, critical, is_drawn=True)
     if bar.capped:
         return "INCONCLUSIVE"
-    if bar.condemned or bar.bounds.high < gate.success_rate:
+    if bar.flagged or bar.bounds.high < gate.success_rate:
         return "REGRESSED"
     outside = Counter(row.scene for row in rows if row.trial_id in left)
     trials = Counter(row.scene for row in rows)
@@ -190,8 +190,8 @@ def _bounds(judged: Sequence[Sequence[Row]], left: frozenset[str], gate: Gate) -
 def _is_open(word: Word, left: frozenset[str], against: Comparison | None) -> bool:
     """Return whether it can be said what more trials would bring to the bar.
 
-    They are of no use to it once the baseline has convicted; and how many would leave the captured
-    volume, once some have, nobody knows.
+    They are of no use to it once the baseline has flagged; and how many would leave the captured
+    volume, once some have, is unknown.
     """
     moot = against is not None and against.word == "REGRESSED"
     return word == "INCONCLUSIVE" and not left and not moot
@@ -274,7 +274,7 @@ def _compare(
     return "INCONCLUSIVE", [f"the bar {bar:g} lies between the bounds of success, {ends}"]
 
 
-def _condemned(
+def _flagged(
     groups: Mapping[str, Sequence[Row]],
     left: frozenset[str],
     gate: Gate,

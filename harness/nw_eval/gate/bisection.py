@@ -1,9 +1,9 @@
 """Which checkpoint of a series is flagged first: a search that asks for few verdicts.
 
-Each verdict is a test of its own against the same bank, with its own errors: of k that were asked
-for, each convicts an unharmed checkpoint with at most the gate's false alarm, and passes one that
-fell by the gate's max_drop with at most 1 - confidence. So the first that is flagged need not be
-the first that is worse: one before it that passed may be worse by less than max_drop.
+Each verdict is a test of its own against the same baseline, with its own errors: of k that were
+asked for, each flags an unharmed checkpoint with at most the gate's false alarm, and passes one
+that fell by the gate's max_drop with at most 1 - confidence. So the first that is flagged need not
+be the first that is worse: one before it that passed may be worse by less than max_drop.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Bisection:
     """What was asked of a series of n checkpoints, 0 .. n - 1, in order of age."""
 
     words: Mapping[int, Decision]
-    """The verdicts that were asked for, by place, in order of place."""
+    """The verdicts that were asked for, by index, in order of position."""
     length: int
 
     @property
@@ -34,7 +34,7 @@ class Bisection:
 
     @property
     def first_fallen(self) -> int | None:
-        """The first checkpoint that was convicted; None if none was."""
+        """The first checkpoint that was flagged; None if none was."""
         return min((i for i, word in self.words.items() if word == "REGRESSED"), default=None)
 
     @property
@@ -47,19 +47,20 @@ class Bisection:
 
     @property
     def recovered(self) -> tuple[int, ...]:
-        """Checkpoints that passed after one that fell: the series is not monotone."""
+        """Checkpoints that passed after one that regressed: the series is not monotone."""
         fallen = self.first_fallen
         passed = (i for i, word in self.words.items() if word == "PASS")
         return tuple(i for i in passed if fallen is not None and i > fallen)
 
 
 def bisect(length: int, judge: Judge, *, everyone: bool = False) -> Bisection:
-    """Find the first checkpoint that fell.
+    """Find the first checkpoint that regressed.
 
     The last one is asked for first: where it did not fall, nothing has to be found. Then the middle
-    of what is open, until a checkpoint that passed stands beside one that fell; one that is left
-    open is passed over for its nearest neighbours. Then the middle of the longest stretch on either
-    side that nobody has looked at, since halving alone never sees that a series is not monotone.
+    of what is open, until a checkpoint that passed stands beside one that regressed; one that is
+    left open is passed over for its nearest neighbours. Then the middle of the longest stretch on
+    either side that has not been tested, since halving alone never sees that a series is not
+    monotone.
 
     Args:
         length: n, at least 1.
@@ -84,7 +85,7 @@ def bisect(length: int, judge: Judge, *, everyone: bool = False) -> Bisection:
 
 
 def _halve(length: int, ask: Judge, words: Mapping[int, Decision]) -> None:
-    """Ask until what is between the last that passed and the first that fell has been asked for."""
+    """Ask until all between the last that passed and the first that regressed is known."""
     good, bad = -1, length - 1
     while opened := [i for i in range(good + 1, bad) if i not in words]:
         place = min(opened, key=lambda i: (abs(2 * i - good - bad), i))
@@ -96,7 +97,7 @@ def _halve(length: int, ask: Judge, words: Mapping[int, Decision]) -> None:
 
 
 def _unseen(length: int, words: Mapping[int, Decision]) -> list[range]:
-    """Return the longest stretches not asked about, before the first that fell and after it."""
+    """Return the longest stretches not asked about, on both sides of the first that regressed."""
     fallen = min((i for i, word in words.items() if word == "REGRESSED"), default=length)
     seen = [-1, *sorted(words), length]
     gaps = [range(a + 1, b) for a, b in pairwise(seen) if b - a > 1]

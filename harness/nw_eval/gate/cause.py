@@ -1,8 +1,8 @@
-"""Perception or control: the two-by-two of old and new sight with old and new control.
+"""Perception or control: an ablation of old and new perception with old and new control.
 
-Both policies are taken apart by their cards: sight is every sensor of the world around, control is
-all the rest. Four policies come of that, which meet the same trials. The drop from old to new is
-the sum of two effects in every single trial (Shapley 1953 for two players),
+Both policies are taken apart by their cards: perception is every sensor of the world around,
+control is all the rest. Four policies come of that, which meet the same trials. The drop from old
+to new is the sum of two effects in every single trial (Shapley 1953 for two players),
 
     sight   = 1/2 [y(old, old) - y(old, new) + y(new, old) - y(new, new)]
     control = 1/2 [y(old, old) - y(new, old) + y(old, new) - y(new, new)]
@@ -35,12 +35,12 @@ from nw_eval.stats.interval import leans_above
 
 Side = Literal["old", "new"]
 Arm = tuple[Side, Side]
-"""Whose control, and whose sight."""
+"""Whose control, and whose perception."""
 ARMS: tuple[Arm, ...] = (("old", "old"), ("old", "new"), ("new", "old"), ("new", "new"))
 
 _ONE_NETWORK = (
     "both see through the same sensors, and the checkpoints differ: what a network makes of what "
-    "it sees, and how it moves, no exchange of sensors parts"
+    "it sees and how it moves cannot be separated by swapping sensors"
 )
 _NETWORKS = "control is all but the sensors: the networks, too, which differ"
 _TOO_FEW = "the new policy is worse, but so few trials leave open which of the two does it"
@@ -97,7 +97,7 @@ class Apart:
 
 @dataclass(frozen=True, kw_only=True)
 class Cause:
-    """What came of it.
+    """The result.
 
     Attributes:
         old: the baseline's policy.
@@ -106,10 +106,10 @@ class Cause:
         trials: that all four policies ended.
         left_out: trials that one of them did not end.
         regressed: trials that the old policy completes and the new one does not.
-        arms: old and new control, each with old and new sight.
+        arms: old and new control, each with old and new perception.
         drop: from old to new.
         sight: its part.
-        control: likewise.
+        control: as above.
         answer: in a word.
         why: in a sentence, what cannot be told and why, or that nothing dropped; empty where all is
             told.
@@ -246,5 +246,5 @@ def read_cause_file(path: Path) -> Cause | None:
         return None
     except (OSError, ValidationError):
         raise StoreError(
-            f"{path} is damaged", fix="remove it, or run nw-eval blame --cause again"
+            f"{path} is damaged", fix="remove it, or run `nw-eval blame --cause` again"
         ) from None

@@ -39,7 +39,7 @@ from nw_eval.results.bank import trajectory
 from nw_eval.results.provenance import BaselineInfo, RunInfo
 from nw_eval.results.row import Row
 from nw_eval.results.seal import seal, unseal
-from nw_eval.stats.foresight import SceneCounts
+from nw_eval.stats.power import SceneCounts
 from nw_eval.words import PanelKind, Tier
 
 _MOST_TRAJECTORIES = 64
@@ -70,7 +70,7 @@ class BaselineEntry(_Line):
 
     bank: str
     digest: str
-    """Of the bank's file."""
+    """Of the baseline's file."""
     basis: Basis | Literal["sample"]
     """"sample" is of an older nw-eval, which ran no control."""
     word: Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
@@ -84,9 +84,9 @@ class BaselineEntry(_Line):
     scene_drop: float | None = None
     """None: an older nw-eval, which did not write it."""
     scenes: int = Field(default=0, ge=0)
-    """Scenes that count, each as often as it has cells of perturbations; 0: likewise."""
+    """Scenes that count, each as often as it has cells of perturbations; 0: as above."""
     critical: int = Field(default=0, ge=0)
-    """Of these, such as convict alone."""
+    """Of these, such as flag alone."""
 
 
 class LedgerEntry(_Line):
@@ -98,7 +98,7 @@ class LedgerEntry(_Line):
     """The run's name."""
     suite: str
     suite_digest: str
-    """With the seed in it: it names the panel."""
+    """With the seed in it: it names the seed set."""
     panel: PanelKind
     candidate: str
     """The policy's name."""
@@ -381,7 +381,7 @@ def _read_head(path: Path) -> tuple[int, str] | None:
     except FileNotFoundError:
         return None
     except (ValueError, TypeError, LookupError, RecursionError) as error:
-        fix = "remove it if the ledger is whole: the next verdict writes it anew"
+        fix = "remove it if the ledger is complete: the next verdict writes it again"
         raise StoreError(f"{place}: damaged ({clean(error)})", fix=fix) from None
 
 
@@ -459,7 +459,7 @@ def _write(handle: IO[bytes], data: bytes) -> None:
             written += handle.write(data[written:])
         os.fsync(handle.fileno())
     except OSError:
-        handle.truncate(before)  # Half a line helps nobody.
+        handle.truncate(before)  # Half a line is of no use.
         raise
 
 

@@ -12,12 +12,12 @@ from statistics import fmean
 from nw_eval.gate.ledger import LedgerEntry
 from nw_eval.gate.verdict import Word
 from nw_eval.stats.bank.trials import most_false_alarms
-from nw_eval.stats.foresight import luck_of_the_best
+from nw_eval.stats.power import luck_of_the_best
 from nw_eval.words import PanelKind
 
 _DAYS = 365.25
 _SHORTEST = 7.0  # days from which a year is foretold
-_MOST_CANDIDATES = 200  # of a panel that are simulated: more say no more
+_MOST_CANDIDATES = 200  # of a seed set that are simulated: more say no more
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class Reroll:
 
 @dataclass(frozen=True, kw_only=True)
 class BestOfMany:
-    """Candidates that met the same panel, of which the best may be chosen."""
+    """Candidates that met the same seed set, of which the best may be chosen."""
 
     suite: str
     suite_digest: str
@@ -188,9 +188,9 @@ def _has_bar(test: LedgerEntry) -> bool:
 
 
 def _alphas(test: LedgerEntry, *, bar: bool, baseline: bool) -> tuple[float, float]:
-    """Return with which probability a test convicts and passes wrongly, by bar, baseline or either.
+    """Return with which probability a test flags and passes wrongly, by bar, baseline or either.
 
-    Either of them convicts, and so do critical scenes alone. Both must pass, so that no wrong PASS
+    Either of them flags, and so do critical scenes alone. Both must pass, so that no wrong PASS
     is likelier than by the one of them that it slips through.
     """
     by_bar = 1.0 - test.confidence if bar and _has_bar(test) else None
@@ -256,7 +256,7 @@ def _best_of_many(tests: Sequence[LedgerEntry], whose: Mapping[str, str]) -> tup
 
 
 def _best(tests: Sequence[LedgerEntry]) -> BestOfMany:
-    """Return the best of some candidates, each with its last verdict on one panel."""
+    """Return the best of some candidates, each with its last verdict on one seed set."""
     best = max(tests, key=lambda test: (test.success or 0.0, test.candidate_digest))
     mean = fmean(test.success or 0.0 for test in tests)
     simulated = [test.scenes for test in tests[-_MOST_CANDIDATES:]]

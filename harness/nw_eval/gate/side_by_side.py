@@ -3,9 +3,9 @@
 On these starts success is known. What is left to chance, and what intervals and ranks speak of, is
 fresh starts in the same scenes. Every scene counts alike, whatever its tier.
 
-Runs that each drew trials of their own from a bank share few starts. They are compared on starts of
-their own, the first of each with the first of the others: which ones they drew follows from hashes,
-so that the differences are as independent as those of fresh starts.
+Runs that each drew trials of their own from a baseline share few starts. They are compared on
+starts of their own, the first of each with the first of the others: which ones they drew follows
+from hashes, so that the differences are as independent as those of fresh starts.
 
 Results on the robot are put beside those of the same policies in the simulator (`measured`).
 """
@@ -47,10 +47,10 @@ StartName = tuple[str, Settings, int]
 
 @dataclass(frozen=True, kw_only=True)
 class Entrant:
-    """A policy with its results, of a run or of a bank."""
+    """A policy with its results, of a run or of a baseline."""
 
     source: str
-    """The run or bank as it was named."""
+    """The run or baseline as it was named."""
     suite: str
     policy: str
     key: BankKey
@@ -73,7 +73,7 @@ def entrant_of_run(source: str, run: RunInfo, rows: Iterable[Row]) -> Entrant:
 
 
 def entrant_of_bank(source: str, bank: SavedBank, panel: Panel) -> Entrant:
-    """Return what a bank compares with, on one class of machine."""
+    """Return what a baseline compares with, on one class of machine."""
     return Entrant(
         source=source,
         suite=bank.manifest.suite,
@@ -138,7 +138,7 @@ class ComparedPolicy:
     """What it is called here: the policy's name, and more where two have one name."""
     policy: str
     source: str
-    """The run or bank as it was named."""
+    """The run or baseline as it was named."""
     mean: float
     """Mean success over its starts."""
     interval: Interval
@@ -325,7 +325,7 @@ def _scenes(entrants: Sequence[Entrant]) -> list[str]:
 
 
 def _successes(entrant: Entrant, names: Sequence[StartName]) -> NDArray[np.float64]:
-    # Neither a bank nor a trial that came to a result is without one.
+    # Neither a baseline nor a trial that came to a result is without one.
     return np.array([entrant.results[name].success for name in names], dtype=np.float64)
 
 
@@ -422,7 +422,7 @@ def _partings(
     together: dict[tuple[int, str | None], tuple[HazardDifference, ...]] = {}
     alone: dict[tuple[int, str | None], tuple[HazardDifference, ...]] = {}
     for place, scenes in enumerate(others, 1):
-        # A trail without waypoints has none to part at.
+        # A course without waypoints has none to part at.
         pairs = {scene: (first[scene], ends) for scene, ends in scenes.items() if len(ends) > 1}
         if len(pairs) > 1:
             together[place, None] = differences_over(list(pairs.values()), confidence)
@@ -479,7 +479,7 @@ def measured(
     Args:
         real: of the robot.
         entrants: of the simulator, at least one.
-        spec: of a score in place of success, which then is 0 to 1 likewise, 1 the best.
+        spec: of a score instead of success, which then is also 0 to 1, 1 the best.
 
     Raises:
         UsageError: a policy or scene of the robot's is none of the simulator's, or is two.
@@ -549,7 +549,7 @@ def _entrant(result: RealResult, entrants: Sequence[Entrant]) -> Entrant:
 
 
 def _own_name(entrant: Entrant) -> str:
-    """Return the name of a run's folder, or of a bank without its suffix."""
+    """Return the name of a run's folder, or of a baseline without its suffix."""
     return Path(entrant.source).name.removesuffix(".parquet")
 
 

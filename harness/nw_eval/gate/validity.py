@@ -2,7 +2,7 @@
 
 What a policy does in fog says nothing of it. So such a trial is no success and no failure, and its
 start is unknown: whatever would speak for the policy counts it as the worst that it could have
-been, and whatever would convict as the best. Then neither error grows, whichever trials leave; if
+been, and whatever would flag as the best. Then neither error grows, whichever trials leave; if
 they were left out, a policy that walks into the fog where it would fail would pass. Where more than
 a share of all trials leave, the run says too little to be judged.
 
@@ -23,8 +23,8 @@ _SLACK = 1e-9  # against rounding of tenths and shares
 def seconds_outside(row: Row, validity: Validity) -> float:
     """Return the longest simulated time in a row that a trial's images were beyond a limit, s.
 
-    0 where the row has no such numbers: the policy saw no splat, or nobody says where the place was
-    photographed from.
+    0 where the row has no such numbers: the policy saw no splat, or the capture cameras of the
+    scene are unknown.
     """
     longest = lasting = 0
     views = zip(row.capture_distance, row.capture_angle, row.capture_alpha, strict=False)
@@ -67,7 +67,7 @@ def over_the_cap(rows: Sequence[Row], left: frozenset[str], gate: Gate) -> str |
     return (
         f"{count} of {plural(len(counted), 'trial')} left the captured volume, over "
         f"gate.validity.at_most {gate.validity.at_most:g}: too few show the policy and not the "
-        "fog; capture more of the place from the robot's height, or widen the limits"
+        "fog; capture more of the scene from the robot's height, or widen the limits"
     )
 
 
@@ -78,7 +78,7 @@ def too_many(left: int, trials: int, gate: Gate) -> bool:
 
 
 def in_a_sentence(rows: Sequence[Row], left: frozenset[str], gate: Gate) -> tuple[str, ...]:
-    """Return how many trials left, and in how many scenes nobody could look.
+    """Return how many trials left, and how many scenes could not be checked.
 
     Args:
         rows: of the run.

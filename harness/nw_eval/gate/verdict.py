@@ -40,7 +40,7 @@ class SceneScore:
     mean: float | None  # Mean success; None without results.
     interval: Interval  # Of mean success: stratified bootstrap.
     weak: bool = False  # Its whole interval lies below the bar.
-    condemned: bool = False  # Critical, and below the bar beyond doubt: it convicts alone.
+    flagged: bool = False  # Critical, and significantly below the bar: REGRESSED by itself.
     outside: int = 0  # Trials that left the captured volume, and are in nothing above.
     split: Literal["train", "eval"] | None = None  # Whether the policy was trained in it.
     unseen: bool = False  # So many that this scene says too little (`gate.validity.at_most`).
@@ -128,14 +128,14 @@ class Verdict:
 
 
 Basis = Literal["same", "panel", "control", "fresh"]
-"""What the bank is to the candidate's trials. same: the policy is the baseline, by its digests.
+"""What the baseline is to the candidate's trials. same: the policy is the baseline, by its digests.
 panel: the baseline's result from every start is known exactly on this class of machine. control:
 bits are others here, and the baseline's policy ran beside the candidate, from the same starts.
 fresh: the candidate met other starts."""
 
 Claim = Literal["fresh", "panel"]
-"""Of which starts a comparison speaks: of fresh ones in the same scenes, or of those of the bank's
-panel alone (`gate.claim`)."""
+"""Of which starts a comparison speaks: of fresh ones in the same scenes, or of those of the
+baseline's panel alone (`gate.claim`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +145,7 @@ class Recheck:
     compared: int
     """Trials with a result."""
     ran: int
-    """Of these, such as ran in this run; the others were taken over from the cache of trials."""
+    """Of these, such as ran in this run; the others were reused from the cache of trials."""
     equal: bool
     """Whether all of them have the baseline's values and bits."""
     differing: tuple[str, ...]
@@ -158,11 +158,13 @@ class Recheck:
 
     @property
     def in_words(self) -> str:
-        """How many trials ran again, and what came of it."""
+        """How many trials ran again, and its result."""
         if not self.compared:
             return "none run again"
         if not self.equal:
-            return f"{self.ran} run again, with other bits, and nothing taken over"
+            return (
+                f"{self.ran} run again with different results, so none is taken from the baseline"
+            )
         if self.ran == self.compared:
             return f"{self.ran} run again and equal"
         return f"{self.compared} compared and equal, {self.ran} of them run again"
@@ -176,23 +178,25 @@ class SceneDrop:
     perturbation: Settings = ()
     tier: Tier
     baseline: float | None
-    """B_s, mean success over all starts of the bank. Beside a control it is that of the control's
-    trials which were judged: None without any, since the bank's scores are not compared with."""
+    """B_s, mean success over all starts of the baseline. Beside a control it is that of the
+    control's
+    trials which were judged: None without any, since the baseline's scores are not compared
+        with."""
     candidate: float | None
     """Mean success over the trials judged; None without any."""
     trials: int
     evidence: float
     """E_s; 1 for an informational scene, which is not judged."""
     named: bool
-    """Whether it fell, beyond doubt."""
+    """Whether it regressed significantly."""
     interval: Interval | None = None
     """Drops in this scene that its own trials do not rule out, at the errors of the verdict; of
     many scenes some miss. None where it is not judged, or before a report is asked for."""
     waypoint: int | None = None
-    """The first waypoint, from 1, at which the two part beyond doubt, of a scene that fell or may
-    have, or that speaks most of a policy that was convicted."""
+    """The first waypoint, from 1, at which the two part significantly: of a scene that regressed or
+    may have, or has the largest drop of a policy that regressed."""
     ends: tuple[Ends, Ends] | None = None
-    """Of all starts of the bank, and of the trials judged that came to a result: how many ended
+    """Of all starts of the baseline, and of the trials judged that came to a result: how many ended
     after 0, 1, .. K waypoints. None where the scene has no waypoints."""
 
     @property
@@ -227,7 +231,7 @@ class Comparison:
 
     word: Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
     bank: str
-    """The bank's name."""
+    """The baseline's name."""
     policy: str
     """The baseline's policy."""
     basis: Basis
@@ -240,13 +244,13 @@ class Comparison:
     """M."""
     baseline: float
     """B, of the scenes that count. Beside a control it is that of the pairs of trials that bear on
-    the drop, and the bank's while there are none."""
+    the drop, and the baseline's while there are none."""
     drop: float | None
     """Estimate of the drop; None without a trial."""
     interval: Interval | None
     """Drops not excluded: its low end errs with alpha_regr, its high end with alpha_pass. None
     where nothing was tested, or before a report is asked for."""
-    mean_convicts: bool
+    mean_regressed: bool
     """Whether the mean itself has regressed significantly."""
     false_alarm: float
     """Probability, at most, that this gate is REGRESSED by a policy that is good enough: of its
@@ -261,7 +265,7 @@ class Comparison:
     more: str | None = None
     """About how many more trials would settle it, where that was simulated."""
     left_aside: int = 0
-    """Scenes of the bank that the run was not asked for."""
+    """Scenes of the baseline that the run was not asked for."""
     control: int = 0
     """Trials of the baseline's own policy that ran beside the candidate."""
     again: Recheck | None = None

@@ -1,6 +1,6 @@
 """Scenes, policies and robots from elsewhere: fetched from a Hugging Face hub once, and kept.
 
-What is fetched is a stranger's: names and sizes are checked before a byte is asked for, what comes
+What is fetched is untrusted: names and sizes are checked before a byte is asked for, what comes
 is compared with the digest that the hub says, nothing of it is run. Afterwards no network is
 needed, and a run's provenance says which revision it had.
 
@@ -28,7 +28,7 @@ class FetchListener(Protocol):
         ...
 
 
-class _Silence:
+class _NullListener:
     def fetching(self, name: str, done: int, total: int) -> None:
         """Ignore it."""
 
@@ -36,7 +36,7 @@ class _Silence:
         """Ignore it."""
 
 
-_LISTENER: ContextVar[FetchListener] = ContextVar("listener", default=_Silence())  # noqa: B039 - it holds nothing.
+_LISTENER: ContextVar[FetchListener] = ContextVar("listener", default=_NullListener())  # noqa: B039 - it holds nothing.
 
 
 def listener() -> FetchListener:

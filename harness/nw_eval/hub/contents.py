@@ -1,6 +1,6 @@
 """What is taken of a repository: files at a revision, or of a scene's zip the parts that are read.
 
-Names, sizes and numbers are a stranger's: they are checked before anything is fetched or unpacked.
+Names, sizes and numbers are untrusted: they are checked before anything is fetched or unpacked.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def files_of(client: Client, reference: Reference, commit: str) -> tuple[RemoteF
     for entry in islice(_entries(client, reference, commit), 4 * limits.FILES):
         path = str(entry["path"])
         if entry["type"] != "file" or archive not in {None, path}:
-            continue  # A folder, or another place's archive.
+            continue  # A folder, or another scene's archive.
         if any(part.startswith(".") for part in _checked(reference, path).parts):
             continue
         large = entry.get("lfs")
@@ -120,13 +120,13 @@ def _check_amount(reference: Reference, files: list[RemoteFile]) -> None:
         )
     if len(files) > limits.FILES:
         raise reference.error(
-            f"it has more than {limits.FILES} files", fix="give the place a repository of its own"
+            f"it has more than {limits.FILES} files", fix="give the scene its own repository"
         )
     total = sum(file.size for file in files)
     if min(file.size for file in files) < 0 or total > limits.BYTES:
         raise reference.error(
             f"it has {in_words(total)}, over the limit of {in_words(limits.BYTES)}",
-            fix="leave out of the repository what the place or policy does not need",
+            fix="leave out of the repository what the scene or policy does not need",
         )
 
 

@@ -1,9 +1,9 @@
-"""How much may be fetched of a stranger's repository, checked before anything is asked for."""
+"""How much may be fetched of an untrusted repository, checked before anything is asked for."""
 
 from __future__ import annotations
 
 FILES = 1000
-"""Of one place or policy. A scene folder has a handful, a policy's code some dozen."""
+"""Of one scene or policy. A scene folder has a handful, a policy's code some dozen."""
 
 BYTES = 8 * 2**30
 """Of all files together, packed and unpacked. The largest published scene is said to have 4 GB."""

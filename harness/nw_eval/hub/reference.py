@@ -48,7 +48,7 @@ class Reference:
     label: str
     """Name of the folder that it is kept in."""
     archive: str | None = None
-    """The zip in the repository that holds the place; None = the repository's files are it."""
+    """The zip in the repository that holds the scene; None = the repository's files are it."""
 
     @property
     def name(self) -> str:

@@ -157,7 +157,7 @@ def save(path: Path, state: State) -> None:
 
 
 def read_state(path: Path) -> dict[str, Any]:
-    """Return the state in a file; its code, if a stranger put some there, is not run.
+    """Return the state in a file; its code, if a third party put some there, is not run.
 
     Raises:
         StoreError: it is missing, too large, damaged, or holds more than weights.

@@ -1,1 +1,1 @@
-"""From a stranger's checkpoint to a card that fits: `policies init` and `policies check`."""
+"""From a third party's checkpoint to a card that fits: `policies init` and `policies check`."""

@@ -374,7 +374,7 @@ def control_lines(
 
     Args:
         exporter: what the file says.
-        robot: whose own values stand where nobody says anything.
+        robot: whose own values stand where it is unknown anything.
         frame: the layout of what the policy sees, if it is guessed: its training says the rest.
         clip: the limit of actions in the trainer's own inference.
     """
@@ -389,7 +389,7 @@ def control_lines(
         *_joints(known, robot, frame),
         *_pose_and_gains(known, robot, theirs, of),
         *_motor_limits(known, robot),
-        f"  delay_steps: {late}  {CHECK} control steps between an action and its effect",
+        f"  delay_steps: {late}  {CHECK} control steps between an action and its result",
     ]
 
 
@@ -550,7 +550,7 @@ def other_layouts(parts: Sequence[ObservationDraft], robot: RobotSpec) -> list[s
     lines = [
         "",
         f"# This card is of {' and '.join(sorted(drafted))}. Other published layouts of its sizes:",
-        f"# {', '.join(others)}. To write the card of one, whose lines stand below:",
+        f"# {', '.join(others)}. To write a card for one of the robots below:",
         f"#     {command}",
         "# `nw-eval policies check` tells which of them walks.",
     ]

@@ -99,7 +99,7 @@ FRAMES: tuple[Frame, ...] = (
     Frame(
         name="parkour53",
         source="extreme-parkour, LucidSim",
-        traits="heading in place of a velocity command",
+        traits="heading instead of a velocity command",
         size=53,
         layout="parkour53",
         history="order: oldest_first, by: step",

@@ -57,9 +57,9 @@ class Tensor:
     name: str
     shape: tuple[int, ...]
     kind: str
-    """What it is, by LEAPP's words; empty where nobody said."""
+    """What it is, by LEAPP's words; empty if unknown."""
     elements: tuple[str, ...]
-    """Names of its numbers; empty where nobody gave them."""
+    """Names of its numbers; empty if none are given."""
     source: str
     """What Isaac Lab connects it to: `state:robot:joint_pos`, `command:base_velocity`."""
 
@@ -268,7 +268,7 @@ def acting_node(pipeline: Pipeline, where: str) -> Node:
     """
     nodes = list(pipeline.nodes.values())
     acting = [n for n in nodes if any(o.kind in _ACTIONS for o in n.outputs)]
-    if not acting:  # Nobody said what is what: the node that feeds no other.
+    if not acting:  # The roles are not given: the node that feeds no other.
         feeding = {source for source, _ in pipeline.feeds.values()}
         acting = [n for n in nodes if n.name not in feeding]
     if len(acting) != 1:

@@ -218,7 +218,7 @@ class PipelineDraft:
             first = elements[:1] == ["w"]
             word = f"{{term: orientation, order: {'wxyz' if first else 'xyzw'}}}"
             if len(elements) != 4:
-                return (f"terms: [{word}]  {CHECK} or `order: wxyz`: nobody named its numbers",)
+                return (f"terms: [{word}]  {CHECK} or `order: wxyz`: its elements have no names",)
         elif kind == "state/body/angular_velocity" and size == 3:
             word = f"{{term: ang_vel{frame}}}" if frame else "ang_vel"
         elif kind == "state/body/linear_velocity" and size == 3:
@@ -227,7 +227,7 @@ class PipelineDraft:
             raise PolicyError(
                 f"{self._where}: input {tensor.said} of {self._pipeline.file} is nothing that a "
                 "card's observations have",
-                fix="annotate the whole observation term as the input, in Isaac Lab with "
+                fix="annotate the complete observation term as the input, in Isaac Lab with "
                 "`leapp_observation_input`, or write the card by hand (docs/policies.md)",
             )
         return (f"terms: [{word}]",)

@@ -91,7 +91,7 @@ def _observation_lines(place: str, old: AnyObservation, new: AnyObservation) -> 
     if not (isinstance(old, ProprioObservation) and isinstance(new, ProprioObservation)):
         return lines
     if old.layout != new.layout:
-        lines.append(f"{place}.terms: {flow(new.terms)}  # in place of `layout: {old.layout}`")
+        lines.append(f"{place}.terms: {flow(new.terms)}  # instead of `layout: {old.layout}`")
     elif [term.term for term in old.frame_terms] != [term.term for term in new.frame_terms]:
         lines.append(f"{place}.terms: {flow(new.terms)}")
     else:

@@ -36,7 +36,7 @@ class TrainedNetwork:
     """Parts of the chain, in the order in which they run."""
     layers: tuple[Layer, ...]
     activation: str
-    """The trainer's default, where nobody says another."""
+    """The trainer's default, where it is unknown another."""
     last: str = ""
     """Activation behind the last layer; none if empty."""
     outputs: int | None = None

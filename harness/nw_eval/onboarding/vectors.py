@@ -51,7 +51,7 @@ def named_parts(
     no number is left for any of them.
     """
     sizes = _sizes(terms, size)
-    # Terms without a place in the draft have the size 0: others stand in for them.
+    # Terms without an entry in the draft have the size 0: others stand in for them.
     rows = [(term, width) for term, width in zip(terms, sizes, strict=True) if width]
     groups = [list(group) for _, group in groupby(rows, key=lambda row: _kind(row[0]))]
     total = sum(width * (term.history or 1) for term, width in rows)
@@ -92,7 +92,7 @@ def term_of(term: ExportedTerm) -> tuple[str, int | None] | None:
     if known is None and term.name.endswith(_COMMAND):
         known = TERM_OF[_COMMAND]  # unitree_rl_lab has `keyboard_velocity_commands`.
     if known is not None and known[0] == "clock" and not term.keys:
-        return None  # Nobody says how fast it runs.
+        return None  # Its rate is unknown.
     return known
 
 
@@ -158,7 +158,7 @@ def zeros(size: int, what: str = "what the checkpoint really sees") -> list[str]
 
 
 def zeros_note(size: int, what: str = "what the checkpoint really sees") -> str:
-    """Return a comment that nobody overlooks: zeros run well and tell nothing."""
+    """Return a comment that stands out: zeros run without an error and carry no information."""
     return (
         f"{CHECK} THESE {size} ZEROS STAND FOR {what}: the policy is blind to it until they are "
         "replaced"

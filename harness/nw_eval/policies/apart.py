@@ -64,7 +64,7 @@ _KINDS = {
 
 
 def shared_memory() -> int:
-    """Return the file descriptor of new memory for observations, which nobody can cut short.
+    """Return the file descriptor of new memory for observations, which cannot be truncated.
 
     Raises:
         OSError: there is none to be had.
@@ -136,7 +136,7 @@ class PolicyLine:
 
         Raises:
             NwEvalError: what the process says that went wrong, if it is of this program.
-            Exception: likewise, of the name that the policy's own exception has.
+            Exception: as above, of the name that the policy's own exception has.
         """
         try:
             self.line.tell(words, policy=policy)
@@ -339,7 +339,7 @@ class ApartPolicy(AskedPolicy):
         return self._line.ask(message, policy=self._number, has_server=self._is_remote)
 
     def act(self, observation: Observation) -> Action:
-        """Show the process an observation, and return its action, which nobody has looked at yet.
+        """Show the process an observation, and return its action, which is not checked yet.
 
         Raises:
             TrialError: the policy failed there.
@@ -489,7 +489,7 @@ def serve_policies(
         output.close()
     line = MessageLine(questions.fileno(), answers.fileno())
     others = {"held": _held, "try": _try}
-    with suppress(OSError, ValueError):  # Nobody hears the answer, or somebody asks nonsense.
+    with suppress(OSError, ValueError):  # The answer has no reader, or the request makes no sense.
         Server(line, memory.fileno(), opened=_opened, others=others, describe=_described).serve()
     os._exit(LEFT)
 

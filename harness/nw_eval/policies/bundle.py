@@ -215,7 +215,7 @@ class Bundle:
         if not fields["networks"]:
             del fields["networks"]  # Cards have the digest that they had before there were any.
         if not fields["cameras"]:
-            del fields["cameras"]  # Likewise.
+            del fields["cameras"]  # As above.
         if self.card.adapter == "remote":
             # Where the same policy is served changes nothing; which one it is, `digest` says.
             options = fields["options"].items()
@@ -354,7 +354,7 @@ def find_card(name_or_path: str | Path, *, search: Path | None = None) -> Path:
 
     Args:
         name_or_path: as for `load_bundle`.
-        search: likewise.
+        search: as above.
 
     Raises:
         PolicyError: there is no such bundle.
@@ -494,7 +494,7 @@ def read_options(bundle: Bundle, model: type[Options]) -> Options:
 
 
 def was_instance(reference: str) -> bool:
-    """Whether a bundle's `reference` is that of an object: nobody can load it."""
+    """Whether a bundle's `reference` is that of an object, which cannot be loaded."""
     return reference.startswith(_NO_FILE)
 
 
@@ -510,8 +510,8 @@ def instance_bundle(policy: object, card: Card, *, digest: str = "") -> Bundle:
         policy: the object or function.
         card: what it sees and what its actions mean; its adapter is `python:module:Class`, for the
             record, and it names no files.
-        digest: what tells this policy from others, such as the hex SHA-256 of its weights; empty =
-            nobody knows, and its rows say so.
+        digest: what tells this policy from others, such as the hex SHA-256 of its weights; empty if
+            unknown, which its rows say.
 
     Raises:
         PolicyError: the card is of another kind of policy.

@@ -122,7 +122,7 @@ class DrawingPolicy:
 
 
 def _seeded(seed: int) -> bytes:
-    """Return the state of torch's generator for a seed; empty where nobody has imported torch."""
+    """Return the state of torch's generator for a seed; empty if torch is not imported."""
     torch = sys.modules.get("torch")
     if torch is None:
         return b""

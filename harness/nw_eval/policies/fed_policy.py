@@ -163,7 +163,7 @@ class _Feeder:
         self._gave: dict[str, Array] = {}
 
     def run(self, observation: Observation) -> dict[str, Array]:
-        """Ask it; return what it gives by name, which nobody changes.
+        """Ask it; return what it gives by name, which must not be changed.
 
         An encoder of images need not run again before there is a new one: a network that gives
         equal outputs for equal inputs gives what it gave, as long as it is given the same.

@@ -21,7 +21,7 @@ from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.policy import Observation, checked_action
 
 Wanted = Sequence[str | int | None]
-"""Outputs of a file, by name or by place among those that feed no state; None = the first one."""
+"""Outputs of a file, by name or by index among those that feed no state; None = the first one."""
 
 
 class OpenNetwork(Memory[bytes], Protocol):

@@ -114,6 +114,6 @@ class _Fold:
             except OSError as error:
                 raise PolicyError(
                     f"{path}: cannot be read: {error.strerror}",
-                    fix="copy the file that the export wrote beside the graph to that place",
+                    fix="copy the file that the export wrote beside the graph to that path",
                 ) from None
         return self._files[path]

@@ -43,7 +43,7 @@ TEXT_LIMIT = 2**20
 DATA_LIMIT = 2**28
 """Bytes of a message's data: states of policies with stacked images have some 100 kB."""
 BOARD = 2**28
-"""Bytes of the shared memory, of which what nobody touches takes none."""
+"""Bytes of the shared memory, of which untouched pages take none."""
 _PIECE = 2**16
 _ALIGNED = 64
 _NUMBERS = "biufc"
@@ -169,7 +169,7 @@ class CodePolicy:
             return error
         try:
             said = str(error)
-        except BaseException as another:  # noqa: BLE001 - It is code of a stranger, too.
+        except BaseException as another:  # noqa: BLE001 - It is third-party code, too.
             said = f"its own message cannot be read, because of {type(another).__name__}"
         text = f"policy {self._name!r}: {method} raised {type(error).__name__}: {said}"
         return FaultError("TrialError", text)
@@ -189,7 +189,7 @@ class MessageLine:
 
     Args:
         reads: file descriptor to read from; it remains the caller's.
-        writes: to write into, likewise.
+        writes: to write into, as above.
     """
 
     def __init__(self, reads: int, writes: int) -> None:
@@ -199,7 +199,7 @@ class MessageLine:
         """Send a message; one of its values may be bytes.
 
         Raises:
-            OSError: nobody is there to hear it.
+            OSError: the other end is closed.
         """
         data, plain = b"", dict(words)
         for key, value in words.items():
@@ -218,7 +218,7 @@ class MessageLine:
         """Return the next message.
 
         Raises:
-            EOFError: nobody is there to send any more.
+            EOFError: the other end is closed.
             ValueError: it is none.
         """
         return self.rest_of(os.read(self.reads, _PIECE))

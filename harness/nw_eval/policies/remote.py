@@ -97,7 +97,7 @@ class RemotePolicy(AskedPolicy):
             self.close()
             raise PolicyError(
                 f"{bundle.where}: cannot read the greeting of {self._options.url}: {error}",
-                fix="speak the protocol of nw_eval.policies.wire",
+                fix="implement the protocol of nw_eval.policies.wire",
             ) from None
 
     def no_state(self) -> ServerError:
@@ -138,13 +138,13 @@ class RemotePolicy(AskedPolicy):
             self.close()
             raise ServerError(
                 f"policy {self._name!r}: no answer from {self._options.url} within {timeout:g} s",
-                fix="look at the server, or raise `options.timeout` on the card",
+                fix="check the server, or raise `options.timeout` on the card",
             ) from None
         except ValueError as error:
             self.close()
             raise ServerError(
                 f"policy {self._name!r}: cannot read what {self._options.url} sends: {error}",
-                fix="speak the protocol of nw_eval.policies.wire",
+                fix="implement the protocol of nw_eval.policies.wire",
             ) from None
         except (WebSocketException, OSError) as error:
             raise self._lost(error) from error
@@ -153,7 +153,7 @@ class RemotePolicy(AskedPolicy):
         self.close()
         return ServerError(
             f"policy {self._name!r}: the connection to {self._options.url} is lost: {error}",
-            fix="look at the server: its policy may have crashed",
+            fix="check the server: its policy may have crashed",
         )
 
 
@@ -263,6 +263,6 @@ def _map(hello: Mapping[str, Any], key: str, where: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise PolicyError(
             f"{where} greets with {key!r} as a {type(value).__name__}, not a map",
-            fix="speak the protocol of nw_eval.policies.wire",
+            fix="implement the protocol of nw_eval.policies.wire",
         )
     return value

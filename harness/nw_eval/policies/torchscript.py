@@ -130,8 +130,8 @@ class TorchScriptNetwork:
     def _picked(self, outputs: Sequence[Any], place: int) -> NDArray[Any]:
         if place >= len(outputs):
             raise TrialError(
-                f"{self._subject} returned {plural(len(outputs), 'tensor')}, none at place {place}",
-                fix="places count from 0: correct `output` on the card",
+                f"{self._subject} returned {plural(len(outputs), 'tensor')}, none at index {place}",
+                fix="indices count from 0: correct `output` on the card",
             )
         if not isinstance(outputs[place], torch.Tensor):
             kind = type(outputs[place]).__name__
@@ -182,7 +182,7 @@ def _fed(recurrent: Recurrent | None) -> dict[str, Feedback]:
 
 
 def _free(place: int, feeding: Sequence[int]) -> int:
-    """Return the place among all outputs from that among those that feed no state."""
+    """Return the position among all outputs from that among those that feed no state."""
     for taken in sorted(set(feeding)):
         place += taken <= place
     return place
@@ -197,7 +197,8 @@ def _check_signature(module: Any, bundle: Bundle) -> tuple[str, ...]:
     parts, listed = bundle.card.input_parts(), listed_inputs(bundle.card.inputs)
     if not module._c._has_method("forward"):  # noqa: SLF001 - torch shows it nowhere else.
         raise PolicyError(
-            f"{bundle.where}: the checkpoint has no method `forward`", fix="script a whole module"
+            f"{bundle.where}: the checkpoint has no method `forward`",
+            fix="script a complete module",
         )
     schema = module._c._get_method("forward").schema  # noqa: SLF001 - as above.
     arguments = [(a.name, str(a.type), a.has_default_value()) for a in schema.arguments[1:]]
@@ -240,7 +241,7 @@ def _place(wanted: str | int | None, bundle: Bundle) -> int:
     if isinstance(wanted, str):
         raise PolicyError(
             f"{bundle.where}: output {wanted!r}: the outputs of a TorchScript file have no names",
-            fix="give its place among what `forward` returns, counted from 0",
+            fix="give its index among what `forward` returns, counted from 0",
         )
     return wanted or 0
 

@@ -100,7 +100,7 @@ def nw_gate(pytestconfig: pytest.Config) -> GateSuite:
 
     In a test: `assert nw_gate("hurdles", policy="mine").passed`.
 
-    Arguments are those of `nw_run`. A run that nobody can judge fails the test there and then.
+    Arguments are those of `nw_run`. A run that cannot be judged fails the test at once.
     """
     from nw_eval.pytest_plugin.runs import GateSuite
 

@@ -21,7 +21,7 @@ _WORDS: tuple[Inconclusive, ...] = get_args(Inconclusive)
 
 _TWINS = {
     "policy": "the policy to judge: a shipped bundle's name, a folder, or a card",
-    "checkpoint": "weights to use in place of those that the policy's card names",
+    "checkpoint": "weights to use instead of those that the policy's card names",
     "baseline": "the baseline to compare with: its name, its file, or none; when absent the "
     "suite's, for the suite's own policy",
     "rounds": "most trials in each scene",
@@ -40,12 +40,12 @@ def add_options(parser: pytest.Parser) -> None:
     group.addoption(
         "--nw-update-baseline",
         action="store_true",
-        help="save what the policy scores as the baseline, and fail, so that somebody looks at it",
+        help="save the policy's results as the baseline, and fail, so that the change is reviewed",
     )
     group.addoption(
         "--nw-no-cache",
         action="store_true",
-        help="run every trial, also those whose results earlier runs have kept",
+        help="run every trial, even if an earlier run has cached its result",
     )
     parser.addini("nw_suites", "folders and globs of YAML files that are suites", "args", [])
     words = " or ".join(_WORDS)
@@ -57,8 +57,8 @@ class Settings:
     """What a session was asked for. None: the suite, or nw-eval, decides."""
 
     project: Path
-    """Where names of policies, banks and suites are looked for: the folder of pytest's ini file, or
-    the one that pytest was started in."""
+    """Where names of policies, baselines and suites are looked for: the folder of pytest's ini
+    file, or the one that pytest was started in."""
     report_dir: Path
     policy: str | None
     checkpoint: Path | None

@@ -143,7 +143,7 @@ class SceneItem(SuiteItem):
     state: SceneState
 
     def setup(self) -> None:
-        """Run the suite if nobody has; a scene without all of its results is an error."""
+        """Run the suite if it has not run; a scene without all of its results is an error."""
         from nw_eval.clean import clean
         from nw_eval.pytest_plugin.telling import scene_properties, scene_text
         from nw_eval.reporting.scene_states import scene_states
@@ -158,7 +158,7 @@ class SceneItem(SuiteItem):
             pytest.skip(clean(self.state.sentence))
 
     def runtest(self) -> None:
-        """Fail if the scene fell, or shares in what no other test is here to say."""
+        """Fail if the scene regressed, or shares in what no other test is here to say."""
         from nw_eval.pytest_plugin.telling import scene_text
 
         judged = self.judged()
@@ -184,7 +184,7 @@ class VerdictItem(SuiteItem):
     """Fails where the verdict does."""
 
     def setup(self) -> None:
-        """Run the suite if nobody has; what can be judged by nobody is an error."""
+        """Run the suite if it has not run; a run that cannot be judged is an error."""
         from nw_eval.pytest_plugin.telling import verdict_properties, verdict_text
 
         if self.config.stash[SETTINGS].update_baseline:
@@ -250,7 +250,7 @@ def leave_verdicts_out(session: pytest.Session) -> None:
 
 
 def save_bank(suite: SuiteFile) -> None:
-    """Save the bank of a suite; fail if that changed it, so that a review comes before its use."""
+    """Save the baseline of a suite; fail if that changed it, so that it is reviewed first."""
     from nw_eval import api
     from nw_eval.pytest_plugin.runs import Log
 
@@ -283,6 +283,6 @@ def save_bank(suite: SuiteFile) -> None:
     pytest.fail(
         f"{saved.file} is {saved.action}: {manifest.policy.name}, "
         f"{plural(manifest.starts, 'start')} in each scene\n"
-        "Look at what has changed, commit it, and run again without --nw-update-baseline.",
+        "Check what has changed, commit it, and run again without --nw-update-baseline.",
         pytrace=False,
     )

@@ -6,7 +6,7 @@ can tell, and what a comparison with a baseline can.
 
 from __future__ import annotations
 
-from nw_eval.gate.baseline.foresee import in_a_sentence
+from nw_eval.gate.baseline.power_forecast import in_a_sentence
 from nw_eval.gate.verdict import Comparison, Recheck, Verdict, percent_sure
 from nw_eval.plural import plural
 from nw_eval.protocol import PROTOCOLS, STRICT

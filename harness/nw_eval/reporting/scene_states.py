@@ -92,7 +92,7 @@ def _state(
 ) -> SceneState:
     own = tuple(drops.get(score.scene, ()))
     word, faults = verdict.verdict, _faults(score, own, verdict)
-    named = score.condemned or any(item.named for item in own)
+    named = score.flagged or any(item.named for item in own)
     state: State = "weak" if faults else "undecided"
     before, after = [*faults], _standing(verdict)
     holes = score.errors or score.missing or not (score.n or score.outside)
@@ -139,7 +139,7 @@ def _standing(verdict: Verdict) -> list[str]:
 def _faults(score: SceneScore, drops: Sequence[SceneDrop], verdict: Verdict) -> list[str]:
     """Return what speaks against a scene by itself: beyond doubt, or its own interval."""
     faults = [_fell(item) for item in drops if item.named]
-    if score.condemned:
+    if score.flagged:
         faults.append(f"critical, and below the bar {verdict.bar:g} by its upper bound")
     elif score.weak:
         faults.append(f"below the bar {verdict.bar:g} by itself")

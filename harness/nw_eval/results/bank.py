@@ -1,6 +1,6 @@
-"""Banks: what a baseline scored from every start of a panel, kept in git beside the suite.
+"""Baselines: what a baseline scored from every start of a seed set, kept in git beside the suite.
 
-A bank is one file, `reports/baselines/<suite>/<name>.parquet` (`bank_file`): the results of S
+A baseline is one file, `reports/baselines/<suite>/<name>.parquet` (`bank_file`): the results of S
 scenes by M starts without wall times, once for each class of machine that they were run on, and a
 manifest: who made it, when, why, and what must match for it to hold.
 """
@@ -29,7 +29,7 @@ class _Part(BaseModel):
 
 
 class BankKey(_Part):
-    """What a bank holds for, and nothing else: each field is named where it does not match."""
+    """What a baseline holds for, and nothing else: each field is named where it does not match."""
 
     suite_digest: str
     """Of robot, protocol, seed, episode and perturbations: what names the starts."""
@@ -50,8 +50,8 @@ class BankPolicy(_Part):
     card_digest: str
     checkpoint_digest: str
     card: str = ""
-    """Where its card was, for a machine that the bank has not seen: a shipped bundle's name, or a
-    path from the folder of the run."""
+    """Where its card was, for a machine that the baseline has not seen: a shipped bundle's name,
+    or a path from the folder of the run."""
 
     @property
     def typed(self) -> str:
@@ -72,11 +72,11 @@ class PanelInfo(_Part):
     by: str
     """Who."""
     rows_digest: str
-    """Of the rows that the panel is made from."""
+    """Of the rows that these results are made from."""
 
 
 class Manifest(_Part):
-    """All that a bank says of itself."""
+    """All that a baseline says of itself."""
 
     bank: int = Field(1, description="Version of this format.")
     name: str
@@ -94,7 +94,7 @@ class Manifest(_Part):
 
 
 def key_of(run: RunInfo) -> BankKey:
-    """Return what a bank must have to be compared with a run."""
+    """Return what a baseline must have to be compared with a run."""
     return BankKey(
         suite_digest=run.suite_digest,
         seed=int(run.suite.get("seed", 0)),
@@ -167,13 +167,13 @@ class Panel:
 
 @dataclass(frozen=True, kw_only=True)
 class SavedBank:
-    """A bank as its file has it; the panels are those of the manifest, in its order."""
+    """A baseline as its file has it; `panels` are in the manifest's order."""
 
     manifest: Manifest
     panels: tuple[Panel, ...]
 
     def panel_of(self, machine: Mapping[str, str]) -> Panel | None:
-        """Return the panel that was run on machines of this class; None if none was."""
+        """Return the results of machines of this class; None if there are none."""
         return next((panel for panel in self.panels if panel.machine == machine), None)
 
 
@@ -197,7 +197,7 @@ def trajectory(row: Row) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ControlArm:
-    """Trials of the bank's own policy that ran beside the candidate, from the same starts."""
+    """Trials of the baseline's own policy that ran beside the candidate, from the same starts."""
 
     run: RunInfo
     rows: tuple[Row, ...]
@@ -205,15 +205,15 @@ class ControlArm:
 
 @dataclass(frozen=True, kw_only=True)
 class Against:
-    """The bank that a run is compared with."""
+    """The baseline that a run is compared with."""
 
     info: BaselineInfo
     bank: SavedBank
     content: bytes
     """Of its file, of which the run's folder gets a copy."""
     control: ControlArm | None = None
-    """None where the bank says what its policy does on the machine of the run."""
+    """None where the baseline says what its policy does on the machine of the run."""
 
     def of_run(self, info: BaselineInfo) -> Against:
-        """Return the bank as a run knows it, that was begun with it somewhere else."""
+        """Return the baseline as a run knows it, that was begun with it somewhere else."""
         return replace(self, info=info.model_copy(update={"checked": None, "moved": ()}))

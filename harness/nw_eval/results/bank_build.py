@@ -1,4 +1,4 @@
-"""From a run to a bank, and what is wrong with one: what would make of it another baseline."""
+"""From a run to a baseline, and what is wrong with one: what would make of it another baseline."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ from nw_eval.words import OUTCOMES
 def bank_of_run(
     rows: Sequence[Row], run: RunInfo, *, name: str, card: str = "", by: str = "", note: str = ""
 ) -> SavedBank:
-    """Return the bank that a finished run is: every start of its panel has a result.
+    """Return the baseline that a finished run is: every start of its seed set has a result.
 
     Args:
         rows: those of the run's plan, in any order.
         run: what they are of.
-        name: the bank's.
+        name: the baseline's.
         card: `BankPolicy.card`.
         by: `PanelInfo.by`.
         note: `Manifest.note`.
@@ -59,7 +59,7 @@ def bank_of_run(
     if run.panel != "pinned":
         raise IncomparableError(
             f"run {run.id} makes no baseline: it met fresh starts of its own, as no other run does",
-            fix="save one from a run on the pinned panel",
+            fix="save one from a run on the pinned seed set",
         )
     if errors := [row for row in rows if row.status == "error"]:
         first = min(errors, key=lambda row: row.trial_id)
@@ -108,10 +108,10 @@ def bank_of_run(
 
 
 def with_panel(bank: SavedBank, other: SavedBank) -> SavedBank:
-    """Return a bank with the panels of another one, of the same key, policy and starts, behind it.
+    """Return a baseline and another one's results, of the same key, policy and starts.
 
     Args:
-        bank: the bank.
+        bank: the baseline.
         other: of other classes of machine.
     """
     infos = (*bank.manifest.panels, *other.manifest.panels)
@@ -132,12 +132,12 @@ def _start(row: Row) -> Start:
 
 
 MOST_PANELS = 64
-"""Classes of machines of one bank."""
+"""Classes of machines of one baseline."""
 
 SHARED = NamedColumns(
     {field.name: COLUMNS[field.name] for field in fields(Start) if field.name in COLUMNS}
 )
-SHARED["success"] = replace(SHARED["success"], kind=float)  # A bank has no errors.
+SHARED["success"] = replace(SHARED["success"], kind=float)  # A baseline has no errors.
 """The columns that a start has of its row."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
@@ -152,19 +152,19 @@ _TRAJECTORY = re.compile(r"[0-9a-f]{16}")
 
 
 def fault_of_name(name: str) -> str | None:
-    """Return what is wrong with the name of a bank or a suite, or None."""
+    """Return what is wrong with the name of a baseline or a suite, or None."""
     if _NAME.fullmatch(name):
         return None
     return f"{clean(name, at_most=80)!r} is no name (letters, digits, '_', '-', '.')"
 
 
 def place_of(start: Start) -> tuple[Stratum, int]:
-    """Return by what the starts of a panel are sorted."""
+    """Return by what the starts of a seed set are sorted."""
     return start.stratum, start.seed_index
 
 
 def fault_of(bank: SavedBank) -> str | None:
-    """Return the first thing that is wrong with a bank, or None."""
+    """Return the first thing that is wrong with a baseline, or None."""
     fault = _fault_of_manifest(bank.manifest) or _fault_of_machines(bank)
     if fault is not None:
         return fault
@@ -172,7 +172,7 @@ def fault_of(bank: SavedBank) -> str | None:
         if fault := _fault_of_panel(panel, bank.manifest):
             return fault
     if any(panel.by_stratum.keys() != bank.panels[0].by_stratum.keys() for panel in bank.panels):
-        return "its panels differ in what they perturb"
+        return "its machines' results differ in their perturbations"
     return None
 
 
@@ -190,9 +190,9 @@ def _fault_of_machines(bank: SavedBank) -> str | None:
     if len(machines) > MOST_PANELS:
         return f"it has {len(machines)} panels, over {MOST_PANELS}"
     if machines != [panel.machine for panel in bank.manifest.panels]:
-        return "its panels are not those of its manifest"
+        return "its results are not those that its manifest lists"
     if any(machine in machines[:place] for place, machine in enumerate(machines)):
-        return "two of its panels are of one class of machine"
+        return "it has two sets of results from one class of machine"
     return None
 
 

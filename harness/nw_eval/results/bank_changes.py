@@ -11,7 +11,7 @@ from nw_eval.results.bank import BankKey, BankPolicy, Panel, SavedBank, Start, s
 from nw_eval.results.column import Settings
 
 Part = Literal["suite", "scene", "simulator", "score", "policy", "machine"]
-"""What a field is of. All but the machine must match for a bank to hold."""
+"""What a field is of. All but the machine must match for a baseline to hold."""
 
 _NONE = "none"
 
@@ -29,12 +29,12 @@ class FieldChange:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneChange:
-    """One scene, with what was changed in it, in two banks; in the order of the banks."""
+    """One scene, with what was changed in it, in two baselines; in the order of the baselines."""
 
     scene: str
     perturbation: Settings = ()
     then: float | None
-    """Mean success over the starts; None where the bank has no such scene."""
+    """Mean success over the starts; None where the baseline has no such scene."""
     now: float | None
     starts: int
     """Starts that both have."""
@@ -46,15 +46,15 @@ class SceneChange:
 
 @dataclass(frozen=True, kw_only=True)
 class BankChange:
-    """What differs between an earlier and a later bank of a suite."""
+    """What differs between an earlier and a later baseline of a suite."""
 
     then: SavedBank
     now: SavedBank
     fields: tuple[FieldChange, ...]
     """What must match and does not, the number of starts included."""
     machine: tuple[FieldChange, ...]
-    """In what the class of machine differs between the two panels that are compared: none, where
-    there is one that both banks have."""
+    """In what the class of machine differs between the two sets of results that are compared:
+    none, where there is one that both banks have."""
     scenes: tuple[SceneChange, ...]
 
     @property
@@ -64,7 +64,7 @@ class BankChange:
 
 
 def bank_change(then: SavedBank, now: SavedBank) -> BankChange:
-    """Compare two banks on a class of machine that both have, or on their first ones."""
+    """Compare two baselines on a class of machine that both have, or on their first ones."""
     before, after = _panels(then, now)
     strata = sorted({*before.by_stratum, *after.by_stratum})
     return BankChange(
@@ -125,7 +125,7 @@ def mean_of(starts: Sequence[Start]) -> float:
 
 
 def bank_mean(bank: SavedBank) -> float:
-    """Return B: the mean over scenes, and cells, of the means over starts, on the first panel."""
+    """Return B: the mean over scenes and cells of the means over starts, on the first machine."""
     return fmean(mean_of(starts) for starts in bank.panels[0].by_stratum.values())
 
 

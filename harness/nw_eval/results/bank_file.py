@@ -1,4 +1,4 @@
-"""A bank as one Parquet file: its starts are the table, its manifest is in the metadata.
+"""A baseline as one Parquet file: its starts are the table, its manifest is in the metadata.
 
 Whoever made it, it is read by a process of its own (`tables`) and then looked at as a whole: what
 it says of scenes, starts and machines must be what it holds. One that is asked for by name lies in
@@ -34,29 +34,29 @@ _RESTORE = "restore it from git, or replace it: `nw-eval baseline save` with --r
 
 
 def write_bank(path: Path, bank: SavedBank) -> None:
-    """Write a bank. Equal banks give equal bytes with one version of Arrow.
+    """Write a baseline. Equal baselines give equal bytes with one version of Arrow.
 
     Args:
         path: `<name of the bank>.parquet`; appears whole or not at all.
         bank: starts in the order of scene, perturbation and index.
 
     Raises:
-        StoreError: it cannot be written, or nobody could read it again.
+        StoreError: it cannot be written, or could not be read again.
     """
     if fault := fault_of(bank) or _misnamed(path, bank.manifest):
         raise StoreError(f"cannot write {path}: {fault}", fix="save the baseline anew from a run")
     content = bank.manifest.model_dump(mode="json")
     if not bank.manifest.scores:
-        del content["scores"]  # An older bank stays as it is.
+        del content["scores"]  # An older baseline stays as it is.
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     write_small_table(path, bank_table(bank), {_MANIFEST: text})
 
 
 def bank_table(bank: SavedBank) -> pa.Table:
-    """Return the starts of all panels, one after another, as an Arrow table.
+    """Return the starts of all machines' results, one after another, as an Arrow table.
 
-    Its columns are the number of the panel in the manifest, those of a row, and the bytes of the
-    trajectory.
+    Its columns are the number of the class of machine in the manifest, those of a row, and the
+    bytes of the trajectory.
     """
     import pyarrow as pa
 
@@ -89,13 +89,13 @@ def bank_table(bank: SavedBank) -> pa.Table:
 
 
 def read_bank(path: Path) -> SavedBank:
-    """Read a bank, which may be anybody's.
+    """Read a baseline, which may be untrusted.
 
     Raises:
         UsageError: there is none.
         StoreError: it is damaged, too large, or cannot be read.
-        IncomparableError: it is whole, but no bank, or of another version; or it has no number
-            where one belongs, a start twice or missing, other scenes or panels than its manifest
+        IncomparableError: it is whole, but no baseline, or of another version; or it has no number
+            where one belongs, a start twice or missing, other scenes or machines than its manifest
             says, or another name than its file.
     """
     if what_is(path) != "file":
@@ -106,7 +106,7 @@ def read_bank(path: Path) -> SavedBank:
 
 
 def bank_of(table: PlainTable, path: Path) -> SavedBank:
-    """Return the bank that a table is, if it is one.
+    """Return the baseline that a table is, if it is one.
 
     Args:
         table: as it was read.
@@ -123,7 +123,7 @@ def bank_of(table: PlainTable, path: Path) -> SavedBank:
     groups: list[list[Start]] = [[] for _ in manifest.panels[: MOST_PANELS + 1]]
     for number, start in zip(table.columns["panel"], _starts(table, path), strict=True):
         if not (isinstance(number, int) and 0 <= number < len(groups)):
-            raise _unusable(path, f"it has starts of a panel {number}, and {len(groups)} panels")
+            raise _unusable(path, f"it has results of machine {number}, of {len(groups)} listed")
         groups[number].append(start)
     panels = [
         Panel(machine=info.machine, starts=tuple(starts))
@@ -200,13 +200,13 @@ BANKS = Path("reports/baselines")
 
 
 def find_bank(reference: str | Path, *, suite: str, root: Path = BANKS) -> Path:
-    """Return the file of a bank.
+    """Return the file of a baseline.
 
     Args:
         reference: a name, also as `<suite>/<name>`; or a path, which has a slash or ends with
             `.parquet`.
         suite: the name of the suite, whose folder a name is looked for in.
-        root: the project's folder of banks, which comes before the shipped ones.
+        root: the project's folder of baselines, which comes before the shipped ones.
 
     Raises:
         UsageError: there is none.
@@ -236,11 +236,11 @@ def find_bank(reference: str | Path, *, suite: str, root: Path = BANKS) -> Path:
 
 
 def find_any(reference: str | Path, *, suite: str | None = None, root: Path = BANKS) -> Path:
-    """Return the file of a bank whose suite need not be known.
+    """Return the file of a baseline whose suite need not be known.
 
     Args:
         reference: a path; `<suite>/<name>`; or a name alone.
-        suite: the suite's name, where several have a bank of that name.
+        suite: the suite's name, where several have a baseline of that name.
         root: as for `find_bank`.
 
     Raises:
@@ -254,7 +254,7 @@ def find_any(reference: str | Path, *, suite: str | None = None, root: Path = BA
     banks = bank_files(root=root)
     suites = sorted({path.parent.name for path in banks if path.stem == name})
     if suite is not None and folder in {"", suite}:
-        suites = [suite]  # Whose bank it is not, if it has none.
+        suites = [suite]  # Whose baseline it is not, if it has none.
     elif folder:
         suites = [each for each in suites if each == folder]
     if len(suites) > 1:
@@ -267,7 +267,7 @@ def find_any(reference: str | Path, *, suite: str | None = None, root: Path = BA
 
 
 def bank_files(suite: str | None = None, *, root: Path = BANKS) -> tuple[Path, ...]:
-    """Return the files of all banks, the project's before the shipped ones; of one suite if named.
+    """Return the files of all baselines, the project's first; of one suite if named.
 
     A shipped one that the project has, bit for bit, is there once.
     """

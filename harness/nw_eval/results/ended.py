@@ -165,7 +165,7 @@ def _mended(folder: RunFolder, info: RunInfo, rows: list[Row]) -> list[str]:
     """Write trials.parquet again if it is not the file that run.json means; tell of it."""
     if _sha256(folder) == info.trials_sha256:
         return []
-    if folder.trials.is_fifo():  # Nobody may ever read from it.
+    if folder.trials.is_fifo():  # It may never be read.
         return ["judged from the journal: trials.parquet is a pipe"]
     fault = "trials.parquet is missing or damaged (its SHA-256 is not the one in run.json)"
     try:

@@ -207,7 +207,7 @@ class Journal:
                     written += self._handle.write(lines[written:])
             os.fsync(self._handle.fileno())
         except BaseException as error:
-            # Half a line helps nobody; take it back so that what is there stays whole.
+            # Half a line is of no use; take it back so that what is there stays whole.
             with suppress(OSError):
                 self._handle.truncate(before)
                 self._handle.seek(before)

@@ -46,7 +46,8 @@ def rows_code_digest() -> str:
 
     The robots that come with it count as code, since rows name them by their names alone.
 
-    A report may be worded anew, and a run still be resumed, and a bank still be of this machine.
+    A report may be worded anew, and a run still be resumed, and a baseline still be of this
+    machine.
     """
     return _digest(path for path in _sources() if _room(path) not in JUDGING)
 

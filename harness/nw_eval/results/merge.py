@@ -4,8 +4,8 @@ Folders are parts of one run if suite, policy, scenes, engine and plan agree, fi
 each trial the one row that stands is taken; there may be no gap, and no two results. The folder is
 there whole, or not at all.
 
-Logs are linked where that goes, copied where not, and never taken from elsewhere. A folder may be a
-stranger's: a row's log is taken only from below its folder, links followed, and put only where a
+Logs are linked where that goes, copied where not, and never taken from elsewhere. A folder may be
+untrusted: a row's log is taken only from below its folder, links followed, and put only where a
 trial's log has its place. Links are hard ones, so that the parts may be removed; a log is never
 written over (`rollout.mcap.file` renames), hence nothing is that both have.
 """
@@ -94,7 +94,7 @@ def check_parts(sources: Sequence[MergeSource]) -> None:
     for source in sources:
         if not source.parts:
             raise UsageError(
-                f"{source.folder.path} is no part of a run: it was run whole",
+                f"{source.folder.path} is not a part of a run: all of its trials ran together",
                 fix="leave it out; `nw-eval gate` judges it as it is",
             )
     first, *others = sources
@@ -366,8 +366,8 @@ def write_merged(
     Args:
         out: the folder, which holds nothing yet.
         arm: the run.
-        against: the bank that its parts were begun against.
-        beside: the run of the bank's own policy beside them, if there is one.
+        against: the baseline that its parts were begun against.
+        beside: the run of the baseline's own policy beside them, if there is one.
 
     Raises:
         UsageError: it holds something else.
@@ -480,7 +480,7 @@ def _name(one: SourcedRow) -> PurePosixPath:
             return name
     raise StoreError(
         f"{one.sources[0]}: the row of trial {row.trial_id} has its log at {row.mcap_path!r}, "
-        "where none of a run has its place",
+        "where no trial of a run belongs",
         fix="merge folders that nw-eval wrote",
     )
 

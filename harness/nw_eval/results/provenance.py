@@ -43,7 +43,7 @@ def recheck_key(seed: int) -> str:
     """Return the key by which the starts that run again of a baseline's own policy are ordered.
 
     Args:
-        seed: which nobody could foresee when the baseline was written.
+        seed: which could not be predicted when the baseline was written.
     """
     return f"{_RECHECK}{seed}"
 
@@ -70,7 +70,7 @@ class SceneInfo(_Saved):
     split: Literal["train", "eval"] | None = None
     fetched: FetchedInfo | None = None  # None: it lay on the machine.
     rasterize_mode: RasterizeMode | None = None  # Of a splat file that says one, where it is drawn.
-    projection: Projection | None = None  # Likewise: how its Gaussians became pixels in training.
+    projection: Projection | None = None  # As above: how its Gaussians became pixels in training.
 
 
 class PolicyInfo(_Saved):
@@ -115,7 +115,7 @@ class MachineInfo(_Saved):
 
 
 class BaselineInfo(_Saved):
-    """The bank that a run is compared with, and what its policy did on this machine.
+    """The baseline that a run is compared with, and what its policy did on this machine.
 
     The run's folder has a copy of the bank: whoever judges the run again needs no other file.
     """
@@ -125,10 +125,10 @@ class BaselineInfo(_Saved):
     sha256: str  # Hex, of the file.
     # "scores" is of an older nw-eval, which ran no control.
     checked: Literal["bits", "control", "scores"] | None = None
-    """What trials of the bank's policy showed on this class of machine: the bank's bits, or scores
-    in line with it; None where there were none, because the bank has a panel of it."""
+    """What trials of the baseline's policy showed on this class of machine: the baseline's bits,
+    or scores in line with it; None without any, because the baseline has results of it."""
     moved: tuple[str, ...] = ()
-    """Sentences: in what the bank's policy does not do here what the bank says of it. Where there
+    """Sentences: in what the baseline's policy differs here from the baseline. Where there
     are any, the run is INVALID, and no trial of the candidate has run."""
 
 
@@ -219,7 +219,7 @@ class RunInfo(_Saved):
     scenes: dict[str, SceneInfo]
     left_out: tuple[str, ...] = ()  # Scenes of the suite that the run was not to have, by name.
     panel: PanelKind = "pinned"  # Fresh: the suite's seed follows from the policy's `key`.
-    drawn_from: int | None = None  # Starts of the bank that drew the order; None = 0, 1, 2, ...
+    drawn_from: int | None = None  # Starts of the baseline that drew the order; None = 0, 1, 2, ...
     # Whose order it meets them in, if not its policy's: the key of another policy, or of the draw
     # of what runs again (`recheck_key`).
     drawn_for: str | None = None
@@ -238,13 +238,13 @@ class RunInfo(_Saved):
     # Of installed packages that its trials ran: "axes.NAME": "package version sha256-of-its-code".
     plugins: dict[str, str] = {}
     rows_digest: str = ""  # Of the rows that are judged; empty until the run has ended.
-    trials_sha256: str = ""  # Hex, of trials.parquet; likewise.
-    journal_sum: str = ""  # Of the journal that these rows were taken from; likewise.
-    merkle_root: str = ""  # Hex, of these rows, their logs and what they are of; likewise.
+    trials_sha256: str = ""  # Hex, of trials.parquet; as above.
+    journal_sum: str = ""  # Of the journal that these rows were taken from; as above.
+    merkle_root: str = ""  # Hex, of these rows, their logs and what they are of; as above.
 
     @property
     def drawn_by(self) -> str:
-        """By what the order of its starts is drawn, where a bank draws it."""
+        """By what the order of its starts is drawn, where a baseline draws it."""
         return candidate_in(self.drawn_for or self.policy.key)
 
     @property

@@ -24,7 +24,7 @@ class RealResult:
     """One line: how a policy did in one scene on the robot."""
 
     policy: str
-    """Its name, or that of the run or bank that it is compared with."""
+    """Its name, or that of the run or baseline that it is compared with."""
     scene: str
     trials: int
     success: float

@@ -80,12 +80,12 @@ class Row:
     success: Annotated[
         float | None,
         Column(
-            "share of the trail's waypoints reached, 0 to 1: what is averaged and judged; none "
-            "for an error, so that nobody averages it in"
+            "share of the course's waypoints reached, 0 to 1: what is averaged and judged; none "
+            "for an error, so that no mean includes it"
         ),
     ]
     waypoints_reached: Annotated[int, Column("number of waypoints reached, in their order")]
-    waypoints_total: Annotated[int, Column("number of waypoints of the trail")]
+    waypoints_total: Annotated[int, Column("number of waypoints of the course")]
     waypoint_times: Annotated[Numbers, Column("when each was reached, simulated s")] = ()
     steps: Annotated[
         int, Column("control steps done, 50 a simulated second or as many as the card's rate")
@@ -114,13 +114,15 @@ class Row:
     state_digest: Annotated[
         str, Column("SHA-256 over all states: equal ones are equal trajectories, bit for bit")
     ] = ""
-    action_digest: Annotated[str, Column("SHA-256 over all applied actions, likewise")] = ""
+    action_digest: Annotated[
+        str, Column("SHA-256 over all applied actions: equal ones are equal bit for bit")
+    ] = ""
     checkpoint_digest: Annotated[str, Column("SHA-256 of the checkpoint, or of the policy's code")]
     scene_digest: Annotated[str, Column("SHA-256 of what the scene is made of")]
     cached: Annotated[
         bool,
         Column(
-            "whether the row was taken over from an earlier run, by the cache of trials, so that "
+            "whether the row comes from an earlier run, by the cache of trials, so that "
             "its times are none of this run's",
             measured=True,
         ),
@@ -168,7 +170,7 @@ class Row:
     capture_distance: Annotated[
         Numbers,
         Column(
-            "how far the policy's camera was from the nearest of those that the place was "
+            "how far the policy's camera was from the nearest of those that the scene was "
             "photographed with, m: the largest of each tenth of a simulated second; empty where "
             "the policy sees no splat, or the scene has no `captures`",
             added=True,
@@ -176,13 +178,13 @@ class Row:
     ] = ()
     capture_angle: Annotated[
         Numbers,
-        Column("angle between the optical axes of these two, rad, likewise", added=True),
+        Column("angle between the optical axes of these two, rad: also the largest", added=True),
     ] = ()
     capture_alpha: Annotated[
         Numbers,
         Column(
             "share of the camera's image that the splat covers, 0 to 1: the smallest of each "
-            "tenth, likewise",
+            "tenth of a second",
             added=True,
         ),
     ] = ()
@@ -277,8 +279,8 @@ def contradiction_of_end(
         return None
     if total < 1:
         if outcome == "policy_failed" and (reached, success, completed) == (0, 0.0, False):
-            return None  # It ended its process, or failed before it stood: nobody has counted.
-        return f"success {success} of a trail without waypoints"
+            return None  # It ended its process, or failed before it stood: there is no count.
+        return f"success {success} of a course without waypoints"
     if success is None or abs(success - reached / total) > _ROUNDING:
         return f"success {success} with {reached} of {total} waypoints reached"
     if completed != (outcome == "completed"):
@@ -431,7 +433,7 @@ def from_dicts(values: Sequence[dict[str, Any]]) -> list[Row]:
 
 
 def _quickly(values: Sequence[dict[str, Any]]) -> list[Row] | None:
-    """Return rows that are beyond doubt when their columns are looked at; None where one is not."""
+    """Return rows whose columns alone show that they are valid; None where one is not."""
     if not values or (names := list(values[0])) != list(COLUMNS):
         return None  # The columns of another version, or in another order.
     if not all(list(one) == names for one in values):
@@ -518,7 +520,7 @@ class Results:
 
     Attributes:
         trials: names, in the order of the rows.
-        arms: likewise.
+        arms: as above.
         digests: 32 bytes of each.
     """
 

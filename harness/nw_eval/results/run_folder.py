@@ -62,7 +62,7 @@ class RunFolder:
 
     @property
     def baseline(self) -> RunFolder:
-        """The run of the bank's own policy, on a class of machine that the bank has not seen."""
+        """The run of the baseline's own policy, on a new class of machine."""
         return RunFolder(path=self.path / "baseline")
 
     @property
@@ -89,7 +89,7 @@ class RunFolder:
 
     @property
     def cached(self) -> Path:
-        """The logs of trials that were taken over from earlier runs, as `logs` has the others.
+        """The logs of trials that were reused from earlier runs, as `logs` has the others.
 
         They are the cache's own files, which no worker process may write.
         """
@@ -104,7 +104,7 @@ class RunFolder:
         return self._log(self.logs, scene, trial_id)
 
     def cached_mcap(self, scene: str, trial_id: str) -> Path:
-        """Path of the log of a trial that was taken over, likewise.
+        """Path of the log of a trial that was taken over, as above.
 
         Raises:
             StoreError: the names lead out of the folder.
@@ -116,13 +116,13 @@ class RunFolder:
             inside(logs, f"{scene}/{trial_id}.mcap")
         except OutsideError as error:
             raise StoreError(
-                f"trial {trial_id!r} of scene {scene!r} has no place in {self.path}: {error}",
+                f"trial {trial_id!r} of scene {scene!r} is not allowed in {self.path}: {error}",
                 fix="rename the scene",
             ) from None
         return logs / PurePosixPath(scene) / f"{trial_id}.mcap"
 
     def bank(self, name: str) -> Path:
-        """Path of the copy of the bank that the run is compared with.
+        """Path of the copy of the baseline that the run is compared with.
 
         Raises:
             StoreError: the name leads out of the folder.
@@ -131,7 +131,8 @@ class RunFolder:
             return inside(self.path, f"bank/{name}.parquet")
         except OutsideError as error:
             raise StoreError(
-                f"baseline {name!r} has no place in {self.path}: {error}", fix="rename the baseline"
+                f"baseline {name!r} is not allowed in {self.path}: {error}",
+                fix="rename the baseline",
             ) from None
 
     def relative(self, path: Path) -> str:
@@ -142,7 +143,7 @@ class RunFolder:
 def taken_over_log(log: Path) -> Path:
     """Return where the log of a trial lies that is named as RUN/mcap/SCENE/TRIAL.mcap.
 
-    That of a trial that was taken over from an earlier run lies in `RunFolder.cached`. A path is
+    That of a trial that was reused from an earlier run lies in `RunFolder.cached`. A path is
     returned as it is where a file is there, or none is in either place.
     """
     for place in range(len(log.parts) - 2, 0, -1):

@@ -113,7 +113,7 @@ def file_of(data: bytes, *, most_rows: int, most_bytes: int) -> pq.ParquetFile:
         raise ValueError(f"{footer.num_rows} rows of {footer.num_columns} columns")
     groups = [footer.row_group(index) for index in range(footer.num_row_groups)]
     if sum(group.num_rows for group in groups) != footer.num_rows:
-        raise ValueError("its parts have other numbers of rows than the whole")
+        raise ValueError("the row counts of its parts do not add up to its total")
     columns = [group.column(index) for group in groups for index in range(group.num_columns)]
     if not all(0 <= column.total_uncompressed_size <= most_bytes for column in columns):
         raise ValueError(f"a column has over {most_bytes // 2**20} MiB")

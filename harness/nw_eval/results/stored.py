@@ -2,7 +2,7 @@
 
 Portions of rows are kept by column, as arrays of numbers, bytes of digests, and words that repeat.
 A row that is asked for looks its values up there, so that whoever holds a million of them holds a
-million pairs of a portion and a place. Up to `FEW` rows are kept as they are: looking up takes
+million pairs of a portion and an index. Up to `FEW` rows are kept as they are: looking up takes
 three times as long.
 """
 
@@ -18,7 +18,7 @@ from nw_eval.results.row import COLUMNS, Row, by_column, to_dict
 FEW = 10_000
 """Rows up to which they are kept as they are."""
 _PORTION = 256
-"""Rows in a portion: as many places as Python has numbers for that take no memory."""
+"""Rows in a portion: as many positions as Python has numbers for that take no memory."""
 
 
 class _Values(Protocol):
@@ -207,7 +207,7 @@ def _row(columns: dict[str, _Values], place: int) -> Row:
 
 
 class _Packer:
-    """Rows that come one after another, by place."""
+    """Rows that come one after another, by index."""
 
     def __init__(self) -> None:
         self._portions: list[dict[str, _Values]] = []

@@ -193,7 +193,7 @@ def answer(read: Callable[[Path], Iterable[Any]]) -> None:
 def _seconds(path: Path) -> float:
     """Return how long reading a file may take: a minute for each 32 MiB, which takes ten seconds.
 
-    A file of nobody's is soon refused.
+    A file of another program is soon refused.
     """
     try:
         return _SECONDS * (1 + path.stat().st_size // 2**25)

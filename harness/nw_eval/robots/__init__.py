@@ -164,7 +164,7 @@ def know_robot(reference: str, folder: Path | None) -> None:
         folder: where it lies; None = it is found by its name anyway.
 
     Raises:
-        RobotError: it would have to be fetched. Logs and runs of strangers fetch nothing.
+        RobotError: it would have to be fetched. Logs and runs of third parties fetch nothing.
     """
     if reference.startswith((PREFIX, MENAGERIE)):
         raise RobotError(

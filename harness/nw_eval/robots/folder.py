@@ -1,7 +1,7 @@
 """A robot as a folder: `robot.yaml` beside an MJCF or URDF file and its meshes.
 
 What the model file says is derived from it; `robot.yaml` says the rest, and overrides. The folder
-may be a stranger's: its XML is checked element by element and its meshes are read here, so that
+may be untrusted: its XML is checked element by element and its meshes are read here, so that
 MuJoCo's compiler sees neither a path nor a plug-in. Here the files are read; `derived` asks MuJoCo
 what is in them, and makes a `RobotSpec` whose MJCF holds everything.
 """
@@ -216,7 +216,9 @@ class Imu(_Part):
     @model_validator(mode="after")
     def _one_place(self) -> Imu:
         if self.site is not None and self.model_fields_set - {"site"}:
-            raise ValueError("a site has its place and axes; remove `site`, or all else")
+            raise ValueError(
+                "a site has its own position and axes; remove `site`, or everything else"
+            )
         return self
 
 
@@ -568,7 +570,7 @@ class _Reader:
         raise ValueError(message)
 
     def _without(self, path: Path, why: str) -> bool:
-        rest = "its link is drawn as the rest of it, or as what collides"
+        rest = "its link is drawn by its other meshes, or by its collision shapes"
         self.notes.append(f"visual mesh {str(path)!r} is not drawn: {why}; {rest}")
         return False
 

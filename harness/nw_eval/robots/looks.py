@@ -168,7 +168,9 @@ def _meeting(
 
 
 _MOST_SHAPES = 400  # that are drawn
-_GRID = 2.0**14  # points of meshes stand on 1/16384 m: the zero bits compress, and nobody sees it
+_GRID = (
+    2.0**14
+)  # points of meshes stand on 1/16384 m: the zero bits compress, without a visible change
 _PLAIN = (0.5, 0.5, 0.5, 1.0)  # the colour of a geom that has none of its own
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 _KINDS = {

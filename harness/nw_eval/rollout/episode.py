@@ -31,7 +31,7 @@ from nw_eval.rollout.mcap.messages import SimState, StatePart
 from nw_eval.rollout.mcap.states import Saved
 from nw_eval.scenes.scene import Nearness
 from nw_eval.scores import TrialEnd
-from nw_eval.sensors.sensor import Moment
+from nw_eval.sensors.sensor import StepContext
 from nw_eval.words import Outcome
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class Decision(NamedTuple):
     action: Array  # (12,) raw output
     applied: Array  # (12,) raw action that this step applies
     targets: Array  # (12,) joint targets of this step, rad; or torques, N m
-    moment: Moment | None = None  # what was observed; None where nothing was
+    moment: StepContext | None = None  # what was observed; None where nothing was
 
 
 class Step(NamedTuple):
@@ -205,7 +205,7 @@ class Episode:
                 huge.
             ServerError: a served policy could not be asked.
         """
-        moment: Moment | None = None
+        moment: StepContext | None = None
         observation: Mapping[str, NDArray[Any]] = {}
         if self.step > 0 or not self.world.protocol.first_step_is_blind:
             with self._clock("sense"):
@@ -311,8 +311,8 @@ class Episode:
     def _no_action(self) -> Array:
         return np.zeros_like(self._actions.output.array)
 
-    def _moment(self) -> Moment:
-        return Moment(
+    def _moment(self) -> StepContext:
+        return StepContext(
             world=self.world,
             task=self.task,
             step=self.step,
@@ -322,7 +322,7 @@ class Episode:
             standing_cones=self._cones,
         )
 
-    def _sense(self, moment: Moment) -> dict[str, NDArray[Any]]:
+    def _sense(self, moment: StepContext) -> dict[str, NDArray[Any]]:
         """Return what every sensor shows the policy now."""
         observation: dict[str, NDArray[Any]] = {}
         for name, sensor in self.sensors.items():
@@ -381,8 +381,8 @@ class Actions:
     ) -> None:
         count = len(joints)
         self.delay = ActionDelay(delay_steps, count)
-        self.applied = Held(np.zeros(count))
-        self.output = Held(np.zeros(count))
+        self.applied = Latched(np.zeros(count))
+        self.output = Latched(np.zeros(count))
         self.earlier = _HeldRow([np.zeros(count)] * EARLIER_OUTPUTS)
         self.filter = action_filter
         self._control = control
@@ -416,7 +416,7 @@ class Actions:
         return targets
 
 
-class Held:
+class Latched:
     """An array of float64 that is replaced as a whole, never written into."""
 
     def __init__(self, array: Array) -> None:
@@ -432,7 +432,7 @@ class Held:
 
 
 class _HeldRow:
-    """Several arrays of float64 of one shape, likewise."""
+    """Several arrays of float64 of one shape, as above."""
 
     def __init__(self, arrays: Sequence[Array]) -> None:
         self.arrays = tuple(map(read_only, arrays))
@@ -464,7 +464,7 @@ class CapturedViews:
 
     Attributes:
         distance: m from the nearest capture camera, the largest of each tenth.
-        angle: between the optical axes of both, rad, likewise.
+        angle: between the optical axes of both, rad, as above.
         alpha: share of the image that the splat covers, 0 to 1, the smallest of each tenth.
     """
 

@@ -1,7 +1,7 @@
 """Whose fault an exception is: the policy's own, or that of everything around it.
 
 A policy's own code may raise whatever Python knows, `SystemExit` included. What it raises ends its
-trial and nothing else. Only Ctrl-C at this process is nobody's fault and goes on.
+trial and nothing else. Only Ctrl-C at this process is no fault and is raised again.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from nw_eval.errors import ActionError, CodeError, NwEvalError, ServerError, Tri
 if TYPE_CHECKING:
     from nw_eval.words import PolicyFault
 
-# Where an object lies in memory differs from process to process, and tells nobody anything.
+# Where an object lies in memory differs from process to process, and is of no use.
 _ADDRESS = re.compile(r"\b0x[0-9a-fA-F]{5,}")
 
 
@@ -84,7 +84,7 @@ def is_interrupt(error: BaseException) -> bool:
 
 
 def one_line(error: BaseException) -> str:
-    """Return an error in one line; one that nobody raised on purpose also says where it came from.
+    """Return an error in one line; an unexpected one also says where it came from.
 
     Addresses are left out, so that the same failure reads the same in every process.
     """

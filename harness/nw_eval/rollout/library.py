@@ -23,7 +23,7 @@ _Key = TypeVar("_Key")
 _Value = TypeVar("_Value")
 
 
-class Recent(Generic[_Key, _Value]):
+class LRUCache(Generic[_Key, _Value]):
     """The `size` values used last; others are made again when they are asked for."""
 
     def __init__(self, size: int, make: Callable[[_Key], _Value]) -> None:
@@ -48,7 +48,7 @@ class Library:
 
     Args:
         scenes: that are kept loaded.
-        bundles: likewise.
+        bundles: as above.
         known: bundles that are loaded already, with the weights that jobs want. They go by their
             `reference` and are kept for good.
         world: makes the world of each trial, from the arguments of `World`.
@@ -63,9 +63,9 @@ class Library:
         world: Callable[..., World] = World,
     ) -> None:
         self.world = world
-        self._scenes = Recent[tuple[str, Collision], Scene](scenes, lambda key: open_scene(*key))
-        self._rays = Recent[tuple[str, Collision], "RayScene"](scenes, self._make_rays)
-        self._bundles = Recent[tuple[str, "Path | None"], Bundle](
+        self._scenes = LRUCache[tuple[str, Collision], Scene](scenes, lambda key: open_scene(*key))
+        self._rays = LRUCache[tuple[str, Collision], "RayScene"](scenes, self._make_rays)
+        self._bundles = LRUCache[tuple[str, "Path | None"], Bundle](
             bundles, lambda key: load_bundle(key[0], checkpoint=key[1])
         )
         self._known = {bundle.reference: bundle for bundle in known}

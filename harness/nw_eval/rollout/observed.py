@@ -344,7 +344,7 @@ class View:
 def topic_names(card: Card) -> dict[str, str]:
     """Return what stands for each observation in topics: its name, if that is a plain word.
 
-    A card may be a stranger's, and `calib` is taken by calibrations.
+    A card may be untrusted, and `calib` is taken by calibrations.
     """
     return {
         name: name if _PLAIN.fullmatch(name) and name != "calib" else f"~{number}"
@@ -474,7 +474,7 @@ class LogCamera:
     """The camera of one trial's log.
 
     Args:
-        needed: whether nobody else makes pictures.
+        needed: whether no other code makes pictures.
         world: carries the camera.
         scene: what it sees.
         renderer: makes the renderer of the scene's splat; called only if a frame is rendered.

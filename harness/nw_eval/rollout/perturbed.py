@@ -63,7 +63,7 @@ class TrialSetup:
         friction: sliding friction of ground and obstacles; None = each solid's own.
         payload: load on the robot's back, kg.
         push: speed that the trunk is given every 3 s, level, in a drawn direction, m/s.
-        missing_cones: probability of each cone of the trail to be missing in images.
+        missing_cones: probability of each cone of the course to be missing in images.
     """
 
     trial: Trial
@@ -93,7 +93,7 @@ class TrialSetup:
         """Return a fresh generator of the trial's own, at the start of a named stream.
 
         Args:
-            stream: a name that nobody else has, such as that of the axis.
+            stream: a unique name, such as that of the axis.
         """
         return self.trial.generator(stream)
 

@@ -49,7 +49,7 @@ class OpenTrial:
     bundle: Bundle
     episode: Episode
     renderer: Callable[[], Renderer]  # of the scene's splat, made when first called
-    shown: Callable[[], Renderer]  # likewise, for pictures that no policy sees
+    shown: Callable[[], Renderer]  # As above, for pictures that no policy sees
     cleanup: ExitStack
 
     def __enter__(self) -> Self:

@@ -33,7 +33,7 @@ _LONGEST = 600.0  # s; as `suite.model.EpisodeRules` allows
 # Whose versions change bits. A replay under others is refused a verdict on its bits.
 _LIBRARIES = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
 # Fields of a job that say how it was run, where to, and what its caller allowed, not what it is. A
-# log may be a stranger's: none of them is written, and none is believed.
+# log may be untrusted: none of them is written, and none is believed.
 _CIRCUMSTANCE = frozenset({"allow_code", "attachments", "mcap", "record", "time_limit"})
 # In which round a trial is due is its run's affair: a log is the same in whichever it was.
 _OF_TRIALS = tuple(name for name in Trial.__dataclass_fields__ if name != "place")

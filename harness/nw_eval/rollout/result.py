@@ -32,7 +32,7 @@ class StageClock:
     """Adds up the seconds of each stage.
 
     Stages nest: while an inner one runs, the outer one stands still, so no second counts twice. A
-    control step has five of them, and what the clock itself takes is nobody's: it does little.
+    control step has five of them, and the clock's own time is counted for none: it is short.
 
     Args:
         now: seconds that pass, of the wall if nothing is said; `time.thread_time` is the processor.
@@ -73,7 +73,7 @@ class TrialResult:
     """One attempt at a trial. An error has no outcome; it says who failed.
 
     Where the policy itself failed, `end_reason` of the error is how, a `PolicyFault`. That is an
-    error until it has happened twice (`engine.rounds`). An `exit` leaves nobody to say how
+    error until it has happened twice (`engine.rounds`). After an `exit` it is unknown how
     far the trial was: it has reached 0 of 0 waypoints in 0 steps, whatever was reached in truth.
 
     Digests chain SHA-256 over the control steps: `state_digest` over qpos and qvel,
@@ -135,7 +135,7 @@ class TrialResult:
 
     @property
     def success(self) -> float:
-        """Share of the trail's waypoints reached, or what another task scores, 0..1."""
+        """Share of the course's waypoints reached, or what another task scores, 0..1."""
         total = self.waypoints_total
         return self.waypoints_reached / total if total else self.task_success
 

@@ -1,4 +1,4 @@
-"""The file of a scene folder that says from where the place was photographed."""
+"""The file of a scene folder that says from where the scene was photographed."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class _CaptureFile(_CaptureModel):
 
 
 def read_captures(path: Path) -> CaptureCameras:
-    """Read the cameras that a place was photographed with.
+    """Read the cameras that a scene was photographed with.
 
     Raises:
         SceneError: the file is missing, too large, or no such file; its first problem is named.
@@ -101,7 +101,7 @@ def first_problem(error: Exception) -> str:
 
 
 def write_captures(path: Path, cameras: Sequence[CameraPose]) -> None:
-    """Write the cameras that a place was photographed with, whole or not at all.
+    """Write the cameras that a scene was photographed with, whole or not at all.
 
     Args:
         path: of the file, which a key of scene.yaml names.

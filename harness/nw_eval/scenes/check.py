@@ -28,8 +28,8 @@ _BODY_TOP = 0.45
 _ROUND = 0.8
 # Terrain has a surface of its own where it is this much above the plane that catches, metres.
 _ABOVE_VOID = 0.4
-# Shares of a splat round the trail that are too little to be the same place: of the whole, and in
-# a place much larger than that, of the share that the mesh's surface has there.
+# Shares of a splat round the course that are too little to be the same place: of the whole, and in
+# a scene much larger than that, of the share that the mesh's surface has there.
 _LEAST_INSIDE = 0.02
 _LEAST_OF_MESH = 0.1
 _AROUND = 2.0
@@ -71,7 +71,7 @@ def _spawn(scene: Scene, rays: RayScene) -> list[SceneFinding]:
             SceneFinding(
                 code="inside_out",
                 severity="error",
-                message=f"the faces under the spawn ({x:.2f}, {y:.2f}) look down: the mesh is "
+                message=f"the faces under the spawn ({x:.2f}, {y:.2f}) point down: the mesh is "
                 "mirrored or inside out",
                 fix="flip its faces, or undo the negative scale that made it",
                 place=place,
@@ -199,7 +199,7 @@ def _splat(scene: Scene) -> list[SceneFinding]:
         message = "the splat has no Gaussians"
         return [SceneFinding(code="splat_empty", severity="error", message=message)]
     mesh = scene.mesh()
-    # The trail's surroundings: a ground plane may reach far beyond what was photographed.
+    # The course's surroundings: a ground plane may reach far beyond what was photographed.
     path = np.vstack([[scene.spawn.position], scene.trail])
     low = np.maximum(path.min(axis=0) - _AROUND, mesh.vertices.min(axis=0) - 0.5)
     high = np.minimum(path.max(axis=0) + _AROUND, mesh.vertices.max(axis=0) + 0.5)
@@ -216,7 +216,7 @@ def _splat(scene: Scene) -> list[SceneFinding]:
         SceneFinding(
             code="splat_elsewhere",
             severity="error",
-            message=f"only {100 * share:.1f} % of {len(means)} Gaussians lie round the trail; "
+            message=f"only {100 * share:.1f} % of {len(means)} Gaussians lie around the course; "
             f"their middle is at {middle}",
             fix="check T_world_splat: scale, rotation and data_transforms.json",
             value=share,

@@ -29,7 +29,7 @@ def digest(*values: Any) -> str:
 def _tell(parts: list[bytes], value: Any) -> None:
     """Append the bytes of a value, which tell its type and length first.
 
-    So no two inputs give the same bytes. A place is ten thousand numbers, names and dataclasses:
+    So no two inputs give the same bytes. A scene is ten thousand numbers, names and dataclasses:
     these are known by their type alone, and what is derived from one is met below.
     """
     kind = type(value)

@@ -43,7 +43,7 @@ SCENE_FILE = "scene.yaml"
 _GROUND_REACH = 60.0
 _NOT_TO_SCALE = "not_to_scale"
 _LEAST_WIDE, _MOST_WIDE = 0.3, 2.0 * limits.REACH
-# A place this much wider than its trail is told, metres and times.
+# A scene this much wider than its course is told, metres and times.
 _ODDLY_WIDE, _TIMES_COURSE = 200.0, 40.0
 _OTHER_MESHES = (
     ".3ds", ".3mf", ".abc", ".blend", ".dae", ".fbx", ".gltf", ".off", ".step", ".stp", ".usd",
@@ -99,11 +99,11 @@ class _Box(_FolderModel):
     material: Line = ""
     """What it is made of, for people."""
     kind: Literal["obstacle", "structure", "clutter"] = "obstacle"
-    """Its class in `semantics` images: an obstacle of the trail, the place itself, or clutter."""
+    """Its class in `semantics` images: an obstacle of the course, the scene itself, or clutter."""
 
 
 class _Collision(_FolderModel):
-    """`collision.yaml`: a place as boxes on a ground plane."""
+    """`collision.yaml`: a scene as boxes on a ground plane."""
 
     boxes: tuple[_Box, ...] = Field(max_length=limits.SOLIDS)
     """The solids; the plane of the scene's `ground` is there without saying so."""
@@ -219,20 +219,20 @@ class _Prop(_FolderModel):
 
 
 class _SceneFile(_FolderModel):
-    """`scene.yaml`: a place, what can be touched there, its looks, and the trail through it."""
+    """`scene.yaml`: a scene, what can be touched there, its looks, and the course through it."""
 
     version: Literal[1] = Field(alias="nw-scene")
     """Version of this format."""
     name: Annotated[str, AfterValidator(checked_name)]
     """Up to four words with slashes between, each of letters, digits, '_', '-' and '.'."""
     task: Task
-    """What the trail asks of the robot; reports group by it."""
+    """What the course asks of the robot; reports group by it."""
     title: Line = ""
     """One line for people; the name when absent."""
     licence: Line
-    """SPDX identifier of the place's data, or words."""
+    """SPDX identifier of the scene's data, or words."""
     units: Literal["m", "unknown"] = "m"
-    """Of all lengths here and in the mesh; a place of an unknown unit does not run."""
+    """Of all lengths here and in the mesh; a scene of an unknown unit does not run."""
     trail: tuple[Point, ...] = Field(min_length=1, max_length=limits.WAYPOINTS)
     """Waypoints x, y, z on top of what the robot steps on, in order; world, m."""
     spawn: _Spawn = _Spawn()
@@ -250,7 +250,7 @@ class _SceneFile(_FolderModel):
     T_world_splat: _Similarity = _Similarity()
     """Where the splat lies in the world."""
     captures: str | None = None
-    """A file of the cameras that the place was photographed with, inside the folder."""
+    """A file of the cameras that the scene was photographed with, inside the folder."""
     props: tuple[_Prop, ...] = Field(default=(), max_length=limits.PROPS)
     """What moves beside the robot: doors, crates. They are in neither the mesh nor the splat."""
 
@@ -436,7 +436,7 @@ def _unscaled(folder: Path, text: _SceneFile) -> tuple[SceneFinding, ...]:
         SceneFinding(
             code=_NOT_TO_SCALE,
             severity="error",
-            message=f"{SCENE_FILE} says units: {text.units}: nobody knows its size, so no robot "
+            message=f"{SCENE_FILE} says units: {text.units}: its size is unknown, so no robot "
             "runs in it",
             fix=f"put two markers at a known distance in `nw-eval twin label {folder}`, and save; "
             f"or `nw-eval twin place {folder} --length A B METRES` where it was built there",
@@ -495,7 +495,7 @@ def _place_of(
 ) -> tuple[SceneFinding, ...]:
     """Return what is odd about the size and the origin of a scene's mesh.
 
-    Judged by the bulk of its vertices: a scan has stray points far behind the place.
+    Judged by the bulk of its vertices: a scan has stray points far behind the scene.
 
     Raises:
         SceneError: no robot walks in a place of this size, or so far from the origin.
@@ -534,9 +534,9 @@ def _place_of(
             SceneFinding(
                 code="mesh_wide",
                 severity="warning",
-                message=f"{path.name}: the mesh is {wide:.0f} m wide, its trail {course:.1f} m",
+                message=f"{path.name}: the mesh is {wide:.0f} m wide, its course {course:.1f} m",
                 fix="multiply the mesh by 0.01 if it is in centimetres, as `nw-eval scenes level "
-                "SCENE --unit cm` does, or cut off what is far from the trail",
+                "SCENE --unit cm` does, or cut off what is far from the course",
                 value=wide,
             ),
         )

@@ -1,6 +1,6 @@
 """How a mesh becomes terrain: the options, and the grid of points over the ground.
 
-The grid is regular; it knows how deep each point lies below the trail.
+The grid is regular; it knows how deep each point lies below the course.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ COMPILER_VERSION = 6
 Mask = NDArray[np.bool_]
 Leg = tuple[NDArray[np.float64], NDArray[np.float64]]
 
-# Points of one grid; a longer trail gets coarser samples.
+# Points of one grid; a longer course gets coarser samples.
 _MOST_POINTS = 3_000_000
 # Beyond so many waypoints, points are compared with the legs near their tile only.
 _FEW_LEGS = 32
@@ -34,13 +34,13 @@ class TerrainOptions:
     Attributes:
         collision: `terrain` is height fields and boxes, fast; `triangles` is the mesh's own ones,
             slow and exact, to check the other with.
-        spacing: of the samples near the trail. The cost of a step grows with the samples under
+        spacing: of the samples near the course. The cost of a step grows with the samples under
             the robot; tests/bench/bench_terrain.py measures it.
         far_spacing: of the samples beyond.
-        corridor: what counts as near, to either side of trail and spawn.
-        reach: how far beyond trail and spawn there is terrain at all.
-        headroom: what hangs higher above the trail than this is passed under.
-        reach_down: what lies deeper below the trail than this is not where the robot walks.
+        corridor: what counts as near, to either side of course and spawn.
+        reach: how far beyond course and spawn there is terrain at all.
+        headroom: what hangs higher above the course than this is passed under.
+        reach_down: what lies deeper below the course than this is not where the robot walks.
         largest_hole: square metres of missing surface that are closed by interpolation.
         least_step: height of an edge that is worth a box of its own.
         friction: of every solid.
@@ -118,7 +118,7 @@ class Grid:
 
 
 def trail_heights(trail: NDArray[np.float64], xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the trail's height at its point nearest to each of `xy`: (K, 3), (N, 2) -> (N,)."""
+    """Return the course's height at its point nearest to each of `xy`: (K, 3), (N, 2) -> (N,)."""
     if len(trail) <= _FEW_LEGS:
         return _nearest_heights(list(pairwise(trail if len(trail) > 1 else trail.repeat(2, 0))), xy)
     legs, tiles = list(pairwise(trail)), _tiles(xy)
@@ -137,7 +137,7 @@ def trail_heights(trail: NDArray[np.float64], xy: NDArray[np.float64]) -> NDArra
 def to_trail(
     trail: NDArray[np.float64], xy: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the distance from a trail, and how far along it the nearest point is, m.
+    """Return the distance from a course, and how far along it the nearest point is, m.
 
     Args:
         trail: (K, 3) with K > 1.

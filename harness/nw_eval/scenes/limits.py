@@ -1,4 +1,4 @@
-"""How large the numbers of a stranger's scene may be, and what it may be called.
+"""How large the numbers of an untrusted scene may be, and what it may be called.
 
 Each bound leaves out what no place that a robot walks in has, and what would take the machine
 instead of an error; it is checked before anything is allocated. Lengths in metres. A name is no
@@ -10,15 +10,15 @@ from __future__ import annotations
 import re
 
 REACH = 1000.0
-"""Of trail, spawn, ground and solids from the origin: the longest trial (600 s) ends before, and
+"""Of course, spawn, ground and solids from the origin: the longest trial (600 s) ends before, and
 rays in single precision are exact to 0.1 mm there."""
 
 MESH_REACH = 1e6
 """Of a mesh's and a splat's coordinates, which may be in COLMAP's unit: scans have stray points far
-behind the place."""
+behind the scene."""
 
 WAYPOINTS = 200
-"""Of one trail. Published ones have up to a dozen; every sample of a terrain is compared with all
+"""Of one course. Published ones have up to a dozen; every sample of a terrain is compared with all
 legs."""
 
 SOLIDS = 2000
@@ -44,7 +44,7 @@ QUAT = 1e3
 
 MESH_BYTES = 400_000_000
 MESH_FACES = 4_000_000
-"""Of one file, vertices likewise. Simplified scans have 50,000, and a robot feels no more."""
+"""Of one file, vertices too. Simplified scans have 50,000, and a robot feels no more."""
 
 TEXTURES = 256
 TEXTURE_BYTES = 128_000_000
@@ -56,7 +56,7 @@ CELLS = 2_000_000
 """Of an elevation map: two triangles each."""
 
 CAPTURES = 20_000
-"""Cameras that a place was photographed with. Frames of a long video are some thousands."""
+"""Cameras that a scene was photographed with. Frames of a long video are some thousands."""
 
 CAPTURE_BYTES = 16 * 2**20
 """Of their file: ten times what so many take."""

@@ -1,4 +1,4 @@
-"""Reads triangle meshes from OBJ, STL, PLY and GLB files that nobody has vouched for.
+"""Reads triangle meshes from untrusted OBJ, STL, PLY and GLB files.
 
 By own code: trimesh's readers resolve relative indices of an OBJ at its end, fill the notches of
 polygons, refuse a PLY of triangles and quads, and lose the poses of glTF nodes below one without

@@ -35,7 +35,7 @@ class Material:
 
     Attributes:
         factor: red, green, blue, 0 to 1; a texture's colours are multiplied by it.
-        texture: bytes of a picture file, which nobody has looked at; None = the factor alone.
+        texture: bytes of a picture file, unchecked; None = the factor alone.
         is_linear: the factor, and colours of vertices, are linear; as displayed (sRGB) if not.
     """
 

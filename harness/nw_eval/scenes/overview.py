@@ -1,6 +1,6 @@
 """A scene for people: in figures, from above, and on a way round it.
 
-The way round is a camera's, which looks at the middle of the place and stays within its walls.
+The way round is a camera's, which looks at the middle of the scene and stays within its walls.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from nw_eval.scenes.scene import Scene
 
 Point = tuple[float, float, float]
 
-_MARGIN = 1.6  # m around trail and spawn
+_MARGIN = 1.6  # m around course and spawn
 _CELL = 0.02  # m
 _LONGEST = 1200  # cells along a side
 _TALLEST = 40.0  # inches
 
 _ELEVATION = math.radians(22.0)
-_AROUND = 0.8  # m round the trail that should be in the picture
+_AROUND = 0.8  # m round the course that should be in the picture
 _FIELD = math.radians(60.0)
 _CLEAR = 0.35  # m between the camera and what it would meet
 _NEAREST = 1.0  # m from the middle
@@ -81,7 +81,7 @@ def figures(scene: Scene) -> SceneFigures:
 
 
 def draw_plan(scene: Scene, path: Path) -> None:
-    """Draw a scene from above: ground heights by colour, trail and spawn on them.
+    """Draw a scene from above: ground heights by colour, course and spawn on them.
 
     Raises:
         StoreError: the picture cannot be written.
@@ -129,7 +129,7 @@ def draw_plan(scene: Scene, path: Path) -> None:
 
 
 def circuit(scene: Scene, stations: int) -> tuple[Points, Points]:
-    """Return a way round a scene's trail, once about the vertical, starting behind the robot.
+    """Return a way round a scene's course, once about the vertical, starting behind the robot.
 
     Returns:
         Where the camera stands in turn, (stations, 3), and what it looks at, (3,); metres, world.

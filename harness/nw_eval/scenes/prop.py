@@ -56,7 +56,7 @@ class Prop:
     Attributes:
         name: a word, unique in the scene.
         position: of its frame in the world at the start, m.
-        quat: likewise, w x y z.
+        quat: as above, w x y z.
         boxes: what collides, at least one.
         mass: kg; it is spread over the boxes by their volume.
         friction: MuJoCo's sliding, torsional and rolling coefficients.

@@ -101,7 +101,7 @@ class RayScene:
 
 @lru_cache(maxsize=8)
 def _down(count: int) -> NDArray[np.float32]:
-    """Return directions straight down, (N, 3), which nobody changes."""
+    """Return directions straight down, (N, 3), which must not be changed."""
     return np.tile(np.array([0.0, 0.0, -1.0], dtype=np.float32), (count, 1))
 
 

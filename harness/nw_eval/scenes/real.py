@@ -1,4 +1,4 @@
-"""Real places that may be fetched: `real:NAME`, one file of a public repository each.
+"""Real scenes that may be fetched: `real:NAME`, one file of a public repository each.
 
 nw-eval ships none of them. A file is fetched from where its makers published it, compared with the
 SHA-256 that is kept here, and made into a scene folder of the cache.
@@ -44,7 +44,7 @@ class RealScan:
         licence: of the repository: an SPDX identifier, and whose.
         cell: width of a pixel, m.
         black, white: heights of black and white, m; the ground under the start is at 0.
-        scene: the rest of its scene.yaml: task, trail and spawn.
+        scene: the rest of its scene.yaml: task, course and spawn.
     """
 
     title: str
@@ -101,7 +101,7 @@ def scan_of(reference: str) -> RealScan:
     name = reference.removeprefix(REAL)
     if name not in REAL_SCANS:
         raise SceneError(
-            f"no real place is called {clean(name, at_most=60)!r}", fix=nearest(name, REAL_SCANS)
+            f"no real scene is called {clean(name, at_most=60)!r}", fix=nearest(name, REAL_SCANS)
         )
     return REAL_SCANS[name]
 
@@ -118,10 +118,10 @@ def _place_of(reference: str, scan: RealScan) -> Reference:
 
 
 def kept_scan(reference: str) -> Fetched:
-    """Return a real place that was fetched before; nothing but `scenes fetch` uses the network.
+    """Return a real scene that was fetched before; nothing but `scenes fetch` uses the network.
 
     Raises:
-        SceneError: there is no such place, or it has not been fetched.
+        SceneError: there is no such scene, or it has not been fetched.
     """
     scan = scan_of(reference)
     found = kept(_place_of(reference, scan), scan.commit)
@@ -133,7 +133,7 @@ def kept_scan(reference: str) -> Fetched:
 def fetched_scan(
     reference: str, scan: RealScan, *, file: Path | None = None, address: str | None = None
 ) -> Fetched:
-    """Return a real place as a scene folder in the cache, fetched if it is not there.
+    """Return a real scene as a scene folder in the cache, fetched if it is not there.
 
     Args:
         reference: `real:NAME`.

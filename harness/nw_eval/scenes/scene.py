@@ -1,4 +1,4 @@
-"""What a place is: solids for physics, a mesh for rays, a splat for cameras, a trail to walk.
+"""What a scene is: solids for physics, a mesh for rays, a splat for cameras, a course to walk.
 
 A scan may say from where it was photographed: near those cameras its splat shows it, far away fog.
 """
@@ -37,7 +37,7 @@ Progress = Callable[[str, float], None]
 
 
 class Nearness(NamedTuple):
-    """How far a camera is from the nearest of those that a place was photographed with."""
+    """How far a camera is from the nearest of those that a scene was photographed with."""
 
     distance: float  # m
     angle: float  # between the optical axes, rad, 0 to pi
@@ -45,7 +45,7 @@ class Nearness(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CaptureCameras:
-    """The cameras that a place was photographed with.
+    """The cameras that a scene was photographed with.
 
     Attributes:
         positions: (N, 3) float64, metres, world; at least one.
@@ -100,7 +100,7 @@ class HeightField:
         center: x, y of the middle of the grid, metres.
         half_size: half extents along x and y, metres; samples lie on the border.
         heights: (R, C) float32, metres, world z. Row r is at y = center - half_size + r * step,
-            column c likewise along x.
+            column c the same along x.
         floor: world z that the solid reaches down to, metres; below every height.
         friction: MuJoCo's sliding, torsional and rolling coefficients.
     """
@@ -180,7 +180,7 @@ class Box:
         quat: orientation, w x y z.
         friction: MuJoCo's sliding, torsional and rolling coefficients.
         material: what it is made of, for people and for cameras.
-        kind: what it is: an `obstacle` of the trail, the place's `structure`, or `clutter`.
+        kind: what it is: an `obstacle` of the course, the scene's `structure`, or `clutter`.
     """
 
     center: Vector
@@ -236,7 +236,7 @@ def _identity() -> NDArray[np.float64]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """One place. Cheap to construct: the splat is made when first asked for.
+    """One scene. Cheap to construct: the splat is made when first asked for.
 
     Attributes:
         name: such as `hurdles/one_low_carpet`.
@@ -251,8 +251,8 @@ class Scene:
         splat: the source of the Gaussians; None where a scene has no camera images.
         T_world_splat: (4, 4) similarity that maps splat points to world metres.
         licence: SPDX identifier of the scene's data.
-        captures: the cameras that the place was photographed with; None where nobody says, and for
-            a built-in place, which is painted and looks the same from everywhere.
+        captures: the cameras that the scene was photographed with; None if unknown, and for
+            a built-in scene, which is painted and looks the same from everywhere.
         props: what moves beside the robot. They are in neither `mesh()` nor the splat.
     """
 
@@ -308,7 +308,7 @@ class Scene:
         return (*own, *(prop.splat.store() for prop in self.props if prop.splat is not None))
 
     def without_collisions(self) -> Scene:
-        """Return the same place, seen and ray cast as before, with nothing but ground to touch."""
+        """Return the same scene, seen and ray cast as before, with nothing but ground to touch."""
         return replace(self, solids=())
 
     @property

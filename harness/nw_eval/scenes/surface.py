@@ -19,7 +19,7 @@ _MOST_HITS = 12
 _MOST_SLABS = 4
 # A ray goes on this far below what it met; thinner slabs are seen as one surface.
 _BELOW = 2e-4
-# What is no higher than this above the trail is walked on, metres.
+# What is no higher than this above the course is walked on, metres.
 _ON_TRAIL = 0.3
 # Less air than this between two solids is none.
 _LEAST_GAP = 0.03
@@ -44,11 +44,11 @@ class Columns:
 
 
 class Surface:
-    """A mesh seen from above along a trail.
+    """A mesh seen from above along a course.
 
     Solids are told from air by the way that faces look: going down, an upward face enters a solid,
     a downward face leaves one, and solids may overlap. The ground is the lowest solid within reach
-    of the trail; solids above it with air between, up to the headroom, are slabs.
+    of the course; solids above it with air between, up to the headroom, are slabs.
     """
 
     def __init__(

@@ -88,7 +88,7 @@ def _tuples(record: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Accuracy:
-    """How far the solids' upper side is from the mesh near the trail, metres."""
+    """How far the solids' upper side is from the mesh near the course, metres."""
 
     median: float
     p99: float

@@ -69,11 +69,13 @@ class Expectation(BaseModel):
     )
     score: str | None = Field(None, description="A score of docs/scores.md, at the trial's end.")
     at_most: Finite | None = Field(None, description="The bound, in the unit of what it bounds.")
-    at_least: Finite | None = Field(None, description="Likewise; with `score` only.")
+    at_least: Finite | None = Field(
+        None, description="Its lower bound, in the same unit; with `score` only."
+    )
     longer_than: Annotated[float, Field(ge=0.0, le=600.0)] = Field(
         0.0,
         description="s; a reading may be beyond the bound for so long at a time, each motor and "
-        "each foot by itself.",
+        "each foot separately.",
     )
 
     @model_validator(mode="after")
@@ -108,7 +110,7 @@ class OwnScore(BaseModel):
     python: str = Field(
         pattern=r"^[^:]+\.py:[A-Za-z][A-Za-z0-9_]{0,63}$",
         description="A file beside the suite, and a function in it: `smooth.py:jerk`. Its "
-        "parameters name the readings that it is given, of the whole trial.",
+        "parameters name the readings that it is given, of the complete trial.",
     )
     name: str | None = Field(None, description="What it is called; the function's name if None.")
     unit: str = Field("", max_length=40, description="Such as `W` or `rad/s`; empty for a share.")

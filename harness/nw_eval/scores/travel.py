@@ -114,9 +114,9 @@ class LinearTracking(_Tracking):
 
 
 class AngularTracking(_Tracking):
-    """1/N sum_t |w*_z - w_z|, rad/s, about the trunk's z axis, at control rate; else likewise.
+    """1/N sum_t |w*_z - w_z|, rad/s, about the trunk's z axis, at control rate; else as above.
 
-    Source: the error within the reward `tracking_ang_vel` of N. Rudin et al., likewise.
+    Source: the error within the reward `tracking_ang_vel` of N. Rudin et al., as above.
     """
 
     angular = True

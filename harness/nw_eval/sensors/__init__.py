@@ -2,14 +2,17 @@
 
 from nw_eval.sensors.build import build_sensors
 from nw_eval.sensors.check import ObservationSpec, check_card
-from nw_eval.sensors.sensor import Moment, Sensor, Shot, TrialPlace
+from nw_eval.sensors.sensor import SceneView, Sensor, Shot, StepContext
+
+Moment = StepContext  # Its name until 0.1.
 
 __all__ = [
     "Moment",
     "ObservationSpec",
+    "SceneView",
     "Sensor",
     "Shot",
-    "TrialPlace",
+    "StepContext",
     "build_sensors",
     "check_card",
 ]

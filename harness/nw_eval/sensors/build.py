@@ -42,7 +42,7 @@ from nw_eval.sensors.heights import Heightmap, PublishedScandots, Scandots
 from nw_eval.sensors.plugins import PluginSensor
 from nw_eval.sensors.proprio import Direction, Proprio
 from nw_eval.sensors.ray_sensors import Depth, Lidar, Semantics
-from nw_eval.sensors.sensor import CLEAR, Air, Measurement, Moment, Sensor, Spec, TrialPlace
+from nw_eval.sensors.sensor import CLEAR, Air, Measurement, SceneView, Sensor, Spec, StepContext
 from nw_eval.sensors.wrappers import AddNoise, Chain, NamedWrapper, make_wrappers
 from nw_eval.sim import World
 
@@ -70,7 +70,7 @@ def build_sensors(
             at most once, and only if a sensor needs images of the splat.
         code_from: the card's folder, if its `module:Class` plug-ins may be imported from there;
             None = a card that names one is an error.
-        air: through which cameras see the place.
+        air: through which cameras see the scene.
 
     Raises:
         PolicyError: an observation does not fit the robot, or a plug-in cannot be used.
@@ -84,7 +84,7 @@ def build_sensors(
             return RayScene(scene.mesh())
         return rays if isinstance(rays, RayScene) else rays()
 
-    place = TrialPlace(
+    place = SceneView(
         world=world,
         rays=shared_rays,
         renderer=cache(lambda: (renderer or _cpu_renderer)(scene)),
@@ -261,7 +261,7 @@ class Sampled:
         self._chain.reset(seed)
         self.fresh = False
 
-    def read(self, moment: Moment) -> NDArray[Any]:
+    def read(self, moment: StepContext) -> NDArray[Any]:
         """Return the sample that the policy sees at this step."""
         step = moment.step
         if self._first_step and step == self._first_step:

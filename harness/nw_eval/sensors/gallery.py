@@ -18,7 +18,7 @@ from nw_eval.sensors.build import build_sensors
 from nw_eval.sensors.drawing import pictures
 from nw_eval.sensors.drawing.pictures import Bytes
 from nw_eval.sensors.drawing.sheet import Cell, draw_sheet, text_strip
-from nw_eval.sensors.sensor import Moment, Sensor
+from nw_eval.sensors.sensor import Sensor, StepContext
 from nw_eval.sensors.shutter import shutter_words
 from nw_eval.sim import World
 from nw_eval.tasks import Course
@@ -93,7 +93,7 @@ class SeenCard:
 def draw_gallery(
     scene: Scene, path: Path, *, robot: str = "go1", renderer: Renderer | None = None
 ) -> None:
-    """Draw what a robot's sensors make of one moment in a scene, as a PNG.
+    """Draw what a robot's sensors make of one time step in a scene, as a PNG.
 
     Args:
         scene: where; without a splat its camera images are left out, and the sheet says so.
@@ -121,7 +121,7 @@ def draw_gallery(
         }
     )
     _, seen = _observe(card, scene, renderer=renderer)
-    _write(_panels(seen), path, f"{scene.name}: what the sensors of {robot} make of one moment")
+    _write(_panels(seen), path, f"{scene.name}: what the sensors of {robot} make of one time step")
 
 
 def draw_card(
@@ -212,7 +212,7 @@ def _observe(
         sensors = build_sensors(card, world, renderer=opened, code_from=code_from)
         for sensor in sensors.values():
             sensor.reset(0)
-        moment = Moment(
+        moment = StepContext(
             world=world,
             task=Course.along(scene.trail),
             step=_SETTLING,
@@ -231,7 +231,7 @@ def _panels(seen: dict[str, NDArray[Any]]) -> list[Cell]:
         pictures.bars(seen["body"], (PANEL[0] - 2 * third[0], PANEL[1])),
     ]
     shown = {
-        "splat_rgb": ("the place as a camera sees it", _photo(seen, "photo")),
+        "splat_rgb": ("the scene as a camera sees it", _photo(seen, "photo")),
         "splat_rgb, cones and robot": (
             "objects drawn into the splat, hidden by geometry and lit like it",
             _photo(seen, "objects"),

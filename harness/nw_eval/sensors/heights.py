@@ -22,7 +22,7 @@ from nw_eval.cards.observations import (
 )
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.props import height_of_prop
-from nw_eval.sensors.sensor import Measurement, Moment
+from nw_eval.sensors.sensor import Measurement, StepContext
 
 Array = NDArray[np.float64]
 Rays = Callable[[], RayScene]
@@ -45,8 +45,8 @@ def grid(x: Axis, y: Axis, order: GridOrder = "y_fastest") -> Array:
     return np.stack(rows, axis=-1).reshape(-1, 2)
 
 
-def ground_under(rays: Rays, moment: Moment, xy: Array) -> Array:
-    """Return the height of the place and of its props at points, (N,) m, -inf where nothing is.
+def ground_under(rays: Rays, moment: StepContext, xy: Array) -> Array:
+    """Return the height of the scene and of its props at points, (N,) m, -inf where nothing is.
 
     Args:
         rays: of the scene's static geometry.
@@ -76,7 +76,7 @@ class HeightGrid:
     def __len__(self) -> int:
         return len(self._points)
 
-    def ground(self, moment: Moment) -> Array:
+    def ground(self, moment: StepContext) -> Array:
         """Return the heights, (N,) m in the world, -inf where there is no ground."""
         yaw = moment.roll_pitch_yaw[2]
         turned = math.cos(yaw) * self._points
@@ -105,12 +105,12 @@ class Heightmap(Measurement):
         self.shape: tuple[int, ...] = (observation.x[2], observation.y[2])
         self.dtype = np.dtype(np.float32)
 
-    def measure(self, moment: Moment) -> NDArray[Any]:
+    def measure(self, moment: StepContext) -> NDArray[Any]:
         """Cast the rays."""
         heights = self._grid.ground(moment) - self._reference(moment)
         return limited(heights, self._low, self._high).reshape(self.shape)
 
-    def _reference(self, moment: Moment) -> float:
+    def _reference(self, moment: StepContext) -> float:
         match self._observation.relative_to:
             case "trunk":
                 return float(moment.position[2])
@@ -143,7 +143,7 @@ class Scandots(Measurement):
         self.sum_of = f"{observation.x[2]} x {observation.y[2]}"
         self.dtype = np.dtype(np.float32)
 
-    def measure(self, moment: Moment) -> NDArray[Any]:
+    def measure(self, moment: StepContext) -> NDArray[Any]:
         """Cast the rays."""
         top = float(moment.position[2]) + self._offset
         return limited(top - self._grid.ground(moment), self._low, self._high)
@@ -181,7 +181,7 @@ class PublishedScandots(Measurement):
         self.shape: tuple[int, ...] = (len(self._points),)
         self.dtype = np.dtype(np.float32)
 
-    def measure(self, moment: Moment) -> NDArray[Any]:
+    def measure(self, moment: StepContext) -> NDArray[Any]:
         """Read the image at the points."""
         camera = moment.world.center_of_mass + self._camera_offset
         at_altitude = (self._pixels(moment) - 0.5) / PIXELS_PER_METRE
@@ -195,7 +195,7 @@ class PublishedScandots(Measurement):
         values = depth - _ALTITUDE + self._offset
         return np.clip(values, self._low, self._high).astype(np.float32)
 
-    def _pixels(self, moment: Moment) -> NDArray[np.float64]:
+    def _pixels(self, moment: StepContext) -> NDArray[np.float64]:
         """Return the pixel of each point, counted from the middle of the image, (N, 2)."""
         # The published heading: the trunk's quaternion without its x and y parts.
         w, _, _, z = moment.world.trunk_quat.tolist()

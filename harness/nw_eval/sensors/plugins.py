@@ -1,6 +1,6 @@
 """Sensors and wrappers of other packages: found by their installed name, or by `module:Class`.
 
-Nothing of a package is imported before a card names it, so a broken one costs nobody else
+Nothing of a package is imported before a card names it, so a broken one costs no other user
 anything. Built-in names always win.
 """
 
@@ -21,7 +21,7 @@ from nw_eval.files.importable import importable
 from nw_eval.memory import Arrays
 from nw_eval.plugins import SENSORS, WRAPPERS, installed, is_code, subject, warn_of_rivals
 from nw_eval.robots import RobotSpec
-from nw_eval.sensors.sensor import Measurement, Moment, Sample, Shot, TrialPlace, Wrapper
+from nw_eval.sensors.sensor import Measurement, Sample, SceneView, Shot, StepContext, Wrapper
 
 
 def make_plugin(
@@ -83,7 +83,7 @@ def remembers(plugin: Any) -> bool:
 def _check_memory(plugin: Any, where: str) -> None:
     if _has(plugin, "memory") and _has(plugin, "remember") and not remembers(plugin):
         raise CodeError(
-            f"{where} has `memory` and `remember`, which nobody calls any more",
+            f"{where} has `memory` and `remember`, which are no longer called",
             fix="call them `state` and `restore`",
         )
     if _has(plugin, "state") != _has(plugin, "restore"):
@@ -139,15 +139,15 @@ class PluginSensor(Measurement):
         self.unit = str(getattr(plugin, "unit", "mixed"))
         self.is_image = bool(getattr(plugin, "is_image", False))
 
-    def attach(self, place: TrialPlace) -> None:
-        """Show it the place."""
+    def attach(self, place: SceneView) -> None:
+        """Show it the scene."""
         self._call("attach", place)
 
     def reset(self) -> None:
         """Begin a trial."""
         self._call("reset")
 
-    def measure(self, moment: Moment) -> NDArray[Any]:
+    def measure(self, moment: StepContext) -> NDArray[Any]:
         """Ask it.
 
         Raises:

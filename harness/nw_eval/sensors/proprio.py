@@ -22,7 +22,7 @@ from nw_eval.cards.observations import (
 from nw_eval.cards.terms import AnyTerm, Constant, term_size
 from nw_eval.errors import PolicyError
 from nw_eval.memory import Arrays
-from nw_eval.sensors.sensor import Measurement, Moment, Plain, Shot
+from nw_eval.sensors.sensor import Measurement, Plain, Shot, StepContext
 from nw_eval.sensors.terms import Reader, reader
 
 Frame = NDArray[np.float32]
@@ -101,7 +101,7 @@ class Proprio(Measurement):
         texts = [one.model_dump_json() for one in (*terms, command)]
         self._key = f"{observation.clip}{texts}"
 
-    def measure(self, moment: Moment) -> NDArray[Any]:
+    def measure(self, moment: StepContext) -> NDArray[Any]:
         """Return the present frame."""
         known = moment.shared.get(self._key)
         if known is not None:
@@ -271,7 +271,7 @@ class Direction(Measurement):
         self.shape: tuple[int, ...] = (1,) if self._as_angle else (2,)
         self.dtype = np.dtype(np.float32)
 
-    def measure(self, moment: Moment) -> NDArray[Any]:
+    def measure(self, moment: StepContext) -> NDArray[Any]:
         """Read it."""
         angle = moment.delta_yaw
         values = [angle] if self._as_angle else [math.sin(angle), math.cos(angle)]

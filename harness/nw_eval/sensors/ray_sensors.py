@@ -25,7 +25,7 @@ from nw_eval.sensors.drawing.overlay import RobotView, ray_directions
 from nw_eval.sensors.drawing.palette import CONE, FACE_CLASSES, NOTHING, PALETTE, ROBOT
 from nw_eval.sensors.drawing.props import cast_at_prop
 from nw_eval.sensors.heights import Rays
-from nw_eval.sensors.sensor import Measurement, Moment, Plain, Sample, Shot, TrialPlace
+from nw_eval.sensors.sensor import Measurement, Plain, Sample, SceneView, Shot, StepContext
 from nw_eval.sensors.shutter import Shutter
 from nw_eval.sensors.splat_view import SplatScan, SplatView
 from nw_eval.splat.camera import Camera, Pixels, Rows
@@ -62,7 +62,7 @@ class Surroundings:
 
     def distance(
         self,
-        moment: Moment,
+        moment: StepContext,
         origin: Array,
         directions: Array,
         robot: RobotView | None = None,
@@ -75,7 +75,7 @@ class Surroundings:
             origin: (3,) of all rays, world, m.
             directions: (N, 3) unit vectors, world.
             robot: met in place of the moment's.
-            place: (N,) m, how far the place is, in place of its geometry.
+            place: (N,) m, how far the scene is, instead of its geometry.
         """
         if place is None:
             starts = np.broadcast_to(origin, directions.shape)
@@ -94,7 +94,7 @@ class Surroundings:
         return distance
 
     def classes(
-        self, moment: Moment, origin: Array, directions: Array, robot: RobotView | None = None
+        self, moment: StepContext, origin: Array, directions: Array, robot: RobotView | None = None
     ) -> tuple[Array, NDArray[np.uint8]]:
         """Return distances as `distance` does, and what was met: indices into `CLASSES`, (N,)."""
         rays = self._rays()
@@ -120,7 +120,7 @@ class Surroundings:
         return distance, met
 
 
-def _at_props(moment: Moment, origin: Array, directions: Array) -> Iterator[tuple[int, Array]]:
+def _at_props(moment: StepContext, origin: Array, directions: Array) -> Iterator[tuple[int, Array]]:
     """Yield the class of each prop of the scene, and how far it is along rays, (N,) m."""
     world = moment.world
     if world.scene.props:
@@ -199,7 +199,7 @@ class PixelRays:
         self._shutter = Shutter(camera, mount, seen, Pixels())
         self._directions = ray_directions(seen, Pixels())
 
-    def bands(self, moment: Moment) -> Iterator[RayBand]:
+    def bands(self, moment: StepContext) -> Iterator[RayBand]:
         """Yield the rays of all rows, from the top down."""
         for band in self._shutter.bands(moment.world):
             T_world_camera = band.T_world_camera
@@ -253,7 +253,7 @@ class Depth(Measurement):
         if observation.source == "splat":
             self._splat = SplatView(observation.camera, self._view.lens, Pixels())
 
-    def attach(self, place: TrialPlace) -> None:
+    def attach(self, place: SceneView) -> None:
         """Open the renderer of the scene's splat, where the card asks for it.
 
         Raises:
@@ -262,7 +262,7 @@ class Depth(Measurement):
         if self._splat is not None:
             self._splat.attach(place)
 
-    def measure(self, moment: Moment) -> NDArray[Any]:
+    def measure(self, moment: StepContext) -> NDArray[Any]:
         """Cast the rays."""
         found = np.empty(self.shape, dtype=np.float32)
         for band in self._view.bands(moment):
@@ -279,7 +279,7 @@ class Depth(Measurement):
             found[slice(*band.rows)] = depth.reshape(-1, self.shape[1])
         return found
 
-    def _in_shadow(self, moment: Moment, band: RayBand, distance: Array) -> NDArray[np.intp]:
+    def _in_shadow(self, moment: StepContext, band: RayBand, distance: Array) -> NDArray[np.intp]:
         """Return the rays whose points something hides from the right imager."""
         right = band.origin + band.T_world_camera[:3, 0] * self._baseline
         met = np.flatnonzero(np.isfinite(distance))
@@ -379,7 +379,7 @@ class Semantics(Measurement):
         self._view = PixelRays(name, observation.camera, robot, width=size[1], height=size[0])
         self._around = Surroundings(rays, cones=observation.cones, robot=observation.robot)
 
-    def measure(self, moment: Moment) -> NDArray[Any]:
+    def measure(self, moment: StepContext) -> NDArray[Any]:
         """Cast the rays."""
         found = np.empty(self.shape, dtype=np.uint8)
         for band in self._view.bands(moment):
@@ -414,7 +414,7 @@ class Lidar(Measurement):
             self._R_trunk_sensor = rotation(*mount.rpy)
             self._splat = SplatScan("a scan", rays_of_card.reshape(-1, 3), step)
 
-    def attach(self, place: TrialPlace) -> None:
+    def attach(self, place: SceneView) -> None:
         """Open the renderer of the scene's splat, where the card asks for it.
 
         Raises:
@@ -423,7 +423,7 @@ class Lidar(Measurement):
         if self._splat is not None:
             self._splat.attach(place)
 
-    def measure(self, moment: Moment) -> NDArray[Any]:
+    def measure(self, moment: StepContext) -> NDArray[Any]:
         """Cast the rays."""
         origin = moment.position + moment.rotation @ self._position
         place = None

@@ -1,6 +1,6 @@
 """What a sensor is, what it is asked about, and what it measures, noise and wrappers aside.
 
-A `Measurement` is sampled in a `TrialPlace`; `Wrapper`s turn the sample into what the policy sees.
+A `Measurement` is sampled in a `SceneView`; `Wrapper`s turn the sample into what the policy sees.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(kw_only=True)
-class Moment:
+class StepContext:
     """One instant of a trial: after a control step, after the task's update for it.
 
     The rollout makes one for each control step and shows it to every sensor; what nearly all of
@@ -130,7 +130,7 @@ class Sensor(Memory[bytes], Protocol):
         """Begin a trial."""
         ...
 
-    def read(self, moment: Moment) -> NDArray[Any]:
+    def read(self, moment: StepContext) -> NDArray[Any]:
         """Return the observation that the policy sees now. Do not change the array."""
         ...
 
@@ -141,7 +141,7 @@ FOG = 0.8
 
 @dataclass(frozen=True, kw_only=True)
 class Air:
-    """What lies between a camera and the place, and how long it is exposed.
+    """What lies between a camera and the scene, and how long it is exposed.
 
     Attributes:
         exposure: factor of all colours.
@@ -165,11 +165,11 @@ class Air:
 
 
 CLEAR = Air()
-"""As the place was captured."""
+"""As the scene was captured."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrialPlace:
+class SceneView:
     """The world of one trial, and what its sensors share.
 
     Attributes:
@@ -206,7 +206,7 @@ class Shot:
     """
 
     step: int
-    moment: Moment | None
+    moment: StepContext | None
     generator: Callable[[int], np.random.Generator]
 
     @property
@@ -265,14 +265,14 @@ class Measurement(Memory[Arrays], Protocol):
     sum_of: str = ""
     """What its size is the sum or the product of: `3 + 3 + 12`; empty if that says nothing."""
 
-    def attach(self, place: TrialPlace) -> None:
-        """Take what it needs of the place; called once, before `reset`."""
+    def attach(self, place: SceneView) -> None:
+        """Take what it needs of the scene; called once, before `reset`."""
 
     def reset(self) -> None:
         """Forget earlier measurements."""
 
-    def measure(self, moment: Moment) -> NDArray[Any]:
-        """Return a new measurement, which nobody will change."""
+    def measure(self, moment: StepContext) -> NDArray[Any]:
+        """Return a new measurement, which will not be changed."""
         ...
 
     def state(self) -> Arrays:

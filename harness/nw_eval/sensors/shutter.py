@@ -40,7 +40,7 @@ _NEAR = 0.5  # m
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """Rows of a picture that are drawn from one place.
+    """Rows of a picture that are drawn from one pose.
 
     Attributes:
         rows: of the picture, first and end.

@@ -23,7 +23,7 @@ from nw_eval.sensors.drawing.insert import insert
 from nw_eval.sensors.drawing.overlay import Overlay, ray_directions
 from nw_eval.sensors.drawing.props import PropPictures, joined
 from nw_eval.sensors.ray_sensors import require_camera
-from nw_eval.sensors.sensor import CLEAR, Measurement, Moment, Shot, TrialPlace
+from nw_eval.sensors.sensor import CLEAR, Measurement, SceneView, Shot, StepContext
 from nw_eval.sensors.shutter import Band, Shutter, row_poses
 from nw_eval.sensors.splat_view import SplatView
 from nw_eval.splat.camera import Camera, Pixels
@@ -74,7 +74,7 @@ class SplatRgb(Measurement):
         self.dtype = np.dtype(np.uint8)
         self.form = (Arrange(observation),)
 
-    def attach(self, place: TrialPlace) -> None:
+    def attach(self, place: SceneView) -> None:
         """Open the renderer of the scene's splat.
 
         Raises:
@@ -91,7 +91,7 @@ class SplatRgb(Measurement):
         self.coverage = None
         self.nearness = None
 
-    def measure(self, moment: Moment) -> NDArray[Any]:
+    def measure(self, moment: StepContext) -> NDArray[Any]:
         """Render an image."""
         draws = self._shutter.draws(moment.world)
         images = self._view.seen(moment, draws)
@@ -107,7 +107,7 @@ class SplatRgb(Measurement):
         )
         return average_blocks(image.bytes()) if self._published else image.bytes()
 
-    def _furnished(self, moment: Moment, image: Image, bands: Sequence[Band]) -> Image:
+    def _furnished(self, moment: StepContext, image: Image, bands: Sequence[Band]) -> Image:
         """Return a picture of the splat with cones, robot and props, as the card asks for them."""
         parts = [self._overlays(moment, band) for band in bands]
         if any(parts):
@@ -137,7 +137,7 @@ class SplatRgb(Measurement):
         colours, seen = (np.concatenate(column) for column in zip(*masks, strict=True))
         return paste(image, colours, seen)
 
-    def _overlays(self, moment: Moment, band: Band) -> list[Overlay]:
+    def _overlays(self, moment: StepContext, band: Band) -> list[Overlay]:
         """Return what is drawn into rows of the picture: cones and robot, then props."""
         card, found = self._observation, list[Overlay]()
         directions, T_world_camera = self._directions[slice(*band.rows)], band.T_world_camera

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import UsageError
 from nw_eval.lens import Intrinsics
-from nw_eval.sensors.sensor import Moment, TrialPlace
+from nw_eval.sensors.sensor import SceneView, StepContext
 from nw_eval.sensors.shutter import Band
 from nw_eval.splat.camera import Camera, Pixels, Rows
 from nw_eval.splat.image import Image, stacked
@@ -51,7 +51,7 @@ class SplatView:
         self._key = f"splat of {name}, {lens.width}x{lens.height}, {pixels}"
         self._renderer: Renderer | None = None
 
-    def attach(self, place: TrialPlace) -> None:
+    def attach(self, place: SceneView) -> None:
         """Open the renderer of the scene's splat.
 
         Raises:
@@ -64,8 +64,8 @@ class SplatView:
         """Return the camera at a pose."""
         return Camera.of(self._lens, T_splat_camera)
 
-    def seen(self, moment: Moment, draws: Sequence[Sequence[Band]]) -> list[Image]:
-        """Return the splat alone, an image of each draw; nobody changes the arrays."""
+    def seen(self, moment: StepContext, draws: Sequence[Sequence[Band]]) -> list[Image]:
+        """Return the splat alone, an image of each draw; must not be changed the arrays."""
         key = f"{self._key}, {len(draws)}"
         images: list[Image] | None = moment.shared.get(key)
         if images is None:
@@ -80,7 +80,7 @@ class SplatView:
         return images
 
     def drawn(self, T_world_camera: Array, rows: Rows | None = None) -> Image:
-        """Return the picture from a place, or some rows of it."""
+        """Return the picture from a pose, or some rows of it."""
         assert self._renderer is not None, "attach comes before measure"
         # The splat's scale stays in the matrix: the renderer then measures depth in metres.
         camera = self.camera(self._T_splat_world @ T_world_camera)
@@ -129,7 +129,7 @@ class SplatScan:
             focal = min(1.0 / step, _FINEST)
             self._sectors.append(_Sector(f"{name} {each}", directions, rays, middle, focal))
 
-    def attach(self, place: TrialPlace) -> None:
+    def attach(self, place: SceneView) -> None:
         """Open the renderer of the scene's splat.
 
         Raises:

@@ -20,9 +20,9 @@ from nw_eval.cards import terms
 from nw_eval.cards.command import Command, ConstantCommand
 from nw_eval.cards.joint_control import JointControl
 from nw_eval.cards.terms import GaitClock
-from nw_eval.sensors.sensor import Array, Moment
+from nw_eval.sensors.sensor import Array, StepContext
 
-Reader = Callable[[Moment], ArrayLike]
+Reader = Callable[[StepContext], ArrayLike]
 
 # Of Python, not of NumPy, whose vectorised ones differ in the last bit from processor to processor.
 _FUNCTIONS: dict[str, Callable[[float], float]] = {
@@ -114,7 +114,7 @@ def _joints(term: terms.JointPosition | terms.JointVelocity, control: JointContr
     names = [control.names[index] for index in terms.seen_joints(term, control.names)]
     still = list(terms.named_places(term.zero, names, "joint_pos: zero"))
 
-    def read(moment: Moment) -> Array:
+    def read(moment: StepContext) -> Array:
         values = moment.world.joint_positions[order] - zero
         values[still] = 0.0
         return values
@@ -122,18 +122,18 @@ def _joints(term: terms.JointPosition | terms.JointVelocity, control: JointContr
     return read
 
 
-def _angular_velocity(moment: Moment) -> Array:
+def _angular_velocity(moment: StepContext) -> Array:
     return moment.world.imu_angular_velocity
 
 
-def _angular_velocity_in_world(moment: Moment) -> Array:
+def _angular_velocity_in_world(moment: StepContext) -> Array:
     return moment.world.imu_rotation @ moment.world.imu_angular_velocity
 
 
 def _linear_velocity(term: terms.LinearVelocity) -> Reader:
     px, py, pz = term.at
 
-    def read(moment: Moment) -> Array:
+    def read(moment: StepContext) -> Array:
         rotation = moment.rotation
         # A cross product in plain numbers: `np.cross` takes longer than all the rest.
         wx, wy, wz = moment.world.trunk_angular_velocity.tolist()
@@ -156,7 +156,7 @@ def _linear_velocity(term: terms.LinearVelocity) -> Reader:
 
 
 def _yaw(term: terms.Yaw) -> Reader:
-    def read(moment: Moment) -> ArrayLike:
+    def read(moment: StepContext) -> ArrayLike:
         yaw = moment.roll_pitch_yaw[2]
         if term.relative_to == "start":
             yaw -= moment.world.start_yaw
@@ -167,8 +167,8 @@ def _yaw(term: terms.Yaw) -> Reader:
     return read
 
 
-def _last_output(term: terms.LastOutput) -> Callable[[Moment], Array]:
-    def read(moment: Moment) -> Array:
+def _last_output(term: terms.LastOutput) -> Callable[[StepContext], Array]:
+    def read(moment: StepContext) -> Array:
         outputs = (moment.last_output, *moment.earlier_outputs)
         return outputs[term.ago] if term.ago < len(outputs) else np.zeros_like(outputs[0])
 
@@ -176,7 +176,7 @@ def _last_output(term: terms.LastOutput) -> Callable[[Moment], Array]:
 
 
 def _fed_back(
-    read: Callable[[Moment], Array],
+    read: Callable[[StepContext], Array],
     term: terms.AppliedAction | terms.LastOutput,
     control: JointControl,
 ) -> Reader:
@@ -198,13 +198,13 @@ def _index(order: NDArray[np.intp], count: int) -> NDArray[np.intp] | slice:
     return slice(None) if np.array_equal(order, np.arange(count)) else order
 
 
-def velocity_command(command: Command, moment: Moment) -> tuple[float, float, float]:
+def velocity_command(command: Command, moment: StepContext) -> tuple[float, float, float]:
     """Return vx, vy (m/s, yaw frame) and yaw rate (rad/s): the task's, or else the card's."""
     asked = moment.task.command
     return velocity_at(command, moment.delta_yaw) if asked is None else asked
 
 
-def speed_command(command: Command, moment: Moment) -> float:
+def speed_command(command: Command, moment: StepContext) -> float:
     """Return the forward speed, m/s: the task's, or else the card's."""
     asked = moment.task.command
     return commanded_speed(command) if asked is None else asked[0]
@@ -222,11 +222,11 @@ def velocity_at(command: Command, error: float) -> tuple[float, float, float]:
 
 
 def commanded_speed(command: Command) -> float:
-    """Return the forward speed that a command asks for on a straight trail, m/s."""
+    """Return the forward speed that a command asks for on a straight course, m/s."""
     return command.velocity[0] if isinstance(command, ConstantCommand) else command.speed
 
 
-def gait_clock(term: GaitClock, command: Command) -> Callable[[Moment], list[float]]:
+def gait_clock(term: GaitClock, command: Command) -> Callable[[StepContext], list[float]]:
     """Return the function that reads a clock.
 
     It follows from the number of control steps alone, so a trial continued from its middle reads
@@ -239,7 +239,7 @@ def gait_clock(term: GaitClock, command: Command) -> Callable[[Moment], list[flo
     functions = [_FUNCTIONS[name] for name in term.values]
     standing = term.standing
 
-    def read(moment: Moment) -> list[float]:
+    def read(moment: StepContext) -> list[float]:
         if standing is not None and math.hypot(*velocity_command(command, moment)) < standing.below:
             if standing.phase is None:
                 return [0.0] * (len(functions) * len(term.offsets))

@@ -18,7 +18,7 @@ from nw_eval.cards import wrappers
 from nw_eval.errors import CodeError, NwEvalError, PolicyError
 from nw_eval.memory import Arrays
 from nw_eval.sensors.plugins import foreign_wrapper
-from nw_eval.sensors.sensor import Moment, Plain, Sample, Shot, Spec, Wrapper
+from nw_eval.sensors.sensor import Plain, Sample, Shot, Spec, StepContext, Wrapper
 
 _BYTE = 255
 
@@ -69,7 +69,7 @@ class Chain:
             # Counters of samples start at 0 in another dimension than this one's.
             named.wrapper.reset(_generator(seed, number, -1))
 
-    def __call__(self, sample: Sample, moment: Moment) -> Sample:
+    def __call__(self, sample: Sample, moment: StepContext) -> Sample:
         """Return what the policy sees of a sample.
 
         Raises:
@@ -110,7 +110,12 @@ class Chain:
         return Spec(sample.shape, sample.dtype)
 
     def _pass(
-        self, number: int, named: NamedWrapper, sample: Sample, step: int, moment: Moment | None
+        self,
+        number: int,
+        named: NamedWrapper,
+        sample: Sample,
+        step: int,
+        moment: StepContext | None,
     ) -> Sample:
         seed = self._seed
         shot = Shot(step, moment, lambda at: _generator(seed, number, at))
@@ -122,7 +127,7 @@ class Chain:
             raise CodeError(
                 f"`{self._observation}`: wrapper {named.name} raised {type(error).__name__} on "
                 f"{_form_of(sample)}: {error}",
-                fix="look at its input with `nw-eval sensors CARD`",
+                fix="check its input with `nw-eval sensors CARD`",
             ) from error
         if not hasattr(result, "dtype"):  # A plug-in may return anything.
             raise CodeError(

@@ -98,7 +98,7 @@ def unpack(
         start += len(array)
 
 
-_FIX = "look at the policy's last actions and the scene's geometry near the robot"
+_FIX = "check the policy's last actions and the scene's geometry near the robot"
 
 _DIVERGED = {
     int(mujoco.mjtWarning.mjWARN_BADQPOS): "a position is NaN, infinite or huge",

@@ -45,7 +45,7 @@ class Gaussians:
             Colour seen along unit direction d = max(0, 0.5 + sum_k Y_k(d) sh[:, k]).
         rasterize_mode: what they were trained for, by the file's own mark; None where there is
             none: such are drawn antialiased.
-        projection: how they became pixels in training, likewise; a suite says how it draws them.
+        projection: how they became pixels in training, as above; a suite says how it draws them.
     """
 
     means: F32
@@ -140,7 +140,7 @@ class SplatFigures:
         not_finite: those with a value that is not finite.
         sh_degree: degree of the harmonics, 0 to 3.
         rasterize_mode: what the file says that they were trained for; None: nothing.
-        projection: likewise, how they became pixels in training.
+        projection: as above, how they became pixels in training.
         bounds: (low, high) corners of all finite centres, x y z each.
         bulk: the same for the middle 98 % along each axis: floaters left out.
         scale_percentiles: 1, 50 and 99 % of the largest standard deviation, in file units.

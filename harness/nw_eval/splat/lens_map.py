@@ -37,7 +37,7 @@ class LensMap:
     Attributes:
         pinhole: its width, height, fx, fy, cx, cy in pixels of the pinhole's picture.
         columns: (rows * stride,) float32, x of the pixels' points in that picture.
-        rows: likewise y.
+        rows: as above, y.
         tables: first and last column, first and last row, of each of its columns and rows.
         blur: t^2's coefficients, d's, the largest w, and the largest variance: 2 * 5 + 2.
         place: column, row, width and height of the window.

@@ -232,7 +232,7 @@ def read_compiled(path: Path) -> Gaussians:
     """
     store = open_store(path)
     held = unpack(store.layout)
-    # A seal keeps damage out, and no stranger's hand.
+    # A seal shows damage, not tampering.
     whole = np.isfinite(held.covariances).all(axis=(1, 2)) & np.isfinite(held.opacities)
     variances, axes = np.linalg.eigh(held.covariances[whole].astype(np.float64))
     axes[np.linalg.det(axes) < 0, :, 0] *= -1.0  # A reflection is no rotation.

@@ -1,6 +1,6 @@
 """Bounds on the mean success of a suite, valid at any number of trials and for any distribution.
 
-The evidence against "mean success is at most m" is the wealth of a gambler who may bet on every
+The evidence against "mean success is at most m" is the capital of a bettor who may bet on every
 trial, at odds that are fair if the claim is true. Over trials x_1 .. x_N, each within [0, 1],
 
     E(m) = sum_k p_k  prod_i (1 + b_k (x_i / m - 1)),     sum_k p_k = 1,  0 < b_k < 1,
@@ -11,7 +11,7 @@ alpha (Markov). Every m that is so refuted lies below the bound. E falls with m:
 Bets are fixed beforehand, not learnt from the data, because the scenes of a suite differ in
 difficulty. For fixed b the product's expectation is prod_i (1 + b (mu_i / m - 1)), and by the
 inequality of arithmetic and geometric means that is at most (1 + b (mu / m - 1))^N <= 1, where mu
-is the mean of the mu_i: no trial needs the same distribution as another. Wealth after whole rounds
+is the mean of the mu_i: no trial needs the same distribution as another. Capital after whole rounds
 (one more trial in every scene) is a supermartingale, so one may look, run more rounds, and look
 again. The price of that freedom is width: for 81 of 90 successes the 95 % bound is 0.79, where
 Clopper and Pearson's, for one look at equal trials, is 0.83.
@@ -108,7 +108,7 @@ def log_bets(values: NDArray[np.float64], shares: Any, mean: float) -> NDArray[n
 
 
 def log_mixture(powers: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the logarithm of the wealth of all bets together from that of each, (..., K)."""
+    """Return the logarithm of the capital of all bets together from that of each, (..., K)."""
     return np.logaddexp.reduce(np.log(_WEIGHTS) + powers, axis=-1)
 
 

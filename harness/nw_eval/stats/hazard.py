@@ -1,6 +1,6 @@
 """Where on its course a policy fails, and the first waypoint at which two policies part.
 
-A trial reaches the waypoints of its trail in order. The hazard of waypoint k is the share of the
+A trial reaches the waypoints of its course in order. The hazard of waypoint k is the share of the
 trials that reached k - 1 and then did not reach k. Success is made of hazards, and a hazard, other
 than the share of all trials that reached k, does not carry on what went wrong before k.
 
@@ -9,7 +9,7 @@ came so far. Its p-value holds for every number of them, so it holds although th
 Several waypoints are looked at, of one scene or of many; Holm's procedure keeps the probability
 that any waypoint is named at which the hazards are equal to at most `error`, whatever the
 dependence between them. The first parting is the first waypoint so named: that they part there is
-beyond doubt, that they did not part before is not.
+significantly, that they did not part before is not.
 
 Trials count as independent, also those of the two policies from one start. Where these go alike,
 the tests err less often than they may.
@@ -43,11 +43,11 @@ class Hazard:
     failed: int
     """Of these, that did not reach this one."""
     interval: Interval
-    """Of the share: Wilson's; [0, 1] where nobody came so far."""
+    """Of the share: Wilson's; [0, 1] where no trial got so far."""
 
     @property
     def share(self) -> float | None:
-        """The hazard; None where nobody came so far."""
+        """The hazard; None where no trial got so far."""
         return self.failed / self.trials if self.trials else None
 
 
@@ -70,7 +70,7 @@ class HazardDifference:
 
 @dataclass(frozen=True, kw_only=True)
 class Parting(HazardDifference):
-    """The first waypoint at which two policies part beyond doubt."""
+    """The first waypoint at which two policies part significantly."""
 
     adjusted_p: float
     """Holm's, over all waypoints that were looked at: it is shown at any `error` from this on."""
@@ -153,7 +153,7 @@ def differences_over(
 
 
 def first_parting(first: Ends, second: Ends, error: float = 0.05) -> Parting | None:
-    """Return the first waypoint at which two policies part; None where none is beyond doubt.
+    """Return the first waypoint at which two policies part; None where none is significant.
 
     Args:
         first: ends of one policy's trials in a scene.
@@ -169,7 +169,7 @@ def first_parting(first: Ends, second: Ends, error: float = 0.05) -> Parting | N
 def first_partings(
     pairs: Mapping[Place, tuple[Ends, Ends]], error: float = 0.05
 ) -> dict[Place, Parting]:
-    """Return the first parting in every place that has one, all looked at together.
+    """Return the first parting in every scene that has one, all looked at together.
 
     Args:
         pairs: ends of two policies' trials, by scene, or by whatever else.
@@ -186,10 +186,10 @@ def first_partings(
 def first_shown(
     looked_at: Mapping[Place, Sequence[HazardDifference]], error: float = 0.05
 ) -> dict[Place, Parting]:
-    """Return the first waypoint that is shown in each place, all that were looked at together.
+    """Return the first waypoint that is shown in each scene, all that were looked at together.
 
     Args:
-        looked_at: every waypoint that could be named, in order, by place.
+        looked_at: every waypoint that could be named, in order, by scene.
         error: as in `first_partings`.
     """
     adjusted = holm([each.p for waypoints in looked_at.values() for each in waypoints])

@@ -77,7 +77,7 @@ def newcombe(
 
     Args:
         first: successes, and trials, of independent trials.
-        second: likewise.
+        second: as above.
         confidence: two-sided.
 
     Source: R. G. Newcombe, "Interval estimation for the difference between independent proportions:

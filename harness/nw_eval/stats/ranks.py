@@ -1,11 +1,11 @@
 """Which ranks policies may have, as far as their trials decide.
 
 Every policy is compared with every other by the same starts. Against "policy i is no better than
-policy j in the mean over starts and scenes" bets the wealth of `betting` on (1 + c_i - c_j) / 2,
+policy j in the mean over starts and scenes" bets the capital of `betting` on (1 + c_i - c_j) / 2,
 which that claim holds at 1/2 at most; of an e-value E, 1/E is a p-value. Holm's procedure over all
 N (N - 1) claims keeps the probability of refuting any true one at most at `error`, so all orders
 that are called decided are right together with probability 1 - error. The rank of a policy lies
-between 1 + how many are better beyond doubt, and N - how many are worse beyond doubt: all N such
+between 1 + how many are better significantly, and N - how many are worse significantly: all N such
 sets of ranks hold their true rank together with that probability.
 
 No distribution is assumed, and trials of two policies from one start may depend on each other.

@@ -23,7 +23,7 @@ CONTROL_STEP = 0.02
 
 Felt = Literal["always", "camera", "splat_rgb", "cones"]
 """What a policy must have to feel an axis: nothing, a camera, a colour camera, or a camera that
-shows the cones of the trail."""
+shows the cones of the course."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,7 +209,7 @@ _ALL = (
     ),
     Axis(
         name="camera_pitch",
-        description="Angle by which cameras look farther down, rad.",
+        description="Angle by which cameras pitch farther down, rad.",
         unit="rad",
         neutral=0.0,
         low=-0.8,
@@ -241,7 +241,7 @@ _ALL = (
     ),
     Axis(
         name="missing_cones",
-        description="Probability of each cone of the trail to be missing in images.",
+        description="Probability that an image omits a waypoint's cone.",
         neutral=0.0,
         low=0.0,
         high=1.0,

@@ -197,7 +197,9 @@ class ScoreGate(_Strict):
     """What one score must show, in its own unit."""
 
     bar: float | None = Field(
-        None, description="The mean must reach it beyond doubt; from which side, the score says."
+        None,
+        description="The mean must reach it, statistically significant; the score declares from "
+        "which side.",
     )
     max_drop: float | None = Field(
         None, gt=0.0, description="Change for the worse against the baseline that must not pass."
@@ -205,7 +207,8 @@ class ScoreGate(_Strict):
     tolerate: float | None = Field(
         None,
         ge=0.0,
-        description="Change for the worse that must not be convicted; a fifth of max_drop if None.",
+        description="Equivalence margin: change for the worse that counts as equal; a fifth of "
+        "max_drop if None.",
     )
     range: tuple[float, float] | None = Field(
         None,
@@ -274,15 +277,16 @@ class Gate(_Strict):
         0.02,
         ge=0.0,
         lt=1.0,
-        description="Drop against the baseline that must not be convicted. Between it and max_drop "
+        description="Equivalence margin: a drop against the baseline that counts as equal. "
+        "Between it and max_drop "
         "either verdict is legitimate.",
     )
     scene_drop: float = Field(
         0.10,
         ge=0.0,
         lt=1.0,
-        description="Drop in one scene that is not held against it; a scene that fell further is "
-        "named, and a critical one convicts alone.",
+        description="Drop in one scene that is tolerated; a scene that regressed further is "
+        "named, and a critical one alone makes the verdict REGRESSED.",
     )
     rounds: int = Field(
         20,
@@ -293,15 +297,15 @@ class Gate(_Strict):
     )
     claim: Literal["fresh", "panel"] = Field(
         "fresh",
-        description="Of which starts a comparison with the baseline speaks. fresh: of new starts "
-        "in the same scenes. panel: of the baseline's own starts alone, which takes a few trials "
-        "less where many of them are met.",
+        description="Initial states that a comparison with the baseline is about. fresh: new ones "
+        "in the same scenes. panel: only the baseline's own, which takes slightly fewer trials "
+        "where many of them are used.",
     )
     false_alarm: float = Field(
         0.01,
         gt=0.0,
         le=0.5,
-        description="Largest probability that a drop of `tolerate` or less is convicted.",
+        description="Largest probability that a drop of `tolerate` or less is called REGRESSED.",
     )
     confidence: float = Field(
         0.95,
@@ -325,7 +329,7 @@ class Gate(_Strict):
     validity: Validity | None = Field(
         None,
         description="Limits beyond which a trial has left the captured volume; such trials are "
-        "counted apart. Nobody looks without.",
+        "counted separately. Without limits nothing is checked.",
     )
 
     @model_serializer(mode="wrap")
@@ -398,7 +402,7 @@ class Suite(_Strict):
         "strict", description="neverwhere-2026 is the published evaluation, bug for bug."
     )
     trials: int = Field(ge=1, le=100_000, description="Trials per scene.")
-    seed: int = Field(ge=0, lt=2**63, description="Names the pinned panel of seeds.")
+    seed: int = Field(ge=0, lt=2**63, description="Names the pinned seed set.")
     episode: EpisodeRules = EpisodeRules()  # pyright: ignore[reportCallIssue]  # Defaults sit in Field.
     task: AnyTask = Field(
         COURSE,

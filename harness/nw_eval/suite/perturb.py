@@ -127,7 +127,7 @@ def _faults_of(name: Any, values: Any, *, is_saved: bool) -> Iterator[InitErrorD
 
     Args:
         name: as the suite has it.
-        values: likewise.
+        values: as above.
         is_saved: whether its package is installed elsewhere only: any numbers are fine then.
     """
     if not is_saved and not (isinstance(name, str) and is_axis(name)):

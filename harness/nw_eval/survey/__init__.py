@@ -1,4 +1,4 @@
-"""A place gone along before a robot does: what its camera will see, and what its feet will meet."""
+"""A scene gone along before a robot does: what its camera will see, and what its feet will meet."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ from nw_eval.survey.views import (
 
 @dataclass(frozen=True, kw_only=True)
 class Survey:
-    """What was measured along a trail, and what is wrong there.
+    """What was measured along a course, and what is wrong there.
 
     Attributes:
         robot: by whose stance and camera.
-        length: of the trail from the start, m.
+        length: of the course from the start, m.
         legs: what its steps and gaps ask of the robot's legs.
         ground: under its feet.
         feet: that were dropped there.
@@ -63,7 +63,7 @@ class Survey:
 
 
 def survey_scene(scene: Scene, *, robot: str = "go1", read_splat: bool = True) -> Survey:
-    """Go along a scene's trail with a robot's eye and feet.
+    """Go along a scene's course with a robot's eye and feet.
 
     Args:
         scene: whose mesh is in order as far as `check_scene` sees.
@@ -104,7 +104,7 @@ def survey_lines(survey: Survey) -> tuple[str, ...]:
     """Return what was measured, each number with its limit where it has one."""
     ground, feet = survey.ground, survey.feet
     line = (
-        f"ground: of {survey.length:.1f} m of trail, {ground.width:.2f} m wide where the feet of "
+        f"ground: of {survey.length:.1f} m of course, {ground.width:.2f} m wide where the feet of "
         f"{survey.robot} go, {100 * ground.sound:.1f} % is seen as it is touched; "
         f"{feet.sunk} of {feet.count} dropped feet sank in"
     )
@@ -115,11 +115,11 @@ def survey_lines(survey: Survey) -> tuple[str, ...]:
 
 
 def footing_lines(survey: Survey) -> tuple[str, ...]:
-    """Return how rough the ground is along the trail, and how stepped and steep."""
+    """Return how rough the ground is along the course, and how stepped and steep."""
     found, length = survey.ground.footing, survey.length
     known = np.isfinite(found.roughness)
     if not known.any():
-        return (f"roughness: no ground is known along {length:.1f} m of trail",)
+        return (f"roughness: no ground is known along {length:.1f} m of course",)
     usual, most = 1e3 * np.quantile(found.roughness[known], (0.5, 0.9))
     bears = 1e3 * MOST_ROUGH * survey.legs.legs.length
     step = np.where(np.isfinite(found.step), found.step, 0.0)
@@ -127,12 +127,12 @@ def footing_lines(survey: Survey) -> tuple[str, ...]:
     steepest = f"{np.median(slopes):.0f} degrees (median), {slopes.max():.0f} at most"
     roughness = (
         f"roughness: the ground is {usual:.0f} mm off the plane of {PATCH:g} m (median), "
-        f"{most:.0f} mm or less on 90 % of {length:.1f} m of trail; feet of {survey.robot} bear "
+        f"{most:.0f} mm or less on 90 % of {length:.1f} m of course; feet of {survey.robot} bear "
         f"{bears:.0f} mm"
     )
     steps = (
         f"steps: {step[highest]:.2f} m over {FOOT:g} m at most, {found.along[highest]:.1f} m along "
-        f"the trail; slopes are {steepest if len(slopes) else 'not known'}"
+        f"the course; slopes are {steepest if len(slopes) else 'not known'}"
     )
     return roughness, steps
 

@@ -1,6 +1,6 @@
 """The ground where feet go: what the mesh shows there, what physics has, and what is wrong with it.
 
-Feet are dropped along the trail, too: whether physics carries them where the mesh shows ground.
+Feet are dropped along the course, too: whether physics carries them where the mesh shows ground.
 `footing_of` measures how rough, stepped and steep the ground is.
 """
 
@@ -29,23 +29,23 @@ Flaw = Literal["missing", "untouched", "unseen"]
 """Of ground: there is none; it is seen and nothing is there to be touched; or the other way."""
 
 SPACING = 0.02
-"""Between samples, along the trail and across it, m: as far as a foot's radius."""
+"""Between samples, along the course and across it, m: as far as a foot's radius."""
 WANDER = 0.1
-"""How far to each side of the trail a robot's feet are beside their usual place, m."""
+"""How far to each side of the course a robot's feet are beside their usual place, m."""
 TOLERANCE = 0.05
 """By which heights of mesh and physics may differ, m."""
 
 _BEHIND = 0.3  # m that the hind feet are behind the start, and its jitter
-_MOST = 20_000  # samples along a trail
-_DEEP = 1.0  # m below the trail: nobody walks there
+_MOST = 20_000  # samples along a course
+_DEEP = 1.0  # m below the course: no robot walks there
 _APART = 0.2  # m between flaws that are two
 
 FEET_SPACING = 0.1
-"""Between dropped feet along the trail, m."""
+"""Between dropped feet along the course, m."""
 SUNK = 0.01
 """How far a foot may come to rest under the ground that the mesh shows round it, m."""
 
-_MOST_FEET = 120  # places along the trail; on a longer one they are farther apart
+_MOST_FEET = 120  # places along the course; on a longer one they are farther apart
 _LINES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  # of the half width
 _RADIUS = 0.02  # m, of a foot
 _MASS = 3.0  # kg, what a foot carries
@@ -71,7 +71,7 @@ MOST_STEEP = 0.61
 """Slope that feet bear, rad: 35 degrees; the steepest ramps of the built-in scenes have 30."""
 
 _EDGE = 0.06  # m over a foot's length: an edge, which is a step and no roughness
-_LEAST_ROUGH = 0.5  # m along the trail; over less, an edge may be taken for roughness
+_LEAST_ROUGH = 0.5  # m along the course; over less, an edge may be taken for roughness
 _PATCH = round(PATCH / SPACING / 2)  # samples to each side of a patch's middle
 _LEAST_KNOWN = 0.5  # share of a patch that has ground
 
@@ -82,15 +82,15 @@ _CODES: dict[Flaw, Code] = {
     "unseen": "ground_unseen",
 }
 _FIXES: dict[Flaw, str] = {
-    "missing": "close the mesh there, photograph that ground too, or lead the trail elsewhere",
-    "untouched": "what hangs there is thinner than physics can carry, or its faces look down: make "
+    "missing": "close the mesh there, photograph that ground too, or move the course elsewhere",
+    "untouched": "the part there is thinner than physics can carry, or its faces point down: make "
     "it a closed solid 15 mm thick or more",
     "unseen": "close the mesh there, or open it up to the corridor's sides if that is a gap",
 }
 
 
 def survey_ground(scene: Scene, rays: RayScene, half_width: float, length: float) -> SurveyedGround:
-    """Look down on the corridor along a scene's trail, and feel what carries there.
+    """Look down on the corridor along a scene's course, and feel what carries there.
 
     Args:
         scene: where.
@@ -140,8 +140,8 @@ class SurveyedGround:
         width: m.
         sound: share of its samples up to the last waypoint at which mesh and physics have the same
             ground.
-        end: where the last waypoint is, m along the trail; the corridor goes on behind it.
-        flaws: in the order of the trail; none is smaller than a foot.
+        end: where the last waypoint is, m along the course; the corridor goes on behind it.
+        flaws: in the order of the course; none is smaller than a foot.
         footing: how rough, stepped and steep it is.
     """
 
@@ -154,11 +154,11 @@ class SurveyedGround:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Footing:
-    """The ground of the corridor at stations along the trail, from the start on.
+    """The ground of the corridor at stations along the course, from the start on.
 
     Attributes:
         along: (S,) m from the start, `FEET_SPACING` apart.
-        places: (S, 3) on the trail's line, world, m.
+        places: (S, 3) on the course's line, world, m.
         roughness: (S,) root mean square distance from the plane of a square of `PATCH`, m. Where
             an edge crosses the square, of its smoothest half or quarter. nan without ground.
         step: (S,) largest change of height over `FOOT`, m, of an edge that is wider than a foot;
@@ -269,9 +269,10 @@ def footing_findings(footing: Footing, robot: str, leg: float) -> list[SceneFind
                 code="ground_rough",
                 severity="warning",
                 message=f"the ground is {words.format(value, PATCH)} (median) from "
-                f"{footing.along[first]:.2f} to {footing.along[last]:.2f} m along the trail, round "
+                f"{footing.along[first]:.2f} to {footing.along[last]:.2f} m along the course, "
+                "round "
                 f"({x:.2f}, {y:.2f}); feet of a {robot} bear {limit:.3f}",
-                fix="smooth the mesh there if the real ground is smoother, or lead the trail "
+                fix="smooth the mesh there if the real ground is smoother, or move the course "
                 "elsewhere",
                 value=value,
                 place=(x, y, z),
@@ -286,7 +287,7 @@ class GroundFlaw:
 
     Attributes:
         kind: what is wrong.
-        first, last: where, m along the trail.
+        first, last: where, m along the course.
         width: of the flaw where it is widest, m.
         area: m2.
         off: by how much the heights of mesh and physics differ there at most, m; None where one of
@@ -342,7 +343,7 @@ def _shifted(mask: Mask, by: int, axis: int) -> Mask:
 def _stretches(
     kind: Flaw, mask: Mask, samples: TrailSamples, xy: Values, off: Values
 ) -> Iterator[GroundFlaw]:
-    """Yield the stretches of a mask (S, L) along the trail."""
+    """Yield the stretches of a mask (S, L) along the course."""
     rows = np.flatnonzero(mask.any(axis=1))
     if not len(rows):
         return
@@ -418,7 +419,7 @@ class DroppedFeet:
         count: of the feet; none where there is no ground, or no room above it.
         sunk: how many came to rest under the ground.
         deepest: of those, how far under it, m; 0 without any.
-        along: where the deepest is, m along the trail.
+        along: where the deepest is, m along the course.
         place: where it came to rest, world, m.
     """
 
@@ -437,7 +438,7 @@ def _fallen(scene: Scene, starts: Values) -> Values:
 
 
 def ground_findings(ground: SurveyedGround, task: Task) -> list[SceneFinding]:
-    """Return a finding for each of the largest flaws, in the order of the trail."""
+    """Return a finding for each of the largest flaws, in the order of the course."""
     largest = sorted(ground.flaws, key=lambda flaw: -flaw.area)[:_MOST_FINDINGS]
     return [_finding(flaw, ground, task) for flaw in ground.flaws if flaw in largest]
 
@@ -451,10 +452,11 @@ def feet_findings(feet: DroppedFeet) -> list[SceneFinding]:
         SceneFinding(
             code="feet_sink",
             severity="error",
-            message=f"{feet.sunk} of {feet.count} feet that were dropped on the trail came to rest "
+            message=f"{feet.sunk} of {feet.count} feet that were dropped on the course came to "
+            "rest "
             f"under the ground, up to {feet.deepest:.3f} m at {feet.along:.2f} m along it, "
             f"({x:.2f}, {y:.2f}); {SUNK:g} m is allowed",
-            fix="look for folded or doubled faces there, and faces that look down",
+            fix="check for folded or doubled faces there, and faces that point down",
             value=feet.deepest,
             place=feet.place,
         )
@@ -463,7 +465,7 @@ def feet_findings(feet: DroppedFeet) -> list[SceneFinding]:
 
 def _finding(flaw: GroundFlaw, ground: SurveyedGround, task: Task) -> SceneFinding:
     x, y, _ = flaw.place
-    where = f"from {flaw.first:.2f} to {flaw.last:.2f} m along the trail, round ({x:.2f}, {y:.2f})"
+    where = f"from {flaw.first:.2f} to {flaw.last:.2f} m along the course, round ({x:.2f}, {y:.2f})"
     if flaw.last < 0.0:
         where += ", where hind feet stand at the start"
     elif flaw.first > ground.end:

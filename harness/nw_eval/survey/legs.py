@@ -1,4 +1,4 @@
-"""What a scene asks of legs along its trail, and whether a robot's are long enough for it.
+"""What a scene asks of legs along its course, and whether a robot's are long enough for it.
 
 Steps and gaps are measured on what collides, against the length of the robot's legs; the room
 between walls against its width. These are rules of thumb: they say what no policy could do, not
@@ -29,19 +29,19 @@ LONGEST_GAP = 2.0
 WALKED = 0.5
 """Share of the length of a leg up to which a step or a gap asks for no climb and no leap."""
 
-_SPACING = 0.02  # m between samples along the trail
+_SPACING = 0.02  # m between samples along the course
 _SIDES = (-0.1, 0.0, 0.1)  # m beside it
 _STEEP = 0.8  # tangent; what is steeper is a step, and no ramp
 _NARROW = 5  # samples of which the middle one in height counts
 _EDGE = 0.1  # m; a lower edge makes no gap
 _WIDEST_GAP = 1.5  # m; what is longer is a floor of its own
-_NO_GROUND = 2.0  # m below the trail, where there is none
+_NO_GROUND = 2.0  # m below the course, where there is none
 _EVERY = 10  # samples from one look at the walls to the next
 
 
 @dataclass(frozen=True, kw_only=True)
 class Demands:
-    """What a trail asks for. Metres.
+    """What a course asks for. Metres.
 
     Attributes:
         up, down: of the highest steps.
@@ -58,11 +58,11 @@ class Demands:
 
 
 def demands_of(scene: Scene, height: float) -> Demands:
-    """Measure a scene along its trail.
+    """Measure a scene along its course.
 
     Args:
-        scene: whose trail.
-        height: over the trail at which its walls are looked for, m.
+        scene: whose course.
+        height: over the course at which its walls are looked for, m.
     """
     samples = trail_samples(scene, _SPACING, most=5_000)
     left = np.column_stack([samples.left, np.zeros(len(samples.along))])

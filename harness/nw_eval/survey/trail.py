@@ -1,4 +1,4 @@
-"""A trail: points along it, how a robot stands there, and what is wrong with the trail itself.
+"""A course: points along it, how a robot stands there, and what is wrong with the course itself.
 
 Points are evenly spaced, with the way ahead at each. A robot that stands there has its camera in a
 place that follows. What is wrong: waypoints at the start, too short a way, no room to arrive.
@@ -44,7 +44,7 @@ _SETTLING = 50  # control steps until a robot that was put down stands
 _TIPS = 0.1  # rad; who leans more does not stand any more
 _SIDE_BY_SIDE = 0.05  # m along x between feet, up to which none is in front of another
 _STEEPEST = 0.52  # rad; the steepest ramps are of 30 degrees
-_FARTHEST = 0.6  # m that ground may lie off the trail and still carry the robot
+_FARTHEST = 0.6  # m that ground may lie off the course and still carry the robot
 
 _AHEAD = 0.02  # m between places that are looked at ahead of the last waypoint
 _SIDES = (-0.1, 0.0, 0.1)  # m to the sides: a hole that is narrower is no end
@@ -82,11 +82,11 @@ def trail_samples(
     beyond: float = 0.0,
     most: int = 100_000,
 ) -> TrailSamples:
-    """Return points on a scene's trail, its start and its last waypoint included.
+    """Return points on a scene's course, its start and its last waypoint included.
 
     Args:
-        scene: whose trail.
-        spacing: between neighbours, m; a longer trail than `most` of them gets fewer a metre.
+        scene: whose course.
+        spacing: between neighbours, m; a longer course than `most` of them gets fewer a metre.
         behind: how far before the start the line begins, m.
         beyond: how far behind the last waypoint it ends, m.
         most: points at most, about.
@@ -151,7 +151,7 @@ def flat_world(robot: RobotSpec) -> World:
 def stance_of(robot: RobotSpec) -> Stance:
     """Return how a robot stands when its servos hold the default pose and have given way.
 
-    One that tips over meanwhile, as bipeds do that nobody balances, stands as it was put down.
+    One that tips over meanwhile, as bipeds do without a controller, stands as it was put down.
     """
     with flat_world(robot) as world:
         for _ in range(_SETTLING):
@@ -192,7 +192,7 @@ def _fore_and_hind(along: Values, widths: Values) -> tuple[float, float]:
 
 
 def camera_poses(samples: TrailSamples, rays: RayScene, stance: Stance) -> Values:
-    """Return where a robot's camera is as it stands at each sample and looks along the trail.
+    """Return where a robot's camera is as it stands at each sample and looks along the course.
 
     It stands on the highest ground round its fore and hind feet, and pitches with it.
 
@@ -267,7 +267,7 @@ def start_finding(scene: Scene) -> SceneFinding | None:
 
 
 def trail_findings(scene: Scene, robot: str) -> list[SceneFinding]:
-    """Return what is wrong with a trail, apart from the ground and the views along it.
+    """Return what is wrong with a course, apart from the ground and the views along it.
 
     Args:
         scene: whose.
@@ -283,9 +283,10 @@ def trail_findings(scene: Scene, robot: str) -> list[SceneFinding]:
             SceneFinding(
                 code="trail_short",
                 severity="error",
-                message=f"the trail is {legs.sum():.2f} m long, shorter than a {robot} "
+                message=f"the course is {legs.sum():.2f} m long, shorter than a {robot} "
                 f"({length:.2f} m from nose to tail)",
-                fix="lead it farther: what is reached without walking says nothing of a policy",
+                fix="make it longer: waypoints that are reached without walking do not measure a "
+                "policy",
                 value=float(legs.sum()),
             )
         )
@@ -333,7 +334,7 @@ def _end(scene: Scene, path: Values, robot: str, length: float) -> SceneFinding 
         severity="error",
         message=f"the last waypoint, at ({x:.2f}, {y:.2f}), is {room:.2f} m before the mesh ends; "
         f"a {robot} is {length:.2f} m long from nose to tail and needs as much ground to arrive",
-        fix=f"move it back by {length - room:.2f} m or more, or capture more of the place",
+        fix=f"move it back by {length - room:.2f} m or more, or capture more of the scene",
         value=room,
         place=(x, y, z),
     )

@@ -1,4 +1,4 @@
-"""What the splat and the mesh show a robot's camera along a trail, and what is wrong with it.
+"""What the splat and the mesh show a robot's camera along a course, and what is wrong with it.
 
 How far a splat lies off the mesh is told with the direction in which it does.
 """
@@ -23,9 +23,9 @@ from nw_eval.survey.trail import CAMERA, Stance, TrailSamples, camera_poses, tra
 Values = NDArray[np.float64]
 
 SPACING = 0.25
-"""Between views along the trail, m."""
+"""Between views along the course, m."""
 MOST_VIEWS = 240
-"""Views of one scene; on a longer trail they are farther apart."""
+"""Views of one scene; on a longer course they are farther apart."""
 NEAR = 3.0
 """Depth up to which splat and mesh are compared, m."""
 
@@ -33,8 +33,8 @@ _BEYOND = 1.0  # m behind what is near where Gaussians are left out: a far backd
 _SIZE = (96, 54)  # pixels
 _ENOUGH = 250  # pixels that a view is judged by
 _SOLID = 0.5  # coverage from which a pixel of the splat has a depth
-# What belongs to the course: so far to each side of the trail, and below and above it, m. Beside it
-# Gaussians may be coarse, and the ground of a gap may be anything.
+# What belongs to the course: so far to each side of the course, and below and above it, m. Beside
+# it Gaussians may be coarse, and the ground of a gap may be anything.
 _BESIDE = 0.5
 _BELOW = 0.1
 _ABOVE = 0.6
@@ -56,7 +56,7 @@ _AGREED = 0.05  # m, within which half of what moved as one lies
 LEAST_COVERED = 0.9
 """Share of what is near that the splat should cover."""
 TOO_LITTLE = 0.75
-"""Share below which images show something else than the place."""
+"""Share below which images show something else than the scene."""
 MOST_SHIFT = 0.1
 """How far a splat may lie from the mesh, m."""
 MOST_MEDIAN = 0.1
@@ -68,11 +68,11 @@ FAR_P95 = 0.25
 FARTHEST = 1.5
 """How far the robot's camera should be from the nearest capture camera, m."""
 WIDEST = 1.0
-"""Angle between the two optical axes, rad, likewise."""
+"""Angle between the two optical axes, rad, as above."""
 
 
 def survey_views(scene: Scene, rays: RayScene, robot: RobotSpec, stance: Stance) -> SurveyedViews:
-    """Look along a scene's trail with a robot's camera, as it stands there.
+    """Look along a scene's course with a robot's camera, as it stands there.
 
     Args:
         scene: with a splat.
@@ -93,10 +93,10 @@ def survey_views(scene: Scene, rays: RayScene, robot: RobotSpec, stance: Stance)
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyedViews:
-    """All views along a trail, at least one.
+    """All views along a course, at least one.
 
     Attributes:
-        views: in the order of the trail.
+        views: in the order of the course.
         disagreement: of splat and mesh, over all of them.
     """
 
@@ -106,7 +106,7 @@ class SurveyedViews:
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyedView:
-    """What the robot's camera sees at one place of the trail.
+    """What the robot's camera sees at one point of the course.
 
     Attributes:
         along: m from the start.
@@ -116,7 +116,7 @@ class SurveyedView:
             mesh shows next to nothing so near.
         median, p95: how far the splat is off the mesh's surface on the course ahead, m; None where
             next to nothing of the course is in view.
-        nearest: how far the nearest capture camera is; None where nobody says.
+        nearest: how far the nearest capture camera is; None if unknown.
     """
 
     along: float
@@ -195,7 +195,7 @@ class _Looker:
         return view, residuals
 
     def _over_trail(self, points: Values) -> Values:
-        """Return how high points (N, 3) of the way are over the trail, (N,) m; -inf beside it."""
+        """Return how high points (N, 3) of the way are over the course, (N,) m; -inf beside it."""
         x, y = (points[:, [axis]] - self._trail[:, axis] for axis in (0, 1))
         squares = x * x + y * y
         over = points[:, 2] - self._trail[squares.argmin(axis=1), 2]
@@ -277,7 +277,7 @@ class Residuals:
             camera.
         normals: (N, 3) of the mesh there, world, towards the camera.
         facing: (N,) cosine of the angle between normal and ray.
-        course: (N,) whether the place is on the course: near the trail, and neither high nor deep.
+        course: (N,) whether the point is on the course: near the course, and neither high nor deep.
         built: (N,) whether it is on the course, or of what was dug into it.
     """
 
@@ -326,7 +326,7 @@ def _most(values: Values) -> tuple[float, float]:
 
 
 def view_findings(seen: SurveyedViews) -> list[SceneFinding]:
-    """Return what is wrong with the splat as it is seen from a trail."""
+    """Return what is wrong with the splat as it is seen from a course."""
     return [*_coverage(seen.views), *_depth(seen), *_captures(seen.views)]
 
 
@@ -346,7 +346,7 @@ def _coverage(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
                     f"{NEAR:g} m at {_where(view)}; "
                     f"{100 * LEAST_COVERED:.0f} % is wanted, and {below} of {len(near)} views "
                     "have less",
-                    fix="train it on photographs of that stretch, or lead the trail elsewhere",
+                    fix="train it on photographs of that stretch, or move the course elsewhere",
                     value=share,
                     place=view.position,
                 )
@@ -357,8 +357,9 @@ def _coverage(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
             SceneFinding(
                 code="open_view",
                 severity="note",
-                message=f"the splat covers {100 * emptiest.alpha:.0f} % of the whole image at "
-                f"{_where(emptiest)}; the rest is white, and far away or nothing in the mesh, too",
+                message=f"the splat covers {100 * emptiest.alpha:.0f} % of the complete image at "
+                f"{_where(emptiest)}; the other pixels are white, and far away or empty in the "
+                "mesh, too",
                 fix="`alpha` of a suite's gate.validity must be below that",
                 value=emptiest.alpha,
                 place=emptiest.position,
@@ -385,7 +386,7 @@ def _depth(seen: SurveyedViews) -> list[SceneFinding]:
             f"the median and {p95:.3f} m in the 95th percentile ({MOST_MEDIAN:g} and "
             f"{MOST_P95:g} m are allowed); it is worst at {_where(view)}, there "
             f"{view.p95 or 0.0:.2f} m",
-            fix="look at `nw-eval scenes render`: Gaussians float there, or the mesh is coarse",
+            fix="check `nw-eval scenes render`: Gaussians float there, or the mesh is coarse",
             value=p95,
             place=view.position,
         )
@@ -426,8 +427,8 @@ def _captures(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
             message=f"nothing was photographed like the robot's view at {_where(view)}: the "
             f"nearest camera is {nearest.distance:.2f} m away and turned by "
             f"{nearest.angle:.2f} rad ({FARTHEST:g} m and {WIDEST:g} rad are allowed); "
-            f"so are {len(beyond)} of {len(known)} views",
-            fix="photograph that stretch again, from low down, looking along the trail",
+            f"the same holds for {len(beyond)} of {len(known)} views",
+            fix="photograph that stretch again, from low down, along the course",
             value=nearest.distance,
             place=view.position,
         )
@@ -436,4 +437,4 @@ def _captures(views: tuple[SurveyedView, ...]) -> list[SceneFinding]:
 
 def _where(view: SurveyedView) -> str:
     x, y, _ = view.position
-    return f"{view.along:.2f} m along the trail, ({x:.2f}, {y:.2f})"
+    return f"{view.along:.2f} m along the course, ({x:.2f}, {y:.2f})"

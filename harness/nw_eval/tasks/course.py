@@ -1,6 +1,6 @@
 """The task `course`: a scene's waypoints in their order.
 
-Here are progress along the trail, when a trial ends, and where it begins: `draw_start` is the only
+Here are progress along the course, when a trial ends, and where it begins: `draw_start` is the only
 randomness of the world.
 """
 
@@ -82,7 +82,7 @@ class TrailProgress:
     ) -> None:
         self.waypoints = read_only(np.array(waypoints, dtype=np.float64).reshape(-1, 3))
         if not len(self.waypoints):
-            raise SceneError("a trail without waypoints", fix="give the scene at least one")
+            raise SceneError("a course without waypoints", fix="give the scene at least one")
         # Of a few plain numbers a step is computed in a third of the time that NumPy takes.
         self.places: list[list[float]] = self.waypoints[:, :2].tolist()
         self._forgets = protocol.reach_timer_forgets
@@ -156,7 +156,7 @@ class TrailProgress:
         return repr([*counts, [*times]]).encode()
 
     def restore(self, state: bytes) -> None:
-        """Go back to a `state` of this trail."""
+        """Go back to a `state` of this course."""
         updates, waypoint, reached, timer, times = json.loads(state)
         self._so_far = _Reached(updates, waypoint, reached, timer, tuple(times))
 
@@ -168,9 +168,9 @@ class Limits:
     tilt: float = 1.2  # rad of roll or pitch; beyond it the robot fell
     height: float | None = None  # m of the trunk above the ground; below it the robot fell
     monitored_force: float = 10.0  # N on a monitored part; beyond it the robot collided
-    stuck_after: float = 4.0  # s without getting `stuck_distance` closer to the trail's end
+    stuck_after: float = 4.0  # s without getting `stuck_distance` closer to the course's end
     stuck_distance: float = 0.15  # m
-    off_course_distance: float = 2.0  # m from the trail, in the ground plane
+    off_course_distance: float = 2.0  # m from the course, in the ground plane
     below_ground: float = 1.0  # m under the ground: fell through or off the scene
 
     @classmethod
@@ -207,7 +207,7 @@ class Termination:
     Published outcomes, in this order: `completed` (all waypoints), `fell`, `collided`, `timeout`.
     A protocol may add two that the published evaluation lets run to the timeout: `stuck`, when for
     4 s the way that is left to the last waypoint has not shrunk by 0.15 m, and `off_course`, when
-    the robot is 2 m away from the trail or a metre below the ground. Neither can take a credited
+    the robot is 2 m away from the course or a metre below the ground. Neither can take a credited
     waypoint away; they only end a trial that has stopped going anywhere.
 
     `collided` means more than the robot's limit (10 N for Go1 and Go2) on one monitored part at the
@@ -218,7 +218,7 @@ class Termination:
 
     Args:
         waypoints: (K, 3) world, m, as the trial has them.
-        start: (2,) or (3,) where the trail begins, world, m: the spawn.
+        start: (2,) or (3,) where the course begins, world, m: the spawn.
         protocol: whether it `ends_when_stuck` and `ends_off_course`.
         duration: of the trial, s.
         control_period: seconds of one control step.
@@ -361,7 +361,7 @@ class Course(Task):
 
         Args:
             waypoints: (K, 3) world, m.
-            start: (2,) or (3,) where the trail begins, world, m.
+            start: (2,) or (3,) where the course begins, world, m.
             rules: of the trial; the usual ones if None.
         """
         course = cls(rules=rules)
@@ -430,7 +430,7 @@ class Course(Task):
             "completed": "all waypoints",
             "timeout": "time",
             "stuck": "no progress",
-            "off_course": "distance to the trail",
+            "off_course": "distance to the course",
         }
         return reasons[self._ended]
 

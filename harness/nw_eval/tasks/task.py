@@ -89,12 +89,12 @@ class StartArea(Protocol):
 
     @property
     def y_jitter(self) -> float:
-        """Likewise on y, m."""
+        """The same on y, m."""
         ...
 
     @property
     def yaw_jitter(self) -> float:
-        """Likewise on the heading, rad."""
+        """The same on the heading, rad."""
         ...
 
 
@@ -240,7 +240,7 @@ class Goal:
 
     Attributes:
         x: of the robot at the start, m.
-        y: likewise.
+        y: as above.
         yaw: its heading, rad.
         waypoints: (K, 3) m, in order; those that a viewer draws, and a camera shows as cones. None
             where the task has none.

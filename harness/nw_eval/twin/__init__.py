@@ -1,1 +1,1 @@
-"""From photographs to a place: what makes twins of real places. Nothing below knows this wing."""
+"""From photographs to a scene: what makes twins of real scenes. No package below imports it."""

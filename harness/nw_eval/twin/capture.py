@@ -62,8 +62,8 @@ class PlacedShot:
         file: of the picture without distortion, relative to the capture's folder.
         camera: in the capture's frame.
         seen: (K,) int32, sorted: numbers of the points that it shows.
-        mask: file of its mask, (H, W) where 0 is no part of the place; None without.
-        lens: through which the photograph was taken; None where nobody says, and then the pixels of
+        mask: file of its mask, (H, W) where 0 is no part of the scene; None without.
+        lens: through which the photograph was taken; None if unknown, and then the pixels of
             a photograph are those of its picture.
     """
 

@@ -48,7 +48,7 @@ _SYSTEM = {"open3d": "libegl1 libgl1 libidn2-0 libudev1 libusb-1.0-0 libx11-6"}
 def _load_libusb() -> None:
     """Load libusb from its Python package, where the system has none.
 
-    Open3D is linked to it for cameras that nobody reads here, and slim systems lack it. The loader
+    Open3D is linked to it for cameras that are not read here, and slim systems lack it. The loader
     takes a library of the same SONAME that is loaded already.
     """
     try:

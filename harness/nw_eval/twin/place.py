@@ -1,4 +1,4 @@
-"""Writing a scene folder: collision mesh in metres, splat, trail, and a suite that runs it.
+"""Writing a scene folder: collision mesh in metres, splat, course, and a suite that runs it.
 
 Edges of a mesh that hang over are cut off: a rim of centimetres stands on what it is the rim of.
 Photographs are taken from above, and none shows what is below a rim. There a mesh closes as it
@@ -55,7 +55,7 @@ class Route:
     """What the robot is to do in a place.
 
     Attributes:
-        task: what the trail asks of it.
+        task: what the course asks of it.
         trail: (N, 3) waypoints on top of what it steps on, in order; world, m.
         spawn: x, y, z of the start, on the ground; world, m.
         yaw: where it looks at the start, rad; 0 = along x.
@@ -98,18 +98,18 @@ def write_place(
     Args:
         out: the folder, made if it is not there.
         name: of the scene, as `scene.yaml` wants it.
-        licence: of the photographs, which the place shows.
+        licence: of the photographs, which the scene shows.
         mesh: PLY in the capture's frame.
-        splat: PLY in the capture's frame; None = the place has no looks.
+        splat: PLY in the capture's frame; None = the scene has no appearance.
         T_world_capture: (4, 4) similarity to metres, z up.
-        course: trail, task and start.
-        capture: whose cameras say from where the place was photographed; None = nobody knows.
+        course: course, task and start.
+        capture: whose cameras say from where the scene was photographed; None if unknown.
         title: one line for people.
         robot: of the suite.
         to_scale: whether T_world_capture leads to metres; else the scene says that it does not.
 
     Raises:
-        SceneError: the name is none, the mesh cannot be read, or the place cannot be loaded.
+        SceneError: the name is none, the mesh cannot be read, or the scene cannot be loaded.
         StoreError: it cannot be written.
     """
     check_scene_name(name)
@@ -218,7 +218,7 @@ def without_lips(vertices: F64, faces: NDArray[np.integer]) -> NDArray[np.intege
 
 
 def _solid(rays: RayScene, up: F64, places: F64) -> Mask:
-    """Return at which places (N, 3) ground is about as high, and thicker than a lip.
+    """Return at which points (N, 3) ground is about as high, and thicker than a lip.
 
     Args:
         rays: of the mesh.

@@ -1,4 +1,4 @@
-"""A trail through a place that was photographed on a walk, proposed for a person to agree with.
+"""A course through a scene that was photographed on a walk, proposed for a person to agree with.
 
 It is as the shipped scenes have them: waypoints on top of things, a spawn, and a task. What the
 trail leads over is told from the profile of the ground: hurdles, gaps, slopes, leaning boards and
@@ -54,7 +54,7 @@ _FEET = np.linspace(-0.3, 0.3, 13)
 _BEHIND = 0.3
 """Of ground behind the start on which hind feet stand, metres."""
 _LONGEST = 8.0
-"""Of a trail, metres: a trial has 12 s, in which go1-parkour walks about as far."""
+"""Of a course, metres: a trial has 12 s, in which go1-parkour walks about as far."""
 _BOW = 0.15
 """Distance of the way from a straight leg, metres, from which on it gets a waypoint."""
 _RUN_UP = 0.5
@@ -80,10 +80,10 @@ _LEAST_BOARD = 0.4
 
 @dataclass(frozen=True, kw_only=True)
 class TrailProposal:
-    """What somebody may take for a scene's trail, or change.
+    """What somebody may take for a scene's course, or change.
 
     Attributes:
-        task: that the trail seems to ask for.
+        task: that the course seems to ask for.
         reasons: for it, and what else was found.
         spawn: on the way, `_APPROACH` before the first feature or at its start, looking along it.
         trail: waypoints on top of what the robot steps on, metres.
@@ -104,16 +104,16 @@ class TrailProposal:
 def propose_trail(
     mesh: TriangleMesh, centres: Values, *, length: float = LENGTH, shown: Shown | None = None
 ) -> TrailProposal:
-    """Return a trail along the way that the cameras went, over what lies there.
+    """Return a course along the way that the cameras went, over what lies there.
 
     It is as long as the robot at least, `_LONGEST` at most, and ends a robot's length before the
     ground does.
 
     Args:
-        mesh: of the place in metres, z up.
+        mesh: of the scene in metres, z up.
         centres: (V, 3) of the cameras in the order of the walk, in the same frame.
         length: of the robot from nose to tail, metres.
-        shown: where photographs show the ground; None = nobody knows.
+        shown: where photographs show the ground; None if unknown.
 
     Raises:
         SceneError: the cameras went less than a metre, the mesh has no ground below them, or too
@@ -127,7 +127,7 @@ def propose_trail(
 def propose_free_trail(
     mesh: TriangleMesh, centres: Values, *, length: float = LENGTH, shown: Shown | None = None
 ) -> TrailProposal:
-    """Return a trail on the longest straight strip of level ground, wherever the cameras went.
+    """Return a course on the longest straight strip of level ground, wherever the cameras went.
 
     It leads the way that the cameras went, as far as they went anywhere. Arguments as
     `propose_trail`.
@@ -148,7 +148,7 @@ def _proposed(
     *,
     from_start: bool = False,
 ) -> TrailProposal:
-    """Return the trail along a way, from before its first feature or from the way's start."""
+    """Return the course along a way, from before its first feature or from the way's start."""
     features = features_of(profile, stretches_of(profile))
     if features and features[0].start > _APPROACH and not from_start:
         profile = profile.after(features[0].start - _APPROACH)
@@ -172,12 +172,12 @@ def _proposed(
 
 
 def guess_task(features: Sequence[TrailFeature]) -> tuple[Task, tuple[str, ...]]:
-    """Return the task of the most features, and why; a flat trail is one of hurdles without bars.
+    """Return the task of the most features, and why; a flat course is one of hurdles without bars.
 
     Of tasks with as many features the one whose features are longer along the way wins.
     """
     if not features:
-        return "hurdles", ("the way is flat: a trail without obstacles",)
+        return "hurdles", ("the way is flat: a course without obstacles",)
     counts = Counter[Task](feature.task for feature in features)
     length = {
         one: sum(feature.end - feature.start for feature in features if feature.task == one)
@@ -264,7 +264,7 @@ def _stands(
             f"there are {profile.along[-1]:.2f} m of ground along the way: too little for a "
             f"waypoint {clear:.2f} m from the start, with {length + _MARGIN:.2f} m behind it to "
             "arrive in",
-            fix="capture more ground ahead of the start, or lay the trail on the label page",
+            fix="capture more ground ahead of the start, or set the waypoints on the label page",
         )
     return [stand for leg in pairwise([0.0, *kept]) for stand in _bends(profile, *leg)]
 
@@ -287,13 +287,13 @@ def _bends(profile: GroundProfile, first: float, last: float) -> list[float]:
 
 
 def _from_start(profile: GroundProfile, along: float) -> float:
-    """Return how far a place along the way is from its start, seen from above, metres."""
+    """Return how far a point along the way is from its start, seen from above, metres."""
     there = np.array(_point(profile, along)) - np.array(_point(profile, 0.0))
     return float(np.hypot(there[0], there[1]))
 
 
 def _point(profile: GroundProfile, along: float) -> Vector:
-    """Return the ground at a place along the way, to a millimetre."""
+    """Return the ground at a point along the way, to a millimetre."""
     place = min(len(profile.along) - 1, max(0, round(along / STEP)))
     x, y = profile.xy[place].tolist()
     return round(x, 3), round(y, 3), round(float(profile.height[place]), 3)
@@ -306,20 +306,21 @@ def _warnings(
 
     Args:
         profile: of the way.
-        features: that the trail leads over.
-        further: how far along the way a waypoint could stand, metres, where the trail does not go
+        features: that the course leads over.
+        further: how far along the way a waypoint could stand, metres, where the course does not go
             so far.
     """
     warnings: list[str] = []
     if further is not None:
         warnings.append(
-            f"the way goes on for {further:.1f} m: the trail is {_LONGEST:g} m long at most, about "
+            f"the way goes on for {further:.1f} m: the course is {_LONGEST:g} m long at most, "
+            "about "
             "as far as a robot walks in a trial; for more, add waypoints and set `duration`"
         )
     if profile.left_out > 0.0:
         warnings.append(
             f"{profile.left_out:.1f} m of the way lie beyond 1 m or more without ground or "
-            "without a photograph of it: the trail is on the longest piece between"
+            "without a photograph of it: the course is on the longest piece between"
         )
     height = float(profile.height[0])
     if abs(height) > FLOOR:
@@ -333,7 +334,7 @@ def _warnings(
             "back"
         )
     if features and float(profile.along[-1]) - features[-1].end < _RUN_UP:
-        warnings.append("the way ends at the last feature: no room to arrive in")
+        warnings.append("the way ends at the last feature: no space to arrive in")
     if profile.known < 1.0 - 1e-9:
         warnings.append(f"{1.0 - profile.known:.0%} of the way is over holes of the mesh")
     return tuple(warnings)
@@ -341,7 +342,7 @@ def _warnings(
 
 @dataclass(frozen=True, kw_only=True)
 class TrailFeature:
-    """One thing that a trail leads over. Lengths in metres along the way.
+    """One thing that a course leads over. Lengths in metres along the way.
 
     Attributes:
         task: whose scenes have such things.

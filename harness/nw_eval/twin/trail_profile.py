@@ -21,7 +21,7 @@ from nw_eval.scenes.rays import RayScene
 
 Values = NDArray[np.float64]
 Shown = Callable[[Values], NDArray[np.bool_]]
-"""Says at which places (N, 2), metres, photographs show the ground."""
+"""Says at which points (N, 2), metres, photographs show the ground."""
 
 _SIDES = np.array([-0.2, -0.1, 0.0, 0.1, 0.2])
 """Lines beside the way on which the ground is looked at, metres: what a robot stands on."""
@@ -50,7 +50,7 @@ STEP = 0.02
 _SMOOTH = 0.6
 """Length over which a way is rounded off, metres: hands and steps swing by less."""
 _LEAST = 1.0
-"""Of a way that can be a trail, metres."""
+"""Of a way that can be a course, metres."""
 _FREE_CELL, _MOST_CELLS = 0.1, 400
 """Edge of a square of ground where level ground is looked for, metres, and how many, each way."""
 _LEVEL = 0.15
@@ -117,7 +117,7 @@ def ground_along(
         mesh: in metres, z up, faces counter-clockwise from outside.
         way: (S, 2) metres, evenly spaced.
         below: height from which to look down, metres: that of the cameras, under any ceiling.
-        shown: where photographs show the ground; None = nobody knows.
+        shown: where photographs show the ground; None if unknown.
 
     Raises:
         SceneError: less than half of the way has ground below it.
@@ -147,7 +147,7 @@ def ground_along(
     if known < _KNOWN:
         raise SceneError(
             f"{known:.0%} of the way has ground below it in the mesh",
-            fix="photograph the ground too, from above, or lay the trail on the label page",
+            fix="photograph the ground too, from above, or set the waypoints on the label page",
         )
     stations = STEP * np.arange(len(way), dtype=np.float64)
     filled = np.where(seen[:, None], heights, 0.0)
@@ -187,7 +187,7 @@ def _longest_piece(seen: NDArray[np.bool_], run: int) -> tuple[int, int]:
 
 
 def sound(there: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return at which places (S,) of a way none of its lines has a hole that is wider than a foot.
+    """Return at which points (S,) of a way none of its lines has a hole that is wider than a foot.
 
     Args:
         there: (S, lines) whether there is ground, `STEP` apart along the way.
@@ -201,8 +201,8 @@ def sound(there: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _firm(seen: NDArray[np.bool_], share: Values, heights: Values, run: int) -> tuple[int, int]:
     """Return the first place of a way where a robot can stand, and one past the last with ground.
 
-    Not before the place `run`; without any, the whole way from there on. A robot that is set down
-    needs ground under every foot: a place whose ground is whole is preferred to an earlier one, and
+    Not before the point `run`; without any, the whole way from there on. A robot that is set down
+    needs ground under every foot: a point whose ground is whole is preferred to an earlier one, and
     one whose ground is even, a step farther, to that: what lies below the first camera was seen by
     none, and is filled as it may be.
 
@@ -227,9 +227,9 @@ def _firm(seen: NDArray[np.bool_], share: Values, heights: Values, run: int) -> 
 
 
 def _even(heights: Values, half: int) -> NDArray[np.bool_]:
-    """Return about which places (S,) the ground lies in a plane, level or not.
+    """Return about which points (S,) the ground lies in a plane, level or not.
 
-    On ground that is rough all along, these are the places where it is as even as it usually is.
+    On ground that is rough all along, these are the points where it is as even as it usually is.
 
     Args:
         heights: (S, lines) metres, nan without ground.
@@ -275,8 +275,8 @@ def way_of(centres: Values) -> Values:
     """Return the way there, (S, 2) metres, `STEP` apart: from the first camera to the walk's end.
 
     Who walked back took the same way twice; only the way there counts. So does it where somebody
-    then went around the place, and half a step farther: the end is the farthest camera of the first
-    time that the walk came near its greatest distance.
+    then went around the object, and half a step farther: the end is the farthest camera of the
+    first time that the walk came near its greatest distance.
 
     Args:
         centres: (V, 3) of the cameras in the order of the walk, metres, z up.
@@ -289,8 +289,9 @@ def way_of(centres: Values) -> Values:
     if not len(flat) or away.max() < _LEAST:
         gone = float(away.max(initial=0.0))
         raise SceneError(
-            f"the cameras went {gone:.2f} m from the first one, which is no trail",
-            fix=f"photograph a walk of {_LEAST:g} m or more, or lay the trail on the label page",
+            f"the cameras went {gone:.2f} m from the first one, which is too short for a course",
+            fix=f"photograph a walk of {_LEAST:g} m or more, or set the waypoints on the label "
+            "page",
         )
     walked = _evenly(flat[: _end(away) + 1])
     half = max(1, round(_SMOOTH / STEP / 2))
@@ -317,7 +318,7 @@ def free_way(
         mesh: in metres, z up.
         centres: (V, 3) of the cameras: of two ways along a strip, the one that they went.
         below: height from which to look down, metres.
-        shown: where photographs show the ground; None = nobody knows.
+        shown: where photographs show the ground; None if unknown.
 
     Raises:
         SceneError: there is no level ground as wide as a robot.
@@ -358,7 +359,7 @@ def free_way(
     if not len(ends):
         raise SceneError(
             f"the mesh has no level ground {_STAND:g} m wide",
-            fix="photograph the ground too, from above, or lay the trail on the label page",
+            fix="photograph the ground too, from above, or set the waypoints on the label page",
         )
     if (ends[1] - ends[0]) @ (centres[-1, :2] - centres[0, :2]) < 0.0:
         ends = ends[::-1]

@@ -25,12 +25,12 @@ _LIFT = 0.02  # m, so that lines are not in the ground
 
 
 class TrialDrawing:
-    """Draws trials of one place, and moves their robots.
+    """Draws trials of one scene, and moves their robots.
 
     Args:
         server: viser's.
         traces: the one that is looked at, then its ghosts.
-        splat: of the place, in the world; None = its mesh is shown.
+        splat: of the scene, in the world; None = its mesh is shown.
     """
 
     def __init__(self, server: Any, traces: Sequence[Trace], splat: SplatPoints | None) -> None:
@@ -47,7 +47,7 @@ class TrialDrawing:
 
     @property
     def shows_mesh(self) -> bool:
-        """Whether the mesh of the place is shown."""
+        """Whether the mesh of the scene is shown."""
         return bool(self._mesh) and bool(self._mesh[0].visible)
 
     @shows_mesh.setter
@@ -103,7 +103,7 @@ def draw_splat(scene: Any, splat: SplatPoints) -> Any:
 
 
 def draw_mesh(scene: Any, entities: Iterable[Any], *, visible: bool) -> list[Any]:
-    """Draw what rays meet of a place, and return the handles."""
+    """Draw what rays meet of a scene, and return the handles."""
     return [
         scene.add_mesh_simple(
             f"/{entity.id}/{number}",

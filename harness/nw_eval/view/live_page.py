@@ -81,8 +81,8 @@ class LivePage(ServedPage):
     """Serves a stage to browsers, where it stands still at first.
 
     Args:
-        stage: the policy in its place; nobody else may use it meanwhile.
-        splat: of the place; None = its mesh is shown.
+        stage: the policy in its scene; no other code may use it meanwhile.
+        splat: of the scene; None = its mesh is shown.
         save_to: the folder that is proposed for what was done.
         port: to listen at; 0 = one that is free.
 
@@ -169,7 +169,7 @@ class LivePage(ServedPage):
         self.do(write)
 
     def show_mesh(self, wanted: bool) -> None:
-        """Show the mesh of the place, or its splat alone."""
+        """Show the mesh of the scene, or its splat alone."""
         for handle in self._mesh:
             handle.visible = wanted
 
@@ -319,7 +319,7 @@ class LivePanel:
         page: that they steer; viser's panel there is empty.
         stage: whose axes of perturbation have sliders.
         heading: what runs, and where.
-        has_splat: of the place.
+        has_splat: of the scene.
         save_to: the folder that is proposed.
     """
 
@@ -381,7 +381,7 @@ SUITE = "suite.yaml"
 
 
 def save_played(stage: Stage, folder: Path) -> Path:
-    """Write a suite of what was done, and the place with its boxes and its goal if it was changed.
+    """Write a suite of what was done, and the scene with its boxes and its goal if it was changed.
 
     The axes of perturbation stand in it as they are set. Pushes by hand become the axis `push`, as
     hard as the hardest of them, unless that is set.

@@ -3,8 +3,8 @@
 Friction, payload and all other axes are those of a suite's `perturb`: a change opens the trial of
 that cell and goes on there from the same state. So what is saved is what a run then meets.
 
-The place is changed, too: boxes stand in it, solid to feet, seen by rays and painted for cameras,
-and its trail ends elsewhere.
+The scene is changed, too: boxes stand in it, solid to feet, seen by rays and painted for cameras,
+and its course ends elsewhere.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def open_stage(
 
 
 def is_named(reference: str) -> bool:
-    """Return whether a place or policy goes by a name here, and not by the path of a file."""
+    """Return whether a scene or policy goes by a name here, and not by the path of a file."""
     return not Path(reference).exists()
 
 
@@ -98,13 +98,13 @@ class Stage:
         job: of the trial; its duration is not kept to.
         bundle: of its policy.
         scene: of its place.
-        reference: that names the place in a suite.
+        reference: that names the scene in a suite.
         policy: that names the policy there.
 
     Attributes:
         reference: as given.
         policy: as given.
-        original: the place as it was.
+        original: the scene as it was.
         trial: as it stands.
         place: with what was done to it.
         cell: the axes of perturbation that were set, and their values.
@@ -234,7 +234,7 @@ class _OfStage(Library):
         self._place, self._cast = scene, None
 
     def scene(self, reference: str, collision: Collision = "terrain") -> Scene:  # noqa: ARG002
-        """Return the place, whatever it is called."""
+        """Return the scene, whatever it is called."""
         return self._place
 
     def rays(self, reference: str, collision: Collision = "terrain") -> RayScene:  # noqa: ARG002
@@ -245,11 +245,11 @@ class _OfStage(Library):
 
 @dataclass(frozen=True, kw_only=True)
 class ChangedPlace:
-    """What was done to a place.
+    """What was done to a scene.
 
     Attributes:
         scene: as it was.
-        folder: in which its Gaussians are put together; the changed place needs it.
+        folder: in which its Gaussians are put together; the changed scene needs it.
         boxes: that stand in it.
         goal: x, y of the last waypoint, m; None where it was.
     """
@@ -271,7 +271,7 @@ class ChangedPlace:
         return bool(self.boxes) or self.goal is not None
 
     def changed(self) -> Scene:
-        """Return the place as it is now."""
+        """Return the scene as it is now."""
         scene = self.scene
         if self.goal is not None:
             trail = scene.trail.copy()
@@ -291,7 +291,7 @@ class ChangedPlace:
 
 @dataclass(frozen=True)
 class SplatWithBoxes:
-    """The Gaussians of a place, and those of boxes in it."""
+    """The Gaussians of a scene, and those of boxes in it."""
 
     scene: Scene
     source: SplatSource

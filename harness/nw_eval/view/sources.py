@@ -1,4 +1,4 @@
-"""What is to be looked at: a log or run, a place, or a policy; and what a log or run has to show.
+"""What is to be looked at: a log or run, a scene, or a policy; and what a log or run has to show.
 
 A log or a run has trials by name, their ghosts, and the splat of their place.
 """
@@ -27,7 +27,7 @@ def kind_of(source: str | None, *, policy: str | None, scene: str | None) -> Kin
     Args:
         source: a path, or a name.
         policy: that is named beside it.
-        scene: likewise.
+        scene: as above.
 
     Raises:
         UsageError: it is neither, or one thing too much is named.
@@ -35,14 +35,14 @@ def kind_of(source: str | None, *, policy: str | None, scene: str | None) -> Kin
     if source is None:
         if policy is None and scene is None:
             raise UsageError(
-                "there is nothing to look at",
-                fix="name a log, a run's folder, a place or a policy, or --policy and --scene",
+                "there is nothing to view",
+                fix="name a log, a run's folder, a scene or a policy, or --policy and --scene",
             )
         return None
     kind = _kind(source)
     if kind == "log" and (policy is not None or scene is not None):
         raise UsageError(
-            f"{source} shows what was logged, with its own policy and place",
+            f"{source} shows what was logged, with its own policy and scene",
             fix="leave --policy and --scene out; `nw-eval replay` runs another policy in it",
         )
     if (kind == "scene" and scene is not None) or (kind == "policy" and policy is not None):
@@ -62,12 +62,12 @@ def _kind(source: str) -> Kind:
         return "log"
     if source.startswith("hub:"):
         raise UsageError(
-            f"{source} may be a place or a policy", fix=f"say which: --scene or --policy {source}"
+            f"{source} may be a scene or a policy", fix=f"say which: --scene or --policy {source}"
         )
     if _is_policy(source):
         return "policy"
     raise UsageError(
-        f"there is no log, run, place or policy at {source!r}",
+        f"there is no log, run, scene or policy at {source!r}",
         fix="name one: a file of mcap/, a folder in reports/, or as `nw-eval scenes list` and "
         "`nw-eval policies list` do",
     )
@@ -114,7 +114,7 @@ class Shelf:
 
         Args:
             name: of the trial.
-            others: trials of the same place that are ghosts too.
+            others: trials of the same scene that are ghosts too.
 
         Raises:
             StoreError: a log is damaged.
@@ -126,7 +126,7 @@ class Shelf:
         digest = trace.logged.job.trial.scene_digest
         same = [ghost for ghost in ghosts if ghost.logged.job.trial.scene_digest == digest]
         if digest not in self._splats:
-            self._splats.clear()  # One place at a time.
+            self._splats.clear()  # One scene at a time.
             self._splats[digest] = _splat_of(trace)
         return [trace, *same], self._splats[digest]
 
@@ -136,7 +136,7 @@ def open_shelf(source: Path, against: Path | None = None) -> Shelf:
 
     Args:
         source: a trial's log, or a run's folder.
-        against: likewise; its trials of the same names are the ghosts.
+        against: as above; its trials of the same names are the ghosts.
 
     Raises:
         UsageError: there is no such file, or a run has no logs.

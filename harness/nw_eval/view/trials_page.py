@@ -71,7 +71,7 @@ class ViewPage(ServedPage):
 
         Args:
             name: of the trial.
-            others: trials of the same place that are ghosts beside it.
+            others: trials of the same scene that are ghosts beside it.
         """
         with self._lock:
             self.play(wanted=False)
@@ -108,7 +108,7 @@ class ViewPage(ServedPage):
         return self._plays.is_set()
 
     def show_mesh(self, wanted: bool) -> None:
-        """Show the mesh of the place, or its splat alone."""
+        """Show the mesh of the scene, or its splat alone."""
         self._drawing.shows_mesh = wanted
 
     def opened(self, path: str) -> None:
@@ -260,7 +260,7 @@ class TrialPanel:
                 max=min(most, _MOST_OTHERS),
                 step=1,
                 initial_value=others,
-                hint="Other trials of this place, as ghosts",
+                hint="Other trials of this scene, as ghosts",
             )
             beside.on_update(lambda _: self._page.choose(name, beside.value))
 

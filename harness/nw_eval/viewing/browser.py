@@ -2,9 +2,9 @@
 
 Listening at the loopback address alone does not keep other web pages out: any page in a browser of
 this machine may open a websocket to it. Browsers say which page that is (`Origin`), and under which
-name they reached the server (`Host`), which is not this machine's where a stranger's name was made
+name they reached the server (`Host`), which is not this machine's where an untrusted name was made
 to point here. Programs of this machine may send anything: what is no message of the page ends their
-connection, and what nobody can act upon is a line of text.
+connection, and what no user can act upon is a line of text.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def viser_server(port: int, label: str, opened: Opened | None = None) -> Any:
     if port not in {0, server.get_port()}:  # Somebody was faster.
         stop(server)
         raise UsageError(f"port {port} is in use", fix="choose another --port, or 0")
-    # Sharing would send the place to a server of viser's makers.
+    # Sharing would send the scene to a server of viser's makers.
     server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
     return server
 
@@ -144,12 +144,12 @@ def refusal(hosts: Sequence[str], origins: Sequence[str]) -> str | None:
     if len(hosts) != 1 or _HERE.fullmatch(hosts[0]) is None:
         return "this page is reached as localhost only"
     if origins and list(origins) != [f"http://{hosts[0]}"]:
-        return "another web page may not speak to this one"
+        return "another web page may not connect to this one"
     return None
 
 
 def guarded(answer: Answer, opened: Opened | None = None) -> Answer:
-    """Return a `process_request` that answers whom `refusal` lets in, and nobody inside a frame."""
+    """Return a `process_request` that answers whom `refusal` lets in, but no page in a frame."""
 
     def process_request(connection: Any, request: Any) -> Any:
         hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
@@ -159,7 +159,7 @@ def guarded(answer: Answer, opened: Opened | None = None) -> Answer:
         response = answer(connection, request)
         if response is not None:
             response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
-            # Another page could ask for it as a picture, but nobody would see what that does.
+            # Another page could ask for it as a picture, without any visible result.
             fetched_as = request.headers.get("Sec-Fetch-Dest", "document")
             if opened is not None and fetched_as == "document":
                 opened(request.path)
@@ -196,7 +196,7 @@ def _is_message(frame: object) -> bool:
     messages: Any = import_module("viser._messages")
     try:
         message = messages.Message.deserialize(frame)
-    except Exception:  # noqa: BLE001 - Whatever a stranger's bytes do to their reader.
+    except Exception:  # noqa: BLE001 - Untrusted bytes may raise anything in their reader.
         return False
     return isinstance(frame, bytes) and not type(message).__name__.startswith(_REFUSED)
 
@@ -244,7 +244,7 @@ def library_tells_in_lines() -> None:
 
 
 def _quiet_logger() -> logging.Logger:
-    """Return a logger for connections that are none: they are nobody's news."""
+    """Return a logger for connections that are none: they need no message."""
     logger = logging.getLogger("nw_eval.viewing.browser")
     logger.propagate = False
     if not logger.handlers:

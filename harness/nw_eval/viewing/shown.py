@@ -52,9 +52,9 @@ class Shown:
     """What is shown of a log."""
 
     trunk: str
-    """The frame that a view of the place follows."""
+    """The frame that a view of the scene follows."""
     start: tuple[float, float, float] | None
-    """Where it is first, m; None = nobody knows yet."""
+    """Where it is first, m; None if it is not known yet."""
     pictures: tuple[str, ...]
     """Topics of images, a few."""
     plots: tuple[Plot, ...]

@@ -73,7 +73,7 @@ def go(store, tmp_path):
                 journal=journal,
                 folder=folder,
                 policy=names.get("policy", "p"),
-                hire=office,
+                start_workers=office,
                 workers=workers,
                 enough=None if first is None else enough_after(first, trials),
                 listener=Ears(),

@@ -80,9 +80,9 @@ class Cluster:
         """The process id of a node's raylet; None while it has none."""
         return self._process(node, "/raylet --raylet_socket_name")
 
-    def station(self, node):
+    def agent(self, node):
         """The process id of what has a node's workers; None while it has none."""
-        return self._process(node, "ray::Station")
+        return self._process(node, "ray::NodeAgent")
 
     def control(self):
         """The process id of the head's control service."""

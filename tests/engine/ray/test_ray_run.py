@@ -62,8 +62,8 @@ def test_a_cluster_of_this_machine_makes_the_rows_and_logs_of_this_process(nw_ev
     assert contents(there) == contents(here)
     assert len(contents(there)[1]) == 2
     # The policy lies on the node by its content; nothing of Ray's is left, or said.
-    (parcel,) = [path for path in (cache / "received").iterdir() if path.is_dir()]
-    assert (parcel / "policy.yaml").read_bytes() == (POLICY / "policy.yaml").read_bytes()
+    (file_bundle,) = [path for path in (cache / "received").iterdir() if path.is_dir()]
+    assert (file_bundle / "policy.yaml").read_bytes() == (POLICY / "policy.yaml").read_bytes()
     assert "ray" not in printed.replace("(engine ray)", "").lower().replace("array", "")
     assert not (tmp_path / ".ray").exists()
 
@@ -158,7 +158,7 @@ def test_a_raylet_that_is_killed_costs_its_trials_one_retry(cluster, nw_eval, un
         env=cluster.env,
     )
     try:
-        until(lambda: cluster.station(2) is not None, "workers on the third node")
+        until(lambda: cluster.agent(2) is not None, "workers on the third node")
         until(lambda: journal_lines(there) >= 4, "three trials")
         os.kill(cluster.raylet(2), signal.SIGKILL)
         code, printed = ended(run)

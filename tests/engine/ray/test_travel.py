@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from nw_eval.catalogue import FoundScene
-from nw_eval.engine import ray_parcels
+from nw_eval.engine import ray_file_bundles
 from nw_eval.engine.plan import Plan
-from nw_eval.engine.ray_parcels import Outgoing
-from nw_eval.engine.ray_station import LibraryHere
+from nw_eval.engine.ray_file_bundles import Outgoing
+from nw_eval.engine.ray_node_agent import LibraryHere
 from nw_eval.engine.ray_workers import _differences
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.policies import load_bundle
@@ -74,7 +74,7 @@ def send(outgoing):
         fetched.append(outgoing.sources[sha256].name)
         return [outgoing.sources[sha256].read_bytes()]
 
-    ray_parcels.receive(outgoing.parcels, fetch)
+    ray_file_bundles.receive(outgoing.file_bundles, fetch)
     return fetched
 
 
@@ -84,7 +84,7 @@ def test_scene_and_policy_open_on_a_node_under_the_references_of_the_head(node, 
 
     fetched = send(outgoing)
 
-    places = ray_parcels.places(outgoing.parcels)
+    places = ray_file_bundles.places(outgoing.file_bundles)
     assert {"scene.yaml", "steps.yaml", "policy.yaml"} < set(fetched)
     assert "notes.txt" not in fetched
     assert all(Path(place).is_relative_to(node / "received") for place in places.values())
@@ -98,7 +98,7 @@ def test_scene_and_policy_open_on_a_node_under_the_references_of_the_head(node, 
 def test_what_a_node_has_does_not_travel_again(scene):
     outgoing = Outgoing(plan_of("stand", scene))
     send(outgoing)
-    assert ray_parcels.missing(outgoing.parcels) == ()
+    assert ray_file_bundles.missing(outgoing.file_bundles) == ()
     assert send(outgoing) == []
 
 
@@ -108,7 +108,7 @@ def test_a_damaged_file_is_fetched_again(node, scene):
     (kept,) = node.rglob("steps.yaml")
     kept.write_text(BOXES.replace("0.2", "0.3"))
 
-    assert len(ray_parcels.missing(outgoing.parcels)) == 1
+    assert len(ray_file_bundles.missing(outgoing.file_bundles)) == 1
     assert "steps.yaml" in send(outgoing)
 
     (kept,) = node.rglob("steps.yaml")
@@ -119,7 +119,7 @@ def test_a_damaged_file_is_fetched_again(node, scene):
 def test_what_is_not_what_was_announced_is_not_kept(pieces, node, scene):
     outgoing = Outgoing(plan_of("stand", scene))
     with pytest.raises(StoreError, match="was announced"):
-        ray_parcels.receive(outgoing.parcels, lambda _: pieces)
+        ray_file_bundles.receive(outgoing.file_bundles, lambda _: pieces)
     assert [path.name for path in (node / "received").iterdir()] == [".lock"]
 
 
@@ -130,7 +130,7 @@ def test_weights_of_the_callers_own_travel_in_place_of_the_cards(node, tmp_path)
     outgoing = Outgoing(plan)
     send(outgoing)
 
-    library = LibraryHere(ray_parcels.places(outgoing.parcels))
+    library = LibraryHere(ray_file_bundles.places(outgoing.file_bundles))
 
     bundle = library.bundle(plan.bundle.reference, tmp_path / "other.onnx")
     assert bundle.checkpoint is not None
@@ -152,7 +152,7 @@ def test_code_travels_with_all_that_lies_beside_it_but_not_through_a_link(tmp_pa
     plan = plan_of(folder)
     outgoing = Outgoing(plan)
     assert set(send(outgoing)) == {"policy.yaml", "mine.py", "gains.json"}
-    library = LibraryHere(ray_parcels.places(outgoing.parcels))
+    library = LibraryHere(ray_file_bundles.places(outgoing.file_bundles))
     assert library.bundle(plan.bundle.reference, None).code_sha256 == plan.bundle.code_sha256
 
     (folder / "more.py").symlink_to("mine.py")

@@ -33,7 +33,7 @@ def lost_raylet(case, origin):
         words = ("--engine", "ray", "--address", cluster.address, "--workers", NODES)
         begin(case, origin, *words, environment=cluster.env)
         node = case.draw.randrange(1, NODES)
-        case.wait_until(lambda: cluster.station(node), every=0.1)
+        case.wait_until(lambda: cluster.agent(node), every=0.1)
         case.sleep(0.2)
         send([cluster.raylet(node)], signal.SIGKILL)
         case.run.end()

@@ -184,7 +184,9 @@ def test_where_bits_are_others_an_honest_baseline_is_not_invalid_and_nothing_is_
     rows = drawn_rows(here, dict.fromkeys("ab", [1.0] * 7 + [0.5]), first=16)
     verdict = judged_by(bank, rows, here, gate)
     assert (verdict.verdict, verdict.n) == ("PASS", 16)
-    assert "16 run again, with other bits, and nothing taken over" in headline(verdict, here)
+    assert "16 run again with different results, so none is taken from the baseline" in headline(
+        verdict, here
+    )
     assert verdict.against is not None
     assert verdict.against.again is not None
     assert not verdict.against.again.taken_over

@@ -15,7 +15,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.api.contest import Contest
-from nw_eval.engine.listener import Silence
+from nw_eval.engine.listener import NullListener
 from nw_eval.engine.provenance import run_info
 from nw_eval.gate.absolute import word_of_bar
 from nw_eval.gate.baseline.combine import judge_run
@@ -82,7 +82,7 @@ class Course:
             workers=2,
             cluster=None,
             command=(),
-            listener=Silence(),
+            listener=NullListener(),
             cache=False,
             all_rounds=all_rounds,
         )

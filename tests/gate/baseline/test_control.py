@@ -63,7 +63,7 @@ def test_an_equal_policy_where_both_drifted_is_not_regressed_though_the_bank_wou
     info = make_against(bank).info.model_copy(update={"checked": "bits"})
     by_bank = compare(rows, run.model_copy(update={"baseline": info}), make_against(bank), GATE)
     assert (by_bank.basis, by_bank.word) == ("panel", "REGRESSED")
-    found = compare(rows, run, beside(LOW), GATE, foresee=True)
+    found = compare(rows, run, beside(LOW), GATE, power_forecast=True)
     assert (found.basis, found.claim, found.word) == ("control", "fresh", "PASS")
     assert (found.drop, found.control) == (0.0, 80)
     assert not any(item.named for item in found.scenes)
@@ -79,7 +79,7 @@ def test_a_policy_that_is_worse_than_the_control_is_regressed(
     run: RunInfo, beside: Make, drawn_rows: Make
 ) -> None:
     found = compare(drawn_rows(run, dict.fromkeys(SCENES, 0.25)), run, beside(PERFECT), GATE)
-    assert (found.basis, found.word, found.mean_convicts) == ("control", "REGRESSED", True)
+    assert (found.basis, found.word, found.mean_regressed) == ("control", "REGRESSED", True)
     assert (found.drop, found.baseline) == (0.75, 1.0)
     # Better than a control that drifted is no drop, however far it is from the bank.
     low = beside(dict.fromkeys(SCENES, 0.25))
@@ -91,7 +91,7 @@ def test_a_scene_that_met_no_trial_has_no_score_of_the_control_and_means_are_of_
 ) -> None:
     scores = {name: 0.25 * (k + 1) for k, name in enumerate(SCENES)}
     rows = drawn_rows(run, dict.fromkeys(SCENES, 0.25))[:2]
-    found = compare(rows, run, beside(scores), GATE, foresee=True)
+    found = compare(rows, run, beside(scores), GATE, power_forecast=True)
     met = [item for item in found.scenes if item.trials]
     assert 0 < len(met) < len(SCENES)
     for item in found.scenes:
@@ -155,7 +155,7 @@ def test_an_error_of_either_arm_counts_worst_for_each_side(
 
     def of(candidate: float | None, control: float | None) -> Any:
         mine = drawn_rows(run, first_is(candidate))
-        return compare(mine, run, beside(first_is(control)), GATE, foresee=True)
+        return compare(mine, run, beside(first_is(control)), GATE, power_forecast=True)
 
     whole, lost, both = of(1.0, 1.0), of(None, 1.0), of(None, None)
     assert whole.word == lost.word == both.word == "PASS"
@@ -230,7 +230,7 @@ def test_a_scene_that_regressed_is_named_by_the_trials_beside_it(
 ) -> None:
     gate = Gate(max_drop=0.24, tolerate=0.2)
     rows = drawn_rows(run, {**PERFECT, "b": 0.25})
-    found = compare(rows, run, beside(PERFECT), gate, foresee=True)
+    found = compare(rows, run, beside(PERFECT), gate, power_forecast=True)
     fell = {item.scene: item for item in found.scenes}["b"]
     assert (fell.named, fell.waypoint) == (True, 2), "of four waypoints one was reached"
     assert fell.ends is not None

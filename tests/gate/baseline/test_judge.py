@@ -42,7 +42,7 @@ def test_an_unchanged_policy_passes_after_the_trials_that_the_figures_say(
     against = make_against(make_bank(run, dict.fromkeys(scenes, [1.0] * 60)))
     rows = drawn_rows(run, dict.fromkeys(scenes, 1.0))
     gate = GATE.model_copy(update={"confidence": 1 - alpha})
-    found = compare(rows, run, against, gate, foresee=True)
+    found = compare(rows, run, against, gate, power_forecast=True)
     assert (found.word, found.trials, found.budget, found.starts) == ("PASS", trials, 40, 60)
     assert compare(rows[: trials - 1], run, against, gate).word == "INCONCLUSIVE"
     assert (found.basis, found.claim, found.drop) == ("panel", "fresh", 0.0)
@@ -66,8 +66,10 @@ def test_a_policy_that_always_fails_is_convicted_as_soon_as_the_figures_say(
     run = make_run("abcd", 20, **WAYS)
     against = make_against(make_bank(run, dict.fromkeys("abcd", [1.0] * 60)))
     gate = GATE.model_copy(update={"false_alarm": alpha})
-    found = compare(drawn_rows(run, dict.fromkeys("abcd", 0.0)), run, against, gate, foresee=True)
-    assert (found.word, found.trials, found.mean_convicts) == ("REGRESSED", trials, True)
+    found = compare(
+        drawn_rows(run, dict.fromkeys("abcd", 0.0)), run, against, gate, power_forecast=True
+    )
+    assert (found.word, found.trials, found.mean_regressed) == ("REGRESSED", trials, True)
     assert found.interval is not None
     low, high = found.interval
     assert found.tolerate < low < found.drop == 1.0 <= high
@@ -186,7 +188,7 @@ def test_a_scene_that_regressed_is_named_even_under_pass_and_convicts_if_critica
     critical = compare(rows, run, against, gate.model_copy(update={"tiers": {one: "critical"}}))
     assert critical.word == "REGRESSED"
     assert critical.reasons[0].startswith(f"critical scene {one} regressed: 1.00 -> 0.00")
-    assert not critical.mean_convicts
+    assert not critical.mean_regressed
     assert critical.reasons[1].startswith("mean success dropped by ")
     assert not any("largest drops" in text for text in critical.reasons)
 
@@ -216,7 +218,7 @@ def test_a_report_has_the_drops_that_each_scene_s_own_trials_leave_possible(
     rows = drawn_rows(run, {**dict.fromkeys(names, 1.0), "fell": 0.0}, first=24)
     gate = Gate(max_drop=0.7, tolerate=0.6, scene_drop=0.1, tiers={"seen": "informational"})
     assert {item.interval for item in compare(rows, run, against, gate).scenes} == {None}
-    found = compare(rows, run, against, gate, foresee=True)
+    found = compare(rows, run, against, gate, power_forecast=True)
     fell, held, seen = sorted(found.scenes, key=lambda item: item.scene)
     assert fell.named
     assert fell.interval.low > found.scene_drop
@@ -339,7 +341,7 @@ def test_a_trial_that_ended_in_an_error_counts_worst_for_each_side(
     gate = Gate(max_drop=0.3)
 
     def of(b: list[float | None]) -> Any:
-        return compare(drawn_rows(run, {"a": 1.0, "b": b}), run, against, gate, foresee=True)
+        return compare(drawn_rows(run, {"a": 1.0, "b": b}), run, against, gate, power_forecast=True)
 
     whole, errored, failed = (of([1.0, 1.0, x, *[1.0] * 60]) for x in (1.0, None, 0.0))
     # For PASS it is a failure, for REGRESSED a success, and no part of what is estimated.
@@ -386,7 +388,9 @@ def test_what_is_not_decided_says_what_is_known_of_the_drop(
 ) -> None:
     run = make_run(["a"], 20, **WAYS)
     against = make_against(make_bank(run, {"a": [1.0] * 60}))
-    found = compare(drawn_rows(run, {"a": [1.0] * 9 + [0.5]}), run, against, GATE, foresee=True)
+    found = compare(
+        drawn_rows(run, {"a": [1.0] * 9 + [0.5]}), run, against, GATE, power_forecast=True
+    )
     assert found.word == "INCONCLUSIVE"
     assert found.interval is not None
     low, high = found.interval
@@ -404,7 +408,7 @@ def test_what_is_not_decided_says_what_is_known_of_the_drop(
     assert fast.reasons[0] == (
         "mean success dropped by 0.050 from the baseline shipped in 10 trials"
     )
-    nothing = compare([], run, against, GATE, foresee=True)
+    nothing = compare([], run, against, GATE, power_forecast=True)
     assert nothing.reasons == ("no trial has been compared with the baseline shipped yet",)
 
 
@@ -425,7 +429,7 @@ def test_scenes_that_no_trial_has_met_are_told_and_shown_as_such(
     names = [f"s{number:02d}" for number in range(30)]
     run, against = perfect(names, 2)
     rows = drawn_rows(run, dict.fromkeys(names, 0.0))
-    found = compare(rows, run, against, GATE, foresee=True)
+    found = compare(rows, run, against, GATE, power_forecast=True)
     assert (found.word, found.trials) == ("REGRESSED", 2)
     unmet = [item for item in found.scenes if item.candidate is None]
     assert len(unmet) >= 28
@@ -457,7 +461,7 @@ def test_no_pass_before_every_critical_scene_has_been_met(perfect: Make, drawn_r
     assert free.reasons[-1].startswith(f"PASS is on the mean: no trial met {', '.join(unmet[:3])}")
     (last,) = [item.scene for item in free.scenes if item.trials == 0][:1]
     gate = GATE.model_copy(update={"tiers": {last: "critical"}})
-    held = compare(rows[:37], run, against, gate, foresee=True)
+    held = compare(rows[:37], run, against, gate, power_forecast=True)
     assert held.word == "INCONCLUSIVE"
     assert any("PASS is held back by " + last in text for text in held.reasons)
     found = compare(rows, run, against, gate)
@@ -472,7 +476,7 @@ def test_a_candidate_that_is_better_so_far_is_said_to_have_risen(
 ) -> None:
     run = make_run(["a"], 20, **WAYS)
     against = make_against(make_bank(run, {"a": [0.5] * 60}))
-    found = compare(drawn_rows(run, {"a": [1.0] * 2}), run, against, GATE, foresee=True)
+    found = compare(drawn_rows(run, {"a": [1.0] * 2}), run, against, GATE, power_forecast=True)
     assert found.interval is not None
     low, high = found.interval
     assert found.reasons[0] == (
@@ -544,7 +548,7 @@ def test_a_claim_about_the_panel_alone_is_a_suite_s_choice_takes_fewer_trials_an
     assert (fresh.word, known.word) == ("PASS", "PASS")
     assert known.trials < fresh.trials == 37
     limit = (
-        "gate.claim is panel: this holds for the baseline's 20 starts in each scene, not for new "
+        "gate.claim is panel: this applies to the baseline's 20 starts in each scene, not for new "
         "ones"
     )
     assert limit in known.reasons

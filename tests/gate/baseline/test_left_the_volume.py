@@ -54,7 +54,7 @@ def test_it_counts_as_a_trial_without_result_does_whatever_it_scored(
     known, _, _ = meet([1.0, success, *[1.0] * 58], 1.0)
     place = next(place for place, row in enumerate(crashed) if row.status == "error")
     lost, left = (
-        compare(rows, run, against, gate, foresee=True)
+        compare(rows, run, against, gate, power_forecast=True)
         for rows, gate in ((crashed, BARE), (gone(known, [place]), GATE))
     )
     assert left.trials == 40

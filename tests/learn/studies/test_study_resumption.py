@@ -4,7 +4,7 @@ from contextlib import nullcontext
 
 import pytest
 
-from nw_eval.engine.listener import Silence
+from nw_eval.engine.listener import NullListener
 from nw_eval.errors import UsageError
 from nw_eval.learn.studies.kinds import SingleScene
 from nw_eval.learn.studies.study import StudyProgress, open_study
@@ -26,7 +26,7 @@ def opened(config, lines, *, out=None, resume=None):
         out=out,
         resume=resume,
         say=say,
-        listening=lambda: nullcontext(Silence()),
+        listening=lambda: nullcontext(NullListener()),
         workers=1,
     )
 

@@ -126,7 +126,7 @@ def test_a_bank_of_sixteen_scenes_and_sixty_starts_is_small_enough_for_git(
         (lambda lines, _: lines.pop(0), "place_00: 3 starts, its manifest says 4"),
         (lambda lines, _: lines[3].update(seed_index=7), "start 7 is not between 0 and 3"),
         (lambda lines, _: lines.reverse(), "not in the order of scene, perturbation and index"),
-        (lambda lines, _: lines[0].update(panel=1), "starts of a panel 1, and 1 panels"),
+        (lambda lines, _: lines[0].update(panel=1), "results of machine 1, of 1 listed"),
         (lambda lines, _: lines.clear(), "no start in scene hurdles/place_00"),
         (lambda _, manifest: manifest["key"]["scenes"].pop("hurdles/place_01"), "none of its mani"),
         (lambda _, manifest: manifest["key"]["scenes"].update(x="y"), "no start in scene x of its"),
@@ -160,7 +160,7 @@ def test_panels_that_perturb_different_things_are_refused(
     other = make_bank(machines=MACHINES, cells=((("friction", 0.5),),))
     mixed = replace(plain, panels=(plain.panels[0], other.panels[1]))
     with pytest.raises(
-        StoreError, match=r"cannot write .*: its panels differ in what they perturb"
+        StoreError, match=r"cannot write .*: its machines' results differ in their perturbations"
     ):
         write_bank(tmp_path / "shipped.parquet", mixed)
     assert not list(tmp_path.iterdir())

@@ -11,7 +11,7 @@ from nw_eval.policies import load_bundle
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.record import attachments
-from nw_eval.rollout.replaying import led
+from nw_eval.rollout.replaying import policy_switch
 from nw_eval.rollout.replaying.replay import replay
 from nw_eval.rollout.replaying.takeover import take_over
 from nw_eval.rollout.trial import run_trial
@@ -120,8 +120,8 @@ def test_a_trial_that_goes_another_way_here_is_not_taken_over(walked, library, m
         for count, decided in enumerate(decisions(log, joints=joints)):
             yield decided._replace(targets=decided.targets + 1e-9 * (count == 7))
 
-    decisions = led.decisions
-    monkeypatch.setattr(led, "decisions", pushed)
+    decisions = policy_switch.decisions
+    monkeypatch.setattr(policy_switch, "decisions", pushed)
     with pytest.raises(StoreError, match=r"does not go its recorded way here, its state at 0.20 s"):
         take_over(walked[0], start=0.5, library=library)
 

@@ -6,7 +6,7 @@ import pytest
 from nw_eval.cards import JointControl
 from nw_eval.cards.load import card_of
 from nw_eval.robots import get_robot
-from nw_eval.rollout.replaying.led import translator
+from nw_eval.rollout.replaying.policy_switch import translator
 
 GO1 = get_robot("go1")
 ACTION = np.linspace(-1.5, 2.0, 12)

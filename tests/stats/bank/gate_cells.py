@@ -189,16 +189,16 @@ def _some(cell: Cell, part: int, gates: int) -> Found:
         c = _candidate(population, waypoints, below, rng)(drawn, chosen)
     tiers = tuple("critical" if s < cell.critical else "supporting" for s in range(scenes))
     rules = TrialRules(tiers=tiers, margins=margins, alpha_regr=cell.alpha_regr)
-    rulings = settle_all(bank, DrawnTrials(scenes=drawn, candidate=c, baseline=b), rules)
-    words = np.array([ruling.word for ruling in rulings])
-    named = np.array([bool(ruling.named) for ruling in rulings])
+    decisions = settle_all(bank, DrawnTrials(scenes=drawn, candidate=c, baseline=b), rules)
+    words = np.array([decision.word for decision in decisions])
+    named = np.array([bool(decision.named) for decision in decisions])
     arms = 2 if cell.claim == "control" else 1
     return Found(
         passed=100 * float((words == "PASS").mean()),
         regressed=100 * float((words == "REGRESSED").mean()),
         named=100 * float(named.mean()),
         blamed=100 * float((named | (words == "REGRESSED")).mean()),
-        trials=arms * float(np.mean([ruling.trials for ruling in rulings])),
+        trials=arms * float(np.mean([decision.trials for decision in decisions])),
     )
 
 

@@ -22,7 +22,7 @@ from gate_cells import (
     recorded_cells,
 )
 
-from nw_eval.gate.baseline.foresee import Outset, outset_of_bank
+from nw_eval.gate.baseline.power_forecast import Outset, outset_of_bank
 from nw_eval.reporting.pictures import draw_curve
 from nw_eval.results.bank_file import read_bank
 from nw_eval.stats.bank.curve import operating_curve

@@ -33,7 +33,7 @@ from nw_eval.stats.bank.curve import (
 )
 from nw_eval.stats.bank.evidence import Margins
 from nw_eval.stats.bank.trials import TrialRules, settle_all
-from nw_eval.stats.foresight import SceneCounts
+from nw_eval.stats.power import SceneCounts
 
 BANK = [replace(course, counts=6 * course.counts) for course in SEEN]
 RULES = TrialRules(tiers=("supporting",) * len(SEEN))
@@ -99,14 +99,18 @@ def test_one_scene_of_sixteen_that_falls_to_half_passes_or_convicts_as_the_page_
     trials = drawn.trials(chances)
     assert trials.candidate[trials.scenes == scene].mean() == pytest.approx(0.5, abs=0.01)
     tiers = ["supporting"] * 16
-    rulings = settle_all(drawn.bank, trials, TrialRules(tiers=tuple(tiers)))
-    assert np.mean([ruling.word == "PASS" for ruling in rulings]) == pytest.approx(0.94, abs=0.02)
-    assert np.mean([scene in ruling.named for ruling in rulings]) == pytest.approx(0.53, abs=0.03)
-    assert np.mean([ruling.trials for ruling in rulings]) == pytest.approx(113, rel=0.03)
+    decisions = settle_all(drawn.bank, trials, TrialRules(tiers=tuple(tiers)))
+    assert np.mean([decision.word == "PASS" for decision in decisions]) == pytest.approx(
+        0.94, abs=0.02
+    )
+    assert np.mean([scene in decision.named for decision in decisions]) == pytest.approx(
+        0.53, abs=0.03
+    )
+    assert np.mean([decision.trials for decision in decisions]) == pytest.approx(113, rel=0.03)
     tiers[scene] = "critical"
-    rulings = settle_all(drawn.bank, trials, TrialRules(tiers=tuple(tiers)))
-    convicted = np.mean([ruling.word == "REGRESSED" for ruling in rulings])
-    assert convicted == pytest.approx(0.66, abs=0.03)
+    decisions = settle_all(drawn.bank, trials, TrialRules(tiers=tuple(tiers)))
+    flagged = np.mean([decision.word == "REGRESSED" for decision in decisions])
+    assert flagged == pytest.approx(0.66, abs=0.03)
 
 
 def test_the_same_bank_gives_the_same_curve_and_another_one_other_draws() -> None:
@@ -217,8 +221,8 @@ def test_a_critical_scene_convicts_alone() -> None:
         )
         for each in (rules, strict)
     )
-    assert np.mean([ruling.word == "REGRESSED" for ruling in lenient]) < 0.05
-    assert np.mean([ruling.word == "REGRESSED" for ruling in severe]) > 0.9
+    assert np.mean([decision.word == "REGRESSED" for decision in lenient]) < 0.05
+    assert np.mean([decision.word == "REGRESSED" for decision in severe]) > 0.9
 
 
 def test_progress_says_how_many_trials_convict_a_drop_or_that_none_do() -> None:

@@ -56,10 +56,10 @@ def test_pass_is_a_high_end_below_the_margin_and_regressed_a_low_end_above_it(
         seen = first(trials, count)
         found = drop_interval_after(bank, seen, alpha_pass=0.2, alpha_regr=0.2)
         last = looks(bank, seen, Margins(max_drop=margin, tolerate=margin))
-        passes, convicts = last.passed[-1] >= 5.0, last.regressed[-1] >= 5.0
-        if not (passes and convicts):
+        passes, flags = last.passed[-1] >= 5.0, last.regressed[-1] >= 5.0
+        if not (passes and flags):
             assert found.high <= margin + 1e-7 if passes else found.high >= margin - 1e-7
-            assert found.low >= margin - 1e-7 if convicts else found.low <= margin + 1e-7
+            assert found.low >= margin - 1e-7 if flags else found.low <= margin + 1e-7
 
 
 @settings(deadline=None, max_examples=60)

@@ -114,8 +114,8 @@ def test_a_run_that_only_waits_for_a_scene_needs_trials_of_that_scene_alone() ->
     bank = Bank(means=np.ones(4))
     whole = DrawnTrials(scenes=scenes, candidate=candidate, baseline=ones)
     known = np.arange(240) < settle(bank, whole, rules).mean
-    ruling = settle(bank, whole, rules, known)
-    assert (ruling.word, ruling.waits_for) == ("undecided", (3,))
+    decision = settle(bank, whole, rules, known)
+    assert (decision.word, decision.waits_for) == ("undecided", (3,))
     found = progress_from(bank, whole, rules, known=known, waypoints=[4] * 4, repetitions=200)
     # Sixty starts of the scene, of which some have been met: nothing is judged after those.
     last = 60 - int((scenes[known] == 3).sum())

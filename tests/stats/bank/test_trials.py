@@ -17,8 +17,8 @@ from nw_eval.stats.bank.trials import (
     CRITICAL_TRIALS,
     SUSPECT,
     DrawnTrials,
+    TrialDecision,
     TrialRules,
-    TrialRuling,
     looks,
     most_false_alarms,
     settle,
@@ -69,9 +69,9 @@ def word(trials: DrawnTrials, bank: Bank = PERFECT, **rules: Any) -> str:
 
 def test_before_the_first_trial_nothing_is_decided() -> None:
     rules, known = TrialRules(tiers=tiers(1)), [False] * 3
-    ruling = settle(PERFECT, one_scene([1.0] * 3), rules, known)
-    assert (ruling.word, ruling.trials, ruling.named) == ("undecided", 0, ())
-    assert ruling.ahead == (0, 1, 2)
+    decision = settle(PERFECT, one_scene([1.0] * 3), rules, known)
+    assert (decision.word, decision.trials, decision.named) == ("undecided", 0, ())
+    assert decision.ahead == (0, 1, 2)
 
 
 def test_evidence_must_reach_one_over_alpha() -> None:
@@ -105,8 +105,8 @@ def test_a_trial_that_would_do_both_convicts() -> None:
 
 
 def test_a_suspect_scene_is_waited_for_only_where_the_mean_alone_would_pass() -> None:
-    ruling = settle(PERFECT, one_scene([0.0, 0.0]), TrialRules(tiers=tiers(1), alpha_regr=0.001))
-    assert (ruling.word, ruling.named, ruling.waits_for) == ("undecided", (), ())
+    decision = settle(PERFECT, one_scene([0.0, 0.0]), TrialRules(tiers=tiers(1), alpha_regr=0.001))
+    assert (decision.word, decision.named, decision.waits_for) == ("undecided", (), ())
 
 
 def test_a_scene_is_named_at_the_shared_error_and_stays_named_under_pass() -> None:
@@ -119,9 +119,9 @@ def test_a_scene_is_named_at_the_shared_error_and_stays_named_under_pass() -> No
     assert own[42] < 200.0 <= own[43]
     rules = TrialRules(tiers=tiers(2), margins=margins, alpha_pass=1e-9)
     assert settle(bank, trials.at(range(43)), rules).named == ()
-    ruling = settle(bank, trials, rules)
-    assert (ruling.word, ruling.named) == ("PASS", (1,))
-    assert own[ruling.mean - 2 : ruling.mean].max() < 200.0
+    decision = settle(bank, trials, rules)
+    assert (decision.word, decision.named) == ("PASS", (1,))
+    assert own[decision.mean - 2 : decision.mean].max() < 200.0
 
 
 def test_gates_that_are_settled_together_end_as_each_alone() -> None:
@@ -131,8 +131,8 @@ def test_gates_that_are_settled_together_end_as_each_alone() -> None:
     together = settle_all(bank, trials, rules)
     for one, other in zip(alone, together, strict=True):
         assert replace(one, ahead=()) == replace(other, ahead=())
-    assert len({ruling.word for ruling in alone}) > 1
-    assert any(ruling.followed for ruling in alone)
+    assert len({decision.word for decision in alone}) > 1
+    assert any(decision.followed for decision in alone)
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 8, 64])
@@ -146,36 +146,36 @@ def test_the_same_trials_are_judged_whatever_the_number_of_workers(workers: int)
         running = set[int]()
         while True:
             hidden = replace(trials, candidate=np.where(known, trials.candidate, 0.0))
-            ruling = settle(bank, hidden, rules, known)
-            if not ruling.ahead:
+            decision = settle(bank, hidden, rules, known)
+            if not decision.ahead:
                 break
-            window = ruling.ahead[:workers]
+            window = decision.ahead[:workers]
             running.update(place for place in window if not known[place])
             assert len(running) <= 2 * workers
             # Whichever ends first: workers differ in speed.
             done = int(rng.choice(sorted(running)))
             running.discard(done)
             known[done] = True
-        assert replace(ruling, ahead=()) == replace(settle(bank, trials, rules), ahead=())
-        judged = {*range(ruling.mean), *ruling.followed}
+        assert replace(decision, ahead=()) == replace(settle(bank, trials, rules), ahead=())
+        judged = {*range(decision.mean), *decision.followed}
         started = set(np.flatnonzero(known).tolist()) | running
         assert judged <= started
         # Too many only by what ran beside the trial that settled the mean, or a scene.
-        settled = 1 + len(set(trials.scenes[list(ruling.followed)].tolist()))
-        assert len(started) <= ruling.trials + settled * (workers - 1)
+        settled = 1 + len(set(trials.scenes[list(decision.followed)].tolist()))
+        assert len(started) <= decision.trials + settled * (workers - 1)
 
 
 def test_of_a_trial_that_has_not_ended_nothing_is_looked_at() -> None:
     bank, every = simulated(seed=3, gates=1)
     trials, rules = cut(every, 0), TrialRules(tiers=tiers())
     known = np.arange(160) != 20
-    ruling = settle(bank, trials, rules, known)
-    assert (ruling.word, ruling.mean, ruling.ahead[:2]) == ("undecided", 20, (20, 21))
+    decision = settle(bank, trials, rules, known)
+    assert (decision.word, decision.mean, decision.ahead[:2]) == ("undecided", 20, (20, 21))
     assert (
         settle(
             bank, replace(trials, candidate=np.where(known, trials.candidate, 1.0)), rules, known
         )
-        == ruling
+        == decision
     )
 
 
@@ -186,19 +186,19 @@ def test_pass_waits_for_a_suspect_scene_and_runs_trials_of_that_scene_alone() ->
     candidate[[3, 7]] = 0.0
     trials = DrawnTrials(scenes=scenes, candidate=candidate, baseline=np.ones(240))
     margins, bank = Margins(max_drop=0.4), Bank(means=np.ones(4))
-    ruling = settle(bank, trials, TrialRules(tiers=tiers(4), margins=margins))
+    decision = settle(bank, trials, TrialRules(tiers=tiers(4), margins=margins))
     passed = looks(bank, trials, margins)
     first = int((passed.passed >= 20.0).argmax())
-    assert (ruling.word, ruling.mean, ruling.named) == ("PASS", first + 1, ())
-    assert ruling.followed
-    assert set(scenes[list(ruling.followed)].tolist()) == {3}
+    assert (decision.word, decision.mean, decision.named) == ("PASS", first + 1, ())
+    assert decision.followed
+    assert set(scenes[list(decision.followed)].tolist()) == {3}
     before = [place for place in range(first + 1) if scenes[place] == 3]
-    assert passed.own[before[-1]] >= SUSPECT > passed.own[ruling.followed[-1]]
+    assert passed.own[before[-1]] >= SUSPECT > passed.own[decision.followed[-1]]
     # One that goes on failing is named, and the mean passes in spite of it.
     fails = replace(trials, candidate=np.where(scenes == 3, 0.0, 1.0))
     margins = Margins(max_drop=0.6, tolerate=0.5)
-    ruling = settle(bank, fails, TrialRules(tiers=tiers(4), margins=margins))
-    assert (ruling.word, ruling.named) == ("PASS", (3,))
+    decision = settle(bank, fails, TrialRules(tiers=tiers(4), margins=margins))
+    assert (decision.word, decision.named) == ("PASS", (3,))
     assert settle(bank, fails, TrialRules(tiers=tiers(4, 3), margins=margins)).word == "REGRESSED"
 
 
@@ -210,8 +210,8 @@ def test_a_scene_that_is_suspect_to_the_end_holds_a_pass_back() -> None:
     whole = DrawnTrials(scenes=scenes, candidate=candidate, baseline=ones)
     mean = settle(bank, whole, rules).mean
     short = DrawnTrials(scenes=scenes[:mean], candidate=candidate[:mean], baseline=ones[:mean])
-    ruling = settle(bank, short, rules)
-    assert (ruling.word, ruling.waits_for, ruling.ahead) == ("undecided", (3,), ())
+    decision = settle(bank, short, rules)
+    assert (decision.word, decision.waits_for, decision.ahead) == ("undecided", (3,), ())
 
 
 def test_no_gate_passes_before_critical_scenes_have_been_met() -> None:
@@ -232,8 +232,8 @@ def test_no_gate_passes_before_critical_scenes_have_been_met() -> None:
     assert scenes[list(careful.followed)].tolist() == [last] * CRITICAL_TRIALS
     failing = replace(trials, candidate=np.where(scenes == last, 0.0, 1.0))
     assert settle(bank, failing, TrialRules(tiers=tiers(64))).word == "PASS"
-    ruling = settle(bank, failing, TrialRules(tiers=tiers(64, last)))
-    assert (ruling.word, ruling.named) == ("REGRESSED", (last,))
+    decision = settle(bank, failing, TrialRules(tiers=tiers(64, last)))
+    assert (decision.word, decision.named) == ("REGRESSED", (last,))
 
 
 def test_what_is_missing_helps_no_verdict() -> None:
@@ -267,16 +267,16 @@ def test_interval_and_verdict_do_not_contradict_each_other() -> None:
         words = set[str]()
         for gate in range(25):
             trials, rules = cut(every, gate), TrialRules(tiers=tiers())
-            ruling = settle(which, trials, rules)
+            decision = settle(which, trials, rules)
             first = DrawnTrials(
-                scenes=trials.scenes[: ruling.mean],
-                candidate=trials.candidate[: ruling.mean],
-                baseline=trials.baseline[: ruling.mean],
+                scenes=trials.scenes[: decision.mean],
+                candidate=trials.candidate[: decision.mean],
+                baseline=trials.baseline[: decision.mean],
             )
             found = drop_interval_after(which, first)
-            words.add(ruling.word)
-            assert (found.low > 0.02 - 1e-7) == (ruling.word == "REGRESSED")
-            if ruling.word == "PASS":
+            words.add(decision.word)
+            assert (found.low > 0.02 - 1e-7) == (decision.word == "REGRESSED")
+            if decision.word == "PASS":
                 assert found.high < 0.10 + 1e-7
         assert "PASS" in words
     nothing = DrawnTrials(
@@ -302,7 +302,7 @@ def test_of_real_runs_in_random_order_few_are_judged_wrongly_at_their_true_drop(
     bank, trials, drop = reordered(1000)
     assert drop == pytest.approx(0.25, abs=0.01)
     rules = TrialRules(tiers=tiers(), margins=Margins(max_drop=drop, tolerate=drop))
-    words = [ruling.word for ruling in settle_all(bank, trials, rules)]
+    words = [decision.word for decision in settle_all(bank, trials, rules)]
     assert words.count("PASS") <= 50 + 3 * 7
     assert words.count("REGRESSED") <= 10 + 3 * 4
 
@@ -372,5 +372,7 @@ def test_what_cannot_be_judged_is_refused_by_name(make, says: str) -> None:
 
 
 def test_a_ruling_counts_the_trials_of_both_its_parts() -> None:
-    ruling = TrialRuling(word="PASS", mean=37, followed=(40, 90), named=(), waits_for=(), ahead=())
-    assert ruling.trials == 39
+    decision = TrialDecision(
+        word="PASS", mean=37, followed=(40, 90), named=(), waits_for=(), ahead=()
+    )
+    assert decision.trials == 39

@@ -54,7 +54,7 @@ def test_two_markers_three_waypoints_saved_and_run(label, folder, pictures, tmp_
             scale = 0.3 / labelling.distance
             browser.view.get_by_label("It is really, m").fill("0.3")
             browser.press("Tab")
-            browser.view.get_by_role("button", name="Scale the place").click()
+            browser.view.get_by_role("button", name="Scale the scene").click()
             wait(lambda: labelling.state.placement.scale == pytest.approx(scale))
             assert scale == pytest.approx(0.5, abs=0.05)
 
@@ -161,7 +161,7 @@ def test_a_tilted_place_without_a_scale_is_scaled_levelled_and_flipped_by_clicks
             browser.picture("unscaled")
             browser.view.get_by_label("It is really, m").fill("0.3")
             browser.press("Tab")
-            browser.view.get_by_role("button", name="Scale the place").click()
+            browser.view.get_by_role("button", name="Scale the scene").click()
             wait(lambda: labelling.state.to_scale)
             assert labelling.state.placement.scale == pytest.approx(0.5, abs=0.05)
             scale = labelling.state.placement.scale

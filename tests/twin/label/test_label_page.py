@@ -91,7 +91,7 @@ def test_with_keys_alone_a_trail_is_laid_and_saved(page, labelling):
     press(page, "key Move (I K J L): +y")
     assert labelling.state.waypoints[1] == pytest.approx((2.0, 0.1, 0.0), abs=0.1001)
     press(page, "key Order (G H): earlier")
-    press(page, "key 1 m before the trail (B)")
+    press(page, "key 1 m before the course (B)")
     press(page, "key Save (Ctrl+S)")
     assert "Saved" in page.controls.status.content
     saved = load_folder(labelling.place.folder)
@@ -117,7 +117,7 @@ def test_scale_turn_shift_and_crop_move_the_place_in_the_drawing(page, labelling
     click(page, 0.0, 0.0)
     click(page, 0.5, 0.0)
     page.controls.place._metres.value = 1.0
-    press(page, "Scale the place")
+    press(page, "Scale the scene")
     assert labelling.state.placement.scale == pytest.approx(2.0)
     assert page.server.scene.get_handle_by_name("/splat").scale == pytest.approx(2.0)
     press(page, "Crop to the pink box")
@@ -236,7 +236,7 @@ def test_every_button_has_a_command_for_the_keyboard(page):
 
 
 def test_what_is_wrong_is_shown_on_the_page(page):
-    press(page, "Scale the place")
+    press(page, "Scale the scene")
     assert "two markers" in page.controls.status.content
     press(page, "Turn: left")
     assert page.controls.status.content == "● Not saved yet."
@@ -325,7 +325,7 @@ def test_a_place_that_is_not_to_scale_asks_for_two_points_first(tmp_path):
         click(page, 2.8, 0.0)
         assert page.controls.place._distance.content == "The markers are **0.600 units** apart."
         page.controls.place._metres.value = 1.2
-        press(page, "Scale the place")
+        press(page, "Scale the scene")
         assert labelling.state.placement.scale == pytest.approx(2.0)
         assert "Not to scale" not in page.controls.hints.content
 

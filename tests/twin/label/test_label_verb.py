@@ -69,7 +69,7 @@ def test_what_is_nobody_s_to_edit_is_labelled_as_a_copy(capsys, scene, why):
     assert left.value.code == 2
     words = capsys.readouterr().err
     assert why in words
-    assert f"nw-eval twin label {scene} --out my-place" in words
+    assert f"nw-eval twin label {scene} --out my-scene" in words
 
 
 def test_a_folder_in_the_cache_is_not_edited(tmp_path, monkeypatch):

@@ -68,7 +68,7 @@ def test_a_platform_that_the_mesh_lacks_is_named_with_its_size_and_place():
 
 def test_a_gap_that_the_mesh_closes_is_named():
     (found,) = unlike_photographs(course(FIRST, (SECOND[0], THIRD[1])), LINE, photographs(TRUE))
-    assert "the mesh has ground where photographs look through" in found.message
+    assert "the mesh has ground where photographs show none" in found.message
     assert found.place[:2] == pytest.approx((2.8, 0.0), abs=0.1)
 
 
@@ -116,9 +116,9 @@ def test_ground_that_is_wrong_or_that_no_photograph_shows_is_named_by_where_it_i
     found = depth_differences(raised, STATIONS, near)
     wrong, blind = difference_findings(found, STATIONS[:, 0], STATIONS)
     assert "more than 0.05 m apart (median) from 2.1" in wrong.message
-    assert "to 4.00 m along the trail" in wrong.message
+    assert "to 4.00 m along the course" in wrong.message
     assert "no photograph shows the ground" in blind.message
-    assert "from 0.00 to 0.90 m along the trail" in blind.message
+    assert "from 0.00 to 0.90 m along the course" in blind.message
     assert {wrong.severity, blind.severity} == {"warning"}
     shown = shown_ground(raised, near)
     assert shown(np.array([[0.5, 0.0], [1.5, 0.0], [3.0, 0.0], [1.5, 9.0]])).tolist() == [

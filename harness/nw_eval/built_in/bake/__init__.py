@@ -1,1 +1,1 @@
-"""From a place to Gaussians: sampling, paint, light, leaves, sky."""
+"""From a scene to Gaussians: sampling, paint, light, leaves, sky."""

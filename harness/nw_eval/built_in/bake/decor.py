@@ -61,7 +61,7 @@ def poster(spots: Spots, colour: Colour) -> Coat:
 
 
 def mural(spots: Spots, colour: Colour) -> Coat:
-    """A spray-painted wall: letters that nobody can read, outlined."""
+    """A spray-painted wall: illegible letters, outlined."""
     u, v = spots.u / spots.h, spots.v / spots.h
     field = noise(np.stack([u, v * 0.8], axis=1), 0.33, 511) + 0.4 * noise(
         np.stack([u, v], axis=1), 0.13, 513

@@ -16,7 +16,7 @@ from nw_eval.scenes.scene import Vector
 
 # A leaf is about this many metres wide for each metre between it and the eye's path.
 _ANGLE = 0.021
-# Leaves per square of their size, and most leaves of a place.
+# Leaves per square of their size, and most leaves of a scene.
 _DENSITY = 1.1
 _BUDGET = 45_000
 

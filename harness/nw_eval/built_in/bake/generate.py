@@ -1,4 +1,4 @@
-"""A place's Gaussians, made from its geometry, paint and light.
+"""A scene's Gaussians, made from its geometry, paint and light.
 
 Radiance becomes what a camera's picture shows.
 """
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from nw_eval.scenes.scene import Progress
 
 
-# Gaussians that a place should have, about; and those of its sky.
+# Gaussians that a scene should have, about; and those of its sky.
 _BUDGET = 185_000
 _SKY = 5000
 _SKY_RADIUS = 90.0
-# Standard deviation of a disc in parts of its cell, and its thickness likewise.
+# Standard deviation of a disc in parts of its cell, and its thickness in the same.
 _SPREAD = 0.55
 _THICKNESS = 0.07
 _OPACITY = 0.985
@@ -52,7 +52,7 @@ _WHITE_BALANCE = 0.55
 
 
 def generate(place: Place, progress: Progress | None = None, *, budget: int = _BUDGET) -> Gaussians:
-    """Return the Gaussians of a place; the same bytes for the same place.
+    """Return the Gaussians of a scene; the same bytes for the same scene.
 
     Args:
         place: what to build.

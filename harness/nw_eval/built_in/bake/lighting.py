@@ -53,7 +53,7 @@ class _Stored:
 
 
 class Lighting:
-    """Answers how much light falls on points of one place."""
+    """Answers how much light falls on points of one scene."""
 
     def __init__(self, place: Place) -> None:
         self.place = place

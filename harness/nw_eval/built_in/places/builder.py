@@ -15,7 +15,7 @@ SIDES_AND_TOP = ("-x", "+x", "-y", "+y", "+z")
 
 
 class PlaceBuilder:
-    """Collects the parts of one place; `place()` hands them out as frozen data.
+    """Collects the parts of one scene; `place()` hands them out as frozen data.
 
     Lengths are metres in the world: x along the trail, y to the left, z up, the spawn at 0, 0, 0.
     """
@@ -182,7 +182,7 @@ class PlaceBuilder:
             return (cosine * px - sine * py, sine * px + cosine * py, pz)
 
         hx, hy, hz = half
-        # Origin, edges and the place on the unrolled box, for textures that run round corners.
+        # Origin, edges and the scene on the unrolled box, for textures that run round corners.
         frames = {
             "-y": ((-hx, -hy, -hz), (2 * hx, 0, 0), (0, 0, 2 * hz), 0.0),
             "+x": ((hx, -hy, -hz), (0, 2 * hy, 0), (0, 0, 2 * hz), 2 * hx),

@@ -1,4 +1,4 @@
-"""The pieces that a place is made of, as plain data."""
+"""The pieces that a scene is made of, as plain data."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Patch:
         origin, u, v: corner and edges, metres, world.
         material: name in the paint registry, with an optional colour: `carpet/blue`.
         kind: what rays take it for; None keeps it out of the mesh (paint on the ground quad).
-        painted: whether Gaussians lie on it; faces that nobody can see are not painted.
+        painted: whether Gaussians lie on it; hidden faces are not painted.
         fine: multiplies the spacing of Gaussians.
         texture: texture coordinates of `origin` in metres, so that patterns run round corners.
         decals: drawn over the material, later ones on top.
@@ -84,7 +84,7 @@ class Lamp:
 
 @dataclass(frozen=True, kw_only=True)
 class Light:
-    """What shines on a place from outside it.
+    """What shines on a scene from outside it.
 
     Attributes:
         sun: direction to the sun; any length.

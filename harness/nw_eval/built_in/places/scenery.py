@@ -32,7 +32,7 @@ def tree(
     """Plant a tree: a trunk that one can bump into, and a crown of clouds of leaves.
 
     Args:
-        builder: of the place that it stands in.
+        builder: of the scene that it stands in.
         x: metres.
         y: metres.
         height: metres from the ground to its top.
@@ -250,7 +250,7 @@ def car(
     """Park a car with its middle at a point; physics touches one box.
 
     Args:
-        builder: of the place that it stands in.
+        builder: of the scene that it stands in.
         x: metres.
         y: metres.
         paint: material.

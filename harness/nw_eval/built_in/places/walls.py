@@ -95,7 +95,7 @@ def house(
     """Build a house as one box whose `face` looks at the trail, with a grid of windows.
 
     Args:
-        builder: of the place that it is part of.
+        builder: of the scene that it is part of.
         x: from and to.
         y: from and to.
         height: metres.

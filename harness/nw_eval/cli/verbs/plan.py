@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nw_eval.api import BarPlan, ShardPlan, TrialPlan
-    from nw_eval.gate.baseline.foresee import Outset
+    from nw_eval.gate.baseline.power_forecast import Outset
     from nw_eval.gate.baseline.scores import ScoreForecast
 
 
@@ -57,7 +57,7 @@ class PlanTrials:
 
     def __call__(self) -> int:
         self._check()
-        return self._foresee() if self.shards is None else self._cut(self.shards)
+        return self._power_forecast() if self.shards is None else self._cut(self.shards)
 
     def _check(self) -> None:
         """Refuse options that say nothing about what is asked.
@@ -89,7 +89,7 @@ class PlanTrials:
         print(shard_matrix(planned) if self.json else shard_page(planned))
         return 0
 
-    def _foresee(self) -> int:
+    def _power_forecast(self) -> int:
         from nw_eval import api
 
         planned = api.plan_trials(

@@ -1,1 +1,1 @@
-"""The gate against a baseline: a run's rows and a bank in, what they show of the drop out."""
+"""The gate against a baseline: a run's rows and a baseline in, what they show of the drop out."""

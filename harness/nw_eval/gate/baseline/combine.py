@@ -27,19 +27,19 @@ from nw_eval.suite.model import Gate
 
 
 def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:
-    """Judge the rows of a run by the bar, and against a bank if there is one.
+    """Judge the rows of a run by the bar, and against a baseline if there is one.
 
     Where a result came out otherwise than the cache of trials says, the verdict is INFRASTRUCTURE.
-    Where the bank's own policy did other than the bank says on the machine of the run, the verdict
-    is INVALID: nothing is charged to the candidate. Where the candidate is the bank's own policy,
-    the bank's results are judged in place of the run's only if all that ran again is equal. A part
-    of a run is not judged (`_of_part`).
+    Where the baseline's own policy did other than the baseline says on the machine of the run, the
+    verdict is INVALID: nothing is attributed to the candidate. Where the candidate is the
+    baseline's own policy, the baseline's results are judged in place of the run's only if all that
+    ran again is equal. A part of a run is not judged (`_of_part`).
 
     Args:
         rows: of the run's plan.
         run: what they are of.
         gate: the settings to judge by.
-        against: the bank.
+        against: the baseline.
 
     Raises:
         IncomparableError, StoreError: as `compare`.
@@ -70,12 +70,12 @@ def _of_rows(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | N
         return replace(alone, reasons=(*alone.reasons, why)) if why else alone
     begun = run.baseline if run.baseline and run.baseline.sha256 == against.info.sha256 else None
     if begun is not None and not rows and run.stop is None:
-        # Cut while the bank's own policy ran, or before: nothing is known but what is missing.
+        # Cut while the baseline's own policy ran, or before: nothing is known but what is missing.
         return by_bar(rows, gate, run.planned)
     if begun is not None and begun.moved:
         reasons = (*begun.moved, _mend(run, against))
         return replace(by_bar(rows, gate, run.planned), verdict="INVALID", reasons=reasons)
-    found = compare(rows, run, against, gate, foresee=True)
+    found = compare(rows, run, against, gate, power_forecast=True)
     by_bar = partial(by_bar, drawn=_drawn(rows, run, against, gate))
     if found.again is not None and found.again.differing:
         verdict = by_bar(rows, gate, run.planned, against=found)
@@ -106,7 +106,7 @@ def unjudged(gate: Gate, suite: str, policy: str) -> str | None:
     Args:
         gate: the suite's settings.
         suite: what names the suite on a command line.
-        policy: likewise, the policy.
+        policy: as above, the policy.
     """
     named = None if gate.baseline == "none" else gate.baseline
     if gate.max_drop is None and named is None:
@@ -137,7 +137,7 @@ def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
         comparison: of the same rows with the baseline.
     """
     word = _word(verdict.verdict, comparison.word)
-    # More trials are of no use once the bar has convicted.
+    # More trials are of no use once the bar has flagged.
     more = (comparison.more,) if comparison.more and word == "INCONCLUSIVE" else ()
     reasons = (*comparison.reasons, *more, *verdict.reasons)
     if verdict.verdict == word != comparison.word:
@@ -148,11 +148,11 @@ def combined(verdict: Verdict, comparison: Comparison) -> Verdict:
 
 
 def without_bank(verdict: Verdict, why: str) -> Verdict:
-    """Return the verdict on a run that was to be compared with a bank, and cannot be: INVALID.
+    """Return the verdict on a run that was to be compared with a baseline, and cannot be: INVALID.
 
     Args:
         verdict: by the bar alone, which is told, and does not count.
-        why: in what the bank fails.
+        why: in what the baseline fails.
     """
     alone = (f"the bar alone: {verdict.verdict}", *verdict.reasons) if verdict.n else ()
     return replace(verdict, verdict="INVALID", reasons=(why, *alone))
@@ -179,7 +179,7 @@ def _word(bar: Word, baseline: Word) -> Word:
 
 
 def _of_part(rows: Sequence[Row], run: RunInfo, gate: Gate) -> Verdict:
-    """Return RAN, INFRASTRUCTURE where a trial has no result, INVALID where the bank fails here.
+    """Return RAN, INFRASTRUCTURE if a trial has no result, INVALID if the baseline fails here.
 
     Args:
         rows: of the part's plan.
@@ -197,5 +197,5 @@ def _of_part(rows: Sequence[Row], run: RunInfo, gate: Gate) -> Verdict:
         word, reasons = "INVALID", run.baseline.moved
     elif word == "RAN":
         reasons = ()
-    whole = f"{run.shard}: `nw-eval merge` puts all parts together, and judges the whole"
+    whole = f"{run.shard}: `nw-eval merge` joins all parts and judges the run"
     return replace(verdict, verdict=word, reasons=(*reasons, whole), per_scene=scores)

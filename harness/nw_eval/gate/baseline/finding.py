@@ -39,7 +39,7 @@ class Met:
 
     order: Sequence[DrawnStart]
     rows: Sequence[Row | None]
-    """By place; None has not ended."""
+    """By index; None has not ended."""
     control: Sequence[Row | None] | None = None
     """Of the baseline's policy from the same starts, where it runs beside the candidate."""
     left: frozenset[str] = frozenset()
@@ -50,7 +50,7 @@ class Met:
     """What of a trial is compared, 0 to 1, None without a result: success, or a scaled score."""
 
     def places(self, judged: Sequence[Stratum]) -> Places:
-        """Return the places of the trials of some strata, in order, shape (T,)."""
+        """Return the positions of the trials of some strata, in order, shape (T,)."""
         which = set(judged)
         found = [place for place, (*stratum, _) in enumerate(self.order) if tuple(stratum) in which]
         return np.array(found, dtype=np.intp)
@@ -75,7 +75,7 @@ class Met:
         Args:
             judged: the strata.
             known: the baseline's panel; or its mean success in each stratum, where the starts are
-                others than the panel's. A control, if there is one, comes before it.
+                others than the seed set's. A control, if there is one, comes before it.
         """
         places = self.places(judged).tolist()
         number = {stratum: index for index, stratum in enumerate(judged)}
@@ -97,7 +97,7 @@ class Met:
         )
 
     def scores(self, stratum: Stratum, places: Collection[int]) -> Floats:
-        """Return c of the trials of a stratum among some places, NaN without a result.
+        """Return c of the trials of a stratum among some positions, NaN without a result.
 
         Beside a control means are of whole pairs, as the drop is: if the starts from which the
         candidate left counted for the control alone, means would be of other starts on each side.
@@ -110,11 +110,11 @@ class Met:
         return np.array(found, dtype=np.float64)
 
     def of(self, stratum: Stratum, places: Collection[int]) -> list[Row]:
-        """Return the rows of a stratum among some places that have a result which counts."""
+        """Return the rows of a stratum among some positions that have a result which counts."""
         return self._whole(self.rows, stratum, places)
 
     def beside(self, stratum: Stratum, places: Collection[int]) -> list[Row]:
-        """Return the control's rows of a stratum among some places, of pairs that count."""
+        """Return the control's rows of a stratum among some positions, of pairs that count."""
         return [] if self.control is None else self._whole(self.control, stratum, places)
 
     def _whole(
@@ -151,7 +151,7 @@ def budget_of(run: RunInfo) -> int:
 def by_place(
     rows: Iterable[Row], run: RunInfo, order: Sequence[DrawnStart], arm: Arm = "candidate"
 ) -> list[Row | None]:
-    """Return the rows of a run by the places of their trials.
+    """Return the rows of a run by the positions of their trials.
 
     Args:
         rows: in any order; those of strata that the order has none of, and of starts beyond the
@@ -200,11 +200,11 @@ class Finding:
 
     word: Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
     first: int
-    """All places below it bear on the mean: up to the trial that settled it, or those so far."""
+    """All positions below it bear on the mean: up to the trial that settled it, or those so far."""
     followed: tuple[int, ...] = ()
-    """Later places that were judged for their scenes alone."""
+    """Later positions that were judged for their scenes alone."""
     ahead: tuple[int, ...] = ()
-    """Places that come next, as `TrialRuling.ahead`; those of strata that count."""
+    """Places that come next, as `TrialDecision.ahead`; those of strata that count."""
     used: tuple[int, ...] = ()
     """Places of trials of strata that count which were judged, in order."""
     evidence: Mapping[Stratum, float] = field(default_factory=dict)
@@ -213,7 +213,7 @@ class Finding:
     """Those that regressed significantly."""
     waits_for: tuple[Stratum, ...] = ()
     """Those that alone hold back a PASS."""
-    mean_convicts: bool = False
+    mean_regressed: bool = False
     """Whether the mean itself regressed significantly."""
     drop: float | None = None
     """Estimate of the drop; None without a trial."""
@@ -226,7 +226,7 @@ class Finding:
 
     @property
     def worst(self) -> tuple[Stratum, ...]:
-        """Those that regressed or may have, and of a policy that was convicted some of the rest."""
+        """Those that regressed or may have, and of a policy that was flagged some of the rest."""
         ranked = sorted(self.evidence, key=lambda stratum: (-self.evidence[stratum], stratum))
         least = _WORST if self.word == "REGRESSED" else 0
         return tuple(
@@ -293,7 +293,7 @@ def check_level(panel: Panel, judged: Sequence[Stratum], gate: Gate) -> None:
     """Refuse a baseline that scores too little for a drop of max_drop.
 
     Raises:
-        IncomparableError: nobody could drop by it, and all would pass.
+        IncomparableError: no policy could drop by it, and all would pass.
     """
     mean = np.mean([scores_of(panel, stratum).mean() for stratum in judged])
     if not mean > gate.most_drop:
@@ -320,7 +320,7 @@ def find(
         met: trials of the candidate.
         judged: strata that count.
         panel: of the baseline.
-        basis: what the panel is to the trials.
+        basis: what the baseline is to the trials.
         gate: margins, errors and tiers.
         claim: of which starts it is to hold. Of fresh ones no draw leaves less for the rest.
         alone: whether to ask for intervals: they take longer than all else.
@@ -340,26 +340,26 @@ def find(
     check_level(panel, judged, gate)
     bank, rules = bank_of(panel, judged, basis, claim), rules_of(gate, judged)
     trials = numbers_of(met, judged, panel, basis, bank)
-    ruling = settle(bank, trials, rules, ended)
-    used = [*range(ruling.mean), *ruling.followed]
+    decision = settle(bank, trials, rules, ended)
+    used = [*range(decision.mean), *decision.followed]
     seen = trials.at(used)
     evidence = dict.fromkeys(judged, 1.0)
     own = looks(bank, seen, rules.margins).own if used else np.empty(0)
     for which, value in zip(seen.scenes.tolist(), own.tolist(), strict=True):
         evidence[judged[which]] = value
     alphas = {"alpha_pass": rules.alpha_pass, "alpha_regr": rules.alpha_regr}
-    mean = trials.at(range(ruling.mean))
-    regressed = looks(bank, mean, rules.margins).regressed if ruling.mean else np.empty(0)
+    mean = trials.at(range(decision.mean))
+    regressed = looks(bank, mean, rules.margins).regressed if decision.mean else np.empty(0)
     return Finding(
-        word="INCONCLUSIVE" if ruling.word == "undecided" else ruling.word,
-        first=int(places[ruling.mean - 1]) + 1 if ruling.mean else 0,
-        followed=tuple(places[list(ruling.followed)].tolist()) if ruling.followed else (),
-        ahead=tuple(places[list(ruling.ahead)].tolist()) if ruling.ahead else (),
+        word="INCONCLUSIVE" if decision.word == "undecided" else decision.word,
+        first=int(places[decision.mean - 1]) + 1 if decision.mean else 0,
+        followed=tuple(places[list(decision.followed)].tolist()) if decision.followed else (),
+        ahead=tuple(places[list(decision.ahead)].tolist()) if decision.ahead else (),
         used=tuple(places[used].tolist()) if used else (),
         evidence=evidence,
-        named=tuple(judged[index] for index in ruling.named),
-        waits_for=tuple(judged[index] for index in ruling.waits_for),
-        mean_convicts=bool((regressed >= 1.0 / rules.alpha_regr).any()),
+        named=tuple(judged[index] for index in decision.named),
+        waits_for=tuple(judged[index] for index in decision.waits_for),
+        mean_regressed=bool((regressed >= 1.0 / rules.alpha_regr).any()),
         drop=_drop(bank, mean),
         control=_control(mean) if bank.paired else None,
         interval=drop_interval_after(bank, mean, **alphas) if alone else None,

@@ -1,7 +1,7 @@
-"""Whether the candidate is worse than the baseline: a run's rows and a bank in, a comparison out.
+"""Whether the candidate is worse than the baseline: from a run's rows to a comparison.
 
 The candidate's rows become trials in the order of the draw (`finding.Met`), these become evidence
-and a word (`finding.find`), and what that may claim depends on what the bank is to the run
+and a word (`finding.find`), and what that may claim depends on what the baseline is to the run
 (`match.basis_of`). Here are also the waypoint at which the candidate parts from the baseline, the
 comparison in words, and what is simulated for a report: other policies at this gate, and this one
 after more trials.
@@ -26,9 +26,9 @@ from nw_eval.gate.baseline.finding import (
     scores_of,
     strata_that_count,
 )
-from nw_eval.gate.baseline.foresee import Outset, about_more_trials, outset_of_bank
 from nw_eval.gate.baseline.known import recheck
 from nw_eval.gate.baseline.match import basis_of, check_match, claim_of, drawn_order
+from nw_eval.gate.baseline.power_forecast import Outset, about_more_trials, outset_of_bank
 from nw_eval.gate.validity import over_the_cap, that_left
 from nw_eval.gate.verdict import Basis, Claim, Comparison, SceneDrop, percent_sure
 from nw_eval.plural import plural
@@ -47,7 +47,7 @@ _FURTHER = 4
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonSetup:
-    """A run against a bank that holds for it, before anything of its trials is looked at."""
+    """A run against a baseline that holds for it, before anything of its trials is looked at."""
 
     run: RunInfo
     against: Against
@@ -61,11 +61,11 @@ class ComparisonSetup:
     """Those that count."""
     order: Sequence[DrawnStart]
     left_aside: int
-    """Scenes of the bank that the run was not asked for."""
+    """Scenes of the baseline that the run was not asked for."""
 
     @property
     def bank(self) -> SavedBank:
-        """The bank."""
+        """The baseline."""
         return self.against.bank
 
     def met(self, rows: Sequence[Row], *, further: bool = False) -> Met:
@@ -106,16 +106,16 @@ class ComparisonSetup:
 
 
 def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
-    """Return a run against a bank.
+    """Return a run against a baseline.
 
     Args:
-        run: the candidate's. What it says of the bank (`BaselineInfo.checked`) counts.
-        against: the bank.
+        run: the candidate's. What it says of the baseline (`BaselineInfo.checked`) counts.
+        against: the baseline.
         gate: margins, errors and tiers.
 
     Raises:
-        IncomparableError: the bank does not hold for the run, or has too few starts for its trials;
-            or nobody has checked it on this class of machine; or no scene of it counts.
+        IncomparableError: the baseline does not hold for the run, or has too few starts for its
+            trials; or it is unchecked on this class of machine; or no scene of it counts.
     """
     bank = against.bank
     check_match(run, bank)
@@ -142,25 +142,26 @@ def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
 
 
 def compare(
-    rows: Sequence[Row], run: RunInfo, against: Against, gate: Gate, *, foresee: bool = False
+    rows: Sequence[Row], run: RunInfo, against: Against, gate: Gate, *, power_forecast: bool = False
 ) -> Comparison:
-    """Compare the trials that a run has so far with a bank.
+    """Compare the trials that a run has so far with a baseline.
 
     Args:
         rows: of the candidate, in any order.
         run: what they are of.
-        against: the bank of the baseline, with the control's rows if one ran.
+        against: the baseline, with the control's rows if one ran.
         gate: margins, errors and tiers.
-        foresee: also find intervals, and simulate what this gate would show of other policies, and
+        power_forecast: also find intervals, and simulate what this gate would show of other
+            policies, and
             of this one after more trials: for a report, and too slow to be asked after each trial.
 
     Raises:
-        IncomparableError: as `setup_of`, or the gate could never convict.
+        IncomparableError: as `setup_of`, or the gate could never flag.
         StoreError: a row is not of this run, or appears twice.
     """
     setup = setup_of(run, against, gate)
     met = setup.met(rows)
-    finding = setup.find(met, alone=foresee)
+    finding = setup.find(met, alone=power_forecast)
     basis, panel, strata = setup.basis, setup.panel, setup.strata
     used = frozenset(finding.used) | {
         place for place in range(finding.first) if met.order[place][0] not in _scenes(setup)
@@ -187,7 +188,7 @@ def compare(
         baseline=_level(finding, panel, setup.judged),
         drop=finding.drop,
         interval=finding.interval,
-        mean_convicts=finding.mean_convicts,
+        mean_regressed=finding.mean_regressed,
         false_alarm=most_false_alarms(
             bar=None if all(bar is None for bar in bars) else alpha_pass,
             bar_critical=critical > 0,
@@ -207,9 +208,9 @@ def compare(
         again=recheck(rows, run, setup.bank) if meets_starts else None,
     )
     curve = more = None
-    if foresee and basis != "same":
+    if power_forecast and basis != "same":
         further = setup.met(rows, further=True)
-        curve, more = _foresee(comparison, further, setup.judged, panel, gate)
+        curve, more = _power_forecast(comparison, further, setup.judged, panel, gate)
     reasons = _in_words(comparison, finding)
     return replace(
         comparison,
@@ -264,9 +265,9 @@ def _level(finding: Finding, panel: Panel, judged: Sequence[Stratum]) -> float:
 def _waypoints(
     strata: Iterable[Stratum], met: Met, used: Collection[int], panel: Panel
 ) -> Mapping[Stratum, int]:
-    """Return the first waypoint, from 1, of each stratum at which the two part beyond doubt.
+    """Return the first waypoint, from 1, of each stratum at which the two part significantly.
 
-    The baseline is all starts of its panel, or the control's trials beside the candidate's; the
+    The baseline is all of its starts, or the control's trials beside the candidate's; the
     candidate is the trials judged that came to a result. All strata are looked at together
     (`stats.hazard`), and some may have none.
 
@@ -314,7 +315,7 @@ def _in_words(found: Comparison, finding: Finding) -> tuple[str, ...]:
         over = "taken over from the baseline, " if again.taken_over else ""
         return (f"the same policy as the baseline {found.policy}: {over}{again.in_words}",)
     fallen, mean = _fallen(found), _mean(found)
-    by_scenes_alone = found.word == "REGRESSED" and not found.mean_convicts
+    by_scenes_alone = found.word == "REGRESSED" and not found.mean_regressed
     return (
         *((*fallen, mean) if by_scenes_alone else (mean, *fallen)),
         *_largest(found),
@@ -343,7 +344,7 @@ def _mean(found: Comparison) -> str:
     span = (
         f"at least {drops.low:z.3f} ({at_least} confidence), at most {drops.high:z.3f} ({at_most})"
     )
-    if found.mean_convicts:
+    if found.mean_regressed:
         return f"mean success regressed from {name}: {span} worse {in_trials}"
     change = f"dropped by {found.drop:z.3f} from {name}"
     if found.drop < 0.0:
@@ -359,7 +360,7 @@ def _mean(found: Comparison) -> str:
 
 
 def _fallen(found: Comparison) -> tuple[str, ...]:
-    """Return which scenes regressed, whatever the word; those that convict first."""
+    """Return which scenes regressed, whatever the word; those that flag first."""
     order = {"critical": 0, "supporting": 1, "informational": 2}
     named = [item for item in found.scenes if item.named]
     named.sort(key=lambda item: (order[item.tier], -item.evidence, item.name))
@@ -375,8 +376,8 @@ def _fell(item: SceneDrop) -> str:
 
 
 def _largest(found: Comparison) -> Iterable[str]:
-    """Return where a policy that the mean convicts seems worst, if no scene convicts alone."""
-    if not found.mean_convicts or any(item.named for item in found.scenes):
+    """Return where a policy that the mean flags seems worst, if no scene flags alone."""
+    if not found.mean_regressed or any(item.named for item in found.scenes):
         return
     lower = [item for item in found.scenes if item.counts and item.drop and item.drop > 0.0]
     lower.sort(key=lambda item: (-item.evidence, item.name))
@@ -411,7 +412,7 @@ def _limits(found: Comparison) -> Iterable[str]:
     """Return of which starts it speaks, and what was left out."""
     if found.claim == "panel":
         yield (
-            f"gate.claim is panel: this holds for the baseline's {plural(found.starts, 'start')} "
+            f"gate.claim is panel: this applies to the baseline's {plural(found.starts, 'start')} "
             "in each scene, not for new ones"
         )
     if found.basis == "control":
@@ -437,7 +438,7 @@ def _listed(names: Sequence[str]) -> str:
     return f"{', '.join(names[:_NAMED])}{more}"
 
 
-def _foresee(
+def _power_forecast(
     found: Comparison, met: Met, judged: Sequence[Stratum], panel: Panel, gate: Gate
 ) -> tuple[tuple[CurvePoint, CurvePoint, CurvePoint], str | None]:
     """Simulate what a comparison leaves open.
@@ -449,7 +450,7 @@ def _foresee(
     Args:
         found: the comparison.
         met: trials of the candidate, and those that may be run beyond the budget.
-        judged: strata that count, in the order of the panel.
+        judged: strata that count, in the order of the seed set.
         panel: of the baseline, in the scenes of the run.
         gate: margins, errors and tiers.
     """
@@ -457,7 +458,7 @@ def _foresee(
     outset = outset_of_bank(panel, gate, budget=found.budget, against=against)
     is_open = found.word == "INCONCLUSIVE" and found.trials > 0
     more = _more(met, judged, panel, found, outset) if is_open else None
-    return outset.foresee(), more
+    return outset.power_forecast(), more
 
 
 def _more(

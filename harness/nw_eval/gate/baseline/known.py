@@ -36,14 +36,14 @@ class _Place:
 
 
 def known_rows(run: RunInfo, bank: SavedBank) -> tuple[Row, ...]:
-    """Return a bank's results as rows, taken over (`Row.cached`): they cost this run no time.
+    """Return a baseline's results as rows, taken over (`Row.cached`): they cost this run no time.
 
-    They are for judging only. What a bank does not hold of a trial, its steps and digests, they do
-    not hold either.
+    They are for judging only. What a baseline does not hold of a trial, its steps and digests, they
+    do not hold either.
 
     Args:
-        run: of the bank's own policy.
-        bank: which holds for the run: the panel of its class of machine, or else the first.
+        run: of the baseline's own policy.
+        bank: which fits the run: the results of its class of machine, or else the first.
     """
     panel = bank.panel_of(machine_of(run)) or bank.panels[0]
     starts = {(*start.stratum, start.seed_index): start for start in panel.starts}
@@ -83,11 +83,11 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank) -> Recheck:
     """Compare trials of the baseline's own policy with what the baseline says of these starts.
 
     On a class of machine that the baseline has been run on, values and bits must be equal. On
-    another one bits may be others. Then nothing is taken over, and only a trial that has the
+    another one bits may be others. Then nothing is reused, and only a trial that has the
     baseline's bits and another result speaks against the baseline.
 
     Args:
-        rows: of the run, whose policy is the baseline's by its digests, on the pinned panel.
+        rows: of the run, whose policy is the baseline's by its digests, on the pinned seed set.
         run: what they are of.
         bank: of the baseline.
 
@@ -96,7 +96,7 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank) -> Recheck:
     """
     seen = bank.panel_of(machine_of(run))
     done = [row for row in rows if row.status == "ok"]
-    # The very panel that `known_rows` takes results from.
+    # The results that `known_rows` uses.
     panel = seen or bank.panels[0]
     differing = differences(done, panel)
     ran = {(row.scene, row.perturbation) for row in done if not row.cached}

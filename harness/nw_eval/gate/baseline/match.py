@@ -1,7 +1,7 @@
-"""What a bank is to a run: whether it holds, on what basis, and which of its starts are met when.
+"""What a baseline is to a run: whether it fits, on what basis, and which starts come when.
 
-What does not match is named field by field, with both values and what renews the bank. The order of
-the starts is the same for who runs and who judges.
+What does not match is named field by field, with both values and what renews the baseline. The
+order of the starts is the same for who runs and who judges.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _NAMED = 3  # scenes that a sentence names before it says "and more"
 
 
 def check_match(run: RunInfo, bank: SavedBank) -> None:
-    """Refuse a bank that does not hold for a run.
+    """Refuse a baseline that does not hold for a run.
 
-    A run on a fresh panel differs in its seed, and may; one that was asked for some scenes only may
-    lack the others.
+    A run on a fresh seed set differs in its seed, and may; one that was asked for some scenes only
+    may lack the others.
 
     Raises:
         IncomparableError: naming every field that differs.
@@ -46,11 +46,11 @@ def check_match(run: RunInfo, bank: SavedBank) -> None:
 
 
 def renewing(run: RunInfo, bank: SavedBank, *options: str) -> str:
-    """Return the command that makes a bank anew for the suite of a run.
+    """Return the command that makes a baseline anew for the suite of a run.
 
     Args:
         run: the run.
-        bank: the bank.
+        bank: the baseline.
         options: what the command is to say besides, in place of --renew.
     """
     suite, policy = bank.manifest.suite, bank.manifest.policy.typed
@@ -61,7 +61,7 @@ def renewing(run: RunInfo, bank: SavedBank, *options: str) -> str:
 
 
 def saving(bank: SavedBank, suite: str, policy: str, *options: str) -> str:
-    """Return the command that makes a bank anew for a suite, from a policy as it can be typed."""
+    """Return the command that renews a suite's baseline, from a policy as it can be typed."""
     own = bank.manifest.name
     name = [] if own == bank.manifest.policy.name else ["--name", own]
     words = ["nw-eval", "baseline", "save", suite, "--policy", policy, *(options or ["--renew"])]
@@ -86,7 +86,7 @@ def _suite_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
 
 
 def _what_else(suite: Suite, bank: SavedBank) -> str:
-    """Return which settings differ, as far as a bank knows its own."""
+    """Return which settings differ, as far as a baseline knows its own."""
     ours = sorted(suite.perturb.cells)
     theirs = sorted({cell for _, cell in bank.panels[0].by_stratum})
     if ours == theirs:
@@ -147,24 +147,26 @@ _NOTHING = sha256(b"").hexdigest()
 
 
 def basis_of(run: RunInfo, bank: SavedBank, checked: str | None) -> tuple[Basis, Panel]:
-    """Return what the bank is to the run's trials, and the panel that speaks for the baseline.
+    """Return what the baseline is to the run's trials, and its results that are compared.
 
     Args:
-        run: on the bank's suite and simulator (`check_match`).
+        run: on the baseline's suite and simulator (`check_match`).
         bank: of the baseline.
         checked: what trials of the baseline have shown on this class of machine.
 
     Raises:
-        IncomparableError: the bank has no panel of this class of machine, and nobody has checked.
+        IncomparableError: the baseline has no results from this class of machine, and none
+            was checked.
     """
     panel = bank.panel_of(machine_of(run))
     if is_baseline(run.policy, bank):
         return "same", panel or bank.panels[0]
     if panel is None and checked not in {"bits", "control"}:
         raise IncomparableError(
-            f"baseline {bank.manifest.name} has no panel of this class of machine "
+            f"baseline {bank.manifest.name} has no results from this class of machine "
             f"({_unlike(run, bank)}), and no trial of the baseline has been run on it",
-            fix=f"`nw-eval run --baseline {bank.manifest.name}` runs some first, or add a panel "
+            fix=f"`nw-eval run --baseline {bank.manifest.name}` runs some first, or add this "
+            "machine's results "
             f"with `{renewing(run, bank)}`",
         )
     if panel is None and checked == "control":
@@ -177,12 +179,13 @@ def basis_of(run: RunInfo, bank: SavedBank, checked: str | None) -> tuple[Basis,
 def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, rounds: int, gate: Gate) -> Claim:
     """Return of which starts a comparison speaks: of fresh ones, unless the suite says otherwise.
 
-    Of the panel itself it may only where the order was drawn for this candidate from all of it: the
-    first starts of a panel are as random as any among all starts, but not among those of the panel.
+    Of the seed set itself it may only where the order was drawn for this candidate from all of it:
+    the first starts of a seed set are as random as any among all starts, but not among those of the
+    seed set.
 
     Raises:
-        IncomparableError: the bank has fewer starts than were drawn, or `gate.claim` is panel where
-            none were.
+        IncomparableError: the baseline has fewer starts than were drawn, or `gate.claim` is panel
+            where none were.
     """
     has, is_drawn = bank.manifest.starts, basis == "panel" and run.drawn_from is not None
     needs = max(rounds if is_drawn else 0, run.drawn_from or 0)
@@ -197,7 +200,7 @@ def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, rounds: int, gate: Gat
     if is_drawn and run.drawn_from == has:
         return "panel"
     raise IncomparableError(
-        f"gate.claim is panel, and the candidate did not meet starts that were drawn for it from "
+        f"gate.claim is panel, but the candidate's initial states were not drawn for it from "
         f"all {has} of baseline {bank.manifest.name} on a machine that it knows",
         fix="write `claim: fresh`",
     )
@@ -229,7 +232,7 @@ def _unlike(run: RunInfo, bank: SavedBank) -> str:
 
 _FRESH = 1000
 """Starts in each scene of which fresh ones are drawn, so that a run with more trials begins with
-those of one with fewer. Which of them a trial has does not matter: nobody has met any."""
+those of one with fewer. Which of them a trial has does not matter: no trial has used any."""
 
 
 def drawn_order(run: RunInfo, strata: Sequence[Stratum], rounds: int) -> list[DrawnStart]:
@@ -243,7 +246,7 @@ def drawn_order(run: RunInfo, strata: Sequence[Stratum], rounds: int) -> list[Dr
     Raises:
         IncomparableError: it was drawn in another way, by an older nw-eval.
     """
-    # Of fresh starts no bank drew any, and yet the first ones of each scene were judged.
+    # Of fresh starts no baseline drew any, and yet the first ones of each scene were judged.
     if run.run < 2 and (run.drawn_from is not None or run.baseline is not None):
         raise IncomparableError(
             f"run {run.id} was drawn round by round by an older nw-eval, and this one judges trial "
@@ -283,7 +286,7 @@ def draw_trials(
 def draw_fresh(
     strata: Sequence[Stratum], rounds: int, *, candidate: str, suite_digest: str
 ) -> list[DrawnStart]:
-    """Return as `draw_trials` does trials 0, 1, ... of each stratum: starts that nobody has met."""
+    """Return as `draw_trials` does trials 0, 1, ... of each stratum: unused starts."""
     met = dict.fromkeys(strata, 0)
     found: list[DrawnStart] = []
     most = max(_FRESH, rounds)
@@ -326,7 +329,7 @@ def fresh_seed(candidate: PolicyInfo, suite: Suite) -> int:
     """Return the seed of the starts that only this candidate meets in a suite, 0 to 2^63 - 1.
 
     It is the first 63 bits of sha256("fresh/<checkpoint digest>/<card digest>/<suite digest>"), the
-    digest being that of the suite with seed 0. So nobody chooses it: a checkpoint has one fresh
+    digest being that of the suite with seed 0. So it cannot be chosen: a checkpoint has one fresh
     panel in a suite, whatever panel is pinned there.
 
     Args:

@@ -9,7 +9,7 @@ trial runs. Scaled to [0, 1], 1 the best, it is judged as success is:
   as that of success (`stats.bank.interval`), must end below `max_drop` to PASS, and begin above
   `tolerate` to be REGRESSED.
 
-A critical scene convicts by a score alone as it does by success: its own upper bound is below the
+A critical scene flags by a score alone as it does by success: its own upper bound is below the
 bar at a confidence that all critical scenes share, or its own interval of the drop begins above
 `max_drop` at a level that all scenes share.
 
@@ -60,7 +60,7 @@ def with_scores(
         rows: those that it is of.
         run: what they are of; its `scores` declare what was measured.
         gate: the settings to judge by.
-        against: the bank, where there is one.
+        against: the baseline, where there is one.
     """
     if not run.scores and not gate.scores:
         return verdict
@@ -185,7 +185,7 @@ def _finding(
 
 
 def lacks_score(bank: SavedBank, name: str) -> str:
-    """Return that a bank was saved before its suite measured a score."""
+    """Return that a baseline was saved before its suite measured a score."""
     return f"the baseline {bank.manifest.name} has no {name}"
 
 
@@ -375,10 +375,10 @@ _CHANGES = (0.0, 0.5, 1.0, 1.5, 2.0)
 def forecast_scores(
     bank: SavedBank, declared: Mapping[str, ScoreSpec], gate: Gate
 ) -> tuple[ScoreForecast, ...]:
-    """Return what the gate makes of each score that it compares with a bank.
+    """Return what the gate makes of each score that it compares with a baseline.
 
-    A candidate's trial has the value of a start of the bank, drawn at random in its scene, less the
-    change; values stay within the range, so that where many are at its end the true change is
+    A candidate's trial has the value of a start of the baseline, drawn at random in its scene, less
+    the change; values stay within the range, so that where many are at its end the true change is
     less. As many trials as the budget has are drawn, all of them looked at once.
 
     Args:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.built_in.splits import split_of
 from nw_eval.catalogue import FoundScene, references
-from nw_eval.engine.listener import Silence
+from nw_eval.engine.listener import NullListener
 from nw_eval.engine.local import LocalWorkers
 from nw_eval.engine.machine import WorkerOutput, worker_count
 from nw_eval.engine.plan import default_time_limit
@@ -50,7 +50,8 @@ def training_scenes(patterns: Sequence[str]) -> tuple[FoundScene, ...]:
     found = [each for each in references(patterns) if split_of(each[0]) != "eval"]
     if not found:
         raise UsageError(
-            f"scenes: {', '.join(patterns)}: these are evaluation scenes, in which nobody learns",
+            f"scenes: {', '.join(patterns)}: these are evaluation scenes, which may not be used "
+            "for training",
             fix="name others, such as `split:train`",
         )
     return tuple(FoundScene.at(*each) for each in found)
@@ -76,7 +77,7 @@ def make_ready(scenes: Sequence[FoundScene], card: Card, say: Callable[[str], No
         build_splats(opened, listener)
 
 
-class _Told(Silence):
+class _Told(NullListener):
     """Passes lines for people on, and every ten seconds which splat is being built."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -209,9 +210,9 @@ class Round:
         pair = Pair(student=self.student.reference, teacher=self.teacher.reference)
         output = WorkerOutput(self.folder.parent / _WORKERS_LOG)
         count = worker_count(workers, len(jobs))
-        with LocalWorkers(count, start=start, run=pair, output=output) as staff:
-            staff.submit(jobs)
-            for done in staff.finished():
+        with LocalWorkers(count, start=start, run=pair, output=output) as local:
+            local.submit(jobs)
+            for done in local.finished():
                 yield None if done is None else (done.job, done.result)
 
 

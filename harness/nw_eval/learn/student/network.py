@@ -66,7 +66,7 @@ class StudentNetwork(nn.Module):
 
         Args:
             sizes: from the config.
-            sees: likewise.
+            sees: as above.
             proprio: numbers of the body.
         """
         super().__init__()

@@ -241,7 +241,10 @@ class StudentTraining:
         successes: dict[str, list[float]] = {}
         for job, one in trajectories.read():
             if self._dataset.nbytes >= most:
-                self._say(f"the dataset has {self._config.dataset_gib:g} GiB: the rest is left out")
+                self._say(
+                    f"the dataset has {self._config.dataset_gib:g} GiB: the remaining samples "
+                    "are left out"
+                )
                 break
             self._dataset.add(one)
             for group in ("all", job.trial.task):

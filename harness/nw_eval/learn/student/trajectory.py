@@ -48,7 +48,7 @@ class Trajectory:
     rgb: Bytes
     """(F, 3, rows, columns); none of them where the student sees no colours."""
     depth: Bytes
-    """(F, 1, rows, columns) shares of the clipping distance in 255 steps; likewise."""
+    """(F, 1, rows, columns) shares of the clipping distance in 255 steps; as above."""
     success: float
     """Share of waypoints that whoever drove has reached."""
 

@@ -65,7 +65,7 @@ def draw_bars(
     *,
     is_difference: bool = False,
 ) -> None:
-    """Draw a pair of bars at each place, or points where they are differences.
+    """Draw a pair of bars at each position, or points where they are differences.
 
     Args:
         axes: to draw in.

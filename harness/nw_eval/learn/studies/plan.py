@@ -24,7 +24,7 @@ Patterns = Annotated[list[str], Field(min_length=1)]
 _OF_THE_STUDY = {"version": "nw-train", "seed": "seed", "name": "name", "scenes": "scenes"}
 
 Part = Literal["training", "evaluation"]
-"""Of a study's scenes: those that students are trained in, and those that nobody has seen."""
+"""Of a study's scenes: those that students are trained in, and those that no student has seen."""
 
 
 class Recipe(StudentConfig):
@@ -48,7 +48,7 @@ class Trials(ConfigModel):
     trials: int = Field(ge=2, le=10_000)
     """In each scene. One alone has no interval."""
     seed: int = Field(default=20261, ge=0, lt=2**63)
-    """Names the pinned panel of starts, as the seed of a suite does."""
+    """Names the pinned seed set, as the seed of a suite does."""
     duration: float = Field(default=20.0, gt=0.0, le=600.0)
     """Longest simulated time of a trial, s."""
 
@@ -93,7 +93,7 @@ class MultiSceneConfig(StudyConfig):
 
     study: Literal["multi-scene"]
     held_out: Patterns = Field(default=["split:eval"])
-    """Scenes in which nobody was trained."""
+    """Scenes in which no student was trained."""
     by_task: bool = False
     """Whether each task has a student of its own, trained and evaluated in its scenes alone."""
 
@@ -103,7 +103,7 @@ class ObservationsConfig(StudyConfig):
 
     study: Literal["observations"]
     held_out: Patterns = Field(default=["split:eval"])
-    """Scenes in which nobody was trained."""
+    """Scenes in which no student was trained."""
     variants: dict[Name, Sees] = Field(min_length=2, max_length=12)
     """What each student is given, by its name; the others are compared with the first."""
 
@@ -180,14 +180,14 @@ def trained_in(config: StudyConfig) -> tuple[StudyScene, ...]:
     found = _scenes(training_scenes(config.scenes), "training")
     if left_out := set(config.scenes) - {each.reference for each in found}:
         raise UsageError(
-            f"scenes: {min(left_out)} is an evaluation scene, in which nobody is trained",
+            f"scenes: {min(left_out)} is an evaluation scene, which may not be used for training",
             fix="name scenes of `split:train`, or your own",
         )
     return found
 
 
 def held_out(patterns: Sequence[str], seen: Iterable[StudyScene]) -> tuple[StudyScene, ...]:
-    """Return the scenes in which students are evaluated and nobody is trained.
+    """Return the scenes in which students are evaluated and no student is trained.
 
     Raises:
         SceneError: a scene cannot be opened.

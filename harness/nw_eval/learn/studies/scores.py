@@ -64,7 +64,7 @@ class Score:
     errors: int
     """Trials that came to none."""
     against: str = ""
-    """The student whose success on the same starts was taken off; empty if nobody's was."""
+    """The student whose success on the same starts was taken off; empty for none."""
 
 
 def score(outcomes: Sequence[Outcome], *, student: str, number: int, group: str) -> Score:

@@ -131,7 +131,7 @@ class Lanes:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lane:
-    """One place to train in.
+    """One scene to train in.
 
     Attributes:
         model: robot and solids; every lane's has the same sizes.

@@ -40,7 +40,7 @@ class PpoLearner:
 
     Args:
         actor: is improved in place.
-        critic: likewise.
+        critic: as above.
         settings: of the config.
         generator: of the order of samples.
         device: where it computes.
@@ -192,7 +192,7 @@ class SampleCollector:
 
     @torch.no_grad()
     def collect(self, actor: Actor, critic: Critic, std: float) -> Collected:
-        """Run `horizon` control steps of all robots with a policy that nobody changes meanwhile."""
+        """Run `horizon` control steps of all robots with a policy that stays as it is."""
         horizon = self._settings.horizon
         spread = torch.tensor(std)
         kept: dict[str, list[Tensor]] = {

@@ -158,7 +158,7 @@ class Bodies:
     Attributes:
         position: (n, 3) of the trunks, world, m.
         rotation: (n, 3, 3) R_world_trunk.
-        roll: (n,) rad; pitch and yaw likewise.
+        roll: (n,) rad; pitch and yaw the same.
         velocity: (n, 3) world, m / s.
         rates: (n, 3) angular velocity, trunk frame, rad / s.
         joints: (n, 12) rad.

@@ -211,7 +211,7 @@ def _others(
 
 
 def _better(trials: _Trials | None, best: Attempt) -> bool:
-    """Whether trials are better under another card; so where the card drives along no trail."""
+    """Whether trials are better under another card; so where the card drives along no course."""
     return trials is None or trials.are_better(best.hypothesis.card)
 
 

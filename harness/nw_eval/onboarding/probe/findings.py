@@ -131,7 +131,7 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
     is_told = any(value.part.kind in _WHERE_TO for value in ranges)
     for name, count in zeros.items():
         text = (
-            f"`{name}` holds {plural(count, 'zero')} in place of what the checkpoint was trained on"
+            f"`{name}` holds {plural(count, 'zero')} instead of what the checkpoint was trained on"
         )
         if rests and not is_told:
             text += (
@@ -144,7 +144,7 @@ def input_findings(card: Card, ranges: list[Range], recording: Recording) -> lis
 
 _WHERE_TO = {"command", "delta_yaw", "speed"}
 _AT_REST = 0.2
-"""Metres a second below which a robot does not go on; trails are walked at 0.8."""
+"""Metres a second below which a robot does not go on; courses are walked at 0.8."""
 _TERMS_OF_ORDER_ONE = {"joint_pos", "joint_vel", "ang_vel", "lin_vel", "gravity", "last_output"}
 
 

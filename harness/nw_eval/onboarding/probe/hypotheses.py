@@ -453,7 +453,7 @@ def other_velocities(card: Card) -> Iterator[tuple[str, Card]]:
 
 
 def moved_terms(card: Card) -> Iterator[tuple[str, Card]]:
-    """Yield cards in which `command` stands at another place among the terms."""
+    """Yield cards in which `command` stands at another position among the terms."""
     for observation, others in _listed_terms(card):
         names = [term.term for term in others]
         if names.count("command") != 1:

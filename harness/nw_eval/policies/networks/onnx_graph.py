@@ -124,7 +124,7 @@ def open_session(model: bytes, *, optimise: bool = True) -> ort.InferenceSession
     """Return a session that runs a graph; more threads would change the last bits of an action.
 
     Args:
-        model: the bytes of an ONNX file; a stranger's have passed `check_onnx`.
+        model: the bytes of an ONNX file; untrusted ones have passed `check_onnx`.
         optimise: whether constant parts are computed and nodes fused, which actions to the last
             bit depend on; without, a graph can be described but nothing of it is computed.
 

@@ -1,4 +1,4 @@
-"""Reading checkpoints that nobody vouches for.
+"""Reading untrusted checkpoints.
 
 Nothing here unpickles, imports or runs what a file contains. Archives, their pickled index and
 every tensor's place and size are checked against `FileLimits` before memory is taken for them; what

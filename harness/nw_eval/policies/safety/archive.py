@@ -224,7 +224,7 @@ def _refuse_others(data: bytes, head: bytes, where: str) -> None:
     if head.lstrip().lower().startswith(_TEXTS):
         raise PolicyError(
             f"{where}: this is a web page, not a checkpoint",
-            fix="download the file itself: the link led to a page or a login",
+            fix="download the file itself: the link leads to a web page or a login",
         )
     if head.startswith(b"version https://git-lfs"):
         raise PolicyError(

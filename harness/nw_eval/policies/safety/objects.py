@@ -186,8 +186,8 @@ def read_index(
 
     Args:
         index: as for `read_objects`.
-        where: likewise.
-        limits: likewise.
+        where: as above.
+        limits: as above.
         pickled: whether it is a file of `pickle.dump`, which may hold arrays.
 
     Raises:
@@ -238,7 +238,7 @@ class _Machine:
     def pop(self) -> Any:
         value = self.stack.pop()
         if value is _MARK:
-            raise ValueError("a mark in place of a value")
+            raise ValueError("a mark instead of a value")
         return value
 
     def to_mark(self) -> list[Any]:
@@ -415,7 +415,7 @@ def _integers(values: Any) -> tuple[int, ...]:
 
 def _put(machine: _Machine, argument: Any) -> None:
     if int(argument) > len(machine.memo):  # Torch would make room for all places before it.
-        raise ValueError("a place in its memory that is out of order")
+        raise ValueError("a memory reference that is out of order")
     machine.memo[int(argument)] = machine.stack[-1]
 
 

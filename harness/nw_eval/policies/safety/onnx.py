@@ -242,7 +242,7 @@ def _check_calls(
 
     Args:
         functions: how often each function of the file has each operator.
-        main: likewise the main graph.
+        main: as above, the main graph.
         most: nodes that the graph, or a function on its own, may become.
         where: the file, for errors.
 

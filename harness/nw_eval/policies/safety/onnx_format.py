@@ -20,7 +20,7 @@ FIELDS = 500_000
 NAME, TEXT = 2048, 2**20
 """Bytes of a name, and of a text that a person or an exporter wrote."""
 
-_VARINT, _EIGHT, _SIZED, _FOUR = 0, 1, 2, 5  # Wire types; 3 and 4 are groups, which nobody writes.
+_VARINT, _EIGHT, _SIZED, _FOUR = 0, 1, 2, 5  # Wire types; 3 and 4 are groups, which are obsolete.
 _NUMBERS = {"int": _VARINT, "float": _FOUR, "double": _EIGHT}
 _TEXTS = {"name": NAME, "text": TEXT}
 

@@ -38,7 +38,7 @@ _NAME = "[A-Za-z_][A-Za-z_0-9]*"
 _CODE = rf"code/__torch__(/{_NAME})*\.py"
 _STATE = r"data\.pkl|data/[0-9]+|version|\.data/version|byteorder"
 _MARKS = r"\.format_version|\.storage_alignment|\.data/serialization_id"
-"""What torch notes about an archive, and nobody needs."""
+"""What torch notes about an archive; not needed here."""
 _STATE_MEMBERS = re.compile(f"{_STATE}|{_MARKS}")
 """Members of a state dict."""
 _SCRIPT_MEMBERS = re.compile(

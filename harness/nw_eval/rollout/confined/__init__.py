@@ -1,1 +1,1 @@
-"""A stranger's files, opened in a process that may do nothing else."""
+"""Untrusted files, opened in a process that may do nothing else."""

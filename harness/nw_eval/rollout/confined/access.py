@@ -113,7 +113,7 @@ def running_rules(
 def fence_in_server(bundle: Bundle) -> None:
     """Fence this process in, which serves a policy, before it opens it.
 
-    It may listen, and connect to nobody; its memory has no limit, each client takes some.
+    It may listen, but open no connection; its memory has no limit, each client takes some.
     """
     raise_fence(reads=_files(bundle), writes=(), network="server")
 

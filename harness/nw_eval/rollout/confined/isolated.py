@@ -1,4 +1,4 @@
-"""Calls a function in a confined process: for whatever opens a stranger's checkpoint.
+"""Calls a function in a confined process: for whatever opens an untrusted checkpoint.
 
 What comes back is JSON, never an object of Python's, so a process that a hostile file has taken
 over can say something wrong, but run nothing here.
@@ -98,7 +98,7 @@ class IsolatedCall:
     """A call that a fresh, confined process is at; a context manager that ends it.
 
     Args:
-        function: as for `call_isolated`, and likewise `subject`, `rules` and `renders`.
+        function: as for `call_isolated`, and so are `subject`, `rules` and `renders`.
         subject: see there.
         rules: see there.
         renders: see there.
@@ -203,7 +203,7 @@ def _received(
 
 
 def _end(process: Started | WorldAndPolicy) -> None:
-    """Kill a process and what it started, if it has not ended; likewise that of its policy."""
+    """Kill a process and what it started, if it has not ended; also that of its policy."""
     for each in parts_of(process):
         if each.exitcode is None:
             kill_group(each.pid)

@@ -1,4 +1,4 @@
-"""Imported by the nursery: kernels, if they have been compiled: a child has them at once."""
+"""Imported by the fork server: kernels, if they have been compiled: a child has them at once."""
 
 from nw_eval.splat.warmup import is_warm, warmup
 

@@ -1,4 +1,4 @@
-"""Imported by the nursery: what a process needs for a trial, whatever the policy."""
+"""Imported by the fork server: what a process needs for a trial, whatever the policy."""
 
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial

@@ -1,4 +1,4 @@
-"""Starts confined processes: forked from the nursery where there is a fence, else from nothing.
+"""Starts confined processes: forked from the fork server where there is a fence, else from nothing.
 
 What has no fence may start processes of its own and use what does not survive a fork, such as CUDA.
 
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol, Self
 from nw_eval.confinement import (
     GONE,
     LEFT,
-    Nursery,
+    ForkServer,
     Rules,
     child_environment,
     interrupts_blocked,
@@ -55,17 +55,17 @@ _WARMS = 120.0
 """Seconds in which a process that has been forked says whether it has kernels."""
 
 _OURS = ("NW_EVAL_", "PYTEST_")
-"""Variables of which no library that the nursery has imported has read any."""
+"""Variables of which no library that the fork server has imported has read any."""
 
 _RIGHTS = ("Umask:", "Uid:", "Gid:", "Groups:", "CapEff:", "NoNewPrivs:", "Cpus_allowed:")
 """Lines of /proc/self/status."""
 
 _lock = threading.Lock()
-_nursery: Nursery | None = None
+_fork_server: ForkServer | None = None
 _born_in: Hashable = None
-"""`_standing` of this process when the nursery was started."""
-_with_kernels: Nursery | None = None
-"""The nursery that was told to load kernels."""
+"""`_standing` of this process when the fork server was started."""
+_with_kernels: ForkServer | None = None
+"""The fork server that was told to load kernels."""
 
 
 class Started(Protocol):
@@ -160,35 +160,35 @@ def parts_of(process: Started | WorldAndPolicy) -> tuple[Started, ...]:
 
 
 def prepare() -> None:
-    """Let the nursery be started, and import what every trial needs, while others plan them."""
+    """Let the fork server be started, and import what every trial needs, while others plan them."""
     with suppress(OSError):  # Processes are started one by one, then.
-        _ = _open_nursery()
+        _ = _open_fork_server()
 
 
 def prepare_for(card: Card) -> None:
-    """Let a nursery that there is import what a policy's checkpoint is opened with."""
-    nursery = _nursery
-    if nursery is not None and card.adapter not in _NONE:
-        nursery.learn(_LIBRARY.get(card.adapter, "torch"))
+    """Let a fork server that there is import what a policy's checkpoint is opened with."""
+    fork_server = _fork_server
+    if fork_server is not None and card.adapter not in _NONE:
+        fork_server.learn(_LIBRARY.get(card.adapter, "torch"))
 
 
 def prepare_kernels() -> None:
-    """Let a nursery that there is load the CPU renderer's kernels, if they have been compiled.
+    """Let a fork server that there is load the CPU renderer's kernels, if they have been compiled.
 
     It takes as long as all else that it imports: what does not draw is forked before.
     """
-    if _nursery is not None:
-        _load_kernels(_nursery)
+    if _fork_server is not None:
+        _load_kernels(_fork_server)
 
 
 def has_kernels() -> bool:
-    """Return whether processes to come have the CPU renderer's kernels; waits for the nursery."""
+    """Return whether processes to come have the CPU renderer's kernels; waits for it."""
     receiver, sender = Pipe(duplex=False)
     with receiver, suppress(OSError, EOFError):
         with sender:
-            nursery = _open_nursery()
-            _load_kernels(nursery)
-            child = nursery.fork(_tell_warmth, (), (sender,))
+            fork_server = _open_fork_server()
+            _load_kernels(fork_server)
+            child = fork_server.fork(_tell_warmth, (), (sender,))
         is_told = receiver.poll(_WARMS)
         warmth = receiver.recv_bytes() if is_told else b""
         child.join(_WARMS if is_told else 0.0)
@@ -204,10 +204,10 @@ def _tell_warmth(sender: Connection) -> None:
 
 
 def renew() -> None:
-    """Forget the nursery: kernels have been compiled that it does not have."""
-    global _nursery  # noqa: PLW0603 - one a process is the point.
+    """Forget the fork server: kernels have been compiled that it does not have."""
+    global _fork_server  # noqa: PLW0603 - one a process is the point.
     with _lock:
-        _nursery = None
+        _fork_server = None
 
 
 def start_process(
@@ -225,18 +225,18 @@ def start_process(
         arguments: for it; what `pickle` takes.
         connections: more arguments for it, after the others.
         rules: by which it will confine itself.
-        is_one_of_many: whether a nursery is worth it if there is none. One that is not may have no
-            processes of its own.
+        is_one_of_many: whether a fork server is worth it if there is none. One that is not may have
+            no processes of its own.
 
     Raises:
         OSError: no process can be started.
     """
-    if not rules.off and (is_one_of_many or _nursery is not None):
+    if not rules.off and (is_one_of_many or _fork_server is not None):
         with suppress(OSError):
-            nursery = _open_nursery()
+            fork_server = _open_fork_server()
             if is_one_of_many:
-                _load_kernels(nursery)
-            return nursery.fork(function, arguments, connections)
+                _load_kernels(fork_server)
+            return fork_server.fork(function, arguments, connections)
     process = get_context("spawn").Process(
         target=function, args=(*arguments, *connections), daemon=not is_one_of_many
     )
@@ -261,7 +261,7 @@ def start_pair(
     """Return a new process that calls a function, and beside it one for the policies that it opens.
 
     Args:
-        function: as for `start_process`, and likewise `arguments`, `connections`, `rules` and
+        function: as for `start_process`, and so are `arguments`, `connections`, `rules` and
             `is_one_of_many`. After its connections it is given those of the line to the other
             process, for `use_line`.
         arguments: see there.
@@ -309,7 +309,7 @@ def open_policy_process(
     Raises:
         OSError: it cannot be started.
     """
-    # It knows cards and NumPy, for which the nursery does not wait.
+    # It knows cards and NumPy, for which the fork server does not wait.
     from nw_eval.policies.apart import serve_policies, shared_memory
 
     with ExitStack() as closing:
@@ -510,28 +510,28 @@ def _let_tracker_end() -> None:
             os.kill(process, signal.SIGCONT)
 
 
-def _open_nursery() -> Nursery:
-    """Return the nursery of this process, a new one if children would inherit what is no longer so.
+def _open_fork_server() -> ForkServer:
+    """Return the fork server of this process, a new one if its settings are outdated.
 
     Raises:
         OSError: there can be none.
     """
-    global _nursery, _born_in
+    global _fork_server, _born_in
     standing = _standing()
     with _lock:
-        if _nursery is None or not _nursery.is_alive or _born_in != standing:
-            _nursery, _born_in = Nursery(), standing
-            _nursery.learn(_PRELOAD)
-        return _nursery
+        if _fork_server is None or not _fork_server.is_alive or _born_in != standing:
+            _fork_server, _born_in = ForkServer(), standing
+            _fork_server.learn(_PRELOAD)
+        return _fork_server
 
 
-def _load_kernels(nursery: Nursery) -> None:
-    """Let a nursery load kernels, once, without waiting for it."""
+def _load_kernels(fork_server: ForkServer) -> None:
+    """Let a fork server load kernels, once, without waiting for it."""
     global _with_kernels  # noqa: PLW0603 - one a process is the point.
     with _lock:
-        if nursery is not _with_kernels:
-            nursery.learn(_KERNELS)
-            _with_kernels = nursery
+        if fork_server is not _with_kernels:
+            fork_server.learn(_KERNELS)
+            _with_kernels = fork_server
 
 
 def _standing() -> Hashable:

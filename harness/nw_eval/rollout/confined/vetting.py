@@ -43,7 +43,7 @@ def vet_bundle(
     if bundle.card.adapter == "remote":
         bundle = _with_server(bundle, robot, allow_code=allow_code)
     if bundle.checkpoint is None and not bundle.code_sha256:
-        # There is nothing of a stranger's to open but the card, and a server was asked already.
+        # There is no untrusted file to open but the card, and a server was asked already.
         check_bundle(bundle, get_robot(robot), allow_code=allow_code, may_fail=may_fail)
         return bundle
     prepare_for(bundle.card)

@@ -1,9 +1,9 @@
-"""What a viewer draws: the place, the trail, the robot's parts, and waypoints that turn green.
+"""What a viewer draws: the scene, the course, the robot's parts, and waypoints that turn green.
 
-Place, trail and waypoints stand in the frame `world`; each part of the robot stands in the frame of
-its body, which `/tf` moves.
+Place, course and waypoints stand in the frame `world`; each part of the robot stands in the frame
+of its body, which `/tf` moves.
 
-For viewers that draw no `SceneUpdate` (Rerun), place, robot, trail and path are coloured points
+For viewers that draw no `SceneUpdate` (Rerun), place, robot, course and path are coloured points
 too. Points are few: they show where things are, while `/scene` shows what they are.
 """
 
@@ -47,12 +47,12 @@ PLACE: dict[FaceKind, Colour] = {
     "structure": (0.78, 0.76, 0.72, 1.0),
     "clutter": (0.45, 0.55, 0.42, 1.0),
     "overhead": (0.80, 0.80, 0.80, 0.25),  # seen through, or it hides the robot
-    "beside": (0.78, 0.76, 0.72, 0.25),  # likewise
+    "beside": (0.78, 0.76, 0.72, 0.25),  # As above
 }
 _WAYPOINT_DIAMETER = 0.6  # m; the reach radius of a waypoint is 0.3
 _WAYPOINT_HEIGHT = 0.02  # m
 _ENTITY = b"\x12"  # field 2 of a `SceneUpdate`
-_LINE = 0.02  # m, how thick the trail is, and how far above the waypoints
+_LINE = 0.02  # m, how thick the course is, and how far above the waypoints
 Points = NDArray[np.floating]
 
 _FIELDS = (("x", 0), ("y", 4), ("z", 8), ("red", 12), ("green", 13), ("blue", 14), ("alpha", 15))
@@ -63,7 +63,7 @@ _PLACE_POINTS = 3000
 _MESH_POINTS = 48
 _GRID = 128.0  # Points of place and rings stand on 1/128 m, whose zero bits compress.
 _PATH: Colour = (0.10, 0.45, 0.95, 1.0)
-_DOTS = 0.1  # m between two points of the trail
+_DOTS = 0.1  # m between two points of the course
 _RING, _RADIUS = 24, 0.3  # points around a waypoint, and how far from it, m: it is reached there
 # Steps of the additive recurrence that covers a square evenly (Roberts 2018, R2): no randomness.
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])
@@ -73,7 +73,7 @@ _R2 = np.array([0.7548776662466927, 0.5698402909980532])
 def place_update(mesh: TriangleMesh) -> bytes:
     """Return the static geometry that rays meet, one entity for each kind of face, serialised.
 
-    It is the same in every trial of a place. Protobuf messages add up: the bytes of one
+    It is the same in every trial of a scene. Protobuf messages add up: the bytes of one
     `SceneUpdate` before those of another one are both in one.
     """
     update = SceneUpdate()
@@ -277,7 +277,7 @@ def robot_clouds(bodies: tuple[str, ...], visuals: tuple[Shape, ...]) -> dict[st
 
 
 class TrailClouds:
-    """The trail as dots and its waypoints as rings: green as far as they are reached.
+    """The course as dots and its waypoints as rings: green as far as they are reached.
 
     Args:
         start: where the robot was put down, (3,) m.

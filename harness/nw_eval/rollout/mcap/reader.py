@@ -60,7 +60,7 @@ _WRITTEN: tuple[Any, ...] = (
     Twist,
 )
 _KINDS: dict[str, Any] = {kind.DESCRIPTOR.full_name: kind for kind in _WRITTEN}
-"""What logs hold, by name. A log's own schemas are for other programs; here nobody builds them."""
+"""What logs hold, by name. A log's own schemas are for other programs and are not used here."""
 
 _MOST_KEPT = 256 * 2**20  # bytes of texts, attachments or states that are returned at once
 # What a damaged file may cause in the libraries that read it.

@@ -1,6 +1,6 @@
 """The records of an MCAP file in their order, each bounded before it is read or unpacked.
 
-A log may be damaged or a stranger's. So nothing here follows an offset that the file gives, every
+A log may be damaged or untrusted. So nothing here follows an offset that the file gives, every
 byte is met once, and a chunk is unpacked only after what it says of its size was believed possible.
 The format is https://mcap.dev/spec.
 """

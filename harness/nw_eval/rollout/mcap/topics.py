@@ -117,7 +117,7 @@ TOPICS = (
         name="/scene",
         schema="foxglove.SceneUpdate",
         rate=_ONCE,
-        holds="place and trail, m, and the robot's parts, each in its body's frame",
+        holds="scene and waypoints, m, and the robot's parts, each in its body's frame",
         frame="world",
     ),
     Topic(
@@ -131,7 +131,7 @@ TOPICS = (
         name="/points/place",
         schema="foxglove.PointCloud",
         rate=_ONCE,
-        holds="3,000 points of the place, for viewers that draw no `SceneUpdate`; m",
+        holds="3,000 points of the scene, for viewers that draw no `SceneUpdate`; m",
         frame="world",
     ),
     Topic(
@@ -145,7 +145,7 @@ TOPICS = (
         name="/points/trail",
         schema="foxglove.PointCloud",
         rate="as `/waypoints`",
-        holds="dots along the trail, green as far as it is done; m",
+        holds="dots along the course, green as far as it is done; m",
         frame="world",
     ),
     Topic(

@@ -68,8 +68,8 @@ def _costs_only_the_log(
 class TrialLog:
     """The log of one trial. Without a path, and once writing has failed, every method is free.
 
-    Of a summary (`record: summary`) there is what names the trial, the trail, the walked path,
-    events and scores: no message of each control step, no state, no image, nothing of the place.
+    Of a summary (`record: summary`) there is what names the trial, the course, the walked path,
+    events and scores: no message of each control step, no state, no image, nothing of the scene.
 
     Call order: `start`, then any of the others with times that do not decrease, then `finish` or
     `discard`.
@@ -136,11 +136,11 @@ class TrialLog:
         props: Sequence[Prop] = (),
         prop_bodies: Sequence[int] = (),
     ) -> None:
-        """Write what does not change: the trial, the place, the robot, the trail (K, 3).
+        """Write what does not change: the trial, the scene, the robot, the course (K, 3).
 
         Args:
             robot: in whose bodies' frames its parts stand.
-            mesh: of the place.
+            mesh: of the scene.
             start: ground under the robot, (3,) m.
             trail: waypoints, (K, 3) m.
             bodies: numbers of the robot's bodies, trunk first, among those of the model.
@@ -256,7 +256,7 @@ class TrialLog:
 
     @_costs_only_the_log
     def waypoints(self, time: float, *, reached: int) -> None:
-        """Colour the waypoints that are reached, and the trail as far as the last of them."""
+        """Colour the waypoints that are reached, and the course as far as the last of them."""
         self._waypoints(nanoseconds(time), reached)
 
     @_costs_only_the_log

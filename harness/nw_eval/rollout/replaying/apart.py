@@ -1,6 +1,6 @@
 """Replays, takeovers and searches for the blame in a confined process.
 
-A log may be a stranger's, and what it names too. This process reads the log's words and makes the
+A log may be untrusted, and what it names too. This process reads the log's words and makes the
 scene, whose cache is out of the other's reach.
 """
 
@@ -178,7 +178,7 @@ def take_over_apart(
             report = TypeAdapter(TakeoverReport).validate_python(answer)
         except ValueError:
             raise PolicyError(
-                f"{path}: the take-over gave no answer that can be read",
+                f"{path}: the policy switch gave no answer that can be read",
                 fix="do not use this checkpoint",
             ) from None
         if out is not None:
@@ -228,13 +228,13 @@ def blame_apart(
 
     Args:
         logs: of trials.
-        policy: as for `take_over`; likewise `checkpoint` and `allow_code`.
+        policy: as for `take_over`; also `checkpoint` and `allow_code`.
         checkpoint: see above.
         allow_code: see above.
         workers: how many processes at a time.
 
     Yields:
-        The log's place in `logs`, and what came of it.
+        The log's place in `logs`, and its result.
     """
     library = Library()
     todo = list(enumerate(logs))[::-1]
@@ -289,7 +289,7 @@ def _answer(call: IsolatedCall, log: Path) -> Blamed:
     try:
         return TypeAdapter(BlameReport).validate_python(call.answer(0.0))
     except ValidationError:
-        return PolicyError(f"{log}: blame gave no answer that can be read")
+        return PolicyError(f"{log}: the search gave no answer that can be read")
     except NwEvalError as error:
         return error
 

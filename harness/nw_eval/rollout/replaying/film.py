@@ -182,7 +182,7 @@ def composed(beside: Bytes, own: Bytes, words: Words) -> Bytes:
 
     Args:
         beside: the view from outside, (H, W, 3).
-        own: the policy's own view, likewise; both are fitted into `VIEW`.
+        own: the policy's own view, as above; both are fitted into `VIEW`.
         words: see there.
     """
     from PIL import Image, ImageDraw
@@ -230,7 +230,7 @@ def _write(
 ) -> None:
     from PIL import ImageFont
 
-    words = clean(text, at_most=140)  # Names of policies may be a stranger's.
+    words = clean(text, at_most=140)  # Names of policies may be untrusted.
     pen.text(at, words, fill=colour, font=ImageFont.load_default(size=size))
 
 

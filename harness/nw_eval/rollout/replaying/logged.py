@@ -111,7 +111,7 @@ def _found(job: TrialJob) -> str:
 
 def recorded_rate(verdict: Mapping[str, str]) -> float:
     """Return the control steps in a second, Hz, of a trial that a verdict tells of."""
-    said = verdict.get("control_rate", "")  # a stranger's word
+    said = verdict.get("control_rate", "")  # an untrusted word
     if not re.fullmatch(r"[0-9]{1,4}(\.[0-9]{1,17})?", said):
         return CONTROL_RATE
     return max(float(said), 1.0)
@@ -139,7 +139,7 @@ def check_inside(start: float, logged: LoggedTrial, *, option: str = "--start") 
     Raises:
         UsageError: it is the trial's end, or later.
     """
-    steps = logged.verdict.get("steps", "")  # a stranger's word
+    steps = logged.verdict.get("steps", "")  # an untrusted word
     if start > 0.0 and re.fullmatch(r"[0-9]{1,9}", steps):
         length = int(steps) / logged.control_rate
         if start >= length:

@@ -11,8 +11,8 @@ from nw_eval.rollout.library import Library
 from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.record import provenance
 from nw_eval.rollout.record import verdict_metadata as as_metadata
-from nw_eval.rollout.replaying.led import driver, handover_of, lead_to, run_on
 from nw_eval.rollout.replaying.logged import LoggedTrial, agreed, check_inside, check_start, step_at
+from nw_eval.rollout.replaying.policy_switch import driver, lead_to, run_on, switch_of
 from nw_eval.rollout.replaying.reports import Difference, ReplayReport
 from nw_eval.rollout.result import StageClock, TrialResult
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Replayed:
-    """A trial that was run again, and what came of it."""
+    """A trial that was run again, and its result."""
 
     logged: LoggedTrial
     result: TrialResult
@@ -54,7 +54,7 @@ def replay(
 ) -> Replayed:
     """Run a recorded trial again and compare its end with the recorded one.
 
-    The log may be a stranger's, and so may the card that it names: what it says runs no code, opens
+    The log may be untrusted, and so may the card that it names: what it says runs no code, opens
     no connection and writes nothing but caches. Only the caller's `allow_code` lets code run, and
     only a `policy` that the caller names is asked on a server.
 
@@ -67,7 +67,7 @@ def replay(
         checkpoint: weights that were used instead of the card's.
         allow_code: as for a run.
         library: scenes and bundles that are loaded already.
-        film: takes pictures of what is run; None = nobody does.
+        film: takes pictures of what is run; None for none.
 
     Raises:
         StoreError: the log cannot be read, or has no state that early.
@@ -85,7 +85,7 @@ def replay(
     check_inside(start, logged)
     job = logged.job
     with open_trial(job, library, StageClock()) as trial:
-        earlier = handover_of(logged)
+        earlier = switch_of(logged)
         if earlier is not None and step_at(start, logged.control_rate) < earlier.step:
             lead_to(earlier.step, trial, logged, library)
         elif start > 0.0:

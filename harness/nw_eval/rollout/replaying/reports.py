@@ -38,7 +38,7 @@ class ReplayReport:
     picture: Path | None = None
     """The trial's contact sheet, if it was asked for."""
     video: Path | None = None
-    """Likewise, its video."""
+    """Its video, as above."""
 
     @property
     def is_identical(self) -> bool:
@@ -63,7 +63,7 @@ class Ending:
     control_rate: float
     """Control steps in a second, Hz."""
     position: tuple[float, float, float] | None
-    """Of the trunk, world, m; None where nobody says."""
+    """Of the trunk, world, m; None if unknown."""
     digests: tuple[str, str]
     """Of states and actions, hex."""
 
@@ -76,7 +76,7 @@ class Ending:
         position: tuple[float, float, float] | None,
     ) -> Self:
         """Return the ending that a verdict tells, as logs have it."""
-        steps = verdict.get("steps", "")  # It may be a stranger's word.
+        steps = verdict.get("steps", "")  # It may be an untrusted word.
         return cls(
             policy=policy,
             end=verdict.get("outcome") or verdict.get("error_type") or "no outcome",
@@ -102,7 +102,7 @@ class TakeoverReport:
     video: Path | None = None
     """The new trial's, if it was asked for."""
     log: Path | None = None
-    """Likewise; of all of the new trial."""
+    """As above; of all of the new trial."""
 
     @property
     def is_identical(self) -> bool:
@@ -117,7 +117,7 @@ class Try:
     step: int
     """The first control step in which it acted."""
     end: str
-    """What came of it: an outcome, or the kind of error that ended it."""
+    """The result: an outcome, or the kind of error that ended it."""
     reason: str
     """What decided that."""
     steps: int

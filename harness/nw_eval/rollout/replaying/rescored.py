@@ -24,8 +24,13 @@ from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.record import TRIAL
-from nw_eval.rollout.replaying.led import decisions, handover_of, open_puppet, puppet_bundle
 from nw_eval.rollout.replaying.logged import read_logged_trial
+from nw_eval.rollout.replaying.policy_switch import (
+    decisions,
+    open_replayed,
+    replay_bundle,
+    switch_of,
+)
 from nw_eval.rollout.replaying.robot_log import read_robot_log
 from nw_eval.scores import (
     MissingReadingError,
@@ -126,16 +131,16 @@ def _of_run(
     *,
     allow_code: bool,
 ) -> LogScores:
-    if handover_of(logged) is not None:
+    if switch_of(logged) is not None:
         raise StoreError(
-            f"{logged.path} is of a trial in which another policy took over",
+            f"{logged.path} is of a trial that switched to another policy",
             fix="name the log of a run",
         )
     Library().scene(logged.job.scene, logged.job.collision)  # Its cache is out of reach there.
     folder = logged.job.robot_folder
     know_robot(logged.job.robot, folder)
     rules = running_rules(
-        puppet_bundle(logged),
+        replay_bundle(logged),
         scenes=[logged.job.scene],
         also=[logged.path, *([] if folder is None else [folder])],
     )
@@ -149,7 +154,7 @@ def _of_run(
         allow_code=allow_code,
     )
     try:
-        found = TypeAdapter(_Led).validate_python(answer)
+        found = TypeAdapter(_Rescored).validate_python(answer)
     except ValidationError:
         raise StoreError(f"{logged.path} gave no scores that can be read") from None
     missing = {name: "undefined in this trial" for name in specs if name not in found.values}
@@ -174,7 +179,7 @@ def _recorded(logged: LoggedTrial) -> dict[str, float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Led:
+class _Rescored:
     values: dict[str, float]
     moments: dict[str, float]
     seconds: float
@@ -188,9 +193,9 @@ def _lead(*, log: str, names: Sequence[str], allow_code: bool) -> dict[str, Any]
     know_robot(logged.job.robot, logged.job.robot_folder)
     states = {state.step: state for state in logged.log.states()}
     restored, outcome = 0, None
-    with open_puppet(logged, Library()) as puppet:
-        leader = puppet.episode
-        for decision in decisions(logged.log, joints=len(puppet.robot.joints)):
+    with open_replayed(logged, Library()) as replayed:
+        leader = replayed.episode
+        for decision in decisions(logged.log, joints=len(replayed.robot.joints)):
             state = states.get(leader.step)
             if state is not None:
                 parts = {part.name: part.data for part in state.parts}
@@ -207,7 +212,7 @@ def _lead(*, log: str, names: Sequence[str], allow_code: bool) -> dict[str, Any]
             outcome = cast("Outcome", word)
         values = dict(leader.scores(outcome))
         moments, seconds = leader.limits_passed(), leader.world.time
-    return asdict(_Led(values=values, moments=moments, seconds=seconds, restored=restored))
+    return asdict(_Rescored(values=values, moments=moments, seconds=seconds, restored=restored))
 
 
 def _of_robot(

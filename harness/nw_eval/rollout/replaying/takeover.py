@@ -12,7 +12,6 @@ from nw_eval.rollout.mcap.trial_log import TrialLog
 from nw_eval.rollout.prepare import OpenTrial, open_trial
 from nw_eval.rollout.record import verdict_metadata as as_metadata
 from nw_eval.rollout.recorder import Recorder
-from nw_eval.rollout.replaying.led import Handover, carried, driver, lead_to, new_handover, run_on
 from nw_eval.rollout.replaying.logged import (
     LoggedTrial,
     agreed,
@@ -20,6 +19,14 @@ from nw_eval.rollout.replaying.logged import (
     check_start,
     read_logged_trial,
     step_at,
+)
+from nw_eval.rollout.replaying.policy_switch import (
+    PolicySwitch,
+    carried,
+    driver,
+    lead_to,
+    new_switch,
+    run_on,
 )
 from nw_eval.rollout.replaying.reports import Ending, TakeoverReport
 from nw_eval.rollout.result import StageClock
@@ -39,7 +46,7 @@ OPTION = "--from"
 
 @dataclass(frozen=True, kw_only=True)
 class TakenOver:
-    """A trial that was taken over, and what came of it."""
+    """A trial that was taken over, and its result."""
 
     result: TrialResult
     report: TakeoverReport
@@ -68,7 +75,7 @@ def take_over(
         allow_code: as for a run.
         library: scenes and bundles that are loaded already.
         out: where the log of the new trial goes; None = nowhere.
-        film: takes pictures of all of it; None = nobody does.
+        film: takes pictures of all of it; None for none.
 
     Raises:
         StoreError: the log cannot be read, holds no card, or the trial does not go its recorded way
@@ -83,14 +90,14 @@ def take_over(
     recorded = read_logged_trial(path)
     check_inside(start, recorded, option=OPTION)
     step = step_at(start, recorded.control_rate)
-    handover = new_handover(recorded, step)
+    switch = new_switch(recorded, step)
     job = second_job(
         path, policy=policy, checkpoint=checkpoint, allow_code=allow_code, library=library
     )
     bundle = library.bundle_of(job)
-    job = replace(job, mcap=out, record="all", attachments=carried(recorded, bundle, handover))
+    job = replace(job, mcap=out, record="all", attachments=carried(recorded, bundle, switch))
     with open_trial(job, library, StageClock()) as trial:
-        result = _driven(trial, recorded, handover, library, film)
+        result = _driven(trial, recorded, switch, library, film)
         was, now = recorded.verdict, as_metadata(result)
         last = _last_place(recorded, trial.robot.bodies[0])
         report = TakeoverReport(
@@ -105,7 +112,7 @@ def take_over(
 def _driven(
     trial: OpenTrial,
     recorded: LoggedTrial,
-    handover: Handover,
+    switch: PolicySwitch,
     library: Library,
     film: Film | None,
 ) -> TrialResult:
@@ -115,10 +122,10 @@ def _driven(
     observers: list[Observer] = [recorder]
     recorder.start()
     if film is not None:
-        observers.append(film.begun(trial, driver=handover.policy))
-    lead_to(handover.step, trial, recorded, library, *observers)
-    words = f"{driver(trial.job)} takes over from {handover.policy}"
-    log.event(trial.episode.world.time, "start", words, step=handover.step)
+        observers.append(film.begun(trial, driver=switch.policy))
+    lead_to(switch.step, trial, recorded, library, *observers)
+    words = f"{driver(trial.job)} takes over from {switch.policy}"
+    log.event(trial.episode.world.time, "start", words, step=switch.step)
     if film is not None:
         film.hand_over(driver(trial.job))
     result = run_on(trial, *observers)

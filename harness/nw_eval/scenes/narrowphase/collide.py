@@ -48,7 +48,7 @@ def collision_function(model_at: dict[str, int], data_at: dict[str, int]) -> Any
 
     Args:
         model_at: numbers of the words of mjModel that point at its arrays.
-        data_at: likewise of mjData.
+        data_at: as above, of mjData.
     """
     word = types.CPointer(types.voidptr)
     numbers = types.CPointer(types.float64)

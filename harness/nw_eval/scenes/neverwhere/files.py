@@ -1,6 +1,6 @@
 """The files of a published scene: where they are, and its XML, read without obeying it.
 
-Strangers wrote the XML: no document type, no entities of its own, no external references. What
+The XML is untrusted: no document type, no entities of its own, no external references. What
 could expand, or open other files, is an error, and so are paths that it may not name. Sizes and
 depths are limited, and every element knows its line.
 """

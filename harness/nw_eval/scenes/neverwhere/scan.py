@@ -234,7 +234,7 @@ class Consistency:
 
     Attributes:
         median: of points on the collision mesh from the visual mesh.
-        p95: likewise.
+        p95: as above.
         share_off: of the points of both, those further than 2 cm from the other mesh.
     """
 

@@ -17,7 +17,7 @@ _BOUND = 1.05 * math.hypot(CONE_BASE / math.sqrt(2.0), CONE_HEIGHT / 2)
 
 
 class Cones:
-    """Cones on a trail, answered by ray casting. Nothing ever touches them."""
+    """Cones on a course, answered by ray casting. Nothing ever touches them."""
 
     def __init__(self, waypoints: NDArray[np.float64]) -> None:
         """Put a cone on each waypoint, (K, 3) m."""
@@ -84,7 +84,7 @@ def shade(upwards: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class TrailCones:
-    """The cones of a trail that may be another one in the next trial."""
+    """The cones of a course that may be another one in the next trial."""
 
     def __init__(self) -> None:
         self._cones: Cones | None = None

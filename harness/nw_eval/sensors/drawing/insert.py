@@ -2,7 +2,7 @@
 
 The light on drawn objects, told from the picture that they are put into: gray world.
 
-Nothing is known of a scanned place's lamps; but what is photographed there reflects 18 % of its
+Nothing is known of a scanned scene's lamps; but what is photographed there reflects 18 % of its
 light on average (Buchsbaum, "A spatial processor model for object colour perception", 1980, and
 the grey card of photographers). So the mean colour of the ground around an object tells how bright
 and of which colour the light is there.

@@ -1,4 +1,4 @@
-"""Pictures of a place that has no splat: its mesh, shaded. For people; no policy sees them."""
+"""Pictures of a scene that has no splat: its mesh, shaded. For people; no policy sees them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nw_eval.splat.camera import Camera, Pixels, Rows
 from nw_eval.splat.image import Image
 
 _LIGHT = np.array([-0.35, -0.25, 0.9])
-"""Towards the light, from over a shoulder of somebody who looks along a trail."""
+"""Towards the light, from over a shoulder of somebody who looks along a course."""
 _AMBIENT = 0.5
 _GREY, _TINT = 0.62, 0.4
 """Colours of the classes, mixed with grey: a sketch, not the sensor's classes."""

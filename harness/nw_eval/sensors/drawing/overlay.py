@@ -49,7 +49,7 @@ class Overlay:
     coverage: NDArray[np.float32]
     """(H, W), share of the pixel in which something is drawn, 0 to 1."""
     lit: NDArray[np.float32] | None = None
-    """(H, W), share of it on which the place's light falls, 0 to 1; None = all of it."""
+    """(H, W), share of it on which the scene's light falls, 0 to 1; None = all of it."""
 
 
 def nothing(directions: NDArray[np.float64]) -> Overlay:

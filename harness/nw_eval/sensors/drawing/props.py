@@ -1,4 +1,4 @@
-"""Props where they are now: met by rays, and drawn into pictures of the place.
+"""Props where they are now: met by rays, and drawn into pictures of the scene.
 
 A mesh is drawn by rays, nine for each pixel that it may touch. A splat is rendered by itself from
 where the camera is in its own frame, and keeps the light that it was captured in.
@@ -158,7 +158,7 @@ class PropPictures:
         T_world_camera: Array,
         static: RayScene,
     ) -> Image:
-        """Return a picture of the place with the props in it; arguments as `overlays`."""
+        """Return a picture of the scene with the props in it; arguments as `overlays`."""
         pinhole = camera_at(np.eye(4))
         found = self.overlays(
             poses,

@@ -28,7 +28,7 @@ def read_dot_splat(path: Path) -> Gaussians:
     size = path.stat().st_size
     if size == 0 or size % _ROW.itemsize:
         raise SceneError(
-            f"{path}: {size} bytes are not a whole number of 32-byte rows",
+            f"{path}: {size} bytes are not a multiple of 32-byte rows",
             fix="the file is cut short or not a .splat file",
         )
     check_count(path, size // _ROW.itemsize)

@@ -128,7 +128,7 @@ class LaneShape:
 
     Attributes:
         columns: (array, x): the columns' values, from x on, of all pixels.
-        rows: (array, y): likewise of the rows.
+        rows: (array, y): as above, of the rows.
         load: (light, place, stride): the light of the pixels.
         store: (light, place, stride, value): write it.
         add: (paint, place, stride, weight, colour): add weight * colour to the paint; `colour`
@@ -276,7 +276,7 @@ def _note_unfinished(
         live: int64, out: their number in each 8x8 block of the window.
         live_stride: blocks per row.
         rowwise: uint8, out: a bit for each pixel, `live_stride` + `SLACK_BYTES` bytes to a row.
-        fourfold: uint8, out: likewise, a row and the three below it in one.
+        fourfold: uint8, out: as above, a row and the three below it in one.
 
     Returns:
         How many there are in all.
@@ -333,7 +333,7 @@ def _placing(shape: LaneShape) -> Any:
 
     @inlined
     def down(lens: Any, ys: Any, y: Any, o: Any, stride: Any) -> Any:
-        """Return likewise from the top."""
+        """Return the same from the top."""
         if lens is None:
             return rows(ys, y)
         return load(ys, o, stride)
@@ -471,7 +471,7 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
         ordered: int64 keys, nearest first; record numbers in the lower halves.
         count: how many.
         columns: float32 pixel-centre coordinates of the window's columns, with slack.
-        rows: likewise of its rows.
+        rows: as above, of its rows.
         light: float32, T of each pixel.
         paint: float32, four for each pixel.
         stride: pixels in a row of the two, slack included.

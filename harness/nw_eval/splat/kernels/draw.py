@@ -210,7 +210,7 @@ def draw(
         sh_count: harmonics per channel.
         view: (SIZE,) float32 of view.py.
         columns: float32 pixel-centre coordinates of the window's columns, eight of slack.
-        rows: likewise of its rows.
+        rows: as above, of its rows.
         options: (eps2d, antialiased, floor of the compensation squared, most alpha, None for EWA
             or True along the ray, None for a pinhole or (tables, blur, place) of lens_map.py,
             numbers of the alpha curve, background (3,) float32, chunks in a slab, None for colours

@@ -123,8 +123,8 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
 
     Args:
         geometry: (chunks * 256 * GEOMETRY,) float32, group by group, value by value.
-        dc: (chunks * 256 * 3,) float32, 0.5 + constant harmonic, likewise.
-        sh: (chunks * 256 * 3 * (sh_count - 1),) float16 bits, likewise.
+        dc: (chunks * 256 * 3,) float32, 0.5 + constant harmonic, as above.
+        sh: (chunks * 256 * 3 * (sh_count - 1),) float16 bits, as above.
         sh_count: coefficients per channel: 1, 4, 9 or 16.
         bounds: (chunks * BOUNDS,) float32.
         chunk: which chunk.

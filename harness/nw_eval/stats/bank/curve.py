@@ -1,8 +1,8 @@
-"""What a gate convicts, passes and leaves open, and after how many trials: by simulation.
+"""What a gate flags, passes and leaves open, and after how many trials: by simulation.
 
 **Gates that were not run.** A policy of a known drop is judged as a real one is, many times over:
 trial by trial with `settle_all`, critical scenes and the wait of PASS included. What scores look
-like is taken from `stats.foresight`: scenes keep their difficulty, and a worse policy has the odds
+like is taken from `stats.power`: scenes keep their difficulty, and a worse policy has the odds
 of the next waypoint, in all scenes, multiplied by one factor. Nothing ties the candidate's trial to
 the baseline's from the same start, which is how it was measured to be once a policy really changes,
 and which makes no verdict easier. A repetition keeps its luck whatever the drop is: its order of
@@ -27,8 +27,8 @@ from typing import Literal
 import numpy as np
 
 from nw_eval.stats.bank.evidence import Bank, Floats, Places, Truths
-from nw_eval.stats.bank.trials import DrawnTrials, TrialRules, TrialRuling, settle_all
-from nw_eval.stats.foresight import SceneCounts, chances_at, likely_chances, seeded
+from nw_eval.stats.bank.trials import DrawnTrials, TrialDecision, TrialRules, settle_all
+from nw_eval.stats.power import SceneCounts, chances_at, likely_chances, seeded
 
 Against = Literal["fresh", "panel", "control"]
 """What a gate speaks of, and what it compares with. fresh: fresh starts, M is infinite; panel: the
@@ -71,8 +71,8 @@ def draw(
     """Return repetitions of a gate against a baseline, the same ones for the same counts.
 
     Args:
-        seen: the baseline's trials; without `starts` they are the bank itself, all of it.
-        starts: M of the banks to be drawn, each anew, from what was seen of the baseline.
+        seen: the baseline's trials; without `starts` they are the baseline itself, all of it.
+        starts: M of the baselines to be drawn, each anew, from what was seen of the baseline.
         budget: T, how many trials to draw; at most S x M.
         repetitions: how many.
         against: what the gate compares with.
@@ -205,9 +205,9 @@ def operating_curve(
         seen: the baseline's trials, waypoints reached in each scene. Without `starts` they are the
             bank itself, with as many in each scene.
         rules: of the gate.
-        budget: most trials, no more than the bank has pairs of a scene and a start.
-        starts: M of a bank that is not there yet. Banks are then drawn, one a repetition, from what
-            was seen, as if the success that was seen were the true one.
+        budget: most trials, no more than the baseline has pairs of a scene and a start.
+        starts: M of a baseline that is not there yet. Baselines are then drawn, one a repetition,
+            from what was seen, as if the success that was seen were the true one.
         drops: of true success, scenes weighted equally.
         repetitions: simulated gates at each drop.
         against: what the gate compares with.
@@ -220,14 +220,14 @@ def operating_curve(
     for drop in drops:
         if mean - drop > 0.0:
             chances = chances_of(seen, mean - drop)
-            rulings = settle_all(drawn.bank, drawn.trials(chances), rules)
-            words = [ruling.word for ruling in rulings]
+            decisions = settle_all(drawn.bank, drawn.trials(chances), rules)
+            words = [decision.word for decision in decisions]
             points.append(
                 CurvePoint(
                     drop=drop,
                     passed=words.count("PASS") / len(words),
                     regressed=words.count("REGRESSED") / len(words),
-                    trials=float(np.mean([ruling.trials for ruling in rulings])),
+                    trials=float(np.mean([decision.trials for decision in decisions])),
                 )
             )
     return tuple(points)
@@ -242,7 +242,7 @@ def progress_at(
     repetitions: int = REPETITIONS,
     against: Against = "fresh",
 ) -> Progress:
-    """Return how gates of a policy of this drop end if all starts of the bank may be run.
+    """Return how gates of a policy of this drop end if all starts of the baseline may be run.
 
     Args:
         seen: as for `operating_curve`.
@@ -258,25 +258,27 @@ def progress_at(
     budget = len(seen) * (seen[0].trials if starts is None else starts)
     chances = chances_of(seen, success_of(seen) - drop)
     drawn = draw(seen, starts=starts, budget=budget, repetitions=repetitions, against=against)
-    rulings = settle_all(drawn.bank, drawn.trials(chances), rules)
-    return _progress_of(rulings, [ruling.trials for ruling in rulings], budget)
+    decisions = settle_all(drawn.bank, drawn.trials(chances), rules)
+    return _progress_of(decisions, [decision.trials for decision in decisions], budget)
 
 
-def _progress_of(rulings: Sequence[TrialRuling], trials: Sequence[int], most: int) -> Progress:
+def _progress_of(decisions: Sequence[TrialDecision], trials: Sequence[int], most: int) -> Progress:
     """Return the shares that have ended after each trial.
 
     Args:
-        rulings: of the repetitions.
+        decisions: of the repetitions.
         trials: after how many, 1 to `most`, each was judged; not looked at where it is undecided.
         most: how many to tell of.
     """
 
     def shares(word: str) -> tuple[float, ...]:
         after = [
-            count for ruling, count in zip(rulings, trials, strict=True) if ruling.word == word
+            count
+            for decision, count in zip(decisions, trials, strict=True)
+            if decision.word == word
         ]
         ended = np.bincount(after, minlength=most + 1)[1:]
-        return tuple(count / len(rulings) for count in accumulate(ended.tolist()))
+        return tuple(count / len(decisions) for count in accumulate(ended.tolist()))
 
     return Progress(passed=shares("PASS"), regressed=shares("REGRESSED"))
 

@@ -1,6 +1,6 @@
-"""Evidence against a drop: a bank, the nulls that are bet against, and what a gambler wins.
+"""Evidence against a drop: a baseline, null hypotheses, and a test martingale for each.
 
-**The bank** is what the baseline scores from every start, known because simulation repeats its
+**The baseline** is what the baseline scores from every start, known because simulation repeats its
 bits. There are S scenes with M starts each. b_si is the baseline's success from start i of scene s,
 B_s its mean over the starts of scene s, and B the mean of all B_s; c_si is the candidate's success.
 
@@ -8,16 +8,16 @@ The candidate is judged by c less what is known of the starts' difficulty:
 
     z_si = c_si - g_si + B,     g_si = B_s + beta (b_si - B_s),     0 <= beta <= 1.
 
-Over the panel the mean of g is B, so that z has the candidate's mean whatever beta is. Within a
+Over the seed set the mean of g is B, so that z has the candidate's mean whatever beta is. Within a
 scene z varies less than c as far as the two policies find the same starts hard.
 
-**The wealth** is that of a gambler who bets that a mean is higher than a null allows, drawing for
+**The capital** is that of a bettor who bets that a mean is higher than a null allows, drawing for
 good. A box has M numbers y >= 0. They are drawn one by one in random order and not put back. The
 null says that their mean is at most n. Then those that are left before draw r have at most the mean
 
     n_r = (M n - sum over earlier draws q of y_q) / (M - r + 1),
 
-and a gambler who bets the share k of the wealth at odds that are fair at n_r has
+and a bettor who bets the share k of the capital at odds that are fair at n_r has
 
     E = sum_k w_k  prod_r (1 + k (y_r - n_r) / n_r),     sum_k w_k = 1,  0 < k < 1.
 
@@ -31,7 +31,7 @@ What is left cannot have a mean below 0: where n_r is, the null is impossible an
 With M infinite nothing is ever used up, n_r = n, and no null of n >= 0 is impossible: y may be any
 numbers of which each has at most the expectation n, given the past. That is what a claim about
 fresh starts needs: the starts that were drawn are then a sample, and say nothing certain of those
-that were not. `trials` says what becomes of it on a panel that is finite after all.
+that were not. `trials` says what becomes of it on a seed set that is finite after all.
 
 **Three nulls** are bet against, each by `along` on numbers y >= 0. With z as above, and z_min and
 z_max the least and the most that it can be:
@@ -65,7 +65,7 @@ Truths = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class Bank:
-    """What must be known of the whole panel before the first trial.
+    """What must be known of the whole seed set before the first trial.
 
     Raises:
         ValueError: a mean is not between 0 and 1, there is no scene, or not one start.
@@ -89,22 +89,22 @@ class Bank:
 
     @classmethod
     def of(cls, scores: Floats) -> Bank:
-        """Return the bank of the baseline's successes b_si on the whole panel, shape (S, M)."""
+        """Return the known baseline of successes b_si on the whole seed set, shape (S, M)."""
         check_successes(scores)
         return cls(means=scores.mean(axis=-1), starts=scores.shape[-1])
 
     @classmethod
     def control(cls, scenes: int) -> Bank:
-        """Return what stands for the bank of a concurrent control of S scenes: no mean of it."""
+        """Return the stand-in for the baseline of a concurrent control of S scenes: no mean."""
         return cls(means=np.ones(scenes), paired=True)
 
     def fresh(self) -> Bank:
-        """Return the bank for a claim about fresh starts: M is infinite."""
+        """Return the baseline for a claim about fresh starts: M is infinite."""
         return replace(self, starts=inf)
 
     @property
     def betas(self) -> tuple[float, ...]:
-        """How much of a start's own difficulty is used, once for each gambler."""
+        """How much of a start's own difficulty is used, once for each bettor."""
         return (1.0,) if self.paired else (0.0, 0.5)
 
     @property
@@ -136,12 +136,12 @@ _SMALLEST = 1e-6
 rounding must not win. Smaller bets than fair odds allow are valid bets."""
 
 _MOST = 1e150
-"""Where wealth is capped, so that the product of two is finite; a cap only loses evidence."""
+"""Where capital is capped, so that the product of two is finite; a cap only loses evidence."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bets:
-    """Shares of the wealth that are bet, each on an account of its own."""
+    """Shares of the capital that are bet, each on an account of its own."""
 
     shares: tuple[float, ...]
     """k, shape (K,), each above 0 and below 1."""
@@ -152,13 +152,13 @@ class Bets:
 def along(values: Floats, null: Floats, size: float, bets: Bets) -> Floats:
     """Return E after each of T draws, shape (..., T); leading axes are boxes apart.
 
-    Wealth is a product and not a sum of logarithms: products are the same bits on every machine.
+    Capital is a product and not a sum of logarithms: products are the same bits on every machine.
 
     Args:
         values: y in the order drawn, shape (..., T).
         null: n, shape (...).
         size: M, how many numbers a box has, T at least; may be infinite.
-        bets: shares of the wealth.
+        bets: shares of the capital.
 
     Raises:
         ValueError: there are more draws than numbers.
@@ -200,7 +200,7 @@ class Margins:
     max_drop: float = 0.10
     """A drop as large as this must not pass."""
     tolerate: float = 0.02
-    """A drop as small as this must not be convicted; between the two either may happen."""
+    """A drop as small as this must not be flagged; between the two either may happen."""
     scene_drop: float = 0.10
     """A drop in one scene as small as this must not be held against that scene."""
 
@@ -216,7 +216,7 @@ def nulls_at_least(bank: Bank, drop: Floats | float) -> list[Floats]:
 
     Args:
         bank: of the baseline.
-        drop: shape (); or, of one bank without leading axes, any shape: so many nulls apart.
+        drop: shape (); or, of one baseline without leading axes, any shape: so many nulls apart.
     """
     return [bank.mean[..., 0] - drop - bank.least(beta)[..., 0] for beta in bank.betas]
 

@@ -58,7 +58,7 @@ def drop_interval_after(
 
     Returns:
         An interval within B - 1 to B, or -1 to 1 beside a control; all of it without trials. Where
-        the ends cross, as they do in hardly any random order, they change places, which makes
+        the ends cross, as they do in hardly any random order, they change positions, which makes
         neither err more often.
 
     Raises:
@@ -72,8 +72,8 @@ def scene_drop_intervals(
 ) -> tuple[Interval, ...]:
     """Return for each scene the drops in it that its own trials do not rule out.
 
-    Each is the interval of `drop_interval_after` for a bank of that scene alone, to 1e-4: of many,
-    some miss. How many trials a scene has may depend on what came of those before.
+    Each is the interval of `drop_interval_after` for a baseline of that scene alone, to 1e-4: of
+    many, some miss. How many trials a scene has may depend on what came of those before.
 
     Args:
         bank: as for `drop_interval_after`.

@@ -7,7 +7,7 @@ each null is bet against by `along`. A scene's own bets are settled when a trial
 
 **The rule.** REGRESSED once E_regr >= 1 / alpha_regr, or once a critical scene is named: E_s >=
 S / alpha_regr. It comes first where one trial does both. Once E_pass >= 1 / alpha_pass the drop of
-the mean is below max_drop beyond doubt, and stays so: by Ville's inequality a null may be rejected
+the mean is below max_drop significantly, and stays so: by Ville's inequality a null may be rejected
 for good at the first look that refutes it. Then only scenes can be left to settle. PASS waits for
 those that are suspect (E_s >= SUSPECT and not named) and for critical ones that have had fewer than
 CRITICAL_TRIALS trials. From there on the order is gone through for trials of these scenes alone:
@@ -15,13 +15,13 @@ how many trials a scene has may depend on anything that is known, so that E_s st
 evidence on the mean takes no part. Waiting makes PASS rarer, and no other error more frequent.
 
 By Ville's inequality a drop of max_drop or more passes with probability at most alpha_pass. One of
-at most `tolerate` is convicted by the mean with at most alpha_regr. If no scene dropped by more
+at most `tolerate` is flagged by the mean with at most alpha_regr. If no scene dropped by more
 than scene_drop, any is named with at most alpha_regr besides: the S scenes share that error.
 
 **The same trials whatever the number of workers.** Which trials are judged follows from the order
-and from the results of those before. Workers may run ahead in the order (`TrialRuling.ahead`); what
-they find beyond the trial that settles it is not judged. So no batch has to be waited for, and the
-number of trials that are judged is the least that there can be.
+and from the results of those before. Workers may run ahead in the order (`TrialDecision.ahead`);
+what they find beyond the trial that settles it is not judged. So no batch has to be waited for, and
+the number of trials that are judged is the least that there can be.
 
 **Validity.** With M finite, `evidence` has the proof, for one box of S M numbers: the claim is of
 these starts only. With M infinite the null's mean is not moved by what was drawn. Were scenes drawn
@@ -29,10 +29,10 @@ with replacement and starts afresh, that would be the case of M infinite there. 
 drawn without replacement, which makes sums vary less: a product of 1 + k (y - n) / n over t draws
 still has at most the expectation 1 (Maclaurin's inequality for elementary symmetric means;
 Hoeffding, 1963, section 6, has it for all convex functions of a sum). That evidence *ever* reaches
-1 / alpha is then bounded by no theorem here: it was enumerated for small panels and simulated on
+1 / alpha is then bounded by no theorem here: it was enumerated for small seed sets and simulated on
 real ones, and happens less often than alpha. A claim about fresh starts takes the baseline's means
 for true. What a small baseline errs in them was simulated: a policy exactly at `tolerate`, of whom
-1 % should be convicted, is in up to 2.3 % with 10 starts in all scenes together, in 1.8 % with 12
+1 % should be flagged, is in up to 2.3 % with 10 starts in all scenes together, in 1.8 % with 12
 to 200, and in 1.0 % with more, unless most of them are drawn (1.4 %).
 
 A randomised last look (U / alpha in place of 1 / alpha at the end of the budget, U uniform) would
@@ -78,7 +78,7 @@ SUSPECT = 4.0
 
 CRITICAL_TRIALS = 4
 """Trials of each critical scene, at least, before a PASS. The mean of 64 scenes may pass before
-half of them have been met: a critical one that always fails was then convicted in 24 %, and is with
+half of them have been met: a critical one that always fails was then flagged in 24 %, and is with
 this in all (simulated). Where nothing fell it takes 1 to 3 trials more for each critical scene."""
 
 _Word = Literal["PASS", "REGRESSED", "undecided"]
@@ -93,13 +93,13 @@ class DrawnTrials:
     """
 
     scenes: Places
-    """Place of the scene among those of the bank, shape (..., T)."""
+    """Index of the scene among those of the baseline, shape (..., T)."""
     candidate: Floats
     """c, shape (..., T). NaN is a trial that has no result: it counts as 0 in E_pass and as 1 in
     E_regr and E_s, so that no verdict gains by what is missing."""
     baseline: Floats
-    """b of the same starts, shape (..., T): from the bank, or of a control. There NaN has no result
-    either, and counts the other way round."""
+    """b of the same starts, shape (..., T): from the baseline, or of a control. There NaN has no
+    result either, and counts the other way round."""
 
     def __post_init__(self) -> None:
         shapes = {self.scenes.shape, self.candidate.shape, self.baseline.shape}
@@ -109,7 +109,7 @@ class DrawnTrials:
             check_successes(values[~np.isnan(values)])
 
     def at(self, places: Sequence[int]) -> DrawnTrials:
-        """Return the trials at some places of the order, in their order."""
+        """Return the trials at some positions of the order, in their order."""
         which = np.array(places, dtype=np.intp)
         return DrawnTrials(
             scenes=self.scenes[..., which],
@@ -118,7 +118,7 @@ class DrawnTrials:
         )
 
     def only(self, which: Places, count: int) -> DrawnTrials:
-        """Return the first trials of some of the gates, by their places along the first axis."""
+        """Return the first trials of some of the gates, by their positions along the first axis."""
         cut = np.s_[which, :count]
         return DrawnTrials(
             scenes=self.scenes[cut], candidate=self.candidate[cut], baseline=self.baseline[cut]
@@ -161,7 +161,7 @@ class TrialRules:
     alpha_pass: float = 0.05
     """Probability, at most, that a drop of max_drop or more passes."""
     alpha_regr: float = 0.01
-    """Probability, at most, that a drop of `tolerate` or less is convicted by the mean; and, at
+    """Probability, at most, that a drop of `tolerate` or less is flagged by the mean; and, at
     most, that any scene is named where none dropped by more than scene_drop."""
 
     def __post_init__(self) -> None:
@@ -174,7 +174,7 @@ class TrialRules:
 
     @property
     def critical(self) -> frozenset[int]:
-        """Scenes that are judged alone too, by place."""
+        """Scenes that are judged alone too, by index."""
         return frozenset(place for place, tier in enumerate(self.tiers) if tier == "critical")
 
     @property
@@ -184,20 +184,20 @@ class TrialRules:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrialRuling:
+class TrialDecision:
     """What was found in a gate, and by which trials."""
 
     word: _Word
     mean: int
     """How many trials, from the first in the order, the evidence on the mean rests on."""
     followed: tuple[int, ...]
-    """Trials after those, by place in the order, that were judged for their scenes alone."""
+    """Trials after those, by index in the order, that were judged for their scenes alone."""
     named: tuple[int, ...]
-    """Scenes that fell, whatever the word, by place."""
+    """Scenes that regressed, whatever the word, by index."""
     waits_for: tuple[int, ...]
     """Scenes that alone hold back a PASS that the mean allows."""
     ahead: tuple[int, ...]
-    """Trials that come next if none of them settles it, by place in the order, those that have
+    """Trials that come next if none of them settles it, by index in the order, those that have
     ended already among them; none once it is settled or the budget is spent. W workers run those of
     the first W that have not ended: further ahead more would be run for nothing."""
 
@@ -243,7 +243,7 @@ def looks(bank: Bank, trials: DrawnTrials, margins: Margins) -> Looks:
 
 def settle(
     bank: Bank, trials: DrawnTrials, rules: TrialRules, known: Sequence[bool] | Truths | None = None
-) -> TrialRuling:
+) -> TrialDecision:
     """Return what the trials that are known so far settle.
 
     Args:
@@ -255,7 +255,7 @@ def settle(
             judged if it settled nothing.
 
     Raises:
-        ValueError: the tiers are not those of the bank; or as `looks`.
+        ValueError: the tiers are not those of the baseline; or as `looks`.
     """
     _check(bank, rules)
     budget = len(trials.scenes)
@@ -271,8 +271,8 @@ def settle(
 
 def _rule(
     scenes: Places, every: Looks, count: int, ended: Truths, rules: TrialRules
-) -> TrialRuling:
-    """Return the ruling on one gate.
+) -> TrialDecision:
+    """Return the decision on one gate.
 
     Args:
         scenes: of all trials of the budget, shape (T,).
@@ -283,19 +283,19 @@ def _rule(
         rules: of the gate.
     """
     convicting, passing = _reached(scenes[:count], every, rules)
-    convicts, passes = _first(convicting), _first(passing)
-    mean = min(count, convicts + 1, passes + 1)
+    flags, passes = _first(convicting), _first(passing)
+    mean = min(count, flags + 1, passes + 1)
     found = _Scenes(scenes[:mean], every.own[:mean], rules)
     word: _Word = "undecided"
     followed, ahead = list[int](), list[int]()
-    if convicts < mean:
+    if flags < mean:
         word = "REGRESSED"
     elif passes < mean:
         followed, ahead = found.follow(scenes, every.own, ended, mean)
-        word = "REGRESSED" if found.convicted else "undecided" if found.waits else "PASS"
+        word = "REGRESSED" if found.flagged else "undecided" if found.waits else "PASS"
     else:
         ahead = list(range(count, len(scenes)))
-    return TrialRuling(
+    return TrialDecision(
         word=word,
         mean=mean,
         followed=tuple(followed),
@@ -306,13 +306,13 @@ def _rule(
 
 
 def _reached(scenes: Places, every: Looks, rules: TrialRules) -> tuple[Truths, Truths]:
-    """Return where evidence convicts, and where that on the mean passes; of the shape of scenes."""
+    """Return where evidence flags, and where that on the mean passes; of the shape of scenes."""
     count = scenes.shape[-1]
-    convicts = every.regressed[..., :count] >= 1.0 / rules.alpha_regr
+    flags = every.regressed[..., :count] >= 1.0 / rules.alpha_regr
     if critical := rules.critical:
         alone = every.own[..., :count] >= rules.names_at
-        convicts |= alone & np.isin(scenes, list(critical))
-    return convicts, every.passed[..., :count] >= 1.0 / rules.alpha_pass
+        flags |= alone & np.isin(scenes, list(critical))
+    return flags, every.passed[..., :count] >= 1.0 / rules.alpha_pass
 
 
 class _Scenes:
@@ -334,14 +334,14 @@ class _Scenes:
         """Scenes that hold back a PASS, once it is asked for."""
 
     @property
-    def convicted(self) -> bool:
+    def flagged(self) -> bool:
         """Whether a critical scene is named."""
         return not self.named.isdisjoint(self._critical)
 
     def follow(
         self, scenes: Places, own: Floats, ended: Truths, begin: int
     ) -> tuple[list[int], list[int]]:
-        """Judge trials from place `begin` on for the scenes that hold back a PASS, till none does.
+        """Judge trials from index `begin` on for the scenes that hold back a PASS.
 
         Returns:
             Those that were judged; and those that come next, if it ends for want of one.
@@ -350,7 +350,7 @@ class _Scenes:
         followed = list[int]()
         for place in range(begin, len(scenes)):
             scene = int(scenes[place])
-            if self.convicted or not self.waits:
+            if self.flagged or not self.waits:
                 break
             if scene not in self.waits:
                 continue
@@ -373,31 +373,31 @@ class _Scenes:
         return bool(few or self._own[scene] >= SUSPECT)
 
 
-def settle_all(bank: Bank, trials: DrawnTrials, rules: TrialRules) -> list[TrialRuling]:
+def settle_all(bank: Bank, trials: DrawnTrials, rules: TrialRules) -> list[TrialDecision]:
     """Return how gates end of which every trial is known: `settle` of each, and much faster.
 
     Args:
-        bank: means of shape (S,), or (gates, S) for a bank of each.
+        bank: means of shape (S,), or (gates, S) for a baseline of each.
         trials: shape (gates, T).
         rules: of all gates.
     """
     _check(bank, rules)
     gates, budget = trials.scenes.shape
     means = np.broadcast_to(bank.means, (gates, bank.means.shape[-1]))
-    found: dict[int, TrialRuling] = {}
+    found: dict[int, TrialDecision] = {}
     going, count = np.arange(gates), min(64, budget)
     while going.size:
         cut = trials.only(going, count)
         every = looks(replace(bank, means=means[going]), cut, rules.margins)
-        convicts, passes = _reached(cut.scenes, every, rules)
-        reached = set(np.flatnonzero((convicts | passes).any(axis=-1)).tolist())
+        flags, passes = _reached(cut.scenes, every, rules)
+        reached = set(np.flatnonzero((flags | passes).any(axis=-1)).tolist())
         for row, gate in enumerate(going.tolist()):
             if row not in reached and count < budget:
                 continue
             one = Looks(every.passed[row], every.regressed[row], every.own[row])
-            ruling = _rule(cut.scenes[row], one, count, np.ones(count, dtype=bool), rules)
-            if count == budget or ruling.word != "undecided":
-                found[gate] = ruling
+            decision = _rule(cut.scenes[row], one, count, np.ones(count, dtype=bool), rules)
+            if count == budget or decision.word != "undecided":
+                found[gate] = decision
         going = np.array([gate for gate in going.tolist() if gate not in found], dtype=np.intp)
         count = min(2 * count, budget)
     return [found[gate] for gate in range(gates)]
@@ -411,9 +411,9 @@ def most_false_alarms(
     critical: int,
     scenes: int,
 ) -> float:
-    """Return how often a gate convicts wrongly at most: the sum of what its parts do.
+    """Return how often a gate flags wrongly at most: the sum of what its parts do.
 
-    A policy is convicted wrongly if it is above the bar, in every critical scene too, dropped by
+    A policy is flagged wrongly if it is above the bar, in every critical scene too, dropped by
     `tolerate` at most, and in no critical scene by more than scene_drop. By Boole's inequality the
     parts together err with the sum of their probabilities at most.
 
@@ -421,7 +421,7 @@ def most_false_alarms(
         bar: 1 - confidence of the absolute bar, None without one.
         bar_critical: whether critical scenes are judged alone by it, which share another of these.
         baseline: alpha_regr of the gate against a baseline, None without one.
-        critical: scenes of it that convict alone. Each is named wrongly with alpha_regr / S.
+        critical: scenes of it that flag alone. Each is named wrongly with alpha_regr / S.
         scenes: S.
 
     Raises:
@@ -503,8 +503,8 @@ def order_of_starts(
 
     The order is random as far as scores go: it follows sha256 of who is judged by what, so that it
     is the same on every machine and in every run, differs between scenes and between candidates,
-    and cannot be chosen after the trials have been seen. A bank with more starts keeps the order of
-    those that it had.
+    and cannot be chosen after the trials have been seen. A baseline with more starts keeps the
+    order of those that it had.
 
     Args:
         starts: M.
@@ -523,8 +523,8 @@ def order_of_trials(
 
     They are one simple random sample without replacement, as far as scores go: whoever has the
     smaller sha256 comes first, whatever its scene. Within a scene the starts come as in
-    `order_of_starts`. Scenes that are left out, or starts that are added to a bank, do not change
-    the order of the others.
+    `order_of_starts`. Scenes that are left out, or starts that are added to a baseline, do not
+    change the order of the others.
 
     Args:
         scenes: their names, shape (S,), each once.

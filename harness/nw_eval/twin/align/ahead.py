@@ -1,6 +1,6 @@
 """What will give a scale, found in the first seconds of a build and kept for `align`.
 
-What is slow comes later, so whoever builds hears first whether the place will be in metres, and
+What is slow comes later, so whoever builds hears first whether the scene will be in metres, and
 what to give if it will not.
 """
 
@@ -64,7 +64,7 @@ class SourceFacts:
         kind: of the source, e.g. `photographs`.
         photographs: that there are.
         metric: whether its cameras are in metres.
-        up: which way is up in the frame of its cameras; None where nobody says.
+        up: which way is up in the frame of its cameras; None if unknown.
         positions: where photographs were taken by GPS, metres east, north and up of the first one,
             by their names.
         looked_at: photographs in which tags were looked for; 0 where that could not be.
@@ -249,7 +249,7 @@ def write_facts(facts: SourceFacts, folder: Path) -> None:
 
 
 def read_facts(folder: Path) -> SourceFacts | None:
-    """Return what was known of a capture's source; None where nobody wrote it.
+    """Return what was known of a capture's source; None if it was not recorded.
 
     Raises:
         SceneError: the file is damaged.

@@ -44,7 +44,7 @@ _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
 @dataclass(frozen=True, kw_only=True)
 class KnownLength:
-    """Two points of a place whose distance somebody measured.
+    """Two points of a scene whose distance was measured.
 
     Attributes:
         first, second: (x, y, z) in the capture's frame; or pixels by the name of the shot in which
@@ -146,7 +146,7 @@ class AlignOptions:
         metric: whether the poses come in metres already, as those of ARKit and Polycam.
         positions: where shots were taken, (x, y, z) in metres of any frame, by their names: ARKit,
             or GPS by `gps_positions`. Three at least.
-        positions_up: which way is up in the frame of `positions`; None where nobody knows.
+        positions_up: which way is up in the frame of `positions`; None if unknown.
         up: which way is up in the capture's own frame, where its poses' source says so.
         seed: of the draws.
     """
@@ -274,7 +274,7 @@ class Alignment:
 
     @property
     def is_to_scale(self) -> bool:
-        """Whether the metric frame is in metres, not in a unit that nobody knows."""
+        """Whether the metric frame is in metres, not in an unknown unit."""
         return bool(self.scales)
 
 

@@ -36,7 +36,7 @@ _LEAST_WALL = 0.03
 """Share of points of a plane that counts as a wall."""
 
 _ROLL = math.radians(1.0)
-"""Least roll of a camera that is held by hand: nobody is taken for better."""
+"""Least roll of a camera that is held by hand: none is assumed to be better."""
 _INDEPENDENT = 30
 """Shots that count as such: frames of a film are rolled alike."""
 _TILT = math.radians(2.0)

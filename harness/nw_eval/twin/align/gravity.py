@@ -255,7 +255,8 @@ def _warnings(level: Horizon, floor: FloorLevel, uncertain: float) -> tuple[str,
         )
         if uncertain > _SURE:
             warnings.append(
-                f"up is known to {uncertain:.0f} degrees only: all cameras look one way. Three "
+                f"up is known to {uncertain:.0f} degrees only: all cameras point the same way. "
+                "Three "
                 "clicks on the floor in `nw-eval twin label` set it"
             )
     if level.sideways:

@@ -63,7 +63,7 @@ def fit_positions(centres: Values, metres: Values, rng: np.random.Generator) -> 
     apart = min(float(np.ptp(centres, axis=0).max()), float(np.ptp(metres, axis=0).max()))
     if len(centres) < 3 or apart <= 0:
         raise UsageError(
-            f"{len(centres)} positions are known, of shots in one place or too few",
+            f"{len(centres)} positions are known: they are too few or too close together",
             fix="give the positions of three shots or more, taken apart",
         )
     best: tuple[float, Values] | None = None

@@ -208,7 +208,7 @@ def _by_lengths(
             if off > _ROUGH * units:
                 warnings.append(
                     f"the length between {ends} is known to {off / units:.0%} only: pick points "
-                    "nearer to the camera and farther apart, in photographs from places well apart"
+                    "nearer to the camera and farther apart, in photographs taken well apart"
                 )
         name = "height" if length.vertical else "length"
         answers.append(_ScaleBy(name=name, scale=length.metres / units, reason=reason))
@@ -335,7 +335,7 @@ def _point(
     if found is None:
         raise UsageError(
             f"the picks {words_of(where) or 'in no shot'} do not meet in a point",
-            fix="pick the same point in two shots or more, from places well apart",
+            fix="pick the same point in two shots or more, taken well apart",
         )
     return found.points[0]
 

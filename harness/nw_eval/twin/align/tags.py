@@ -64,7 +64,7 @@ def find_tags(
         sightings = detect(grey)
         numbers = [number for number, _ in sightings]
         for number, corners in sightings:
-            if numbers.count(number) == 1:  # Two alike in one picture: nobody knows which is which.
+            if numbers.count(number) == 1:  # Two of the same in one picture cannot be told apart.
                 found.setdefault(number, []).append((place, corners))
     for number, seen in sorted(found.items()):
         say(f"tag {number} is in {plural(len(seen), 'picture')}")

@@ -1,6 +1,6 @@
 """The splat of a build, trained four times: from points or from the mesh, blind to depth or not.
 
-After Table I of "The Neverwhere Visual Parkour Benchmark Suite", for a place of one's own. All four
+After Table I of "The Neverwhere Visual Parkour Benchmark Suite", for a scene of one's own. All four
 see the same photographs, and are compared on the same ones that were kept from them. The table has
 every way's figures, and how far each is from the first.
 """

@@ -79,7 +79,7 @@ _LISTED_PITS = 5
 
 @dataclass(frozen=True, kw_only=True)
 class BuildSettings:
-    """Options of each stage, and what the place is called.
+    """Options of each stage, and what the scene is called.
 
     Attributes:
         calibrate: of calibration.
@@ -87,9 +87,9 @@ class BuildSettings:
         align: gravity and scale.
         splat: of the Gaussians.
         name: of the scene. If None, that of the scene that is there, else the folder's.
-        licence: of the photographs, which the place shows. If None, that of the scene that is
+        licence: of the photographs, which the scene shows. If None, that of the scene that is
             there, else `unknown`.
-        robot: of the scene's suite, by which the place is checked. If None, that of the suite that
+        robot: of the scene's suite, by which the scene is checked. If None, that of the suite that
             is there, else a Go1.
         threads: that share the work; no result depends on them.
     """
@@ -119,7 +119,7 @@ def facts_of(options: Any) -> str:
 
 
 class Build:
-    """A build of a place from photographs, in the folder of its scene.
+    """A build of a scene from photographs, in the folder of its scene.
 
     Each method is a stage. What is there already, of the same photographs and options, stays; what
     was cut off goes on.
@@ -247,7 +247,7 @@ class Build:
         )
 
     def place(self) -> None:
-        """Write the scene folder, with the trail that the place itself suggests."""
+        """Write the scene folder, with the course that the scene itself suggests."""
         for stage in ("reconstruct", "align", "splat"):
             self.folder.needs(stage)
         folder, robot = self.folder, self._robot()
@@ -320,9 +320,9 @@ class Build:
         self._say(f"place: {folder.scene} is a scene: nw-eval scenes check {folder.scene}")
 
     def check(self) -> bool:
-        """Say what is measured and wrong along the trail, and how the place is run.
+        """Say what is measured and wrong along the course, and how the scene is run.
 
-        Returns whether no error is found. The place stays as it is, whatever is found: most is
+        Returns whether no error is found. The scene stays as it is, whatever is found: most is
         mended by hand.
 
         Raises:
@@ -346,17 +346,17 @@ class Build:
         return not wrong
 
     def _unlike_photographs(self, survey: Survey | None) -> list[SceneFinding]:
-        """Return where the mesh along the trail is not as its own photographs show it.
+        """Return where the mesh along the course is not as its own photographs show it.
 
-        Where the trail was surveyed, `trail.json` is written, and what depths differ by is said.
+        Where the course was surveyed, `trail.json` is written, and what depths differ by is said.
         """
         scene = load_folder(self.folder.scene, needs_scale=False)
         depths = self.folder.mesh / "depth"
         captured = (self.folder.capture / "capture.json").is_file() and depths.is_dir()
         if scene.splat is None or not captured:
-            return []  # A place from elsewhere, or whose build was cleared away: nobody knows.
+            return []  # A scene from elsewhere, or whose build was cleared away: unknown.
         line = np.array([scene.spawn.position, *scene.trail])
-        # The splat is in the capture's frame, wherever the place was moved to since.
+        # The splat is in the capture's frame, wherever the scene was moved to since.
         capture, T = read_capture(self.folder.capture), scene.T_world_splat
         findings = unlike_photographs(scene.mesh(), line, seen_depths(capture, T, depths, SURE))
         if survey is not None:
@@ -369,7 +369,7 @@ class Build:
         return findings
 
     def _write_trail(self, survey: Survey, differences: DepthDifferences) -> None:
-        """Write what is measured at each station of the trail, metres and radians."""
+        """Write what is measured at each station of the course, metres and radians."""
         footing = survey.ground.footing
         columns = {
             "along": footing.along,
@@ -388,13 +388,13 @@ class Build:
         content = {"robot": survey.robot, "length": round(survey.length, 4), "stations": rows}
         with atomic_path(self.folder.trail) as temporary:
             temporary.write_text(json.dumps(content, indent=1), encoding="utf-8")
-        self._say(f"check: each 0.1 m of the trail is in {self.folder.trail}")
+        self._say(f"check: each 0.1 m of the course is in {self.folder.trail}")
 
     def _no_route(self, error: SceneError) -> Route:
         """Return a step ahead, and say why."""
-        self._say(f"place: no trail: {error}")
+        self._say(f"place: no course: {error}")
         self._say(
-            "place: its trail is one waypoint a metre from the start, for you to replace: "
+            "place: its course is one waypoint a metre from the start, for you to replace: "
             f"nw-eval twin label {shlex.quote(str(self.folder.scene))}"
         )
         return Route(task="hurdles", trail=np.array([[1.0, 0.0, 0.0]]))
@@ -408,7 +408,7 @@ class Build:
         *,
         silent: bool = False,
     ) -> TrailProposal:
-        """Return the trail of the walk, or else of the longest level ground, for the robot.
+        """Return the course of the walk, or else of the longest level ground, for the robot.
 
         Raises:
             SceneError: neither has enough ground.
@@ -427,18 +427,18 @@ class Build:
                 return walked
             say("place: where the cameras went the ground has holes")
         except SceneError as error:
-            say(f"place: no trail where the cameras went: {error}")
+            say(f"place: no course where the cameras went: {error}")
         try:
             free = propose_free_trail(moved, centres, length=length, shown=shown)
         except SceneError:
             if walked is None:
                 raise
             return walked
-        say("place: the trail is on the longest straight strip of level ground")
+        say("place: the course is on the longest straight strip of level ground")
         return free
 
     def _route(self, proposal: TrailProposal) -> Route:
-        """Return the trail that the place suggests, and say what lies on it."""
+        """Return the course that the scene suggests, and say what lies on it."""
         for line in (*proposal.reasons, *proposal.warnings):
             self._say(f"place: {line}")
         spawn = proposal.spawn

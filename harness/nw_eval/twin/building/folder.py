@@ -38,7 +38,7 @@ class BuildFolder:
         mesh/         depths and the mesh, in the capture's frame
         align.json    from the capture's frame to metres
         splat/        the Gaussians, in the capture's frame
-        trail.json    roughness, steps, slopes and differences from the depths along the trail
+        trail.json    roughness, steps, slopes and differences from the depths along the course
         stamps.json   by stage, a digest of all that its result depends on
 
     Args:

@@ -39,15 +39,15 @@ _SIDE = 480
 _LEAST = 0.01
 """Area of a pit at least, square metres: that of a foot."""
 _LARGEST = 6.0
-"""At most, square metres: larger holes are what nobody photographed."""
+"""At most, square metres: larger holes were not photographed."""
 _WIDE = 0.4
 """From known ground, metres, within which a hole is looked at."""
 _STEP = 0.05
 """Metres below the highest ground about it that a hole's level is supposed at."""
 _OFF = 0.02
-"""Share of its depth by which a pixel shows what lies behind a place."""
+"""Share of its depth by which a pixel shows what lies behind a point."""
 _SHARE = 0.3
-"""Of what looks at a place, that has to show something behind it."""
+"""Of the views of a point, that have to show something behind it."""
 _SLIVER = 3
 """Squares of ground between two parts of a pit that nothing can stand on."""
 _DEEP = 0.08
@@ -58,7 +58,7 @@ no level rim, and what lies between two of them is not a gap."""
 _ABOUT = 0.5
 """Metres from a pit where that ground is sought."""
 _DARK = (70, 70, 70)
-"""Colour of what nobody has seen."""
+"""Colour of what no photograph shows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +79,8 @@ class Pit:
         """Return it in words."""
         x, y = self.centre
         return (
-            f"a hole of {self.area:.2f} m2 at ({x:.1f}, {y:.1f}) that photographs look into is "
+            f"a hole of {self.area:.2f} m2 at ({x:.1f}, {y:.1f}) that photographs show from "
+            "above is "
             f"made {self.depth:.2f} m deep, as low as the ground beside it"
         )
 
@@ -165,7 +166,7 @@ class _Plan:
 
 
 def _behind(points: F64, capture: Capture, folder: Path, depths: Path, T: F64) -> Cells:
-    """Return behind which places (N, 3), metres, photographs show something.
+    """Return behind which points (N, 3), metres, photographs show something.
 
     Each counts by how finely it shows level ground there.
     """

@@ -1,7 +1,7 @@
-"""Where the mesh of a place is not as its photographs show it, along the trail, and by how much.
+"""Where the mesh of a scene is not as its photographs show it, along the course, and by how much.
 
 A mesh that lacks the platforms between its gaps is whole: it has ground everywhere, a splat that
-lies on it, and a trail that looks easy. Depths that photographs agree on know better. Each of
+lies on it, and a course that looks easy. Depths that photographs agree on know better. Each of
 their pixels is a ray; where it goes on far below what the pixel shows, ground is missing, and where
 it is stopped on the way, ground is where there was none. `depth_differences` measures how far the
 depths are from the mesh where feet go.
@@ -36,7 +36,7 @@ road have 0.05 in the median, and 99.9 % of them lie within 0.3 m of it."""
 _CELL = 0.1
 """Edge of a square of ground, metres."""
 _ASIDE, _OVER = 0.6, 1.0
-"""From the line of the trail, to each side and up and down, metres: where a robot comes."""
+"""From the line of the course, to each side and up and down, metres: where a robot comes."""
 _DEEP = 0.12
 """Below what a pixel shows, from which on the mesh's ground is other ground, metres."""
 _SHORT = 0.06
@@ -48,7 +48,7 @@ _LEAST_AREA = 0.2
 """From which on it is a fault, square metres: room for a robot's feet. Edges are uncertain by
 centimetres; what is nowhere three squares broad does not count."""
 _FEET = 0.3
-"""From the line of the trail, to each side, metres: where feet go."""
+"""From the line of the course, to each side, metres: where feet go."""
 _SQUARE = 0.2
 """Edge of a square of ground that is shown or not, metres."""
 _ABOVE = 0.3
@@ -56,7 +56,7 @@ _ABOVE = 0.3
 MOST_APART = 0.05
 """By which depths and mesh may differ where feet go, metres: as heights of mesh and physics."""
 _LEAST_LENGTH = 0.5
-"""Of trail that is worth a word, metres."""
+"""Of course that is worth a word, metres."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,10 +122,10 @@ def shown_ground(mesh: TriangleMesh, seen: Iterable[SeenDepth]) -> Shown:
 def unlike_photographs(
     mesh: TriangleMesh, line: F64, seen: Iterable[SeenDepth]
 ) -> list[SceneFinding]:
-    """Return where along a trail the mesh is not as photographs show it.
+    """Return where along a course the mesh is not as photographs show it.
 
     Args:
-        mesh: of the place.
+        mesh: of the scene.
         line: (K, 3) of spawn and waypoints, world, m.
         seen: by photographs.
     """
@@ -147,13 +147,13 @@ def unlike_photographs(
         stopped += plan.cells(met[short])
     return [
         *_findings(plan, missing, shown, "photographs show ground that the mesh lacks"),
-        *_findings(plan, stopped, reached, "the mesh has ground where photographs look through"),
+        *_findings(plan, stopped, reached, "the mesh has ground where photographs show none"),
     ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthDifferences:
-    """How far depth maps are from the mesh where feet go, at stations along the trail.
+    """How far depth maps are from the mesh where feet go, at stations along the course.
 
     Attributes:
         median, most: (S,) of the distances, half and 90 % of them at most so far, m; nan where no
@@ -170,9 +170,9 @@ class DepthDifferences:
     def __str__(self) -> str:
         seen = self.photographs[self.photographs > 0]
         if not len(seen):
-            return "depths: no photograph shows the ground along the trail"
+            return "depths: no photograph shows the ground along the course"
         blind = int((self.photographs == 0).sum())
-        none = f", {blind} of {len(self.photographs)} stations by none" if blind else ""
+        none = f", {blind} of {len(self.photographs)} points by none" if blind else ""
         return (
             f"depths: mesh and depth maps are {1e3 * self.overall[0]:.0f} mm apart (median), 90 % "
             f"within {1e3 * self.overall[1]:.0f} mm, as {seen.min()} to {seen.max()} photographs "
@@ -183,14 +183,14 @@ class DepthDifferences:
 def depth_differences(
     mesh: TriangleMesh, places: F64, seen: Iterable[SeenDepth]
 ) -> DepthDifferences:
-    """Return how far depth maps are from the mesh round places of a trail.
+    """Return how far depth maps are from the mesh round places of a course.
 
     The distance of a point from the mesh is taken straight down and along the ray that shows it;
     the smaller one counts, and `_OVER` where the mesh has nothing.
 
     Args:
-        mesh: of the place.
-        places: (S, 3) on the ground, evenly spaced along the trail, world, m.
+        mesh: of the scene.
+        places: (S, 3) on the ground, evenly spaced along the course, world, m.
         seen: by photographs.
     """
     rays, plan = RayScene(mesh), _Plan(places)
@@ -240,7 +240,7 @@ def difference_findings(found: DepthDifferences, along: F64, places: F64) -> Ite
         (
             blind,
             "no photograph shows the ground: the mesh has filled it",
-            "photograph it, or lead the trail elsewhere",
+            "photograph it, or move the course elsewhere",
         ),
     ):
         ends = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]])))
@@ -252,7 +252,7 @@ def difference_findings(found: DepthDifferences, along: F64, places: F64) -> Ite
             yield SceneFinding(
                 code="unlike_photographs",
                 severity="warning",
-                message=f"{words} from {along[first]:.2f} to {along[last]:.2f} m along the trail, "
+                message=f"{words} from {along[first]:.2f} to {along[last]:.2f} m along the course, "
                 f"round ({x:.2f}, {y:.2f})",
                 fix=fix,
                 value=length,

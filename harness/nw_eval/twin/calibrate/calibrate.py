@@ -189,7 +189,7 @@ def _calibrate(
                 f"{report.placed} of {report.photographs} placed, fewer than {options.share:.0%}",
                 *by_reason(report.left_out),
             ],
-            fix=f"{_FIX}; or go on with a part of the place: --share",
+            fix=f"{_FIX}; or continue with a part of the scene: --share",
         )
     capture = develop(photographs, solved.solution, out, side=options.side, say=say)
     capture = replace(capture, metric=source.metric, up=source.up)
@@ -274,7 +274,7 @@ class _Solver:
 
 
 def _check_motion(matches: Matches) -> None:
-    """Refuse photographs without parallax: what is made of them may look like a place, and is none.
+    """Refuse photographs without parallax: what is made of them may look like a scene, and is none.
 
     Raises:
         SceneError: a mere turn of the camera explains nearly all pairs that match.
@@ -282,8 +282,8 @@ def _check_motion(matches: Matches) -> None:
     alike = len(matches.inliers)
     if alike >= _LEAST and matches.turned >= _TURNED * alike:
         raise SceneError(
-            f"{matches.turned} of {alike} pairs that match look as if the camera had turned on one "
-            "spot, or had one flat surface in view: nothing tells how far away anything is",
+            f"{matches.turned} of {alike} matching pairs suggest that the camera turned on one "
+            "spot, or had one flat surface in view: distances cannot be measured",
             fix="walk while you photograph, half a metre from one photograph to the next, and "
             "keep the ground and what stands on it in view together",
         )
@@ -383,7 +383,7 @@ def _of_group(group: Sequence[str], photographs: Sequence[Photograph], most: dic
     why = (
         f"at most {bridge} matches with one of the largest: photograph the way between them"
         if bridge < _FEW_MATCHES
-        else f"{bridge} matches with one of the largest, yet no common place: the same things may "
+        else f"{bridge} matches with one of the largest, but no common pose: identical objects may "
         "stand in both"
     )
     return f"a group of {len(group)}, {why}"
@@ -412,5 +412,5 @@ def _reason(one: Photograph, sharp: float, contrast: float, most: int, matches: 
     elif most < _FEW_MATCHES:
         reason, detail = APART, f"at most {most} matches with one of them"
     else:
-        reason, detail = UNFIT, f"{most} matches with one of them, yet no place for it"
+        reason, detail = UNFIT, f"{most} matches with one of them, but no pose fits it"
     return LeftOut(name=one.name, reason=reason, detail=detail)

@@ -76,7 +76,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def number(value: Any, what: str) -> float:
-    """Return a finite number of a stranger's file.
+    """Return a finite number of an untrusted file.
 
     Raises:
         SceneError: it is none; naming what it was to be.

@@ -95,7 +95,7 @@ def map_cameras(
             best, most = found, count
         unlike = [name for name, (fit, of) in fits.items() if fit < _AGREES * of]
         for name in unlike:
-            say(f"the place of {name} fits {fits[name][0] / fits[name][1]:.0%} of its matches")
+            say(f"the pose of {name} fits {fits[name][0] / fits[name][1]:.0%} of its matches")
         if tries[kind] >= _ENOUGH * len(names) and not unlike:
             break
     if best.others:
@@ -363,7 +363,7 @@ def tied(solution: Solution) -> Solution:
 
 
 def _largest(solution: Solution) -> list[int]:
-    """Return the places of the cameras of the largest part, in order; of equals the first."""
+    """Return the indices of the cameras of the largest part, in order; of equals the first."""
     parts = list(range(len(solution.placed)))
     for (one, other), count in sorted(_shared(solution).items()):
         if count >= _SHARED and parts[one] != parts[other]:

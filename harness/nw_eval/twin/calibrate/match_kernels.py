@@ -25,7 +25,7 @@ def two_best(products: Any, first_row: int, count: int, other: int, found: Any) 
             the other, in their order.
         first_row: number of the first of them.
         count: of the one picture's descriptors; what goes beyond is not there.
-        other: of the other's, likewise.
+        other: of the other's, as above.
         found: in and out: (2, N) float32, the largest product of each row, then of each column;
             (2, N) float32, the second largest; (2, N) int32, the column, then the row of the
             largest, of equals the first.

@@ -21,7 +21,7 @@ class Pace:
         what: is done, e.g. `features of photographs`.
         total: pieces of it; 0 where they cannot be counted.
         clock: seconds, from any beginning.
-        begun_at: pieces that were done before: nobody knows how long they took.
+        begun_at: pieces that were done before, in unknown time.
     """
 
     say: Say

@@ -48,7 +48,7 @@ class Found:
     Attributes:
         name: of the photograph.
         path: of its file; None if it must not be read, and then `fault` says why.
-        mask: file of its mask, where 0 is no part of the place.
+        mask: file of its mask, where 0 is no part of the scene.
         fault: why it cannot be used.
     """
 

@@ -25,7 +25,7 @@ class Photo:
         rgb: (H, W, 3) uint8 display values.
         inverse_depth: (H, W) float32, 1 / depth along the optical axis; None if nothing is known.
         confidence: (H, W) float32, 0 (not known) to 1; None for 1 everywhere.
-        mask: (H, W) bool, where the picture shows the place; None for everywhere. Where it does
+        mask: (H, W) bool, where the picture shows the scene; None for everywhere. Where it does
             not (people, what undistortion left empty), no colour is learnt.
     """
 

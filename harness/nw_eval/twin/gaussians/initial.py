@@ -29,7 +29,7 @@ the far plane of viewers, and photographs of it differ by 3 degrees at most."""
 _HORIZON = math.radians(5.0)
 """How far below the horizon the sky reaches: ground beyond the mesh ends there."""
 _LEAST_SKY = 0.01
-"""Share of the pixels that must be sky for a place to have one: meshes have small holes."""
+"""Share of the pixels that must be sky for a scene to have one: meshes have small holes."""
 _BLUR = math.radians(20.0)
 """Over which the sky's colours are spread to where no photograph shows it."""
 _LOW = 0.02
@@ -163,7 +163,7 @@ def with_sky(
     the air. Where no photograph shows the sky, it has the colours of the sky beside.
 
     Args:
-        photos: of a place.
+        photos: of a scene.
         free: of each photograph, (H, W) where neither its depth nor a mesh is known.
         up: (3,) unit vector.
         most: Gaussians of the sky, about.

@@ -2,11 +2,11 @@
 
 Training minimises the photometric loss of the 3DGS paper, and depth where there is some. Each
 photograph has an affine map of colours, as the paper's code has it since 2024: a camera's automatic
-exposure and white balance change from one photograph to the next; what does not belong to the place
+exposure and white balance change from one photograph to the next; what does not belong to the scene
 is learnt here: colour' = A colour + b, first the identity.
 
 Unlike there, the mean of all maps stays the identity: what photographs have in common belongs to
-the place. Left free, the maps learn faster than the place does, and take its contrast: views that
+the scene. Left free, the maps learn faster than the scene does, and take its contrast: views that
 no photograph was taken of, which have no map, came out 7 dB worse for it.
 """
 
@@ -243,7 +243,7 @@ class ViewFigures:
     Attributes:
         name: of the photograph.
         psnr: in dB, the picture clamped to 0..1, where the mask lets one see.
-        psnr_corrected: likewise after the affine map of colours that fits best: what is left when
+        psnr_corrected: the same after the affine map of colours that fits best: what is left when
             another exposure is no fault.
         ssim: mean structural similarity; what a mask hides counts as alike.
     """

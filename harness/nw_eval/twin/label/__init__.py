@@ -1,4 +1,4 @@
-"""Labelling a scene folder: where the place lies, what is kept of it, and the robot's course.
+"""Labelling a scene folder: where the scene lies, what is kept of it, and the robot's course.
 
 labelling.py  the model, which needs no browser; page/ shows it in one
 state.py      what one state decides

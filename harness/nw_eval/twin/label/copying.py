@@ -27,12 +27,12 @@ def own_folder(reference: str, out: Path | None, *, robot: str = "go1") -> Path:
 
     Args:
         reference: a scene folder, or with `out` any place that a suite can name.
-        out: folder of the copy, which must not be there; None = the place is labelled where it is.
+        out: folder of the copy, which must not be there; None = the scene is labelled where it is.
         robot: of the copy's suite.
 
     Raises:
-        UsageError: the place is nobody's to edit and there is no `out`, or `out` is in use.
-        SceneError: there is no such place, or it cannot be read.
+        UsageError: the scene cannot be edited and there is no `out`, or `out` is in use.
+        SceneError: there is no such scene, or it cannot be read.
         FetchError, PrerequisiteError: it is on a hub, and cannot be fetched.
         StoreError: the copy cannot be written.
     """
@@ -42,7 +42,7 @@ def own_folder(reference: str, out: Path | None, *, robot: str = "go1") -> Path:
     path = Path(reference)
     folder = path.parent if path.name == SCENE_FILE else path
     if is_built_in(reference):
-        what = "a built-in place, made from data"
+        what = "a built-in scene, generated from data"
     elif reference.startswith(("hub:", "neverwhere:", "real:")):
         what = "not a scene folder of your own"
     elif what_is(folder) != "folder":
@@ -55,15 +55,15 @@ def own_folder(reference: str, out: Path | None, *, robot: str = "go1") -> Path:
     else:
         return folder
     raise UsageError(
-        f"{reference} is {what}: it is not edited in place",
-        fix=f"label a copy: nw-eval twin label {reference} --out my-place",
+        f"{reference} is {what}: it cannot be edited itself",
+        fix=f"label a copy: nw-eval twin label {reference} --out my-scene",
     )
 
 
 def copy_place(reference: str, out: Path, *, robot: str = "go1") -> None:
     """Write a scene folder of any place, with a suite that runs it; whole or not at all.
 
-    A folder's files are copied. Of built-in and published places the boxes are written, or the mesh
+    A folder's files are copied. Of built-in and published scenes the boxes are written, or the mesh
     where there are other solids; Gaussians as they are. Such a copy is called as its folder is.
 
     Raises:

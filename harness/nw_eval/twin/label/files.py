@@ -50,7 +50,7 @@ class OpenedPlace:
         mesh: what can be touched; world, m.
         is_scan: whether the mesh is the collision file, not boxes: only then it can be moved.
         T_world_splat: (4, 4) similarity.
-        captures: name of the file of the cameras that photographed it; None = nobody says.
+        captures: name of the file of the cameras that photographed it; None if unknown.
         cameras: those, in the order of the file; world.
         state: what scene.yaml says of the course.
     """
@@ -131,7 +131,7 @@ def save_label(
 
     Args:
         place: as it was opened; its folder is written.
-        course: task, trail and start.
+        course: task, course and start.
         mesh: what can be touched now, world, m; None = it is still the one that was opened.
         T_world_opened: (4, 4) similarity by which splat and cameras are moved.
         to_scale: whether all that is in metres now.
@@ -207,14 +207,14 @@ def _moved_in(staged: Path, path: Path) -> Generator[None]:
 
 def _write_mesh(staged: Path, mesh: TriangleMesh) -> str:
     if len(mesh.faces) == 0:
-        raise SceneError("the crop leaves nothing of the place", fix="make the crop larger")
+        raise SceneError("the crop leaves nothing of the scene", fix="make the crop larger")
     path = staged / "mesh.ply"
     write_collision(path, mesh.vertices, mesh.faces)
     return _named_by_content(path, "collision")
 
 
 def _write_cameras(staged: Path, place: OpenedPlace, T: NDArray[np.float64]) -> str:
-    rotation = T[:3, :3] / check_similarity(T, "the place")
+    rotation = T[:3, :3] / check_similarity(T, "the scene")
     path = staged / "cameras.json"
     moved = [
         (mapped(np.array([position]), T)[0], quaternions(rotation @ rotation_matrix(quat)))

@@ -32,7 +32,7 @@ _BEFORE = 1.0  # m from the start to the first waypoint
 
 
 class Ground:
-    """The mesh of a place, as rays meet it.
+    """The mesh of a scene, as rays meet it.
 
     Attributes:
         mesh: world, m.
@@ -245,7 +245,7 @@ def _on_legs(stops: Sequence[Point]) -> list[str]:
     for i, change in enumerate(np.diff(headings)):
         turned = abs((change + math.pi) % (2 * math.pi) - math.pi)
         if turned > _SHARPEST and min(lengths[i], lengths[i + 1]) > 0:
-            found.append(f"The trail turns by {math.degrees(turned):.0f} degrees at {i + 1}.")
+            found.append(f"The course turns by {math.degrees(turned):.0f} degrees at {i + 1}.")
     return found
 
 

@@ -56,7 +56,7 @@ from nw_eval.words import Task
 class PlaceEdits:
     """A place: where it lies, what is kept of it, and every state that can be gone back to.
 
-    Trail, start and markers move along with the place.
+    Trail, start and markers move along with the scene.
 
     Args:
         place: as opened.
@@ -100,39 +100,39 @@ class PlaceEdits:
 
     @property
     def mesh(self) -> TriangleMesh:
-        """The place as it is moved and cropped now; world, m."""
+        """The scene as it is moved and cropped now; world, m."""
         return self._shown.mesh
 
     @property
     def ground(self) -> Ground:
-        """The place as rays meet it."""
+        """The scene as rays meet it."""
         return self._shown.ground
 
     @property
     def T_world_splat(self) -> NDArray[np.float64]:  # noqa: N802 - the field's name.
-        """(4, 4), as the place is moved now."""
+        """(4, 4), as the scene is moved now."""
         return self.state.placement.matrix @ self.place.T_world_splat
 
     def turn(self, axis: Axis, angle: float) -> None:
-        """Turn the place by an angle, rad, about its middle: z turns it round, x and y tilt it."""
+        """Turn the scene by an angle, rad, about its middle: z turns it round, x and y tilt it."""
         self._check_number("an angle", angle)
         low, high = self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)
         self._move(turn(axis, angle, as_point((low + high) / 2)))
 
     def shift(self, x: float, y: float, z: float) -> None:
-        """Shift the place, m."""
+        """Shift the scene, m."""
         for part in (x, y, z):
             self._check_number("a shift", part)
         self._move(shift((x, y, z)))
 
     def scale_to(self, metres: float) -> None:
-        """Scale the place so that its two markers are `metres` apart."""
+        """Scale the scene so that its two markers are `metres` apart."""
         now = self.distance
         self._check_number("a distance", metres)
         if now is None or now < 1e-6 or metres <= 0:
             raise UsageError(
                 f"markers {now} m apart cannot be {metres:g} m apart",
-                fix="put two markers at places whose distance you know, and type it",
+                fix="put two markers at points whose distance you know, and type it",
             )
         self._move(stretch(metres / now), to_scale=True)
 
@@ -142,13 +142,13 @@ class PlaceEdits:
         self._move(stretch(factor), to_scale=True)
 
     def flip(self) -> None:
-        """Turn the place upside down about z = 0, on which its floor then lies still."""
+        """Turn the scene upside down about z = 0, on which its floor then lies still."""
         low, high = self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)
         x, y, _ = as_point((low + high) / 2)
         self._move(turn("x", math.pi, (x, y, 0.0)))
 
     def click_floor(self, point: Point) -> None:
-        """Put a point on the floor; the third one turns the place so that all lie at z = 0."""
+        """Put a point on the floor; the third one turns the scene so that all lie at z = 0."""
         points = (*self.state.floor, point)
         if len(points) < 3:
             self._check_scan()
@@ -162,11 +162,11 @@ class PlaceEdits:
         after = replace(self.state, crop=box)
         shown = ShownPlace(self.place.mesh, after)
         if len(shown.mesh.faces) == 0:
-            raise UsageError("the crop leaves nothing of the place", fix="make it larger")
+            raise UsageError("the crop leaves nothing of the scene", fix="make it larger")
         self._do(after)
 
     def mark(self, point: Point) -> None:
-        """Put a marker; a third takes the place of the first."""
+        """Put a marker; a third replaces the first."""
         self._do(replace(self.state, markers=(*self.state.markers, point)[-2:]))
 
     def clear_markers(self) -> None:
@@ -182,12 +182,12 @@ class PlaceEdits:
 
     @property
     def distance_words(self) -> str:
-        """The distance for people: in metres, or units where nobody knows how long one is."""
+        """The distance for people: in metres, or in units of unknown length."""
         unit = "m" if self.state.to_scale else "units"
         return "" if self.distance is None else f"{self.distance:.3f} {unit}"
 
     def _move(self, delta: NDArray[np.float64], **changes: Any) -> None:
-        """Move the place, and change other parts of the state in the same step."""
+        """Move the scene, and change other parts of the state in the same step."""
         self._check_scan()
         still = np.array_equal(delta, np.eye(4))
         self._do(replace(self.state if still else self.state.moved(delta), **changes))
@@ -196,7 +196,7 @@ class PlaceEdits:
         if not self.place.is_scan:
             raise UsageError(
                 f"{self.place.collision} holds boxes, which are not moved here",
-                fix="edit them in that file; the trail and the start can be changed here",
+                fix="edit them in that file; the waypoints and the start can be changed here",
             )
 
     def _do(self, state: LabelState) -> None:
@@ -245,12 +245,12 @@ class ShownPlace:
 
     @property
     def mesh(self) -> TriangleMesh:
-        """The place; world, m."""
+        """The scene; world, m."""
         return self.ground.mesh
 
     @cached_property
     def ground(self) -> Ground:
-        """The place as rays meet it."""
+        """The scene as rays meet it."""
         mesh = self._opened
         if self.state.placement != Placement():
             vertices = mapped(mesh.vertices, self.state.placement.matrix)
@@ -260,7 +260,7 @@ class ShownPlace:
         return Ground(mesh)
 
     def profile(self, start: StartPose) -> HeightProfile:
-        """Return the heights from the state's start along its trail."""
+        """Return the heights from the state's start along its course."""
         if self._profile is None:
             self._profile = height_profile(self.ground, (start.position, *self.state.waypoints))
         return self._profile
@@ -270,12 +270,12 @@ Propose = Callable[[TriangleMesh, NDArray[np.float64]], TrailProposal]
 """Proposes a course on a mesh (world, m) along places where somebody walked, (N, 3)."""
 
 NEEDS_SCALE = (
-    "put two markers at places whose distance you know, type it, and scale; or say the file's unit"
+    "put two markers at points whose distance you know, type it, and scale; or say the file's unit"
 )
-"""What to do about a place that is not to scale."""
+"""What to do about a scene that is not to scale."""
 
-_EYES = np.array([0.0, 0.0, 1.0])  # m above a trail, to look at its ground; ceilings are higher
-_STRIDE = 1.0  # m from the last waypoint to one that is added without a place
+_EYES = np.array([0.0, 0.0, 1.0])  # m above a course, to look at its ground; ceilings are higher
+_STRIDE = 1.0  # m from the last waypoint to one that is added without a click
 
 
 def open_labelling(folder: Path) -> Labelling:
@@ -294,7 +294,7 @@ class Labelling(PlaceEdits):
 
     Args:
         place: as opened.
-        propose: finds a trail along steps and edges.
+        propose: finds a course along steps and edges.
     """
 
     def __init__(self, place: OpenedPlace, *, propose: Propose = propose_trail) -> None:
@@ -303,7 +303,7 @@ class Labelling(PlaceEdits):
         self._saved = self.state
 
     def snapped(self, origin: Point, direction: Point) -> Point | None:
-        """Return where a ray (world, m) meets the place; None where it does not."""
+        """Return where a ray (world, m) meets the scene; None where it does not."""
         return self._shown.ground.hit(origin, direction)
 
     def add_waypoint(self, point: Point | None = None, *, index: int | None = None) -> None:
@@ -313,7 +313,7 @@ class Labelling(PlaceEdits):
         self._do(replace(self.state, waypoints=tuple(waypoints)))
 
     def move_waypoint(self, index: int, point: Point) -> None:
-        """Move a waypoint to a point of the place."""
+        """Move a waypoint to a point of the scene."""
         waypoints = self._waypoints(index)
         waypoints[index] = point
         self._do(replace(self.state, waypoints=tuple(waypoints)))
@@ -330,7 +330,7 @@ class Labelling(PlaceEdits):
         self._do(replace(self.state, waypoints=tuple(waypoints)))
 
     def reorder_waypoint(self, index: int, to: int) -> None:
-        """Give a waypoint another place in the order."""
+        """Move a waypoint to another position in the order."""
         waypoints = self._waypoints(index)
         self._waypoints(to)
         waypoints.insert(to, waypoints.pop(index))
@@ -353,28 +353,28 @@ class Labelling(PlaceEdits):
 
     @property
     def walk(self) -> NDArray[np.float64]:
-        """Where the cameras stood that photographed the place, (N, 3), in order; world, m."""
+        """Where the cameras stood that photographed the scene, (N, 3), in order; world, m."""
         return mapped(self.place.walk, self.state.placement.matrix)
 
     def propose_along_walk(self) -> str:
-        """Take over the trail, start and task that the place suggests where the cameras went.
+        """Take over the course, start and task that the scene suggests where the cameras went.
 
         Returns:
             What was found, for people.
 
         Raises:
-            UsageError: nobody says where they went.
+            UsageError: there are no camera positions.
             SceneError: they went less than a metre, or there is no ground below them.
         """
         if not self.place.cameras:
             raise UsageError(
-                "this place does not say from where it was photographed",
-                fix="click waypoints to the end of the course, and propose a trail along them",
+                "this scene has no camera positions",
+                fix="click waypoints to the end of the course, and propose a course along them",
             )
         return self._take_over(self._propose(self.mesh, self.walk))
 
     def propose_along_trail(self) -> str:
-        """Take over the trail, start and task that the place suggests from the start to the end.
+        """Take over the course, start and task that the scene suggests from the start to the end.
 
         The way goes over all waypoints; two clicks are enough.
 
@@ -390,7 +390,7 @@ class Labelling(PlaceEdits):
             return self._take_over(self._propose(self.mesh, stops + _EYES))
         except SceneError as error:
             raise UsageError(
-                f"no trail from the start over the waypoints: {error.message}",
+                f"no course from the start over the waypoints: {error.message}",
                 fix="put waypoints a metre or more away, where the mesh has ground",
             ) from None
 
@@ -419,7 +419,7 @@ class Labelling(PlaceEdits):
         self._do(replace(self.state, start=None))
 
     def set_task(self, task: Task) -> None:
-        """Say what the trail asks of the robot."""
+        """Say what the course asks of the robot."""
         self._do(replace(self.state, task=task))
 
     @property
@@ -429,7 +429,7 @@ class Labelling(PlaceEdits):
 
     @property
     def course(self) -> Route:
-        """Task, trail and start, as stages of a build pass them on."""
+        """Task, course and start, as stages of a build pass them on."""
         start = self.start
         return Route(
             task=self.state.task,
@@ -439,7 +439,7 @@ class Labelling(PlaceEdits):
         )
 
     def profile(self) -> HeightProfile:
-        """Return the height of the ground from the start along the trail."""
+        """Return the height of the ground from the start along the course."""
         return self._shown.profile(self.start)
 
     def hints(self) -> tuple[Hint, ...]:
@@ -491,13 +491,13 @@ class Labelling(PlaceEdits):
         """Write the scene the published way, XML pair, meshes and splat; return its folder.
 
         Raises:
-            UsageError: there is no waypoint, or the place is not to scale.
+            UsageError: there is no waypoint, or the scene is not to scale.
             SceneError: the splat cannot be read.
             StoreError: it cannot be written.
         """
         self._check_trail()
         if not self.state.to_scale:
-            raise UsageError("the place is not to scale", fix=NEEDS_SCALE)
+            raise UsageError("the scene is not to scale", fix=NEEDS_SCALE)
         return publish_pair(
             folder,
             name=self.place.name,
@@ -518,7 +518,7 @@ class Labelling(PlaceEdits):
             )
         )
         found = "; ".join(proposal.reasons)
-        looks = "".join(f" Look at this: {warning}." for warning in proposal.warnings)
+        looks = "".join(f" Check this: {warning}." for warning in proposal.warnings)
         return f"Proposed for {proposal.task}: {found}.{looks}"
 
     def _waypoints(self, index: int) -> list[Point]:
@@ -541,12 +541,12 @@ class Labelling(PlaceEdits):
 
     def _on_ground(self, point: Point) -> Point:
         for part in point:
-            self._check_number("a place", part)
+            self._check_number("a position", part)
         found = self._shown.ground.dropped(*point)
         if found is None:
             raise UsageError(
                 f"there is no ground under x {point[0]:.2f}, y {point[1]:.2f}",
-                fix="stay on the place, or make the crop larger",
+                fix="stay on the scene, or make the crop larger",
             )
         return found
 

@@ -108,7 +108,7 @@ def publish_pair(
     Args:
         folder: in which the scene's own folder appears, whole or not at all.
         name: of the scene; its last word names the folder.
-        course: task, trail and start; world, m.
+        course: task, course and start; world, m.
         mesh: what can be touched; world, m.
         splat: its file; None = no looks.
         T_world_splat: (4, 4) similarity.

@@ -1,4 +1,4 @@
-"""All that a labelling decides: where a place lies, what is kept of it, and the robot's course.
+"""All that a labelling decides: where a scene lies, what is kept of it, and the robot's course.
 
 A placement is a similarity, with the moves that change it. A crop is a box of the world; triangles
 of a mesh are cut at its sides. A state is one value that is never changed, only followed by
@@ -55,7 +55,7 @@ class Placement:
         Raises:
             SceneError: it stretches, mirrors or flattens, or its scale is out of bounds.
         """
-        scale = check_similarity(T, "the place")
+        scale = check_similarity(T, "the scene")
         w, x, y, z = quaternions(T[:3, :3] / scale).tolist()
         return cls(scale=scale, quat=(w, x, y, z), translation=as_point(T[:3, 3]))
 
@@ -242,14 +242,14 @@ class LabelState:
     """One state of a labelling.
 
     Attributes:
-        task: what the trail asks of the robot.
+        task: what the course asks of the robot.
         waypoints: in order, on top of what the robot steps on; world, m.
         start: None = 1 m before the first waypoint, looking at it.
         placement: of the files that were opened.
-        crop: what is kept of the place, after it was placed; None = all.
+        crop: what is kept of the scene, after it was placed; None = all.
         markers: two at most, for measuring; world, m.
         floor: two at most of the three points that lay the floor; world, m.
-        to_scale: whether lengths are metres; else in a unit that nobody knows.
+        to_scale: whether lengths are metres; else in an unknown unit.
 
     Raises:
         UsageError: a point is no place for a waypoint, or there are too many.
@@ -274,17 +274,17 @@ class LabelState:
             if not all(abs(part) <= REACH for part in point):
                 raise UsageError(
                     f"a point at {list(point)}",
-                    fix=f"points lie within {REACH:g} m of the origin: shift or scale the place",
+                    fix=f"points lie within {REACH:g} m of the origin: shift or scale the scene",
                 )
 
     def moved(self, delta: NDArray[np.float64]) -> LabelState:
-        """Return the state after the place was moved by a (4, 4) similarity.
+        """Return the state after the scene was moved by a (4, 4) similarity.
 
         Waypoints, start and markers move along. The crop's middle does too, and its size scales,
         but its sides stay along the axes.
 
         Raises:
-            SceneError: the place's scale would be out of bounds.
+            SceneError: the scene's scale would be out of bounds.
             UsageError: a point would be too far away.
         """
         scale = float(np.linalg.det(delta[:3, :3])) ** (1 / 3)

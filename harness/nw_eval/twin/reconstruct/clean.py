@@ -1,4 +1,4 @@
-"""What makes a surface a place to walk in: one piece, flat where it is flat, of few faces.
+"""What makes a surface a scene to walk in: one piece, flat where it is flat, of few faces.
 
 Floors and walls that are flat are made flat, where the evidence agrees. What lies within a voxel of
 a plane is compared with it patch by patch: noise is mean-free in a patch, a threshold, a mat or a
@@ -56,7 +56,7 @@ ROOM = 480.0
 
 _CRUMB, _ISLAND = 0.8, 0.5
 """Share of a part's vertices that lie on a plane, if it is an island of it: chance puts most of a
-crumb near one of a place's many planes, and seldom half of what a foot has room on."""
+crumb near one of a scene's many planes, and seldom half of what a foot has room on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +130,8 @@ def _large_planes(
 def _one_sheet(mesh: ColourMesh, voxel: float) -> ColourMesh:
     """Return the mesh without faces of a plane that lie over or under a larger one, near to it.
 
-    What stands beside the larger one, as a step or a mat does, stays: nobody sees the floor below.
+    What stands beside the larger one, as a step or a mat does, stays: the floor below is not
+        visible.
     """
     search = PlaneSearch.of(mesh, voxel)
     larger: list[tuple[F64, float, NDArray[np.bool_]]] = []
@@ -278,9 +279,9 @@ def large_parts(
     Args:
         mesh: to choose from.
         least: share.
-        flat: (V,) whether a vertex lies on a plane of the place; parts that do for the most are
-            islands of a floor or a wall that is plain between them. None = nobody knows.
-        room: area from which on a part is no crumb: nobody photographs the sides of a platform
+        flat: (V,) whether a vertex lies on a plane of the scene; parts that do for the most are
+            islands of a floor or a wall that is plain between them. None if unknown.
+        room: area from which on a part is no crumb: the sides of a platform are not photographed
             that stands in a pit, so that its top hangs together with nothing.
     """
     count, part = parts_of(mesh.faces, len(mesh.vertices))

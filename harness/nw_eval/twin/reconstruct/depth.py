@@ -57,7 +57,7 @@ DARKER = 0.15
 _FEW = 0.02
 """Share of the square about a pixel that has to be known for a colour."""
 _PLAIN_OFF = 0.01
-"""Share of its depth, likewise."""
+"""Share of its depth, as above."""
 
 _FORMAT = 1
 """Changes with what a round does."""

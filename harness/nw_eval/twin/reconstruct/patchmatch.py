@@ -96,7 +96,7 @@ def agreed(
         others: that it is matched with.
         reach: nearest and farthest depth.
         own: what was matched so far.
-        theirs: likewise of the others.
+        theirs: as above, of the others.
         turn: number of the round, from 1.
         options: of what confirms a pixel.
     """

@@ -43,7 +43,7 @@ _FAR = np.array([(0, -d) for d in range(3, 25, 2)], np.int32)
 _ALIKE = F(12.0)
 """Grey levels by which a pixel of the window may differ and count."""
 _WIDE = F(5.0)
-"""Pixels, likewise."""
+"""Pixels, as above."""
 NOISE = F(3.0)
 """Variance of a photograph's noise, grey levels squared."""
 _TEXTURE = F(20.0)

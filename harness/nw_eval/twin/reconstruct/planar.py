@@ -151,7 +151,7 @@ class Labels:
 
     Attributes:
         depth: (H, W) float32: of the plane, or as it was known without one.
-        normal: (H, W, 3) float32, likewise, in the view's camera frame.
+        normal: (H, W, 3) float32, as above, in the view's camera frame.
         planar: (H, W) whether a plane is shown.
     """
 

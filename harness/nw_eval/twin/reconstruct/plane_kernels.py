@@ -30,7 +30,7 @@ def count_agreeing(
 
     Args:
         depth: (H, W) float32, 0 where not known.
-        other: (h, w) float32, likewise.
+        other: (h, w) float32, as above.
         move: (3, 3) float64: K' R K^-1, pixels times depth of the first to the second's.
         shift: (3,) float64: K' t.
         tolerance: largest difference, a share of the depth.
@@ -61,7 +61,7 @@ def count_seen(depth: Any, other: Any, move: Any, shift: Any, seen: Any, through
 
     Args:
         depth: (H, W) float32, 0 where not known.
-        other: (h, w) float32, likewise.
+        other: (h, w) float32, as above.
         move: (3, 3) float64: K' R K^-1, pixels times depth of the first to the second's.
         shift: (3,) float64: K' t.
         seen: (H, W) uint8, in and out.

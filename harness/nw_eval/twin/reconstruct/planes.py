@@ -1,4 +1,4 @@
-"""Planes that a place may have: where its surface is flat, and where edges of boxes crowd.
+"""Planes that a scene may have: where its surface is flat, and where edges of boxes crowd.
 
 The side of a platform in the shade shows no surface, but its edges are points, and most things that
 people build stand square to each other. Along each of three axes, of the largest planes, a plane is
@@ -88,7 +88,7 @@ class SupposedPlane:
 
 
 def hypotheses(surface: ColourMesh, maps: Sequence[DepthMap], voxel: float) -> list[SupposedPlane]:
-    """Return the planes of a place, those of its surface first; none where nothing is flat.
+    """Return the planes of a scene, those of its surface first; none where nothing is flat.
 
     Args:
         surface: as it was cut from the volume.

@@ -42,17 +42,17 @@ _GRAZED = 0.15
 _NEAR, _FAR = 1.5, 24.0
 """Cells from a point: where the surface is kept, and where none is supposed in a hole."""
 _OFF = 0.02
-"""Share of its depth by which a place lies off the plane that a pixel shows, and is not on it."""
+"""Share of its depth by which a point lies off the plane that a pixel shows, and is not on it."""
 _FLAT = 0.95
 """Area of a patch as its mean normal sees it, a share of its area, if it is flat."""
 _NEAREST = 8
-"""Samples whose mean normal a place of the surface is compared with."""
+"""Samples whose mean normal a point of the surface is compared with."""
 _LIKE = 0.85
 """Cosine between a patch and the samples about it, in the mean: it goes on as they do."""
 _OTHER = 0.3
 """Share of the vertices of a patch that photographs may show darker than what is about it."""
 _KNOWN = 0.33
-"""Share of what looks at a place that has to know it there: edges seen from afar join over gaps
+"""Share of the views of a point that have to know it there: edges seen from afar join over gaps
 that nearer photographs leave open."""
 _OPEN = 0.1
 """Share of the vertices of a patch that photographs may look through."""
@@ -91,7 +91,7 @@ def voxel_of(maps: Sequence[DepthMap]) -> float:
     if not breadths:
         raise SceneError(
             "no two photographs agree on any depth",
-            fix="photograph what has texture, from places closer to each other",
+            fix="photograph surfaces with texture, from positions closer to each other",
         )
     return 2.0 * float(np.median(breadths))
 

@@ -49,7 +49,7 @@ class WorkingView:
     Attributes:
         name: of the shot.
         rgb: (H, W, 3) uint8.
-        mask: (H, W) bool, what is part of the place; None for everything.
+        mask: (H, W) bool, what is part of the scene; None for everything.
         K: (3, 3), the first pixel's centre at (0.5, 0.5).
         T_camera_world: (4, 4).
     """

@@ -1,4 +1,4 @@
-"""Laying the floor of a scene level: mesh, splat, trail and cameras by one transform."""
+"""Laying the floor of a scene level: mesh, splat, course and cameras by one transform."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def level_scene(
     propose: bool = False,
     out: Path | None = None,
 ) -> WrittenScan:
-    """Lay the floor of a scene level, and scale it; mesh, splat, trail and cameras go together.
+    """Lay the floor of a scene level, and scale it; mesh, splat, course and cameras go together.
 
     scene.yaml and the files that it names are replaced as `twin label` replaces them: the old mesh
     stays beside the new one.
@@ -48,7 +48,7 @@ def level_scene(
         unit: of the mesh's, the splat's and the floor's numbers now.
         trail: start, and waypoints x, y or x, y, z, in the scene as it lies afterwards; None =
             those that it has go with the mesh.
-        propose: lay the trail as for a new scan.
+        propose: lay the course as for a new scan.
         out: folder of a copy, which must not be there; None = the scene is changed where it lies.
 
     Raises:
@@ -179,15 +179,15 @@ def _levelling(
 
 
 def _moved_course(place: OpenedPlace, T: Values, scale: float) -> tuple[Route, str]:
-    """Return the scene's own trail, moved with the mesh."""
+    """Return the scene's own course, moved with the mesh."""
     state = place.state.moved(T)
-    words = "trail, start, splat and cameras moved with the mesh"
+    words = "waypoints, start, splat and cameras moved with the mesh"
     start = state.start or place.state.start
     reach = np.array([*state.waypoints]) - np.array(start.position if start else (0.0, 0.0, 0.0))
     if scale < 1.0 and float(np.abs(reach).max(initial=0.0)) < 0.3:
         # scene.yaml is in metres, whatever its mesh is in.
         state = place.state.moved(T @ np.diag([1 / scale, 1 / scale, 1 / scale, 1.0]))
-        words = "the trail was in metres already; it is turned and shifted with the mesh"
+        words = "the waypoints were in metres already; they are turned and shifted with the mesh"
         start = state.start or place.state.start
     assert start is not None
     return (

@@ -33,7 +33,7 @@ _KEPT = (".ply", ".spz", ".sog", ".splat")
 _SPACING = 0.02
 """Between Gaussians on a mesh at least, metres."""
 _NEAR, _COARSEST = 3.0, 8.0
-"""Metres from the trail up to which Gaussians lie finest; beyond, they are farther apart and larger
+"""Metres from the course up to which Gaussians are finest; beyond, they are larger
 in proportion to the distance, up to so many times."""
 _SIZE, _OPACITY = 0.85, 0.98
 """Standard deviation of one along the surface, as a share of their distance, and its opacity."""
@@ -64,7 +64,7 @@ def write_looks(
         text: of scene.yaml, which gets `splat` and `T_world_splat`.
         painted: the scene's mesh.
         T: (4, 4) similarity from its file to the world.
-        splat: Gaussians of the same place; None = they are made of the mesh's colours.
+        splat: Gaussians of the same scene; None = they are made of the mesh's colours.
         splat_transform: as `ScanOptions` has it.
         most: Gaussians that are made of colours.
         way: (K, 3) start and waypoints, world, m, along which they lie finest.
@@ -103,7 +103,7 @@ def write_looks(
     return [
         (
             f"splat of the mesh's colours: {len(gaussians.means):,} Gaussians, one every "
-            f"{1000 * spacing:.0f} mm near the trail; finer detail and gloss are lost"
+            f"{1000 * spacing:.0f} mm near the course; finer detail and gloss are lost"
         ),
         *remarks,
     ]

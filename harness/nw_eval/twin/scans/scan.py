@@ -1,4 +1,4 @@
-"""Scans that others made, to scenes: meshes and elevation maps, upright and with a trail.
+"""Scans that others made, to scenes: meshes and elevation maps, upright and with a course.
 
 What comes in is in the axes and the unit of its file. What comes out is a scene folder in metres
 with z up, its ground at z = 0 where the robot starts.
@@ -62,7 +62,7 @@ _STEP, _STRIDE, _ROOM = 0.25, 0.1, 0.2
 _INCLINED = math.radians(8.0)
 """Of the ground at the start, from which on it is said; beyond 20 degrees no robot starts there."""
 _LONGEST, _BEHIND = 4.0, 0.7
-"""Of a proposed trail, and of the ground behind its end and before its start; metres."""
+"""Of a proposed course, and of the ground behind its end and before its start; metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class ScanOptions:
     Attributes:
         unit: of the file's numbers.
         up: which axis of the file is up; `auto` is the one that most of the ground looks along.
-        splat: Gaussians of the same place, such as the same app exports; None = they are made of
+        splat: Gaussians of the same scene, such as the same app exports; None = they are made of
             the mesh's colours, if it has some.
         splat_transform: a text file of 16 numbers, the 4 x 4 matrix from the splat's numbers to
             the mesh's; None = it is found among the turns by right angles.
@@ -81,7 +81,7 @@ class ScanOptions:
         trail: start, and waypoints x, y or x, y, z, metres in the scene; None = it is proposed.
         name: of the scene; None = that of its folder.
         licence: of the scan.
-        task: what the trail asks of the robot; None = `open`.
+        task: what the course asks of the robot; None = `open`.
         robot: of the scene's suite.
     """
 
@@ -212,7 +212,7 @@ def _check_used(source: Path, options: ScanOptions) -> None:
     elif options.splat is None and (wrong := given("splat_transform")):
         what, fix = "of a splat, and there is none", "name it with --splat"
     elif options.splat is not None and (wrong := given("gaussians")):
-        what, fix = "of the mesh's colours, in whose place --splat is used", "leave out --splat"
+        what, fix = "of the mesh's colours, which --splat replaces", "leave out --splat"
     else:
         return
     verb = "are" if " and " in wrong else "is"
@@ -309,7 +309,7 @@ def _upright(painted: PaintedMesh, source: Path, options: ScanOptions) -> tuple[
         best = max(shares, key=lambda axis: shares[axis])
         is_clear = shares[best] > max(_CLEARLY * shares[usual], _FLOOR_SHARE)
         up = best if is_clear else usual
-    why = f"{100 * shares[up]:.0f} % of its area looks along it"
+    why = f"{100 * shares[up]:.0f} % of its area faces along it"
     if options.up == "auto" and up == usual:
         why += ", and it is up in glTF" if is_gltf else ""
     scale = UNITS[options.unit]
@@ -341,7 +341,7 @@ def _mesh_of(scan: _Scan, T: Values) -> TriangleMesh:
     )
 
 
-# --- The trail ---------------------------------------------------------------------------------
+# --- The course ---------------------------------------------------------------------------------
 
 
 def lay_course(
@@ -356,7 +356,7 @@ def lay_course(
     else:
         found = _proposed(mesh)
         if found is None:
-            fault = "no two metres of even ground, so the trail is one waypoint a metre ahead"
+            fault = "no two metres of even ground, so the course is one waypoint a metre ahead"
             return _placeholder(mesh, task or "open"), [], f"{fault}: {_FLOOR}"
         route, words = _straight(*found, task or "open")
     tilt = _tilt(mesh, route)
@@ -389,7 +389,7 @@ def _tilt(mesh: TriangleMesh, route: Route) -> float:
 
 
 def _straight(points: Values, yaw: float, task: Task) -> tuple[Route, str]:
-    """Return a proposed way (K, 3) as a trail, and what is said of it."""
+    """Return a proposed way (K, 3) as a course, and what is said of it."""
     far = float(np.linalg.norm(points[-1, :2] - points[0, :2]))
     course = Route(
         task=task,
@@ -399,8 +399,8 @@ def _straight(points: Values, yaw: float, task: Task) -> tuple[Route, str]:
     )
     x, y, _ = course.spawn
     return course, (
-        f"trail proposed: {far:.1f} m straight over even ground from ({x:.2f}, {y:.2f}), heading "
-        f"{math.degrees(yaw):.0f} degrees; `--trail` or `nw-eval twin label` lays another"
+        f"course proposed: {far:.1f} m straight over even ground from ({x:.2f}, {y:.2f}), heading "
+        f"{math.degrees(yaw):.0f} degrees; `--trail` or `nw-eval twin label` sets another"
     )
 
 
@@ -414,7 +414,7 @@ def _placeholder(mesh: TriangleMesh, task: Task) -> Route:
 def _given(mesh: TriangleMesh, trail: Sequence[tuple[float, ...]], task: Task) -> tuple[Route, str]:
     if len(trail) < 2 or len(trail) > limits.WAYPOINTS + 1:
         raise UsageError(
-            f"a trail of {len(trail)} points",
+            f"--trail has {len(trail)} points",
             fix="give the start and then the waypoints: --trail 0,0 1.5,0 3,0",
         )
     rays = RayScene(mesh)
@@ -444,7 +444,7 @@ def _given(mesh: TriangleMesh, trail: Sequence[tuple[float, ...]], task: Task) -
         spawn=(float(first[0]), float(first[1]), float(first[2])),
         yaw=math.atan2(second[1] - first[1], second[0] - first[0]),
     )
-    return course, f"trail of {len(points) - 1} waypoints, laid on the ground as given"
+    return course, f"course of {len(points) - 1} waypoints, laid on the ground as given"
 
 
 def _floor_height(mesh: TriangleMesh) -> float:

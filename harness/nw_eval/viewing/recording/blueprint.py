@@ -1,4 +1,4 @@
-"""Layouts of Rerun, which it calls blueprints: the place, pictures, plots and events.
+"""Layouts of Rerun, which it calls blueprints: the scene, pictures, plots and events.
 
 Numbers of a log that Rerun reads itself are fields of messages, which a plot finds by selectors
 (https://rerun.io/docs/howto/visualization/plot-any-scalar); those of our recordings are scalars.
@@ -29,7 +29,7 @@ _SCHEMAS = {
 _PLOT_SHARE, _PLACE_SHARE = 2.0, 3.0
 _EYE = (-2.0, -2.0, 1.4)  # m from the robot
 PLANE = 0.3
-"""Metres before a camera at which a view of the place shows its picture."""
+"""Metres before a camera at which a view of the scene shows its picture."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,7 @@ class PlaceScreen:
     """Where everything stands, and what of it a view follows."""
 
     root: str
-    """The entity under which all lies that has a place."""
+    """The entity under which all lies that has a pose."""
     follows: str
     """The robot's."""
     start: tuple[float, float, float] | None

@@ -303,7 +303,7 @@ def _write_observation(
 
 
 def term_entities(track: Track, topic: str, terms: Sequence[str]) -> list[str]:
-    """Return the entities of an observation's terms, which may be a stranger's words."""
+    """Return the entities of an observation's terms, which may be untrusted words."""
     parts = topic.strip("/").split("/")
     if len(terms) == 1:
         return [track.entity(*parts)]
@@ -327,7 +327,7 @@ def _write(
 def place_splat(logged: LoggedTrial) -> tuple[Gaussians | None, str]:
     """Return the Gaussians of a logged trial's place in its world, or None and why there are none.
 
-    The place is found as for a replay. A log shows the rest of its trial without it.
+    The scene is found as for a replay. A log shows the rest of its trial without it.
     """
     job = logged.job
     try:

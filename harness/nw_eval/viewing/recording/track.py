@@ -50,7 +50,7 @@ class Track:
         self._stream.send_blueprint(layout, make_active=True, make_default=True)
 
     def entity(self, *parts: str) -> str:
-        """Return an entity's path; the parts may be a stranger's words."""
+        """Return an entity's path; the parts may be untrusted words."""
         return str(self.rr.new_entity_path(list(parts)))
 
     def stays(self, entity: str, what: Any) -> None:
@@ -117,6 +117,6 @@ class WrittenRecording:
     file: Path
     bytes: int
     gaussians: int
-    """Of the place's splat; 0 = it is not in the recording."""
+    """Of the scene's splat; 0 = it is not in the recording."""
     no_splat: str
     """Why it is not; empty if it is."""

@@ -229,7 +229,7 @@ def lay_planes(planes: Any, stride: Any, window: Any, gradients: Any, pictures: 
         stride: pixels in a row, slack included.
         window: (column0, column1, height).
         gradients: (rgb (3, H, W), alpha (H, W), inverse depth (H, W)) float32, upstream.
-        pictures: likewise, as rendered.
+        pictures: as above, as rendered.
     """
     column0, column1, height = window
     g_rgb, g_alpha, g_inverse = gradients

@@ -6,7 +6,7 @@ expected inverse depth sum_i w_i / z_i, which training compares with depth maps.
 
 With M = R diag(s) and the rows t, u of J R_view, the footprint's covariance t' M M' t etc. is taken
 as products of p = M' t and q = M' u: no covariance is formed, and none can lose its rank. Along the
-ray, xz, yz and zz are products with M' w, w = r2 / z, likewise; the rows have no bounds then.
+ray, xz, yz and zz are products with M' w, w = r2 / z, as above; the rows have no bounds then.
 
 Rotations are from quaternions w x y z of any length. Real spherical harmonics are in the order and
 with the signs of the renderer's harmonics.py. The polynomials are taken as they stand, off the unit

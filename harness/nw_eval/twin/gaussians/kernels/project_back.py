@@ -130,7 +130,7 @@ def _rows_back(g: Any, view: Any, point: Any, rows: Any, g_t: Any, g_u: Any) -> 
     fx, fy = view[at.FX], view[at.FY]
     gx, gy = g[G_U] * fx / z, g[G_V] * fy / z
     gz = -(gx * x + gy * y) / z - g[G_INVERSE] / (z * z)
-    # t = fx / z (r0 + a r2), a = -x / z within bounds; likewise u.
+    # t = fx / z (r0 + a r2), a = -x / z within bounds; the same for u.
     gz -= (dot(g_t, rows[:3]) + dot(g_u, rows[3:])) / z
     if view[at.X_LOW] < x / z < view[at.X_HIGH]:
         g_a = fx / z * dot(g_t, r[6:9])

@@ -24,8 +24,8 @@ _PUTS = {
 }
 
 _HELP = """\
-1. Click waypoints on the ground, in order, or let a trail be proposed (P).
-2. Look at the start (green box) and at the hints.
+1. Click waypoints on the ground, in order, or let a course be proposed (P).
+2. Check the start (green box) and the hints.
 3. Save.
 
 Drag turns the view, right drag shifts it, the wheel zooms. Shortcuts are shown in brackets;
@@ -33,7 +33,7 @@ they are off while you type. Ctrl+K lists all.
 """
 
 _TURNS: tuple[tuple[str, Axis], ...] = (("Turn", "z"), ("Tilt x", "x"), ("Tilt y", "y"))
-_ROUND_IT = 0.01  # m from the place to the crop that is offered
+_ROUND_IT = 0.01  # m from the scene to the crop that is offered
 
 Run = Callable[[Callable[[], object]], None]
 """Runs an action, shows what it changed, or why it could not."""
@@ -58,7 +58,7 @@ class Controls:
         chosen: index of the waypoint that is moved.
         click: what a click puts, one of `CLICKS`.
         by_name: all buttons and keys, by their labels.
-        place: the tabs of the place itself.
+        place: the tabs of the scene itself.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Controls:
         self._panel = panel = ControlPanel(gui, run)
         self.by_name = panel.by_name
         self.chosen = 0
-        # Where nobody knows the scale yet, two markers come first.
+        # Where the scale is unknown, two markers come first.
         self.click = CLICKS[0] if labelling.state.to_scale else CLICKS[3]
         gui.add_markdown(_HELP)
         # Buttons, not lists and boxes: keys rest while the focus is in a field.
@@ -186,9 +186,9 @@ class Controls:
 
     def _add_start(self) -> None:
         labelling, panel, gui = self._labelling, self._panel, self._gui
-        self._yaw = gui.add_number("Looks, degrees", 0.0, min=-360.0, max=360.0, step=5.0)
+        self._yaw = gui.add_number("Heading, degrees", 0.0, min=-360.0, max=360.0, step=5.0)
         panel.on_change(self._yaw, lambda: labelling.set_yaw(math.radians(self._yaw.value)))
-        panel.button("1 m before the trail (B)", labelling.start_before_trail, "B")
+        panel.button("1 m before the course (B)", labelling.start_before_trail, "B")
         panel.arrows("Move", "", lambda x, y: labelling.nudge_start(x * step.value, y * step.value))
         step = gui.add_number("by, m", 0.1, min=0.001, max=5.0, step=0.01)
 
@@ -238,7 +238,7 @@ class PlaceControls:
 
     @property
     def preview(self) -> CropBox | None:
-        """The crop that is being typed; None while nobody does, or where it would hold nothing."""
+        """The crop that is being typed; None if none is, or where it would hold nothing."""
         low, high = self._low.value, self._high.value
         if (low, high) == self._bounds or not all(a < b for a, b in zip(low, high, strict=True)):
             return None
@@ -246,7 +246,7 @@ class PlaceControls:
 
     @property
     def cutaway(self) -> Cutaway:
-        """What is shown of the place."""
+        """What is shown of the scene."""
         return Cutaway(level=self._level.value if self._cuts else None)
 
     def refresh(self) -> None:
@@ -280,7 +280,7 @@ class PlaceControls:
         self._metres = panel.gui.add_number(
             "It is really, m", 1.0, min=0.001, max=1000.0, step=0.001
         )
-        panel.button("Scale the place", lambda: labelling.scale_to(self._metres.value))
+        panel.button("Scale the scene", lambda: labelling.scale_to(self._metres.value))
         panel.button("Clear markers", labelling.clear_markers)
         panel.row(
             "The scan's unit is",
@@ -291,7 +291,7 @@ class PlaceControls:
         )
 
     def add_place(self) -> None:
-        """Add what turns, moves and crops the place to the tab that is open."""
+        """Add what turns, moves and crops the scene to the tab that is open."""
         labelling, panel, gui = self._labelling, self._panel, self._panel.gui
         panel.button("Three clicks on the floor (5)", self._click_floor)
         panel.button("Flip upside down", labelling.flip)
@@ -333,7 +333,7 @@ class PlaceControls:
         )
         panel.on_change(self._level, lambda: None)
         panel.button("Look at the course (Y)", look, "Y")
-        gui.add_markdown("What is hidden is saved with the rest.")
+        gui.add_markdown("Hidden parts are saved, too.")
 
     def _toggle_splat(self) -> None:
         self.shows_splat = not self.shows_splat

@@ -1,7 +1,7 @@
-"""The place, the course and the markers in viser's scene.
+"""The scene, the course and the markers in viser's scene.
 
-A look into a place from above is cut: what lies higher than a level is hidden, and clicks go
-through. Only the view is cut. Nothing of the place is lost by it; a crop does that.
+A look into a scene from above is cut: what lies higher than a level is hidden, and clicks go
+through. Only the view is cut. Nothing of the scene is lost by it; a crop does that.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _SKY = 8.0  # m above a start; higher things hide nothing
 
 
 class Drawing:
-    """Draws a labelling, and only what has changed of the place.
+    """Draws a labelling, and only what has changed of the scene.
 
     Args:
         server: viser's.
         labelling: what is drawn.
-        splat: in the world as it was opened; None = the place has no looks.
+        splat: in the world as it was opened; None = the scene has no appearance.
     """
 
     def __init__(self, server: Any, labelling: Labelling, splat: SplatPoints | None) -> None:
@@ -122,7 +122,7 @@ class Drawing:
         )
 
     def _draw_course(self, chosen: int | None) -> None:
-        # Each thing has a name of its own, and none hangs on another: browsers lose the places of
+        # Each thing has a name of its own, and none hangs on another: browsers lose the poses of
         # things whose parent was taken away and comes back.
         start, waypoints = self._labelling.start, self._labelling.state.waypoints
         for i, point in enumerate(waypoints):
@@ -188,7 +188,7 @@ def _edges(box: CropBox) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, kw_only=True)
 class Cutaway:
-    """What is shown of a place.
+    """What is shown of a scene.
 
     Attributes:
         level: height above which nothing is; world, m; None = all is shown.
@@ -208,7 +208,7 @@ class Cutaway:
         """Return the Gaussians that are shown, in the frame that they came in.
 
         Args:
-            splat: of the place as it was opened.
+            splat: of the scene as it was opened.
             placement: where that lies now.
             crop: what is kept of it, in the world; None = all.
         """
@@ -238,8 +238,9 @@ def first_level(
     """Return a level to cut the view at, world, m; None where a start is seen without.
 
     Args:
-        ground: of the place; a ceiling of it over the start is cut away.
-        splat: likewise treetops and roofs of it between eye and start; world; None = there is none.
+        ground: of the scene; a ceiling of it over the start is cut away.
+        splat: as above, treetops and roofs of it between eye and start; world; None = there is
+            none.
         eye: from where the start is looked at.
         start: on the ground.
     """

@@ -38,8 +38,8 @@ class LabelPage:
     else is logged in on this machine can reach it.
 
     Args:
-        labelling: which nobody else may change meanwhile.
-        splat: the looks of the place, in the splat's frame; None = the mesh is shown.
+        labelling: which no other code may change meanwhile.
+        splat: the looks of the scene, in the splat's frame; None = the mesh is shown.
         port: to listen at; 0 = one that is free.
         on_save: takes a line for people whenever something was saved.
 
@@ -125,7 +125,7 @@ class LabelPage:
                 self._show_error(f"{type(error).__name__}: {error} (a fault of nw-eval)")
 
     def click(self, origin: Point, direction: Point) -> None:
-        """Put what is chosen where a ray (world, m) meets the place."""
+        """Put what is chosen where a ray (world, m) meets the scene."""
         labelling, controls = self._labelling, self.controls
         seen_from = self._drawing.cutaway.ray(origin, direction)
         point = labelling.snapped(seen_from, direction) if seen_from is not None else None
@@ -191,7 +191,7 @@ def profile_svg(profile: HeightProfile) -> str:
     """
     finite = profile.height[np.isfinite(profile.height)]
     if not len(finite):
-        return _svg(f'<text x="{_LEFT}" y="{_HEIGHT // 2}">no ground along the trail yet</text>')
+        return _svg(f'<text x="{_LEFT}" y="{_HEIGHT // 2}">no ground along the course yet</text>')
     length = max(float(profile.distance[-1]), 0.5)
     levels = np.concatenate([finite, profile.levels])
     middle = float(levels.max() + levels.min()) / 2
@@ -235,7 +235,7 @@ def profile_svg(profile: HeightProfile) -> str:
 def _svg(content: str) -> str:
     return (
         f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" width="100%" role="img" '
-        'aria-label="height of the ground along the trail" font-size="10" '
+        'aria-label="height of the ground along the course" font-size="10" '
         f'font-family="sans-serif" fill="#444" style="background:#fff">{content}</svg>'
     )
 

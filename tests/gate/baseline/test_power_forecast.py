@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.gate.baseline.foresee import (
+from nw_eval.gate.baseline.power_forecast import (
     NOTHING_MORE,
     about_more_trials,
     in_a_sentence,
@@ -97,11 +97,11 @@ def test_what_nobody_can_drop_from_is_refused(panel: Any) -> None:
 
 def test_three_points_are_foreseen_and_said(panel: Any) -> None:
     outset = outset_of_bank(panel, GATE)
-    same, half, worse = outset.foresee()
+    same, half, worse = outset.power_forecast()
     assert (same.drop, half.drop, worse.drop) == (0.0, 0.1, 0.2)
     assert same.passed > 0.95
     assert worse.passed <= 0.05 + 0.033
-    assert outset.foresee() == (same, half, worse)
+    assert outset.power_forecast() == (same, half, worse)
     points = [
         CurvePoint(drop=0.0, passed=0.36, regressed=0.0, trials=48.0),
         CurvePoint(drop=0.05, passed=0.06, regressed=0.3, trials=144.0),
@@ -117,12 +117,12 @@ def test_three_points_are_foreseen_and_said(panel: Any) -> None:
 def test_a_budget_and_what_is_compared_with_can_be_said(panel: Any) -> None:
     few = outset_of_bank(panel, GATE, budget=12)
     assert (few.budget, few.against) == (12, "fresh")
-    assert few.foresee()[0].undecided == 1.0
+    assert few.power_forecast()[0].undecided == 1.0
     assert outset_of_bank(panel, GATE, budget=1000).budget == 90
     # A gate beside a control has to tell two policies' luck apart: it takes more pairs.
     alone = outset_of_bank(panel, GATE)
     beside = outset_of_bank(panel, GATE, against="control")
-    assert beside.foresee()[2].trials > alone.foresee()[2].trials
+    assert beside.power_forecast()[2].trials > alone.power_forecast()[2].trials
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""How often runs that were not made would be passed or convicted by the bounds of `betting`.
+"""How often runs that were not made would be passed or flagged by the bounds of `betting`.
 
 A policy in a scene is a chance: that of reaching the next waypoint, whichever it is. With chance p
 a trial ends after j of k waypoints with probability p^j (1 - p), and reaches all with p^k. That is
@@ -8,7 +8,7 @@ success passes a bar. Scenes differ in p; a better or worse policy has the odds 
 scene multiplied by one factor, as in Rasch's model of tests and their takers.
 
 Runs are drawn from these chances and judged as real ones are. The draws are seeded by what was
-seen, so the same rows foresee the same, digit by digit.
+seen, so the same rows forecast the same, digit by digit.
 """
 
 from __future__ import annotations
@@ -210,7 +210,7 @@ def _draw(
 def _judge(
     parts: list[list[NDArray[np.int64]]], courses: list[SceneCounts], bar: float, confidence: float
 ) -> Shares:
-    """Return how many runs pass and are convicted."""
+    """Return how many runs pass and are flagged."""
     passed, regressed = _judged(parts, courses, bar, confidence)
     return Shares(float(passed.mean()), float(regressed.mean()))
 
@@ -218,11 +218,11 @@ def _judge(
 def _judged(
     parts: list[list[NDArray[np.int64]]], courses: list[SceneCounts], bar: float, confidence: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which runs pass and are convicted; a run's counts are the sum of its parts."""
+    """Return which runs pass and are flagged; a run's counts are the sum of its parts."""
     counts = [np.sum(part, axis=0) for part in zip(*parts, strict=True)]
     trials = [int(ended[0].sum()) for ended in counts]
     above = below = np.zeros(1)
-    condemned = np.zeros(len(counts[0]), dtype=bool)
+    flagged = np.zeros(len(counts[0]), dtype=bool)
     level = -log(1.0 - confidence)
     stricter = level + log(max(1, sum(course.alone for course in courses)))
     for course, ended, n in zip(courses, counts, trials, strict=True):
@@ -232,9 +232,9 @@ def _judged(
         below = below + ended @ log_bets(1.0 - course.values, share, 1.0 - bar).T
         if course.alone:
             alone = ended @ log_bets(1.0 - course.values, 1.0, 1.0 - bar).T
-            condemned |= log_mixture(alone) >= stricter
-    passed = (log_mixture(above) >= level) & ~condemned
-    regressed = (log_mixture(below) >= level) | condemned
+            flagged |= log_mixture(alone) >= stricter
+    passed = (log_mixture(above) >= level) & ~flagged
+    regressed = (log_mixture(below) >= level) | flagged
     return passed, regressed
 
 

@@ -32,15 +32,15 @@ if TYPE_CHECKING:
 
 _FILES = 4096
 _BYTES = 2**33
-"""Of one parcel: the largest published scene has 1.3 GB. More is a folder that somebody keeps other
-things in."""
+"""Of one file bundle: the largest published scene has 1.3 GB. A larger folder holds other things,
+too."""
 _UNSENT = frozenset({"__pycache__", ".git"})
 _FOLDER = "received"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Item:
-    """A file of a parcel."""
+    """One file of a file bundle."""
 
     name: str
     """Relative, with slashes."""
@@ -49,7 +49,7 @@ class Item:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parcel:
+class FileBundle:
     """Files that lie beside each other."""
 
     reference: str
@@ -68,21 +68,21 @@ class Parcel:
 
 
 class Outgoing:
-    """The parcels of a run, and where on this machine their files lie.
+    """The file bundles of a run, and where on this machine their files lie.
 
     Args:
         plan: what is to be run; its splats are compiled.
 
     Raises:
-        UsageError: a folder holds more than a parcel does, or a link in place of a file.
+        UsageError: a folder holds more than a file bundle may, or a link instead of a file.
     """
 
     def __init__(self, plan: Plan) -> None:
         self.sources: dict[str, Path] = {}
         """By sha256."""
-        self.parcels = tuple(self._parcels(plan))
+        self.file_bundles = tuple(self._file_bundles(plan))
 
-    def _parcels(self, plan: Plan) -> Iterator[Parcel]:
+    def _file_bundles(self, plan: Plan) -> Iterator[FileBundle]:
         bundle, checkpoint = plan.bundle, plan.request.checkpoint
         if bundle.card_path is not None:
             files = _policy_files(bundle, bundle.card_path)
@@ -107,7 +107,7 @@ class Outgoing:
 
     def _packed(
         self, files: Mapping[str, Path], *, reference: str = "", entry: str = "", prefix: str = ""
-    ) -> Parcel:
+    ) -> FileBundle:
         items: list[Item] = []
         size = 0
         for name in sorted(files):
@@ -119,7 +119,7 @@ class Outgoing:
                     "many to send to other machines",
                     fix="put what belongs to the run into a folder of its own",
                 )
-        return Parcel(reference=reference, entry=entry, prefix=prefix, items=tuple(items))
+        return FileBundle(reference=reference, entry=entry, prefix=prefix, items=tuple(items))
 
     def _item(self, name: str, path: Path) -> Item:
         try:
@@ -161,7 +161,7 @@ def _all_below(folder: Path) -> dict[str, Path]:
             if path.is_symlink():
                 raise UsageError(
                     f"{path} is a link, and code that has links does not travel",
-                    fix="put the file in its place, or use --engine local",
+                    fix="restore the file, or use --engine local",
                 )
             if path.is_file():
                 found[path.relative_to(folder).as_posix()] = path
@@ -170,61 +170,66 @@ def _all_below(folder: Path) -> dict[str, Path]:
     return found
 
 
-def missing(parcels: Iterable[Parcel]) -> tuple[str, ...]:
+def missing(file_bundles: Iterable[FileBundle]) -> tuple[str, ...]:
     """Return the sha256 of all files that a node lacks, or has only damaged ones of."""
-    lacking = (item.sha256 for parcel in parcels for item in parcel.items if _lacks(parcel, item))
+    lacking = (
+        item.sha256
+        for file_bundle in file_bundles
+        for item in file_bundle.items
+        if _lacks(file_bundle, item)
+    )
     return tuple(dict.fromkeys(lacking))
 
 
-def receive(parcels: Iterable[Parcel], fetch: Fetch) -> None:
-    """Keep parcels, each of them whole or not at all.
+def receive(file_bundles: Iterable[FileBundle], fetch: Fetch) -> None:
+    """Keep file bundles, each of them whole or not at all.
 
     Several runs, and several nodes that share a cache, wait for each other: what one of them got,
     the next one finds.
 
     Args:
-        parcels: what the run needs.
+        file_bundles: what the run needs.
         fetch: called for the files that are not there.
 
     Raises:
         StoreError: a file is not what was sent, or the cache cannot be written.
     """
     with _one_at_a_time():
-        for parcel in parcels:
-            lacking = [item for item in parcel.items if _lacks(parcel, item)]
-            if lacking and parcel.reference:
-                _keep_folder(parcel, fetch)
-            for item in lacking if not parcel.reference else ():
+        for file_bundle in file_bundles:
+            lacking = [item for item in file_bundle.items if _lacks(file_bundle, item)]
+            if lacking and file_bundle.reference:
+                _keep_folder(file_bundle, fetch)
+            for item in lacking if not file_bundle.reference else ():
                 with atomic_path(inside(cache_dir(), item.name)) as temporary:
                     _write(temporary, item, fetch(item.sha256))
 
 
-def places(parcels: Iterable[Parcel]) -> Mapping[str, str]:
+def places(file_bundles: Iterable[FileBundle]) -> Mapping[str, str]:
     """Return where on this node lies what jobs refer to."""
     return {
-        parcel.reference: f"{parcel.prefix}{_place(parcel) / parcel.entry}"
-        for parcel in parcels
-        if parcel.reference
+        file_bundle.reference: f"{file_bundle.prefix}{_place(file_bundle) / file_bundle.entry}"
+        for file_bundle in file_bundles
+        if file_bundle.reference
     }
 
 
-def _place(parcel: Parcel) -> Path:
-    return private_dir(_FOLDER) / parcel.digest[:32] if parcel.reference else cache_dir()
+def _place(file_bundle: FileBundle) -> Path:
+    return private_dir(_FOLDER) / file_bundle.digest[:32] if file_bundle.reference else cache_dir()
 
 
-def _lacks(parcel: Parcel, item: Item) -> bool:
+def _lacks(file_bundle: FileBundle, item: Item) -> bool:
     try:
-        with inside(_place(parcel), item.name).open("rb") as file:
+        with inside(_place(file_bundle), item.name).open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest() != item.sha256
     except (OSError, ValueError):
         return True
 
 
-def _keep_folder(parcel: Parcel, fetch: Fetch) -> None:
-    place = _place(parcel)
+def _keep_folder(file_bundle: FileBundle, fetch: Fetch) -> None:
+    place = _place(file_bundle)
     temporary = Path(mkdtemp(dir=place.parent, prefix=".incoming."))
     try:
-        for item in parcel.items:
+        for item in file_bundle.items:
             path = inside(temporary, item.name)
             path.parent.mkdir(parents=True, exist_ok=True)
             _write(path, item, fetch(item.sha256))
@@ -248,7 +253,7 @@ def _write(path: Path, item: Item, pieces: Iterable[bytes]) -> None:
     if digest.hexdigest() != item.sha256:
         raise StoreError(
             f"{item.name} arrived as {digest.hexdigest()[:12]}, {item.sha256[:12]} was announced",
-            fix="run again once nobody writes to it any more",
+            fix="run again when no program writes to it",
         )
 
 

@@ -1,8 +1,8 @@
 """What a gate would show of policies that it has not met: by simulation, or of one without a fault.
 
-The simulation starts from a bank, or from the rows of a plain run: then for a bank that is not
-there yet, as if what the run scored were the baseline's true success. Whether a gate can pass at
-all is asked before anything runs, by a policy that never fails.
+The simulation starts from a baseline, or from the rows of a plain run: then for a baseline that is
+not there yet, as if what the run scored were the baseline's true success. Whether a gate can pass
+at all is asked before anything runs, by a policy that never fails.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from nw_eval.stats.bank.curve import (
     trials_for,
 )
 from nw_eval.stats.bank.trials import TrialRules, settle
-from nw_eval.stats.foresight import SceneCounts
+from nw_eval.stats.power import SceneCounts
 from nw_eval.suite.model import Gate
 from nw_eval.suite.trials import DrawnStart
 
@@ -61,7 +61,7 @@ class Outset:
     starts: int
     """M."""
     known: bool
-    """Whether `seen` is the bank; else banks are drawn from it."""
+    """Whether `seen` is the baseline; else baselines are drawn from it."""
     against: Against = "fresh"
     """What the gate speaks of, and what it compares with."""
 
@@ -81,7 +81,7 @@ class Outset:
         return f"at most {plural(self.budget, 'trial')} in {plural(self.scenes, 'scene')}"
 
     def curve(self) -> tuple[CurvePoint, ...]:
-        """Return what the gate convicts, passes and leaves open at drops of .00 to .30."""
+        """Return what the gate flags, passes and leaves open at drops of .00 to .30."""
         return operating_curve(
             self.seen, self.rules, budget=self.budget, starts=self._drawn, against=self.against
         )
@@ -90,7 +90,7 @@ class Outset:
         """Return after how many trials policies of this drop are judged, with all starts run."""
         return progress_at(self.seen, self.rules, drop, starts=self._drawn, against=self.against)
 
-    def foresee(self) -> tuple[CurvePoint, CurvePoint, CurvePoint]:
+    def power_forecast(self) -> tuple[CurvePoint, CurvePoint, CurvePoint]:
         """Return three points of the curve, fast: no drop, half of max_drop, and max_drop."""
         worst = self.rules.margins.max_drop
         same, half, worse = operating_curve(
@@ -106,7 +106,7 @@ class Outset:
 
     @property
     def _few(self) -> int:
-        """Repetitions that take about as long whatever the size of the bank."""
+        """Repetitions that take about as long whatever the size of the baseline."""
         return max(_FEWEST, min(_FEW, _DRAWS // (self.starts * len(self.seen))))
 
     @property
@@ -117,16 +117,16 @@ class Outset:
 def outset_of_bank(
     panel: Panel, gate: Gate, *, budget: int | None = None, against: Against = "fresh"
 ) -> Outset:
-    """Return the outset of a gate against a bank.
+    """Return the outset of a gate against a baseline.
 
     Args:
-        panel: of the bank, on one class of machine.
+        panel: of the baseline, on one class of machine.
         gate: of the suite.
         budget: most trials of scenes that count; by `gate.rounds` if None.
         against: what the gate speaks of, and what it compares with.
 
     Raises:
-        IncomparableError: no scene of the bank counts, or its success is not above max_drop.
+        IncomparableError: no scene of the baseline counts, or its success is not above max_drop.
     """
     starts = min(len(found) for found in panel.by_stratum.values())
     found = _outset(panel.by_stratum, gate, starts, known=True)
@@ -139,12 +139,12 @@ def outset_of_bank(
 
 
 def outset_of_rows(rows: Iterable[Row], gate: Gate, starts: int) -> Outset:
-    """Return the outset of a gate against a bank that would score as a run did.
+    """Return the outset of a gate against a baseline that would score as a run did.
 
     Args:
         rows: of the run, each once.
         gate: of the suite.
-        starts: M of the bank.
+        starts: M of the baseline.
 
     Raises:
         StoreError: no trial of the run has a result.
@@ -160,7 +160,7 @@ def outset_of_rows(rows: Iterable[Row], gate: Gate, starts: int) -> Outset:
 
 
 def in_a_sentence(points: tuple[CurvePoint, CurvePoint, CurvePoint]) -> str:
-    """Return the points of `Outset.foresee` in words: the power of the gate."""
+    """Return the points of `Outset.power_forecast` in words: the power of the gate."""
     same, half, worse = points
     return (
         f"Power at this size: an equally good policy {_fate(same)}; {_worse(half)}; "
@@ -231,13 +231,13 @@ def _fate(point: CurvePoint) -> str:
 def trials_to_pass_baseline(
     gate: Gate, panel: Panel, order: Sequence[DrawnStart], *, fresh: bool
 ) -> int | None:
-    """Return after how many trials a policy that never fails passes against a bank.
+    """Return after how many trials a policy that never fails passes against a baseline.
 
     Args:
         gate: its margins, errors and tiers.
-        panel: of the bank.
+        panel: of the baseline.
         order: of trials, in which they would be met.
-        fresh: whether these are of others than the bank's starts.
+        fresh: whether these are of others than the baseline's starts.
 
     Returns:
         None if it does not within all that `order` has.
@@ -249,12 +249,12 @@ def trials_to_pass_baseline(
     bank = bank_of(panel, judged, basis, gate.claim if not fresh else "fresh")
     trials = numbers_of(met, judged, panel, basis, bank)
     perfect = replace(trials, candidate=np.ones(len(trials.scenes)))
-    ruling = settle(bank, perfect, rules_of(gate, judged))
-    return ruling.trials if ruling.word == "PASS" else None
+    decision = settle(bank, perfect, rules_of(gate, judged))
+    return decision.trials if decision.word == "PASS" else None
 
 
 def perfect_panel(strata: Sequence[Stratum], starts: int) -> Panel:
-    """Return the panel of a policy that never fails, with so many starts of each stratum."""
+    """Return the results of a policy that never fails, with so many starts of each stratum."""
     perfect = [
         Start(
             scene=scene,

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.ray_connection import Joined
-    from nw_eval.engine.workers import Hire
+    from nw_eval.engine.workers import StartWorkers
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
 
 
 @dataclass(frozen=True, kw_only=True)
-class Workplace:
-    """A place where trials can run."""
+class WorkerPool:
+    """A pool of workers that can run trials."""
 
     workers: int | None
     """How many at a time; None = one for each core of this machine."""
@@ -31,9 +31,9 @@ class Workplace:
     """The cluster that it is, if it is one."""
 
     @contextmanager
-    def hire(
+    def start_workers(
         self, plan: Plan, jobs: Sequence[TrialJob], folder: RunFolder, listener: Listener
-    ) -> Generator[Hire]:
+    ) -> Generator[StartWorkers]:
         """Give what gets workers for the jobs of a plan inside the `with` block.
 
         Raises:
@@ -46,17 +46,19 @@ class Workplace:
         elif self.joined is not None:
             from nw_eval.engine.ray_workers import RayProcesses
 
-            with RayProcesses(plan, jobs, folder, joined=self.joined, listener=listener) as hire:
-                yield hire
+            with RayProcesses(
+                plan, jobs, folder, joined=self.joined, listener=listener
+            ) as start_workers:
+                yield start_workers
         else:
             yield LocalProcesses(jobs, folder, memory_limit=plan.memory_limit)
 
 
 @contextmanager
-def workplace(
+def worker_pool(
     *, workers: int | None, in_process: bool, cluster: str | None
-) -> Generator[Workplace]:
-    """Open a place where trials can run, before anything of a run is written.
+) -> Generator[WorkerPool]:
+    """Open a pool of workers that can run trials, before anything of a run is written.
 
     Args:
         workers: how many trials at a time; one for each core if None.
@@ -68,9 +70,9 @@ def workplace(
         UsageError: there is no such cluster.
     """
     if cluster is None:
-        yield Workplace(workers=1 if in_process else workers, in_process=in_process)
+        yield WorkerPool(workers=1 if in_process else workers, in_process=in_process)
         return
     from nw_eval.engine.ray_connection import joined
 
     with joined(cluster, cores=workers) as found:
-        yield Workplace(workers=found.cores if workers is None else workers, joined=found)
+        yield WorkerPool(workers=found.cores if workers is None else workers, joined=found)

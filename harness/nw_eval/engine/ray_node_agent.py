@@ -21,7 +21,7 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from nw_eval.engine import ray_node, ray_parcels
+from nw_eval.engine import ray_file_bundles, ray_node
 from nw_eval.engine.local import LocalProcesses
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.library import Library
@@ -31,7 +31,7 @@ from nw_eval.rollout.trial import run_trial
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from nw_eval.engine.ray_node import Orders
+    from nw_eval.engine.ray_node import JobSpec
     from nw_eval.engine.workers import Finished
     from nw_eval.policies import Bundle
     from nw_eval.rollout.job import TrialJob
@@ -61,11 +61,11 @@ class Answer:
     """What workers printed since the answer before."""
 
 
-class Station:
+class NodeAgent:
     """Runs jobs on a node; an actor of Ray's.
 
     Args:
-        orders: of the run.
+        spec: of the run.
         jobs: one of each scene, for what workers may read.
         workers: how many jobs run at a time.
         fresh: whether each job has a process of its own.
@@ -75,20 +75,20 @@ class Station:
     """
 
     def __init__(
-        self, orders: Orders, jobs: Sequence[TrialJob], workers: int, *, fresh: bool
+        self, spec: JobSpec, jobs: Sequence[TrialJob], workers: int, *, fresh: bool
     ) -> None:
-        places = ray_parcels.places(orders.parcels)
-        root = ray_node.scratch(orders.token)
+        places = ray_file_bundles.places(spec.file_bundles)
+        root = ray_node.scratch(spec.token)
         root.mkdir(mode=0o700, exist_ok=True)
         self._folder = RunFolder(path=Path(tempfile.mkdtemp(dir=root)))
         self._folder.logs.mkdir()
-        hire = LocalProcesses(
+        start_workers = LocalProcesses(
             [_at_home(job, places) for job in jobs],
             self._folder,
             run=partial(run_job, places),
-            memory_limit=orders.memory_limit,
+            memory_limit=spec.memory_limit,
         )
-        self._workers = hire(workers, fresh=fresh).__enter__()
+        self._workers = start_workers(workers, fresh=fresh).__enter__()
         self._finished: Iterator[Finished | None] = iter(())
         self._read = 0  # Bytes of what workers printed.
 

@@ -1,12 +1,12 @@
 """Processes that are forked from one that has imported what they need, each in some milliseconds.
 
-A `Nursery` is what its owner sees, with a `Child` for each process. The other half of this file
-runs in the nursery: it imports, forks, and says how a child ended. It opens no stranger's file.
+A `ForkServer` is what its owner sees, with a `Child` for each process. The other half of this file
+runs in the fork server: it imports, forks, and says how a child ended. It opens no untrusted file.
 
-`multiprocessing` has a fork server, which would not do. It listens at an address where a policy
+`multiprocessing` has a fork server, which is not used here. It listens at an address where a policy
 that has left its fence could have it start a process without one; it collects the dead at once, so
-that their numbers, by which groups are killed, may belong to somebody else; and each child keeps it
-alive when its owner is gone. This one has a pair of sockets and no address.
+that their numbers, by which groups are killed, may belong to another process; and each child keeps
+it alive when its owner is gone. This one has a pair of sockets and no address.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ _LOOKS, _STOPPED = 0.5, 6
 """Seconds between two looks, and how many in a row find it stopped before it is given up. Whoever
 stops a whole run, this process too, and goes on with it later is not meant."""
 _GONE = -signal.SIGKILL
-"""How a child ended of which nobody can say: it went with the nursery."""
+"""How a child ended if it cannot be known: it ended with the fork server."""
 _FAILED = 70
 """Exit code of a child whose function raised."""
 
 
-class Nursery:
+class ForkServer:
     """One process that forks others; for confined ones, since it starts with their environment.
 
     It ends with the process that owns it.
@@ -88,7 +88,7 @@ class Nursery:
     def learn(self, *modules: str) -> None:
         """Let it import modules for all children to come, without waiting for it."""
         with self._lock, suppress(OSError):
-            self._line.send(_Wish(kind="import", modules=modules))
+            self._line.send(_Request(kind="import", modules=modules))
 
     def fork(
         self,
@@ -104,25 +104,25 @@ class Nursery:
             connections: more arguments for it, after the others. They remain the caller's too.
 
         Raises:
-            OSError: there is no process to be had, or the nursery is gone.
+            OSError: there is no process to be had, or the fork server is gone.
         """
         theirs, orders = Pipe(duplex=False)
         passed = (theirs, *connections)
         with orders:
             with theirs, self._lock:
                 try:
-                    self._line.send(_Wish(kind="fork", connections=len(passed)))
+                    self._line.send(_Request(kind="fork", connections=len(passed)))
                     for connection in passed:
                         send_handle(self._line, connection.fileno(), self._process.pid)
                     pid: int = self._answer()
                 except (EOFError, OSError) as error:
-                    self._process.kill()  # Half a wish would be taken for the start of the next.
+                    self._process.kill()  # Half a request would be taken for the start of the next.
                     raise OSError(f"the process that starts workers is gone: {error}") from None
             if pid < 0:  # The children that there are go on.
                 raise OSError(-pid, os.strerror(-pid))
             child = Child(pid, self)
             with suppress(BrokenPipeError):  # It has ended, which its owner will see.
-                orders.send(_Circumstances.here())
+                orders.send(_ProcessContext.here())
                 orders.send((function, tuple(arguments)))
         return child
 
@@ -130,7 +130,7 @@ class Nursery:
         """Return the exit code of a child that has ended, and forget it; negative = signal."""
         with self._lock:
             try:
-                self._line.send(_Wish(kind="collect", process=pid))
+                self._line.send(_Request(kind="collect", process=pid))
                 code: int = self._answer()
             except (EOFError, OSError):
                 self._process.kill()  # It may be stopped, and its children with it.
@@ -138,10 +138,10 @@ class Nursery:
         return code
 
     def _answer(self) -> Any:
-        """Return what the process says to a wish.
+        """Return what the process says to a request.
 
         Raises:
-            OSError: it is stopped, and nobody goes on with it; or it says nothing in time.
+            OSError: it is stopped, or does not answer in time.
             EOFError: it is gone.
         """
         deadline, stopped = monotonic() + _ANSWERS, 0
@@ -161,11 +161,11 @@ def _is_stopped(process: int) -> bool:
 
 
 class Child:
-    """A process that a nursery forked: what of `multiprocessing.Process` its owner needs."""
+    """A process that a fork server forked: what of `multiprocessing.Process` its owner needs."""
 
-    def __init__(self, pid: int, nursery: Nursery) -> None:
+    def __init__(self, pid: int, fork_server: ForkServer) -> None:
         self.pid = pid
-        self._nursery = nursery
+        self._fork_server = fork_server
         self._code: int | None = None
         # Its number stays its own until it is collected, however it has ended.
         self._watch = os.pidfd_open(pid)
@@ -179,7 +179,7 @@ class Child:
     def exitcode(self) -> int | None:
         """How it ended; None while it runs."""
         if self._code is None and wait([self._watch], 0):
-            self._code = self._nursery.collect(self.pid)
+            self._code = self._fork_server.collect(self.pid)
         return self._code
 
     def kill(self) -> None:
@@ -191,7 +191,7 @@ class Child:
     def join(self, timeout: float | None = None) -> None:
         """Wait until it has ended, or so many seconds."""
         if self._code is None and wait([self._watch], timeout):
-            _ = self.exitcode  # Collected, it is nobody's zombie.
+            _ = self.exitcode  # Collected, it leaves no zombie.
 
     def close(self) -> None:
         """Forget it; it has ended."""
@@ -201,7 +201,7 @@ class Child:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Circumstances:
+class _ProcessContext:
     """What a child takes over from the process that asked for it, as it is at that moment."""
 
     environment: dict[str, str]
@@ -209,7 +209,7 @@ class _Circumstances:
     path: list[str]
 
     @classmethod
-    def here(cls) -> _Circumstances:
+    def here(cls) -> _ProcessContext:
         """Return those of this process."""
         folder = None
         with suppress(OSError):  # It was removed; nothing that a child is given is relative to it.
@@ -227,8 +227,8 @@ class _Circumstances:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Wish:
-    """What the nursery is to do next. Its owner sends it, and nobody else can."""
+class _Request:
+    """What the fork server is to do next. Only its owner can send it."""
 
     kind: Literal["import", "fork", "collect"]
     modules: tuple[str, ...] = ()
@@ -240,7 +240,7 @@ class _Wish:
 
 
 def begin(line: int, life: int) -> NoReturn:
-    """Serve an owner: the program of the nursery.
+    """Serve an owner: the program of the fork server.
 
     Args:
         line: file descriptor of the line to the owner.
@@ -250,17 +250,17 @@ def begin(line: int, life: int) -> NoReturn:
 
 
 def serve(owner: Connection, life: int) -> NoReturn:
-    """Do what the owner wishes until it is gone."""
+    """Do what the owner requests until it is gone."""
     leave_terminal(None)
     while True:
         try:
-            wish: _Wish = owner.recv()
-            if wish.kind == "import":
-                _import(wish.modules)
-            elif wish.kind == "fork":
-                owner.send(_fork(wish, owner, life))
+            request: _Request = owner.recv()
+            if request.kind == "import":
+                _import(request.modules)
+            elif request.kind == "fork":
+                owner.send(_fork(request, owner, life))
             else:
-                owner.send(_collected(wish.process))
+                owner.send(_collected(request.process))
         except (EOFError, OSError):
             os._exit(0)  # Children go with it: see `family.die_with_parent`.
 
@@ -276,10 +276,10 @@ def _import(modules: tuple[str, ...]) -> None:
     gc.enable()
 
 
-def _fork(wish: _Wish, owner: Connection, life: int) -> int:
+def _fork(request: _Request, owner: Connection, life: int) -> int:
     """Return the number of a new child; where there is none to be had, the error's, negative."""
     own = os.getpid()
-    handles = [recv_handle(owner) for _ in range(wish.connections)]
+    handles = [recv_handle(owner) for _ in range(request.connections)]
     try:
         child = os.fork()
     except OSError as error:
@@ -298,11 +298,11 @@ def _be_child(owner: Connection, handles: list[int], *, parent: int) -> NoReturn
         set_parent(parent)
         orders, *connections = map(Connection, handles)
         with orders:
-            surroundings: _Circumstances = orders.recv()
+            surroundings: _ProcessContext = orders.recv()
             surroundings.enter()
             function, arguments = orders.recv()
         function(*arguments, *connections)
-    except BaseException:  # noqa: BLE001 - nobody is there to hear of it.
+    except BaseException:  # noqa: BLE001 - the owner is gone.
         os._exit(_FAILED)
     os._exit(0)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from nw_eval.engine.session import Meanwhile
+from nw_eval.engine.session import BackgroundTask
 from nw_eval.errors import StoreError
 
 
@@ -25,11 +25,13 @@ class Hires:
 def test_the_work_begins_once_and_after_the_first_workers_are_hired():
     begun, hires = [], Hires([])
     hires.begun = begun
-    with Meanwhile(hires, lambda: begun.append(threading.current_thread().name)) as hire:
+    with BackgroundTask(
+        hires, lambda: begun.append(threading.current_thread().name)
+    ) as start_workers:
         assert not begun
-        assert hire(2, fresh=False) == "2 used"
-        assert hire(1, fresh=True) == "1 fresh"
-        assert hire.again == "elsewhere"
+        assert start_workers(2, fresh=False) == "2 used"
+        assert start_workers(1, fresh=True) == "1 fresh"
+        assert start_workers.again == "elsewhere"
     assert hires.seen[0] == ()
     assert len(begun) == 1
     assert begun != [threading.current_thread().name]
@@ -37,7 +39,7 @@ def test_the_work_begins_once_and_after_the_first_workers_are_hired():
 
 def test_the_work_is_done_where_there_was_nothing_to_hire_workers_for():
     begun = []
-    with Meanwhile(Hires(begun), lambda: begun.append("")):
+    with BackgroundTask(Hires(begun), lambda: begun.append("")):
         pass
     assert begun == [""]
 
@@ -51,8 +53,8 @@ def test_the_end_waits_for_the_work_and_raises_what_it_raised():
         raise StoreError("disk full")
 
     def run():
-        with Meanwhile(Hires([]), fail) as hire:
-            hire(1, fresh=False)
+        with BackgroundTask(Hires([]), fail) as start_workers:
+            start_workers(1, fresh=False)
             goes_on.set()
 
     with pytest.raises(StoreError, match="disk full"):
@@ -67,9 +69,9 @@ def test_a_run_that_fails_says_why_whatever_becomes_of_the_work():
         raise StoreError("disk full")
 
     def run(work):
-        with Meanwhile(Hires(begun), work) as hire:
+        with BackgroundTask(Hires(begun), work) as start_workers:
             if work is fail:
-                hire(1, fresh=False)
+                start_workers(1, fresh=False)
             raise KeyboardInterrupt
 
     for work in (fail, lambda: begun.append("")):

@@ -6,7 +6,7 @@ measure, and it is asked; what was executed counts as its own action, as far as 
 for it. So at any step it knows what it would know had it seen the trial from the start and answered
 just that.
 
-A log also says who drove its trial, and whether one policy took over from another: `Handover`.
+A log also says who drove its trial, and whether one policy took over from another: `PolicySwitch`.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _OF_THE_TRIAL = ("state_digest", "action_digest", "scores")
 among them. A score is of the whole trial, whoever acts."""
 _WORLD_HEAD = 12
 """Bytes of a world's state that name the model: magic and fingerprint, see `sim.state`."""
-_HANDOVER = "takeover.json"
+_SWITCH_FILE = "takeover.json"
 """The attachment that says when one policy took over from another."""
 _SUITE = "suite.yaml"
 _POLICY_TOPIC = "/nw/policy"
@@ -92,19 +92,19 @@ def lead(
     in_its_words = translator(card, trial.bundle.card, robot)
     recorded = _recorded_digests(logged.log)
     follower = trial.episode
-    onlooker = _Onlooker(follower.policy)
+    shadow = _ShadowPolicy(follower.policy)
     own = trial.job
     job = replace(logged.job, scores=own.scores, allow_code=own.allow_code)
-    with _open_puppet(job, _puppet_of(card), library) as puppet:
-        leader = puppet.episode
+    with _open_replayed(job, _replay_policy_of(card), library) as replayed:
+        leader = replayed.episode
         state = _join(follower, leader)
         for decided in decisions(logged.log, joints=len(robot.joints)):
             _check_way(leader, recorded, logged)
             yield state
             for observer in observers:
                 observer.before()
-            onlooker.executed = None if in_its_words is None else in_its_words(decided.action)
-            decision = _look_on(follower, onlooker, decided)
+            shadow.executed = None if in_its_words is None else in_its_words(decided.action)
+            decision = _look_on(follower, shadow, decided)
             for observer in observers:
                 observer.decided(decision)
             step = leader.advance(decision)
@@ -132,9 +132,9 @@ def lead_to(
     )
 
 
-def _look_on(episode: Episode, onlooker: _Onlooker, decided: Decision) -> Decision:
+def _look_on(episode: Episode, shadow: _ShadowPolicy, decided: Decision) -> Decision:
     """Let a policy see a control step in which another one acts; return what is executed."""
-    policy, episode.policy = episode.policy, onlooker
+    policy, episode.policy = episode.policy, shadow
     try:
         seen = episode.decide()
     finally:
@@ -172,7 +172,7 @@ def _check_way(leader: Episode, recorded: dict[int, bytes], logged: LoggedTrial)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Handover:
+class PolicySwitch:
     """One policy's place taken by another, in the middle of a trial."""
 
     step: int
@@ -189,43 +189,44 @@ def driver(job: TrialJob) -> str:
     return name if digest in {"", NOTHING} else f"{name} ({digest[:8]})"
 
 
-def handover_of(logged: LoggedTrial) -> Handover | None:
+def switch_of(logged: LoggedTrial) -> PolicySwitch | None:
     """Return when the trial of a log was taken over, and from whom; None if it was not.
 
     Raises:
         StoreError: the log is damaged.
     """
-    text = logged.log.attachments().get(_HANDOVER)
+    text = logged.log.attachments().get(_SWITCH_FILE)
     if text is None:
         return None
     try:
-        return TypeAdapter(Handover).validate_json(text)
+        return TypeAdapter(PolicySwitch).validate_json(text)
     except ValidationError as error:
         reason = clean(error.errors()[0]["msg"], at_most=200)
         raise StoreError(
-            f"{logged.path}: its attachment {_HANDOVER} is damaged: {reason}",
+            f"{logged.path}: its attachment {_SWITCH_FILE} is damaged: {reason}",
             fix="make the log again",
         ) from None
 
 
-def new_handover(recorded: LoggedTrial, step: int) -> Handover:
-    """Return a handover from the policy that a recorded trial began with.
+def new_switch(recorded: LoggedTrial, step: int) -> PolicySwitch:
+    """Return a policy switch from the policy that a recorded trial began with.
 
     Raises:
         StoreError: the log is damaged.
         UsageError: the trial was taken over before that step already: its log leads no further
             with one card.
     """
-    earlier = handover_of(recorded)
+    earlier = switch_of(recorded)
     if earlier is None:
         text = recorded.log.attachments().get(CARD_FILE, b"").decode(errors="replace")
-        return Handover(step=step, policy=driver(recorded.job), card=text)
+        return PolicySwitch(step=step, policy=driver(recorded.job), card=text)
     if step > earlier.step:
         raise UsageError(
-            f"{recorded.path} was taken over in control step {earlier.step} already",
+            f"{recorded.path} was switched to another policy in control step {earlier.step} "
+            "already",
             fix="give an earlier --from, or the log of the trial before",
         )
-    return Handover(step=step, policy=earlier.policy, card=earlier.card)
+    return PolicySwitch(step=step, policy=earlier.policy, card=earlier.card)
 
 
 def _first_card(recorded: LoggedTrial) -> Card:
@@ -235,7 +236,7 @@ def _first_card(recorded: LoggedTrial) -> Card:
         StoreError: the log holds none that can be read.
     """
     try:
-        return parse_card(new_handover(recorded, 0).card, file=CARD_FILE)
+        return parse_card(new_switch(recorded, 0).card, file=CARD_FILE)
     except PolicyError as error:
         raise StoreError(
             f"{recorded.path} holds no card of the policy that made it: {clean(error.message)}",
@@ -244,7 +245,7 @@ def _first_card(recorded: LoggedTrial) -> Card:
 
 
 def carried(
-    recorded: LoggedTrial, bundle: Bundle, handover: Handover
+    recorded: LoggedTrial, bundle: Bundle, switch: PolicySwitch
 ) -> tuple[tuple[str, str], ...]:
     """Return what the log of a trial carries along that a bundle takes over.
 
@@ -252,7 +253,7 @@ def carried(
         StoreError: the recorded trial's log is damaged.
     """
     suite = recorded.log.attachments().get(_SUITE, b"").decode(errors="replace")
-    own = _HANDOVER, TypeAdapter(Handover).dump_json(handover).decode()
+    own = _SWITCH_FILE, TypeAdapter(PolicySwitch).dump_json(switch).decode()
     return (*attachments(bundle.card_text, suite), own)
 
 
@@ -291,7 +292,7 @@ def _recorded_digests(log: LogReader) -> dict[int, bytes]:
     }
 
 
-class _Onlooker:
+class _ShadowPolicy:
     """Stands in a trial for a policy that looks on. A `Policy`.
 
     It is asked at every step at which the policy would be, so whatever that remembers is of this
@@ -333,34 +334,34 @@ class _Onlooker:
         self._policy.close()
 
 
-def puppet_bundle(logged: LoggedTrial) -> Bundle:
+def replay_bundle(logged: LoggedTrial) -> Bundle:
     """Return a policy that says nothing, with the motors of the card that a trial began with.
 
     Raises:
         StoreError: the log holds no card that can be read.
     """
-    return _puppet_of(_first_card(logged))
+    return _replay_policy_of(_first_card(logged))
 
 
-def open_puppet(logged: LoggedTrial, library: Library) -> OpenTrial:
+def open_replayed(logged: LoggedTrial, library: Library) -> OpenTrial:
     """Return a recorded trial at its start, to be moved by what its log says was decided.
 
     Raises:
-        StoreError: as `puppet_bundle`.
+        StoreError: as `replay_bundle`.
         SceneError, UsageError, PolicyError: as `open_trial`.
     """
-    return _open_puppet(logged.job, puppet_bundle(logged), library)
+    return _open_replayed(logged.job, replay_bundle(logged), library)
 
 
-def _puppet_of(card: Card) -> Bundle:
+def _replay_policy_of(card: Card) -> Bundle:
     """Return a policy with the motors of a card, which sees nothing."""
     changed = {"adapter": "zero", "checkpoint": None, "observations": {}, "networks": {}}
     moved = card.model_copy(update={**changed, "inputs": None, "options": {}})
     return Bundle(card=moved, card_path=None, checkpoint=None, checkpoint_sha256=NOTHING)
 
 
-def _open_puppet(job: TrialJob, bundle: Bundle, library: Library) -> OpenTrial:
-    """Return a trial at its start whose policy is that of `_puppet_of`.
+def _open_replayed(job: TrialJob, bundle: Bundle, library: Library) -> OpenTrial:
+    """Return a trial at its start whose policy is that of `_replay_policy_of`.
 
     Its checkpoint need not be there: `Episode.advance` takes what the log says was decided.
 
@@ -374,10 +375,10 @@ def _open_puppet(job: TrialJob, bundle: Bundle, library: Library) -> OpenTrial:
         checkpoint_digest=bundle.checkpoint_digest,
         mcap=None,
     )
-    return open_trial(job, _WithPuppet(library, bundle), StageClock())
+    return open_trial(job, _WithReplayPolicy(library, bundle), StageClock())
 
 
-class _WithPuppet(Library):
+class _WithReplayPolicy(Library):
     """The scenes of another library, and one bundle."""
 
     def __init__(self, library: Library, bundle: Bundle) -> None:

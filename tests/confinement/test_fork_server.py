@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.confinement import Nursery, Rules
+from nw_eval.confinement import ForkServer, Rules
 from nw_eval.rollout.confined import start
 
-MODULE = "nursery_functions"
+MODULE = "fork_server_functions"
 SOURCE = """\
 import os, sys, time
 
@@ -28,17 +28,17 @@ def sleeps(): time.sleep(60)
 """
 OWNER = """\
 import sys, time
-from nw_eval.confinement import Nursery, Rules, confine
-import nursery_functions
+from nw_eval.confinement import ForkServer, Rules, confine
+import fork_server_functions
 
 def sleeps_confined():
     confine(Rules())
-    nursery_functions.sleeps()
+    fork_server_functions.sleeps()
 
 if __name__ == "__main__":
     import owner
-    nursery = Nursery()
-    child = nursery.fork(owner.sleeps_confined, ())
+    fork_server = ForkServer()
+    child = fork_server.fork(owner.sleeps_confined, ())
     print(child.pid, flush=True)
     time.sleep(60)
 """
@@ -52,8 +52,8 @@ def functions(tmp_path, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def nursery():
-    return Nursery()
+def fork_server():
+    return ForkServer()
 
 
 def ended(child):
@@ -61,11 +61,11 @@ def ended(child):
     return child.exitcode
 
 
-def heard(nursery, function, *arguments):
+def heard(fork_server, function, *arguments):
     receiver, sender = Pipe(duplex=False)
     with receiver:
         with sender:
-            child = nursery.fork(function, arguments, (sender,))
+            child = fork_server.fork(function, arguments, (sender,))
         value = receiver.recv()
     assert ended(child) == 0
     return value
@@ -80,31 +80,31 @@ def is_running(pid):
 
 
 def test_a_child_is_a_process_of_its_own_in_its_owners_surroundings(
-    nursery, functions, monkeypatch, tmp_path
+    fork_server, functions, monkeypatch, tmp_path
 ):
     monkeypatch.setenv("NW_EVAL_WORD", "now")
     monkeypatch.chdir(tmp_path)
-    word, folder, pid, parent = heard(nursery, functions.tell, "NW_EVAL_WORD")
+    word, folder, pid, parent = heard(fork_server, functions.tell, "NW_EVAL_WORD")
     assert (word, folder) == ("now", str(tmp_path))
     assert len({pid, parent, os.getpid()}) == 3
     monkeypatch.setenv("NW_EVAL_WORD", "later")
-    assert heard(nursery, functions.tell, "NW_EVAL_WORD")[0] == "later"
+    assert heard(fork_server, functions.tell, "NW_EVAL_WORD")[0] == "later"
 
 
-def test_what_the_nursery_has_learnt_its_children_need_not_import(nursery, functions):
-    assert not heard(nursery, functions.imported, "wave")
-    nursery.learn("wave", "no.such.module")
-    assert heard(nursery, functions.imported, "wave")
+def test_what_the_fork_server_has_learnt_its_children_need_not_import(fork_server, functions):
+    assert not heard(fork_server, functions.imported, "wave")
+    fork_server.learn("wave", "no.such.module")
+    assert heard(fork_server, functions.imported, "wave")
 
 
-def test_how_a_child_ended_is_known_and_stays_known(nursery, functions):
-    child = nursery.fork(functions.dies, (7,))
+def test_how_a_child_ended_is_known_and_stays_known(fork_server, functions):
+    child = fork_server.fork(functions.dies, (7,))
     assert [ended(child), child.exitcode] == [7, 7]
-    assert ended(nursery.fork(functions.fails, ())) == 70
+    assert ended(fork_server.fork(functions.fails, ())) == 70
 
 
-def test_a_child_is_killed_and_its_number_is_its_own_until_then(nursery, functions):
-    child = nursery.fork(functions.sleeps, ())
+def test_a_child_is_killed_and_its_number_is_its_own_until_then(fork_server, functions):
+    child = fork_server.fork(functions.sleeps, ())
     assert child.exitcode is None
     child.kill()
     assert wait([child.sentinel], 30.0)
@@ -116,11 +116,11 @@ def test_a_child_is_killed_and_its_number_is_its_own_until_then(nursery, functio
     child.close()
 
 
-def test_threads_that_start_children_at_once_get_their_own(nursery, functions):
+def test_threads_that_start_children_at_once_get_their_own(fork_server, functions):
     codes = {}
 
     def begin(code):
-        codes[code] = ended(nursery.fork(functions.dies, (code,)))
+        codes[code] = ended(fork_server.fork(functions.dies, (code,)))
 
     threads = [threading.Thread(target=begin, args=(code,)) for code in range(1, 9)]
     for thread in threads:
@@ -130,16 +130,16 @@ def test_threads_that_start_children_at_once_get_their_own(nursery, functions):
     assert codes == {code: code for code in range(1, 9)}
 
 
-def test_children_end_with_a_nursery_and_no_others_start_there(functions):
-    nursery = Nursery()
-    child = nursery.fork(functions.sleeps, ())
-    child_of_another_mind = nursery.fork(functions.dies, (3,))
+def test_children_end_with_a_fork_server_and_no_others_start_there(functions):
+    fork_server = ForkServer()
+    child = fork_server.fork(functions.sleeps, ())
+    child_of_another_mind = fork_server.fork(functions.dies, (3,))
     assert wait([child_of_another_mind.sentinel], 30.0)
-    nursery._process.kill()
-    nursery._process.wait(30.0)
-    assert not nursery.is_alive
+    fork_server._process.kill()
+    fork_server._process.wait(30.0)
+    assert not fork_server.is_alive
     with pytest.raises(OSError, match="is gone"):
-        nursery.fork(functions.dies, (0,))
+        fork_server.fork(functions.dies, (0,))
     assert child_of_another_mind.exitcode == -signal.SIGKILL  # Nobody can say more.
     child.kill()
 
@@ -165,32 +165,32 @@ def test_nobody_outlives_an_owner_that_is_killed(tmp_path):
     assert not is_running(child)
 
 
-def test_a_setting_that_libraries_read_once_makes_another_nursery(monkeypatch):
-    first = start._open_nursery()
-    assert start._open_nursery() is first
+def test_a_setting_that_libraries_read_once_makes_another_fork_server(monkeypatch):
+    first = start._open_fork_server()
+    assert start._open_fork_server() is first
     monkeypatch.setenv("NW_EVAL_ANYTHING", "1")
-    assert start._open_nursery() is first
+    assert start._open_fork_server() is first
     monkeypatch.setenv("MKL_CBWR", "COMPATIBLE")
-    assert start._open_nursery() is not first
+    assert start._open_fork_server() is not first
 
 
-def test_limits_that_children_would_inherit_make_another_nursery_and_so_do_those_lifted():
-    first = start._open_nursery()
+def test_limits_that_children_would_inherit_make_another_fork_server_and_so_do_those_lifted():
+    first = start._open_fork_server()
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2**20, before[1]))
     try:
-        bounded = start._open_nursery()
+        bounded = start._open_fork_server()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert bounded is not first
-    assert start._open_nursery() is not bounded
+    assert start._open_fork_server() is not bounded
 
 
-def test_without_a_nursery_processes_start_from_nothing(functions, monkeypatch):
+def test_without_a_fork_server_processes_start_from_nothing(functions, monkeypatch):
     def none():
         raise OSError("no pidfd here")
 
-    monkeypatch.setattr(start, "_open_nursery", none)
+    monkeypatch.setattr(start, "_open_fork_server", none)
     receiver, sender = Pipe(duplex=False)
     with receiver, sender:
         process = start.start_process(
@@ -203,12 +203,12 @@ def test_without_a_nursery_processes_start_from_nothing(functions, monkeypatch):
 
 SLOW_OWNER = """\
 import sys, time
-from nw_eval.confinement import Nursery
+from nw_eval.confinement import ForkServer
 
 if __name__ == "__main__":
-    nursery = Nursery()
-    nursery.learn("slow_import")
-    print(nursery._process.pid, flush=True)
+    fork_server = ForkServer()
+    fork_server.learn("slow_import")
+    print(fork_server._process.pid, flush=True)
     time.sleep(60)
 """
 SLOW_IMPORT = """\
@@ -229,40 +229,40 @@ def appears(path):
     assert path.exists()
 
 
-def test_a_nursery_ends_with_its_owner_in_the_midst_of_an_import(tmp_path):
+def test_a_fork_server_ends_with_its_owner_in_the_midst_of_an_import(tmp_path):
     (tmp_path / "owner.py").write_text(SLOW_OWNER)
     (tmp_path / "slow_import.py").write_text(SLOW_IMPORT)
     owner = subprocess.Popen([sys.executable, tmp_path / "owner.py"], stdout=subprocess.PIPE)
-    nursery = int(owner.stdout.readline())
+    fork_server = int(owner.stdout.readline())
     appears(tmp_path / "begun")
-    assert is_running(nursery)
+    assert is_running(fork_server)
     owner.kill()
     owner.communicate()
-    while is_running(nursery) and not (tmp_path / "ended").exists():
+    while is_running(fork_server) and not (tmp_path / "ended").exists():
         time.sleep(0.01)
     assert not (tmp_path / "ended").exists()
-    assert not is_running(nursery)
+    assert not is_running(fork_server)
 
 
-def test_a_nursery_that_is_stopped_is_given_up_and_nobody_waits_for_it(functions):
-    nursery = Nursery()
-    child = nursery.fork(functions.dies, (7,))
+def test_a_fork_server_that_is_stopped_is_given_up_and_nobody_waits_for_it(functions):
+    fork_server = ForkServer()
+    child = fork_server.fork(functions.dies, (7,))
     assert wait([child.sentinel], 30.0)
-    os.kill(nursery._process.pid, signal.SIGSTOP)
+    os.kill(fork_server._process.pid, signal.SIGSTOP)
     assert child.exitcode == -signal.SIGKILL  # Nobody can say.
-    assert nursery._process.wait(30.0) == -signal.SIGKILL
-    assert not nursery.is_alive
+    assert fork_server._process.wait(30.0) == -signal.SIGKILL
+    assert not fork_server.is_alive
     with pytest.raises(OSError, match="is gone"):
-        nursery.fork(functions.sleeps, ())
+        fork_server.fork(functions.sleeps, ())
     child.close()
 
 
-def test_a_nursery_that_is_stopped_and_goes_on_is_kept(functions):
-    nursery = Nursery()
-    child = nursery.fork(functions.dies, (7,))
+def test_a_fork_server_that_is_stopped_and_goes_on_is_kept(functions):
+    fork_server = ForkServer()
+    child = fork_server.fork(functions.dies, (7,))
     assert wait([child.sentinel], 30.0)
-    os.kill(nursery._process.pid, signal.SIGSTOP)
-    threading.Timer(0.7, os.kill, (nursery._process.pid, signal.SIGCONT)).start()
+    os.kill(fork_server._process.pid, signal.SIGSTOP)
+    threading.Timer(0.7, os.kill, (fork_server._process.pid, signal.SIGCONT)).start()
     assert child.exitcode == 7
-    assert nursery.is_alive
+    assert fork_server.is_alive
     child.close()
