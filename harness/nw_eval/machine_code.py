@@ -11,9 +11,9 @@ is compiled again. That is against damage and against other users. Who has this 
 no cache to run code. Where nothing can be kept or read, as in a fenced process, kernels are
 compiled in memory.
 
-That all kernels of a folder have been compiled is remembered by a mark. Each kernel has its file in
-the cache, and which files there should be is not known before they are called. The mark says
-only that it takes no time to call them: one that is wrong costs some.
+That all kernels of a folder have been compiled for a purpose is remembered by a mark. Each kernel
+has its file in the cache, and which files there should be is not known before they are called. The
+mark says only that it takes no time to call them: one that is wrong costs some.
 """
 
 from __future__ import annotations
@@ -230,21 +230,26 @@ class _Files(IndexDataCacheFile):
             yield file
 
 
-def is_compiled(folder: Path) -> bool:
-    """Return whether the kernels of a folder were compiled as they are, for this processor."""
+def is_compiled(folder: Path, purpose: str) -> bool:
+    """Return whether the kernels of a folder were compiled as they are, for this processor.
+
+    Args:
+        folder: of their sources.
+        purpose: what they are called with; other arguments are other machine code.
+    """
     with suppress(OSError, StoreError):
-        return _mark(folder).is_file()
+        return _mark(folder, purpose).is_file()
     return False
 
 
-def mark_compiled(folder: Path) -> None:
+def mark_compiled(folder: Path, purpose: str) -> None:
     """Remember that the kernels of a folder have been compiled, where anything can be kept."""
     with suppress(OSError, StoreError):
-        mark = _mark(folder)
+        mark = _mark(folder, purpose)
         if not mark.is_file():
             mark.touch()
 
 
-def _mark(folder: Path) -> Path:
-    name = f"{folder.parent.name}.{hash_sources(folder)}.{binding.get_host_cpu_name()}.compiled"
-    return private_dir("kernels") / name
+def _mark(folder: Path, purpose: str) -> Path:
+    known = f"{hash_sources(folder)}.{binding.get_host_cpu_name()}"
+    return private_dir("kernels") / f"{folder.parent.name}-{purpose}.{known}.compiled"

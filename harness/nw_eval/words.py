@@ -23,6 +23,11 @@ Projection = Literal["ewa", "ray"]
 """How Gaussians become pixels: by EWA's affine approximation, or along each pixel's own ray."""
 PROJECTIONS: tuple[Projection, ...] = get_args(Projection)
 
+Kernels = Literal["ewa", "ray", "lens"]
+"""What the CPU's kernels are compiled for, each for itself: either projection of a pinhole, and
+lenses that bend."""
+KERNELS: tuple[Kernels, ...] = get_args(Kernels)
+
 Engine = Literal["local", "ray"]
 """Where trials run: in processes of this machine, or on the nodes of a Ray cluster."""
 

@@ -23,10 +23,12 @@ from nw_eval.errors import PrerequisiteError, TrialError
 from nw_eval.policies import load_bundle
 from nw_eval.robots import know_robot
 from nw_eval.rollout.confined.access import policy_rules, running_rules
+from nw_eval.rollout.job import kernels_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from nw_eval.engine.building import SplatBuilders
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
     from nw_eval.rollout.result import TrialResult
@@ -50,6 +52,7 @@ class LocalProcesses:
         folder: of the run.
         run: called with each job in a worker.
         memory_limit: bytes that a worker may hold with its children.
+        builders: of splats that are not there yet; None = all are.
 
     Raises:
         PolicyError, SceneError: policy or scenes are not where the jobs say.
@@ -65,6 +68,7 @@ class LocalProcesses:
         *,
         run: Run = worker.run_job,
         memory_limit: int | None = None,
+        builders: SplatBuilders | None = None,
     ) -> None:
         if memory_limit is not None and not can_be_listed():
             raise PrerequisiteError(
@@ -83,8 +87,15 @@ class LocalProcesses:
             also=() if job.robot_folder is None else (job.robot_folder,),
         )
         policy = policy_rules(bundle)
-        draws = any(needs_splats(bundle.card, each.record) for each in jobs)
-        self._start = WorkerStart(rules=rules, renders=draws and not rules.off, policy=policy)
+        draws = any(needs_splats(bundle.card, each.record) for each in jobs) and not rules.off
+        kernels = kernels_of(job.robot, bundle.card, job.rendering.projection) if draws else ()
+        self._start = WorkerStart(
+            rules=rules,
+            renders=kernels,
+            policy=policy,
+            awaits_splats=builders is not None and builders.on_demand,
+        )
+        self._builders = builders
         self._printed = folder.workers_log
         self._run = run
         self._memory_limit = memory_limit
@@ -98,6 +109,7 @@ class LocalProcesses:
             output=WorkerOutput(self._printed),
             recycle_after=1 if fresh else RECYCLE_AFTER,
             memory_limit=self._memory_limit,
+            builders=self._builders,
         )
 
 
@@ -111,6 +123,8 @@ class LocalWorkers:
         output: where what they print goes; not entered yet.
         recycle_after: jobs that a process runs before it is replaced; 1 = each job in a fresh one.
         memory_limit: bytes that a process may hold with its children.
+        builders: of splats that are not there yet, which take the cores that no trial can use;
+            None = all are there.
     """
 
     def __init__(
@@ -122,6 +136,7 @@ class LocalWorkers:
         output: WorkerOutput,
         recycle_after: int = RECYCLE_AFTER,
         memory_limit: int | None = None,
+        builders: SplatBuilders | None = None,
     ) -> None:
         self._count = workers
         self._start_with = start
@@ -129,6 +144,7 @@ class LocalWorkers:
         self._output = output
         self._recycle_after = recycle_after
         self._memory_limit = memory_limit
+        self._builders = builders
         self._cleanup = ExitStack()
         self._queue: deque[TrialJob] = deque()
         self._busy: list[WorkerProcess] = []
@@ -151,11 +167,19 @@ class LocalWorkers:
 
         Raises:
             TrialError: workers cannot be kept alive at all.
+            SceneError, StoreError: a splat cannot be built.
         """
         while self._queue or self._busy:
+            if self._builders is not None:
+                self._builders.repair()
             while self._queue and len(self._busy) < self._count:
-                self._busy.append(self._idle.pop() if self._idle else self._started())
-                self._busy[-1].give(self._next(self._busy[-1]))
+                each = self._idle[-1] if self._idle else None
+                place = self._next(each)
+                if place < 0:
+                    break
+                self._busy.append(self._started() if each is None else self._idle.pop())
+                self._give(self._busy[-1], place)
+            self._build()
             wait([handle for each in self._busy for handle in each.handles], POLL)
             ended = [done for each in tuple(self._busy) if (done := self._look(each)) is not None]
             yield from ended or (None,)
@@ -188,13 +212,46 @@ class LocalWorkers:
                 fix="use fewer --workers",
             ) from error
 
-    def _next(self, each: WorkerProcess) -> TrialJob:
-        """Take a worker's next job from the queue."""
+    def _next(self, each: WorkerProcess | None) -> int:
+        """Return the place in the queue of a worker's next job; -1 if it has to wait.
+
+        A job of a scene that is not built yet waits for it. The worker's core builds one, if there
+        is one to build, rather than run ahead in the order.
+
+        Args:
+            each: the worker; None = one that is not started yet.
+        """
+        own = set[str]() if each is None else each.scenes
         taken = {scene for other in (*self._busy, *self._idle) for scene in other.scenes}
-        place = next_place((job.trial for job in self._queue), own=each.scenes, taken=taken)
-        job = self._queue[place]
+        trials = [job.trial for job in self._queue]
+        builders = self._builders
+        if builders is None or builders.on_demand or not (held := {*builders.missing}):
+            return next_place(trials, own=own, taken=taken)
+        place = next_place(trials, own=own, taken=taken, held=held)
+        if place < 0 and not builders.has_more:
+            ready = [place for place, trial in enumerate(trials) if trial.scene not in held]
+            if ready:
+                place = ready[next_place((trials[p] for p in ready), own=own, taken=taken)]
+        return place
+
+    def _give(self, each: WorkerProcess, place: int) -> None:
+        """Give a worker the job at a place in the queue."""
+        each.give(self._queue[place])
         del self._queue[place]
-        return job
+
+    def _build(self) -> None:
+        """Let splats be built on the cores on which no trial runs, those first that trials need."""
+        builders = self._builders
+        if builders is None or not builders.missing:
+            return
+        if not builders.on_demand:
+            for job in self._queue:
+                builders.want(job.trial.scene)
+        waiting = [each for each in self._busy if each.awaits_splat]
+        for each in waiting:
+            assert each.job is not None, "a worker without a job is not in the list"
+            builders.want(each.job.trial.scene)
+        builders.allow(self._count - len(self._busy) + len(waiting))
 
     def _look(self, each: WorkerProcess) -> Finished | None:
         """Return what a worker's job came to, if it did, and give the worker another one."""
@@ -202,7 +259,7 @@ class LocalWorkers:
         assert job is not None, "a worker without a job is not in the list"
         count = each.jobs_done
         try:
-            result = each.look()
+            result = each.look(self._builders.missing if self._builders else ())
         except UnstartedError:
             self._end(each)
             self._queue.appendleft(job)
@@ -221,8 +278,8 @@ class LocalWorkers:
         is_well = each.jobs_done > count and each.jobs_done < self._recycle_after
         if not is_well:
             self._end(each)
-        elif self._queue:
-            each.give(self._next(each))
+        elif self._queue and (place := self._next(each)) >= 0:
+            self._give(each, place)
         else:
             self._busy.remove(each)
             self._idle.append(each)

@@ -19,7 +19,7 @@ from nw_eval.request import Shard
 from nw_eval.results.provenance import ShardInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Sequence
+    from collections.abc import Collection, Container, Iterable, Sequence
 
     from nw_eval.suite.trials import Trial
 
@@ -45,7 +45,13 @@ def in_order(trials: Iterable[Trial]) -> tuple[Trial, ...]:
     return tuple(sorted(trials, key=key))
 
 
-def next_place(waiting: Iterable[Trial], *, own: Container[str], taken: Container[str]) -> int:
+def next_place(
+    waiting: Iterable[Trial],
+    *,
+    own: Container[str],
+    taken: Container[str],
+    held: Collection[str] = (),
+) -> int:
     """Return the position, among waiting trials in order, of the one that a worker takes next.
 
     It is of the first's round, or among the next `_NEAR` of a drawn order, so that scenes are met
@@ -56,6 +62,10 @@ def next_place(waiting: Iterable[Trial], *, own: Container[str], taken: Containe
         waiting: one trial or more.
         own: scenes that the worker has loaded.
         taken: scenes that any worker has.
+        held: scenes whose trials cannot begin yet.
+
+    Returns:
+        The place; -1 if those among which it may choose are all held.
     """
     trials = iter(waiting)
     first = next(trials)
@@ -67,8 +77,9 @@ def next_place(waiting: Iterable[Trial], *, own: Container[str], taken: Containe
 
     scenes = [first.scene, *(trial.scene for trial in takewhile(is_near, trials))]
     return min(
-        range(len(scenes)),
+        (place for place, scene in enumerate(scenes) if scene not in held),
         key=lambda place: 0 if scenes[place] in own else 1 + (scenes[place] in taken),
+        default=-1,
     )
 
 

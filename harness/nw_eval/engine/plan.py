@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from nw_eval.engine.order import in_order
 from nw_eval.engine.prepare import needs_splats
 from nw_eval.plugins import SPLAT_FORMATS, code_named, identity_of, key_of
-from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.job import TrialJob, kernels_of
 from nw_eval.rollout.record import attachments
 from nw_eval.suite import suite_yaml
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from nw_eval.scenes import Scene
     from nw_eval.suite.model import Suite
     from nw_eval.suite.trials import Trial
-    from nw_eval.words import Arm, Backend, PanelKind
+    from nw_eval.words import Arm, Backend, Kernels, PanelKind
 
 # Wall seconds for each simulated second, and on top for the first compilation of kernels: many
 # times what a trial takes on a slow core with a large camera, so that only what never ends is hung.
@@ -125,6 +125,11 @@ class Plan:
     def renders(self) -> bool:
         """Whether any trial may render."""
         return needs_splats(self.bundle.card, self.suite.record)
+
+    @property
+    def kernels(self) -> tuple[Kernels, ...]:
+        """Which kernels of the CPU draw its pictures."""
+        return kernels_of(self.suite.robot, self.bundle.card, self.suite.render.projection)
 
     @property
     def time_limit(self) -> float:

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 from nw_eval.errors import UsageError
 from nw_eval.rollout.confined.start import has_kernels, renew
 from nw_eval.scenes.scene import HeightField, Triangles
+from nw_eval.words import KERNELS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
 
     from nw_eval.cards import Card
     from nw_eval.engine.listener import Listener
     from nw_eval.scenes import Scene
-    from nw_eval.words import Backend, Record
+    from nw_eval.words import Backend, Kernels, Record
 
 _WORTH_SAYING = 3.0  # s
 
@@ -41,7 +43,13 @@ def check_splats(card: Card, scenes: Iterable[Scene]) -> None:
 
 
 def open_backend(
-    render: Backend, listener: Listener, *, is_fenced: bool, surfaces: bool = False
+    render: Backend,
+    listener: Listener,
+    *,
+    is_fenced: bool,
+    surfaces: bool = False,
+    kernels: Collection[Kernels] = KERNELS,
+    beside: AbstractContextManager[None] | None = None,
 ) -> None:
     """Compile the renderer once for all workers, or find out that it is missing.
 
@@ -50,15 +58,18 @@ def open_backend(
         listener: hears what took long.
         is_fenced: whether workers are forked, with kernels if there are any.
         surfaces: whether rays meet splats, which has kernels of its own.
+        kernels: which of the CPU's are needed.
+        beside: entered where anything has to be compiled, and left when it has been.
 
     Raises:
         PrerequisiteError: the backend's packages or device are missing.
     """
-    if is_fenced and render == "cpu" and has_kernels() and not surfaces:
+    if is_fenced and render == "cpu" and has_kernels(kernels) and not surfaces:
         return
     from nw_eval.splat.warmup import kernel_note, warmup
 
-    seconds = warmup(render, surfaces=surfaces)
+    with beside or nullcontext():
+        seconds = warmup(render, surfaces=surfaces, kernels=kernels)
     renew()
     note = kernel_note() if render == "cpu" else None
     if note is not None:
@@ -82,6 +93,11 @@ def ready_scans(scenes: Iterable[Scene], listener: Listener) -> None:
     seconds = perf_counter() - began
     if seconds > _WORTH_SAYING:
         listener.message(f"compiled contacts in {seconds:.0f} s; next time they are in the cache")
+
+
+def needs_splats_first(card: Card, record: Record) -> bool:
+    """Return whether trials draw as they run: otherwise only those that failed do, at their end."""
+    return bool(card.splat_images) or card.meets_splat or record == "all"
 
 
 def build_splats(scenes: Iterable[Scene], listener: Listener) -> None:

@@ -15,7 +15,7 @@ from nw_eval.engine.listener import Listener, NullListener
 from nw_eval.engine.machine import worker_count
 from nw_eval.engine.order import in_order
 from nw_eval.engine.plan import Plan, plan_jobs
-from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
+from nw_eval.engine.prepare import build_splats, needs_splats_first, open_backend, ready_scans
 from nw_eval.engine.provenance import journal_header, now, run_info
 from nw_eval.engine.rounds import run_trials
 from nw_eval.engine.worker_pool import worker_pool
@@ -102,6 +102,7 @@ def carry_out(
         SplatBuilders(
             _in_need(plan) if plan.renders else (),
             count=worker_count(place.workers, len(plan.scenes)),
+            on_demand=not needs_splats_first(plan.bundle.card, plan.suite.record),
             listener=listener,
         ) as builders,
     ):
@@ -113,6 +114,8 @@ def carry_out(
                 listener,
                 is_fenced=not off,
                 surfaces=plan.bundle.card.meets_splat,
+                kernels=plan.kernels,
+                beside=builders.beside_compiler(),
             )
         folder = _folder(plan, out, resume)
         listener.message(f"run folder: {folder.path}")
@@ -131,12 +134,14 @@ def carry_out(
                 write_run_info(folder.run_json, info)
             if (info.stop is None or info.stop.trials) and not info.interrupted:
                 ready_scans(plan.scenes, listener)
-                builders.wait()
+                if not place.is_local:
+                    builders.wait()
                 if plan.renders:
-                    build_splats(plan.scenes, listener)
+                    missing = set(builders.missing) if place.is_local else ()
+                    build_splats((s for s in plan.scenes if s.name not in missing), listener)
                 jobs = plan_jobs(plan, folder)
                 with (
-                    place.start_workers(plan, jobs, folder, listener) as start_workers,
+                    place.start_workers(plan, jobs, folder, listener, builders) as start_workers,
                     known_trials(
                         plan,
                         folder,

@@ -13,13 +13,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cache
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from time import monotonic
+from time import monotonic, sleep
 from typing import TYPE_CHECKING, NoReturn
 
 from pydantic import TypeAdapter, ValidationError
@@ -35,9 +35,15 @@ from nw_eval.rollout.result import TrialResult
 
 if TYPE_CHECKING:
     from nw_eval.rollout.library import Library
+    from nw_eval.scenes import Scene
+    from nw_eval.words import Kernels
 
 # What a worker says as soon as it has a job: from here on its end is the job's.
 _TAKEN = b"taken"
+# What it says when a job goes on only once its scene's splat is there.
+_AWAITS = b"awaits splat"
+# Seconds between two looks of its for the splat.
+_LOOK = 0.02
 # Bytes of a result that anybody reads; honest ones have about two thousand.
 _LONGEST = 1 << 20
 # Seconds until a new process must have taken its job: it imports next to nothing before.
@@ -47,6 +53,9 @@ _LAST_MOMENTS = 5.0
 # Exit code of a worker that cannot even say what went wrong.
 _SPEECHLESS = 70
 _library: Library | None = None
+_results: Connection | None = None
+"""Of a worker: where it says what its jobs come to."""
+_awaits_splats = False
 
 
 class UnstartedError(Exception):
@@ -104,6 +113,7 @@ class WorkerProcess:
         self.job: TrialJob | None = None
         self.jobs_done = 0
         self.scenes: set[str] = set()  # Those of its jobs, which it keeps loaded.
+        self.awaits_splat = False  # Whether its job stands still until there is one.
         self._is_taken = False
         self._deadline = 0.0
         self._heard = b""
@@ -117,13 +127,17 @@ class WorkerProcess:
         """Hand over a job to a process that has none."""
         self.job = job
         self.scenes.add(job.trial.scene)
-        self._is_taken = False
+        self.awaits_splat = self._is_taken = False
         self._deadline = monotonic() + _START_LIMIT
         with suppress(OSError):  # It has died; `look` says so.
             self._jobs.send(job)
 
-    def look(self) -> TrialResult | None:
+    def look(self, missing: Collection[str] = ()) -> TrialResult | None:
         """Return the result of the job if it has one by now, whichever way it ended.
+
+        Args:
+            missing: scenes, by name, that have no splat yet: time for which a job waits for one of
+                them does not count.
 
         Raises:
             UnstartedError: the process ended, or hangs, before it took the job.
@@ -136,6 +150,12 @@ class WorkerProcess:
             self._is_taken = True
             self._deadline = monotonic() + self.job.time_limit
             self._memory.restrain(self._memory_limit)
+        if self._is_taken and _AWAITS + b"\n" in self._heard:
+            self._heard = self._heard.replace(_AWAITS + b"\n", b"")
+            self.awaits_splat = True
+        if self.awaits_splat:
+            self.awaits_splat = self.job.trial.scene in missing
+            self._deadline = monotonic() + self.job.time_limit
         *lines, _ = self._heard.split(b"\n")
         if len(lines) > 1:
             self._heard = b""
@@ -248,7 +268,8 @@ def _serve(
     *line: Connection,
 ) -> NoReturn:
     """Run jobs until the pipe ends: the main function of the process."""
-    own = os.getpid()
+    global _results
+    own, _results = os.getpid(), results
     try:
         start(output)
         use_line(*line)
@@ -287,10 +308,12 @@ class WorkerStart:
 
     rules: Rules
     """What it may do."""
-    renders: bool
-    """Whether it draws splats: it loads kernels before their cache is out of its reach."""
+    renders: tuple[Kernels, ...]
+    """With what it draws splats: it loads kernels before their cache is out of its reach."""
     policy: Rules | None = None
     """What the process may do that opens its policies; None = it opens them."""
+    awaits_splats: bool = False
+    """Whether splats are built when somebody asks for them."""
 
 
 def start(settings: WorkerStart, output: Connection) -> None:
@@ -306,7 +329,9 @@ def start(settings: WorkerStart, output: Connection) -> None:
         with suppress(Exception):  # The trial that wants them says what is wrong.
             from nw_eval.splat.warmup import warmup
 
-            warmup()
+            warmup(kernels=settings.renders)
+    global _awaits_splats  # noqa: PLW0603 - as a process is started, so it stays.
+    _awaits_splats = settings.awaits_splats
     confine(settings.rules, output=output.fileno())
     output.close()
 
@@ -319,5 +344,18 @@ def run_job(job: TrialJob) -> TrialResult:
 
     global _library  # noqa: PLW0603 - one cache a process is the point.
     if _library is None:
-        _library = Library()
+        _library = Library(before_drawing=_await_splat if _awaits_splats else None)
     return run_trial(job, library=_library)
+
+
+def _await_splat(scene: Scene) -> None:
+    """Return once a scene's splat is in the cache, which this process may only read."""
+    from nw_eval.built_in.entry import BuiltInSplat
+
+    splat = scene.splat
+    if not isinstance(splat, BuiltInSplat) or splat.path.is_file():
+        return
+    assert _results is not None, "a worker has a pipe for results"
+    _say(_results, _AWAITS)
+    while not splat.path.is_file():
+        sleep(_LOOK)

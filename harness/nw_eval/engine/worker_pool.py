@@ -11,6 +11,7 @@ from nw_eval.engine.local import LocalProcesses
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence
 
+    from nw_eval.engine.building import SplatBuilders
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.ray_connection import Joined
@@ -30,11 +31,28 @@ class WorkerPool:
     joined: Joined | None = None
     """The cluster that it is, if it is one."""
 
+    @property
+    def is_local(self) -> bool:
+        """Whether it is processes of this machine, which need not wait for all splats."""
+        return not self.in_process and self.joined is None
+
     @contextmanager
     def start_workers(
-        self, plan: Plan, jobs: Sequence[TrialJob], folder: RunFolder, listener: Listener
+        self,
+        plan: Plan,
+        jobs: Sequence[TrialJob],
+        folder: RunFolder,
+        listener: Listener,
+        builders: SplatBuilders,
     ) -> Generator[StartWorkers]:
         """Give what gets workers for the jobs of a plan inside the `with` block.
+
+        Args:
+            plan: of the run.
+            jobs: of the plan.
+            folder: of the run.
+            listener: told of progress.
+            builders: of the splats that processes of this machine do not wait for all.
 
         Raises:
             UsageError: what the run needs cannot be brought there.
@@ -51,7 +69,8 @@ class WorkerPool:
             ) as start_workers:
                 yield start_workers
         else:
-            yield LocalProcesses(jobs, folder, memory_limit=plan.memory_limit)
+            limit = plan.memory_limit
+            yield LocalProcesses(jobs, folder, memory_limit=limit, builders=builders)
 
 
 @contextmanager

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from nw_eval.suite.model import PUBLISHED, Rendering
 from nw_eval.suite.trials import Trial
 from nw_eval.tasks import COURSE, AnyTask
-from nw_eval.words import Backend, Collision, Protocol, Record
+from nw_eval.words import Backend, Collision, Kernels, Projection, Protocol, Record
+
+if TYPE_CHECKING:
+    from nw_eval.cards import Card
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,3 +43,23 @@ class TrialJob:
     rendering: Rendering = PUBLISHED  # and how
     time_limit: float = 600.0  # s of wall time after which the trial counts as hung
     attachments: tuple[tuple[str, str], ...] = ()  # (name, text): the suite, the policy's card
+
+
+def kernels_of(robot: str, card: Card, *projections: Projection) -> tuple[Kernels, ...]:
+    """Return which kernels of the CPU draw what a robot's cameras see, as a card mounts them.
+
+    A perturbation may bend a lens that the robot's folder says is straight: that takes the time to
+    compile, and no more.
+
+    Args:
+        robot: what `get_robot` understands.
+        card: of the policy that sees it.
+        projections: of pinholes.
+    """
+    # Robots of folders are read by the simulator's compiler.
+    from nw_eval.cards import mounted_robot
+    from nw_eval.robots import get_robot
+
+    lenses = [mount.intrinsics for mount in mounted_robot(get_robot(robot), card).cameras.values()]
+    is_bent = any(lens is not None and lens.distortion is not None for lens in lenses)
+    return (*dict.fromkeys(projections), *(("lens",) if is_bent else ()))

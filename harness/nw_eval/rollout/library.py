@@ -52,6 +52,7 @@ class Library:
         known: bundles that are loaded already, with the weights that jobs want. They go by their
             `reference` and are kept for good.
         world: makes the world of each trial, from the arguments of `World`.
+        before_drawing: called with a scene before its splat is opened.
     """
 
     def __init__(
@@ -61,8 +62,10 @@ class Library:
         bundles: int = 4,
         known: Iterable[Bundle] = (),
         world: Callable[..., World] = World,
+        before_drawing: Callable[[Scene], None] | None = None,
     ) -> None:
         self.world = world
+        self.before_drawing = before_drawing
         self._scenes = LRUCache[tuple[str, Collision], Scene](scenes, lambda key: open_scene(*key))
         self._rays = LRUCache[tuple[str, Collision], "RayScene"](scenes, self._make_rays)
         self._bundles = LRUCache[tuple[str, "Path | None"], Bundle](

@@ -76,10 +76,16 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
     robot = mounted_robot(get_robot(job.robot), bundle.card)
     setup = perturbed(TrialSetup.of(trial, robot, bundle.card), dict(trial.perturbation))
     robot, card = setup.robot, setup.card
-    renderer = cache(lambda: _open_renderer(scene, job.render, job.rendering))
+
+    def opened(rendering: Rendering) -> Renderer:
+        if library.before_drawing is not None:
+            library.before_drawing(scene)
+        return _open_renderer(scene, job.render, rendering)
+
+    renderer = cache(lambda: opened(job.rendering))
     # The cuda backend draws as published only.
     how = SHOWN if job.render == "cpu" else job.rendering
-    shown = cache(lambda: _open_renderer(scene, job.render, how))
+    shown = cache(lambda: opened(how))
     protocol = protocol_named(job.protocol)
     with ExitStack() as cleanup:
         world = cleanup.enter_context(_open_world(setup, scene, protocol, library.world))

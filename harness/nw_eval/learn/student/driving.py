@@ -21,7 +21,7 @@ from nw_eval.learn.student.drive import Pair
 from nw_eval.learn.student.trajectory import read_trajectory
 from nw_eval.plural import plural
 from nw_eval.rollout.confined.access import running_rules
-from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.job import TrialJob, kernels_of
 from nw_eval.suite.digest import digest_of
 from nw_eval.suite.trials import Trial
 
@@ -206,7 +206,9 @@ class Round:
             logs=self.folder,
             also=(self.teacher.folder, *self.teacher.files),
         )
-        start = WorkerStart(rules=rules, renders=bool(self.student.card.splat_images))
+        sees, job = bool(self.student.card.splat_images), jobs[0]
+        kernels = kernels_of(job.robot, self.student.card, job.rendering.projection) if sees else ()
+        start = WorkerStart(rules=rules, renders=kernels)
         pair = Pair(student=self.student.reference, teacher=self.teacher.reference)
         output = WorkerOutput(self.folder.parent / _WORKERS_LOG)
         count = worker_count(workers, len(jobs))

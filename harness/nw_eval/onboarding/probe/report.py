@@ -38,6 +38,7 @@ from nw_eval.rollout.confined.access import OPENING_SECONDS, policy_rules, runni
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.confined.vetting import check_bundle
 from nw_eval.rollout.fault import PolicyFailedError
+from nw_eval.rollout.job import kernels_of
 
 SECONDS = 1.0
 _TIME_LIMIT = 600.0  # s of wall time
@@ -169,7 +170,7 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
         subject=bundle.where,
         rules=running_rules(bundle, scenes=[scene], allow_code=allow_code, also=folders),
         time_limit=_TIME_LIMIT,
-        renders=sees,
+        renders=kernels_of(robot.reference, bundle.card, "ewa") if sees else (),
         policy_process=policy_rules(bundle),
         card=bundle.reference,
         checkpoint=None if bundle.checkpoint is None else str(bundle.checkpoint.resolve()),

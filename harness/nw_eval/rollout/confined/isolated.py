@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any, Self
@@ -28,6 +28,7 @@ from nw_eval.errors import (
 )
 from nw_eval.policies.apart import use_line
 from nw_eval.rollout.confined.start import Started, WorldAndPolicy, parts_of, start_pair
+from nw_eval.words import Kernels
 
 TIME_LIMIT = 120.0
 """Seconds; imports take a few of them, a slow disk a few more."""
@@ -62,7 +63,7 @@ def call_isolated(
     subject: str,
     rules: Rules = _LIBRARIES_ONLY,
     time_limit: float = TIME_LIMIT,
-    renders: bool = False,
+    renders: Collection[Kernels] = (),
     policy_process: Rules | None = None,
     **arguments: Any,
 ) -> Any:
@@ -73,7 +74,7 @@ def call_isolated(
         subject: what is being looked at, for errors.
         rules: what the process may do.
         time_limit: wall seconds.
-        renders: whether it draws splats, for which it loads kernels before it is confined.
+        renders: the kernels with which it draws splats, which it loads before it is confined.
         policy_process: what the process may do that opens policies; None = there is none, and
             the function's own opens them.
         **arguments: plain values.
@@ -120,7 +121,7 @@ class IsolatedCall:
         *,
         subject: str,
         rules: Rules,
-        renders: bool,
+        renders: Collection[Kernels],
         arguments: Mapping[str, Any],
         policy: Rules | None = None,
         is_one_of_many: bool = False,
@@ -232,7 +233,7 @@ def _ending(code: int | None) -> str:
 
 def _answer(
     rules: Rules,
-    renders: bool,
+    renders: Collection[Kernels],
     function: Callable[..., Any],
     arguments: Mapping[str, Any],
     sender: Connection,
@@ -242,7 +243,7 @@ def _answer(
         if renders:
             from nw_eval.splat.warmup import warmup
 
-            warmup()
+            warmup(kernels=renders)
         confine(rules)
         use_line(*line)
         answer = {"value": function(**arguments)}

@@ -1,11 +1,11 @@
-"""Imported by the fork server: kernels, if they have been compiled: a child has them at once."""
+"""Imported by the fork server: kernels that have been compiled: a child has them at once."""
 
-from nw_eval.splat.warmup import is_warm, warmup
+from nw_eval.splat.warmup import warm_kernels, warmup
 
 __all__ = ["WARM"]
 
-WARM = is_warm()
-"""Whether kernels are loaded. To compile them here would keep all children waiting."""
+WARM = warm_kernels()
+"""Which kernels are loaded. To compile others here would keep all children waiting."""
 
 if WARM:
-    warmup()
+    warmup(kernels=WARM)

@@ -34,10 +34,11 @@ from nw_eval.confinement.environment import environment_of_child
 from nw_eval.errors import PolicyError, TrialError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Hashable, Sequence
+    from collections.abc import Callable, Collection, Generator, Hashable, Sequence
 
     from nw_eval.cards import Card
     from nw_eval.policies.apart import PolicyLine
+    from nw_eval.words import Kernels
 
     Line = tuple[Connection, Connection, Connection]
 
@@ -50,9 +51,8 @@ _NONE = frozenset({"remote", "zero"})
 _LAST_MOMENTS = 5.0
 """Seconds in which a process that has closed its line, or was killed, must be gone."""
 
-_WARM = b"warm"
 _WARMS = 120.0
-"""Seconds in which a process that has been forked says whether it has kernels."""
+"""Seconds in which a process that has been forked says which kernels it has."""
 
 _OURS = ("NW_EVAL_", "PYTEST_")
 """Variables of which no library that the fork server has imported has read any."""
@@ -181,8 +181,8 @@ def prepare_kernels() -> None:
         _load_kernels(_fork_server)
 
 
-def has_kernels() -> bool:
-    """Return whether processes to come have the CPU renderer's kernels; waits for it."""
+def has_kernels(wanted: Collection[Kernels]) -> bool:
+    """Return whether processes to come have these kernels of the CPU; waits for the fork server."""
     receiver, sender = Pipe(duplex=False)
     with receiver, suppress(OSError, EOFError):
         with sender:
@@ -190,17 +190,17 @@ def has_kernels() -> bool:
             _load_kernels(fork_server)
             child = fork_server.fork(_tell_warmth, (), (sender,))
         is_told = receiver.poll(_WARMS)
-        warmth = receiver.recv_bytes() if is_told else b""
+        warmth = receiver.recv_bytes().decode() if is_told else ""
         child.join(_WARMS if is_told else 0.0)
         child.kill()
-        return child.exitcode == 0 and warmth == _WARM
+        return child.exitcode == 0 and set(wanted) <= set(warmth.split())
     return False
 
 
 def _tell_warmth(sender: Connection) -> None:
     from nw_eval.rollout.confined.kernels import WARM
 
-    sender.send_bytes(_WARM if WARM else b"")
+    sender.send_bytes(" ".join(WARM).encode())
 
 
 def renew() -> None:

@@ -62,7 +62,7 @@ def vet_bundle(
         rules=opening_rules(
             bundle, allow_code=allow_code, also=() if folder is None else (folder,)
         ),
-        renders=False,
+        renders=(),
         policy=policy_rules(bundle) if bundle.python is not None and allow_code else None,
         arguments=arguments,
     ) as call:

@@ -24,6 +24,7 @@ from nw_eval.errors import NwEvalError, PolicyError, StoreError, UsageError
 from nw_eval.files.cache import atomic_path, followed
 from nw_eval.rollout.confined.access import policy_rules, running_rules
 from nw_eval.rollout.confined.isolated import IsolatedCall, call_isolated
+from nw_eval.rollout.job import kernels_of
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.replaying.blame import blame
 from nw_eval.rollout.replaying.film import Film
@@ -31,12 +32,14 @@ from nw_eval.rollout.replaying.logged import agreed, check_inside, check_start, 
 from nw_eval.rollout.replaying.replay import replay
 from nw_eval.rollout.replaying.reports import BlameReport, ReplayReport, TakeoverReport
 from nw_eval.rollout.replaying.takeover import OPTION, second_job, take_over
+from nw_eval.suite.model import SHOWN
 
 if TYPE_CHECKING:
     from collections.abc import Generator
 
     from nw_eval.confinement import Rules
     from nw_eval.rollout.job import TrialJob
+    from nw_eval.words import Kernels
 
 _LOG, _VIDEO = "trial.mcap", "trial.mp4"
 Blamed = BlameReport | NwEvalError
@@ -313,7 +316,7 @@ class _Readied:
 
     rules: Rules
     policy: Rules
-    renders: bool
+    renders: tuple[Kernels, ...]
 
 
 def _readied(
@@ -352,7 +355,9 @@ def _readied(
     rules = running_rules(
         bundle, scenes=[job.scene], logs=folder, allow_code=job.allow_code, also=[log, *robot]
     )
-    return _Readied(rules=rules, policy=policy_rules(bundle), renders=renders)
+    projections = job.rendering.projection, SHOWN.projection
+    kernels = kernels_of(job.robot, bundle.card, *projections) if renders else ()
+    return _Readied(rules=rules, policy=policy_rules(bundle), renders=kernels)
 
 
 @contextmanager
