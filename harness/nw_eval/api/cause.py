@@ -252,7 +252,7 @@ def apart(old: Bundle, new: Bundle) -> Apart:
             raise PolicyError(
                 f"{bundle.subject} has no files here, and cannot be taken apart into sight and "
                 "control",
-                fix="`nw-eval blame` without --cause says since when its trials were lost",
+                fix="`nw-eval attribute` without --cause says since when its trials were lost",
             )
     one, other = (set(_sight(bundle.card)) for bundle in (old, new))
     if not one or one != other:

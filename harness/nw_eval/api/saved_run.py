@@ -61,8 +61,9 @@ def continued(run: Path, request: Request) -> Plan:
         )
     if info.drawn_for is not None and not (info.is_recheck or info.goes_by_rounds):
         raise IncomparableError(
-            f"cannot resume {run}: it meets the starts of another run, as `nw-eval blame` chose",
-            fix="ask `nw-eval blame --cause` again; what has run is taken from the cache",
+            f"cannot resume {run}: it meets the starts of another run, as `nw-eval attribute` "
+            "chose",
+            fix="ask `nw-eval attribute --cause` again; what has run is taken from the cache",
         )
     if request.shard is not None and request.shard != info.request.shard:
         was = "all of its trials" if info.shard is None else str(info.shard)

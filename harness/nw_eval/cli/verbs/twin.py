@@ -120,14 +120,14 @@ class BuildTwin(AllFlags):
     """The folder, or the video."""
     out: Path
     """The scene's folder; work in progress lies in its `build/`."""
-    threads: int | None = None
-    """That share the work; one for each core when absent. They change no result."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Threads that share the work; the number of cores when absent. They change no result."""
 
     def __call__(self) -> int:
         from nw_eval.errors import SceneError
         from nw_eval.twin.building.build import Build
 
-        build = Build(self.out, settings_of(self, self.threads), _say)
+        build = Build(self.out, settings_of(self, self.workers), _say)
         return 0 if build.whole(self.photographs) else SceneError.exit_code
 
 
@@ -140,13 +140,13 @@ class Calibrate(CalibrateFlags):
     another app of docs/twins.md."""
     out: Path
     """The scene's folder."""
-    threads: int | None = None
-    """That share the work; one for each core when absent. They change no result."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Threads that share the work; the number of cores when absent. They change no result."""
 
     def __call__(self) -> int:
         from nw_eval.twin.building.build import Build
 
-        Build(self.out, settings_of(self, self.threads), _say).calibrate(self.photographs)
+        Build(self.out, settings_of(self, self.workers), _say).calibrate(self.photographs)
         return 0
 
 
@@ -156,13 +156,13 @@ class Reconstruct(ReconstructFlags):
 
     scene: tyro.conf.Positional[Path]
     """The scene's folder."""
-    threads: int | None = None
-    """That share the work; one for each core when absent. They change no result."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Threads that share the work; the number of cores when absent. They change no result."""
 
     def __call__(self) -> int:
         from nw_eval.twin.building.build import Build
 
-        Build(self.scene, settings_of(self, self.threads), _say).reconstruct()
+        Build(self.scene, settings_of(self, self.workers), _say).reconstruct()
         return 0
 
 
@@ -186,13 +186,13 @@ class TrainSplat(SplatFlags):
 
     scene: tyro.conf.Positional[Path]
     """The scene's folder."""
-    threads: int | None = None
-    """That share the work; one for each core when absent. They change no result."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Threads that share the work; the number of cores when absent. They change no result."""
 
     def __call__(self) -> int:
         from nw_eval.twin.building.build import Build
 
-        Build(self.scene, settings_of(self, self.threads), _say).splat()
+        Build(self.scene, settings_of(self, self.workers), _say).splat()
         return 0
 
 
@@ -225,14 +225,14 @@ class AblateSplat(SplatFlags):
 
     scene: tyro.conf.Positional[Path]
     """The scene's folder, with a mesh in its `build/`."""
-    threads: int | None = None
-    """That share the work; one for each core when absent. They change no result."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Threads that share the work; the number of cores when absent. They change no result."""
 
     def __call__(self) -> int:
         from nw_eval.twin.building.ablation import ablate, table_text, write_table
         from nw_eval.twin.building.folder import BuildFolder
 
-        settings = settings_of(self, self.threads)
+        settings = settings_of(self, self.workers)
         folder = BuildFolder(self.scene)
         outcomes = ablate(folder, settings.splat, _say, threads=settings.threads)
         print(table_text(outcomes))
@@ -293,25 +293,6 @@ class LabelScene:
             stop.wait()
         _say_label(_ending(labelling, is_saved=bool(saved)))
         return 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Twin:
-    """Turn photographs into a place that suites can name."""
-
-    action: (
-        Annotated[BuildTwin, tyro.conf.subcommand("build")]
-        | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
-        | Annotated[Reconstruct, tyro.conf.subcommand("reconstruct")]
-        | Annotated[Align, tyro.conf.subcommand("align")]
-        | Annotated[TrainSplat, tyro.conf.subcommand("splat")]
-        | Annotated[PlaceScene, tyro.conf.subcommand("place")]
-        | Annotated[AblateSplat, tyro.conf.subcommand("ablate")]
-        | Annotated[LabelScene, tyro.conf.subcommand("label")]
-    )
-
-    def __call__(self) -> int:
-        return self.action()
 
 
 def settings_of(flags: object, threads: int | None) -> BuildSettings:
