@@ -112,11 +112,10 @@ def _read(name: str, form: Any, arguments: list[str], examples: Sequence[str]) -
     if _HELP & set(arguments):
         print(verb_page(name, form, examples))
         raise SystemExit(0)
-    options = options_of(form)
-    arguments = _under_new_names(name, arguments, options)
+    arguments = _under_new_names(name, form, arguments)
 
     def refuse(event: Any) -> None:
-        raise _refusal(name, event, arguments, options)
+        raise _refusal(name, event, arguments, options_of(form))
 
     with _errors_to(refuse):
         verb = tyro.cli(
@@ -139,7 +138,7 @@ def _errors_to(refuse: Callable[[Any], None]) -> AbstractContextManager[None]:
         return nullcontext()
 
 
-def _under_new_names(name: str, arguments: Sequence[str], options: Sequence[Option]) -> list[str]:
+def _under_new_names(name: str, form: Any, arguments: Sequence[str]) -> list[str]:
     """Return the arguments with options by their names of today; each other one is told."""
     renamed, given = RENAMED_FLAGS.get(name, {}), list(arguments)
     for place, word in enumerate(given):
@@ -148,7 +147,9 @@ def _under_new_names(name: str, arguments: Sequence[str], options: Sequence[Opti
             _notice(flag, now)
             given[place] = f"{now}{equals}{value}"
     if name in OUT_WAS_POSITIONAL and "--out" not in {word.partition("=")[0] for word in given}:
-        taking = {flag for option in options if option.metavar for flag in option.flags}
+        from nw_eval.cli.verbs.help import options_of
+
+        taking = {flag for option in options_of(form) if option.metavar for flag in option.flags}
         places = [
             place
             for place, word in enumerate(given)

@@ -18,7 +18,7 @@ from nw_eval.cli.verbs.table import DOCS, OPTION_GROUPS, VERBS
 
 _COLUMN = 28
 """Where the words on an option begin, unless the terminal is narrow."""
-_MANY = 14
+_MANY = 10
 """Options that are listed under one title."""
 
 
@@ -58,6 +58,8 @@ def options_of(form: type) -> tuple[Option, ...]:
         words = " ".join((told.get(field.name) or getattr(conf, "help", None) or "").split())
         if field.default not in (MISSING, None, False, (), ""):
             words += f" (default: {field.default})"
+        if tyro.conf.UseAppendAction in marks and "again" not in words:
+            words += " (repeatable)"
         choices = tuple(map(str, get_args(kind))) if get_origin(kind) is Literal else ()
         found.append(Option(field.name, flags, metavar, choices, words.strip(), is_required))
     return tuple(found)

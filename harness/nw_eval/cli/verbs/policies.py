@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +10,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from nw_eval.clean import clean
+from nw_eval.cli.terminal.interruption import stopped_by_signals
 from nw_eval.cli.terminal.lines import aligned
 from nw_eval.cli.verbs.options import AllowCode, Checkpoint
 from nw_eval.plural import plural
@@ -160,10 +159,7 @@ class Serve:
     def __call__(self) -> int:
         from nw_eval import api
 
-        stop = threading.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            # Said outright: a shell starts its background jobs with SIGINT ignored.
-            signal.signal(number, lambda *_: stop.set())
+        stop = stopped_by_signals()
         with api.serve_policy(
             self.policy,
             checkpoint=self.checkpoint,

@@ -209,7 +209,10 @@ OPTION_GROUPS = {
         *("trials", "scenes", "seed", "panel", "shard", "resume", "all_rounds", "time_limit"),
         *("memory_limit", "collision", "render"),
     ),
-    "Comparison": ("baseline", "baseline_policy", "recheck"),
+    "Comparison": (
+        *("baseline", "baseline_policy", "baseline_trials", "recheck", "max_drop", "tolerate"),
+        "confidence",
+    ),
     "Machine": ("workers", "engine", "address", "in_process", "no_cache"),
     "Output": (
         *("out", "record", "ledger", "junit", "comment", "github", "no_github", "track"),
@@ -223,6 +226,7 @@ OPTION_GROUPS = {
     "Scale": ("tag_edge", "camera_height", "length", "metric"),
     "Elevation map": ("cell", "white", "black", "no_data"),
     "Gaussians": ("iterations", "gaussians", "longest", "held_out", "splat", "splat_transform"),
-    "Scene": ("name", "licence", "trail", "task"),
+    "Scene": ("trail", "task"),
+    "Name and licence": ("name", "note", "licence"),
 }
 """Titles under which `--help` lists the options of a verb that has many, by field."""

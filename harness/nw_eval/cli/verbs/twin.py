@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+
+from nw_eval.cli.terminal.interruption import stopped_by_signals
 
 if TYPE_CHECKING:
     from nw_eval.twin.building.build import BuildSettings
@@ -66,7 +66,10 @@ class AlignFlags:
     """Outer edge of the black border of the AprilTags (36h11) that lie about, m."""
     camera_height: float | None = None
     """Height at which the camera was held above the floor, the median, m."""
-    length: tyro.conf.UseAppendAction[tuple[tuple[str, str, float], ...]] = ()
+    length: Annotated[
+        tyro.conf.UseAppendAction[tuple[tuple[str, str, float], ...]],
+        tyro.conf.arg(metavar="POINT POINT METRES"),
+    ] = ()
     """A distance that you measured, between two points of photographs, m: IMG_1.jpg:412,310
     IMG_1.jpg:590,322 0.90. The pixel of one photograph is where it meets the mesh; that of two,
     IMG_1.jpg:412,310+IMG_2.jpg:97,305, is where their rays meet."""
@@ -84,7 +87,7 @@ class SplatFlags:
     """Gaussians, at most."""
     longest: int = 480
     """Longest side of the pictures that are learnt from, pixels."""
-    held_out: str = ""
+    held_out: Annotated[str, tyro.conf.arg(metavar="GLOB")] = ""
     """Photographs that are kept from training to compare with, such as 'low_*'; every eighth when
     absent. Of fewer than 16 photographs, one or two are until the figures are taken."""
 
@@ -279,10 +282,7 @@ class LabelScene:
         with LabelPage(
             labelling, None if splat is None else read_splat(splat), port=self.port, on_save=on_save
         ) as page:
-            stop = threading.Event()
-            for number in (signal.SIGINT, signal.SIGTERM):
-                # Said outright: a shell starts its background jobs with SIGINT ignored.
-                signal.signal(number, lambda *_: stop.set())
+            stop = stopped_by_signals()
             if not labelling.state.to_scale:
                 _say_label(f"{folder} is not to scale: {NEEDS_SCALE}")
             _say_label(f"{folder} is at {page.url}: open that in a browser; Ctrl-C ends it")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from nw_eval.cli.terminal.interruption import stopped_by_signals
 from nw_eval.cli.verbs.options import AllowCode, Checkpoint
 
 if TYPE_CHECKING:
@@ -84,10 +83,7 @@ class ViewTrials:
 
     def _serve(self, opened: AbstractContextManager[ServedPage], what: str) -> int:
         with opened as page:
-            stop = threading.Event()
-            for number in (signal.SIGINT, signal.SIGTERM):
-                # Said outright: a shell starts its background jobs with SIGINT ignored.
-                signal.signal(number, lambda *_: stop.set())
+            stop = stopped_by_signals()
             print(f"view: {what} is at {page.url}; Ctrl-C ends it", flush=True)
             if self.open:
                 from nw_eval.cli.terminal.last_words import show_address
