@@ -91,7 +91,7 @@ def test_five_policies_are_compared_over_the_scenes_that_they_met(banks, tmp_pat
 def test_two_policies_give_gaps_and_no_correlation(banks, tmp_path, capsys):
     real = csv(tmp_path, HEADING + "p0,hurdles/a,20,0.75\np4,hurdles/b,20,0.6\n")
     with pytest.raises(SystemExit) as left:
-        main(["agree", str(real), *map(str, banks)])
+        main(["sim2real", str(real), *map(str, banks)])
     assert not left.value.code
     printed = capsys.readouterr().out
     assert "nothing can be said of rank or correlation from 2 policies" in printed
@@ -102,7 +102,7 @@ def test_two_policies_give_gaps_and_no_correlation(banks, tmp_path, capsys):
 def test_the_terminal_has_the_figures_beside_a_perfect_simulators(banks, tmp_path, capsys):
     lines = "".join(f"p{k},hurdles/a,10,{x}\n" for k, x in enumerate((0.3, 0.2, 0.4, 0.9, 0.7)))
     with pytest.raises(SystemExit) as left:
-        main(["agree", str(csv(tmp_path, HEADING + lines)), *map(str, banks)])
+        main(["sim2real", str(csv(tmp_path, HEADING + lines)), *map(str, banks)])
     assert not left.value.code
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     (figure,) = [row for row in rows if row[:1] == ["MMRV"]]

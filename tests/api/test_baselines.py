@@ -123,7 +123,7 @@ def test_a_save_says_how_long_it_takes_and_after_ctrl_c_goes_on_with_the_same_co
     whole = saved.bank
     file.unlink()
     shutil.rmtree(work())
-    line = [sys.executable, "-m", "nw_eval", "baseline", "save", "quick.yaml", "--starts=30"]
+    line = [sys.executable, "-m", "nw_eval", "baseline", "save", "quick.yaml", "--trials=30"]
     line += ["--workers=1", "--no-cache", "--note=the first"]
     with subprocess.Popen(line, stderr=subprocess.PIPE, text=True, bufsize=1) as process:
         said = [process.stderr.readline()]
@@ -187,7 +187,7 @@ def test_a_run_that_is_not_whole_leaves_no_file():
 
 @pytest.mark.usefixtures("project")
 def test_a_run_on_another_class_of_machine_is_a_second_panel(capsys):
-    shown = printed(capsys, "save", "quick.yaml", "--from", str(run_of("there", cpu="haswell")))
+    shown = printed(capsys, "save", "quick.yaml", "--run", str(run_of("there", cpu="haswell")))
     assert "which has this class of machine now, too (2 panels): cpu haswell" in shown
     file = Path("reports/baselines/quick/stand.parquet")
     assert [panel.machine["cpu"] for panel in read_bank(file).panels][1] == "haswell"
@@ -199,11 +199,11 @@ def test_another_simulator_replaces_a_bank_only_when_asked_and_after_what_moved_
     run = str(run_of("newer", mujoco="4.9.9"))
     file = Path("reports/baselines/quick/stand.parquet")
     before = file.read_bytes()
-    shown = printed(capsys, "save", "quick.yaml", "--from", run, code=5)
+    shown = printed(capsys, "save", "quick.yaml", "--run", run, code=5)
     assert "simulator mujoco  4.0.0 -> 4.9.9" in shown
     assert "--renew replaces it" in shown
     assert file.read_bytes() == before
-    shown = printed(capsys, "save", "quick.yaml", "--from", run, "--renew", "--note", "new MuJoCo")
+    shown = printed(capsys, "save", "quick.yaml", "--run", run, "--renew", "--note", "new MuJoCo")
     assert "renewed reports/baselines/quick/stand.parquet" in shown
     assert read_bank(file).manifest.key.simulator["mujoco"] == "4.9.9"
     assert read_bank(file).manifest.note == "new MuJoCo"
@@ -241,7 +241,7 @@ def test_what_renews_a_bank_of_a_policy_outside_the_project_asks_where_it_lies(
     assert "renew it with `nw-eval baseline save quick.yaml --policy PATH --renew`" in shown
     with pytest.raises(IncomparableError) as caught:
         api.plan("quick.yaml", baseline="still", trials=3)
-    assert caught.value.fix.endswith("`nw-eval baseline save quick.yaml --policy PATH --starts 3`")
+    assert caught.value.fix.endswith("`nw-eval baseline save quick.yaml --policy PATH --trials 3`")
     with pytest.raises(IncomparableError) as caught:
         api.plan("quick.yaml", baseline="still", trials=2)
     assert caught.value.fix.endswith("save quick.yaml --policy PATH --renew`")
@@ -281,9 +281,9 @@ def test_two_banks_are_compared_scene_by_scene(capsys):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"from_run": "there", "starts": 3}, "--from and --starts: the run has decided that"),
+        ({"from_run": "there", "starts": 3}, "--run and --trials: the run has decided that"),
         ({"name": "a/b"}, "a baseline's name: 'a/b' is no name"),
-        ({"starts": 0}, "--starts 0; give at least 1"),
+        ({"starts": 0}, "--trials 0; give at least 1"),
         ({"from_run": "nowhere"}, "nowhere is not the folder of a run"),
     ],
 )

@@ -101,7 +101,7 @@ def test_blame_names_what_a_policy_lost_by(changed, suite, tmp_path, capsys, cha
     run = tmp_path / "run"
     nw_eval.run(suite, policy=str(worse), out=run, workers=1)
     with pytest.raises(SystemExit) as left:
-        main(["blame", str(run), "--baseline", "go1-parkour", "--cause", "-j", "1"])
+        main(["attribute", str(run), "--baseline", "go1-parkour", "--cause", "-j", "1"])
     assert left.value.code == 0
     assert f"\n{answer}: worse loses" in capsys.readouterr().out
     for page in ("report.md", "report.html"):

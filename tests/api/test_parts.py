@@ -117,7 +117,7 @@ def test_the_matrix_is_one_line_that_a_runner_reads(project, monkeypatch, capsys
     for words, why in (
         (["--json"], "--json without --shards"),
         (["--trials", "3"], "--trials without --shards"),
-        (["--shards", "2", "--png", "x.png"], "--png with --shards"),
+        (["--shards", "2", "--out", "x.png"], "--out with --shards"),
         (["--shards", "5"], "--shards 5: the run has 4 trials; give a number from 1 to 4"),
     ):
         with pytest.raises(SystemExit) as left:

@@ -177,12 +177,12 @@ def test_check_takes_the_letters_that_run_takes(capsys):
         with pytest.raises(SystemExit):
             cli.main([verb, "--help"])
         shown = capsys.readouterr().out
-        for word in ("-p STR", "-n INT", "-j INT", "--seed INT"):
+        for word in ("-p, --policy POLICY", "-n, --trials N", "-j, --workers N", "--seed N"):
             assert word in shown, (verb, word)
         assert "{None}" not in shown
     with pytest.raises(SystemExit):
         cli.main(["replay", "--help"])
-    assert "-p STR" in capsys.readouterr().out
+    assert "-p, --policy POLICY" in capsys.readouterr().out
 
 
 def test_what_is_no_log_and_no_run_is_a_usage_error(tmp_path, capsys):

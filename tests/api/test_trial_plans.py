@@ -273,7 +273,7 @@ def test_the_page_says_trials_minutes_and_the_curve(
 ) -> None:
     png = tmp_path / "curve.png"
     with pytest.raises(SystemExit) as left:
-        main(["plan", str(suite), "--run", str(run), "--detect", "0.4", "--png", str(png)])
+        main(["plan", str(suite), "--run", str(run), "--detect", "0.4", "--out", str(png)])
     assert left.value.code == 0
     page = capsys.readouterr().out
     assert "two: at most 40 trials in 2 scenes" in page

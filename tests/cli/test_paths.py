@@ -16,7 +16,8 @@ from pathlib import Path
 import pytest
 
 from nw_eval import cli
-from nw_eval.cli.verbs import _VERBS, _verb
+from nw_eval.cli.verbs import resolve
+from nw_eval.cli.verbs.table import VERBS
 
 FILES = {
     "run junit": "run {suite} --policy {missing} --junit {out}",
@@ -33,21 +34,21 @@ FILES = {
     "report reporter": "report {run} --reporter junit={out}",
     "report comment": "report {run} --comment {out}",
     "report out": "report {run} --out {out}",
-    "plan png": "plan {suite} --run {run} --detect 0.9 --png {out}",
+    "plan out": "plan {suite} --run {run} --detect 0.9 --out {out}",
     "compare out": "compare {run} {again} --out {out}",
     "compare picture": "compare {run} {again} --picture {out}",
     "replay picture": "replay {log} --picture {out}",
     "replay video": "replay {log} --video {out}.mp4",
     "replay out": "replay {log} --from 0.1 --policy stand --out {out}",
-    "blame out": "blame {run} --baseline stand --at-most 1 --workers 1 --out {out}.md",
+    "attribute out": "attribute {run} --baseline stand --trials 1 --workers 1 --out {out}.md",
     "policies init out": "policies init {onnx} --robot go1 --out {out}",
     "policies fold out": "policies fold {onnx} --out {out}",
     "robots check out": "robots check go1 --out {out}",
     "scenes show out": "scenes show flat/carpet_room --out {out}",
-    "scenes check suite": "scenes check flat/carpet_room --suite {out}",
+    "scenes check out": "scenes check flat/carpet_room --out {out}",
     "scenes render out": "scenes render flat/carpet_room --width 64 --out {out}",
     "sensors out": "sensors go1-parkour --scene flat/carpet_room --out {out}",
-    "splat convert out": "splat convert {splat} {out}.ply",
+    "splat convert out": "splat convert {splat} --out {out}.ply",
     "splat render out": "splat render {splat} --width 32 --height 18 --out {out}.png",
     "schema out": "schema suite --out {out}",
 }
@@ -67,11 +68,11 @@ FOLDERS = {
     "report site": "report {run} --site {out}",
     "sweep out": "sweep {suite} --axis friction=0.5,1 --out {out}",
     "bisect out": "bisect {suite} {onnx} --good {onnx} --bad {onnx} -p go1-parkour --out {out}",
-    "watch out": "watch {folder} --suite {suite} --card go1-parkour --once --out {out}",
-    "blame out": "blame {run} --baseline stand --cause --out {out}",
+    "watch out": "watch {folder} --suite {suite} --policy go1-parkour --once --out {out}",
+    "attribute out": "attribute {run} --baseline stand --cause --out {out}",
     "train teacher out": "train teacher teacher --out {out}",
     "train student out": "train student student-rgb-small --out {out}",
-    "train export out": "train export {folder} {out}",
+    "train export out": "train export {folder} --out {out}",
     "study single-scene out": "study single-scene --out {out}",
     "study multi-scene out": "study multi-scene --out {out}",
     "study observations out": "study observations --out {out}",
@@ -106,7 +107,7 @@ READ = {
     "baseline save suite": "baseline save {in}.yaml",
     "baseline save policy": "baseline save {suite} --policy {in}.yaml",
     "baseline save checkpoint": "baseline save {suite} --policy go1-parkour --checkpoint {in}",
-    "baseline save from_run": "baseline save {suite} --from {in}",
+    "baseline save run": "baseline save {suite} --run {in}",
     "baseline show baseline": "baseline show {in}.parquet",
     "baseline check baseline": "baseline check {in}.parquet",
     "baseline check policy": "baseline check {bank} --policy {in}.yaml",
@@ -126,37 +127,37 @@ READ = {
     "bisect good": "bisect {suite} {onnx} --good {in} --bad {onnx} --policy go1-parkour",
     "bisect bad": "bisect {suite} {onnx} --good {onnx} --bad {in} --policy go1-parkour",
     "bisect policy": "bisect {suite} {onnx} --good {onnx} --bad {onnx} --policy {in}.yaml",
-    "watch folder": "watch {in} --suite {suite} --card go1-parkour --once",
+    "watch folder": "watch {in} --suite {suite} --policy go1-parkour --once",
     "watch suite": "watch {folder} --suite {in}.yaml --once",
-    "watch card": "watch {folder} --suite {suite} --card {in}.yaml --once",
+    "watch policy": "watch {folder} --suite {suite} --policy {in}.yaml --once",
     "report runs": "report {in}",
     "compare runs": "compare {run} {in}",
     "sweep suite": "sweep {in}.yaml --axis friction=0.5,1",
     "sweep policy": "sweep {suite} --axis friction=0.5,1 --policy {in}.yaml",
-    "sweep against": "sweep {suite} --axis friction=0.5,1 --against {in}.yaml",
-    "agree real": "agree {in} {run}",
-    "agree runs": "agree {in} {in}",
+    "sweep baseline": "sweep {suite} --axis friction=0.5,1 --baseline {in}.yaml",
+    "sim2real real": "sim2real {in} {run}",
+    "sim2real runs": "sim2real {in} {in}",
     "replay log": "replay {in}.mcap",
     "scores log": "scores {in}.mcap",
     "replay policy": "replay {log} --policy {in}.yaml",
     "replay checkpoint": "replay {log} --policy go1-parkour --checkpoint {in}",
     "view source": "view {in}",
-    "view against": "view {run} --against {in}",
+    "view baseline": "view {run} --baseline {in}",
     "view policy": "view {log} --policy {in}.yaml",
     "view scene": "view go1-parkour --scene {place}",
     "view checkpoint": "view go1-parkour --checkpoint {in}",
     "verify run": "verify {in}",
     "verify policy": "verify {run} --policy {in}.yaml",
     "verify checkpoint": "verify {run} --checkpoint {in}",
-    "blame run": "blame {in} --baseline stand",
-    "blame baseline": "blame {run} --baseline {in}.yaml",
-    "blame policy": "blame {run} --baseline stand --policy {in}.yaml",
-    "blame checkpoint": "blame {run} --baseline go1-parkour --checkpoint {in}",
+    "attribute run": "attribute {in} --baseline stand",
+    "attribute baseline": "attribute {run} --baseline {in}.yaml",
+    "attribute policy": "attribute {run} --baseline stand --policy {in}.yaml",
+    "attribute checkpoint": "attribute {run} --baseline go1-parkour --checkpoint {in}",
     "train teacher config": "train teacher {in}.yaml",
     "train teacher resume": "train teacher --resume {in}",
     "train student config": "train student {in}.yaml",
     "train student resume": "train student --resume {in}",
-    "train export folder": "train export {in} {new}",
+    "train export folder": "train export {in} --out {new}",
     "study single-scene config": "study single-scene {in}.yaml",
     "study multi-scene config": "study multi-scene {in}.yaml",
     "study observations config": "study observations {in}.yaml",
@@ -186,7 +187,7 @@ READ = {
     "scenes list patterns": "scenes list {place}",
     "scenes show scene": "scenes show {place}",
     "scenes check scenes": "scenes check {place}",
-    "scenes check policy": "scenes check flat/carpet_room --suite {new}.yaml --policy {in}.yaml",
+    "scenes check policy": "scenes check flat/carpet_room --out {new}.yaml --policy {in}.yaml",
     "scenes render patterns": "scenes render {place} --out {new}",
     "scenes fetch file": "scenes fetch real:stairs --file {in}",
     "scenes import scan": "scenes import {in}.ply --out {new}",
@@ -199,7 +200,7 @@ READ = {
     "sensors policy": "sensors {in}.yaml --out {new}",
     "sensors scene": "sensors go1-parkour --scene {place} --out {new}",
     "splat info source": "splat info {in}.ply",
-    "splat convert source": "splat convert {in}.ply {new}.ply",
+    "splat convert source": "splat convert {in}.ply --out {new}.ply",
     "splat render source": "splat render {in}.ply --out {new}.png",
     "warmup scenes": "warmup {place}",
 }
@@ -208,7 +209,7 @@ READ = {
 WORDS = {
     "ledger head",
     *("scenes", "robot", "memory_limit", "shard", "address", "track", "json", "name", "note"),
-    *("axis", "trial", "sample", "share", "root", "layout", "host", "to", "takeover", "suite"),
+    *("axis", "trial", "trials", "root", "layout", "host", "to", "takeover", "suite"),
     *("score", "topic", "length"),
     *("licence", "held_out", "pattern", "floor", "trail"),
     *("policies fetch policy", "robots fetch robot", "scenes fetch scenes"),
@@ -216,29 +217,17 @@ WORDS = {
 """Options, or verbs and options, that are words and no paths."""
 
 
-def leaves(form, words):
-    hints = typing.get_type_hints(form, include_extras=True)
-    for part in ("action", "kind"):
-        if set(hints) == {part} or [field.name for field in fields(form)] == [part]:
-            for arm in typing.get_args(hints[part]):
-                if not hasattr(arm, "__metadata__"):
-                    continue
-                (name,) = (m.name for m in arm.__metadata__ if getattr(m, "name", None))
-                yield from leaves(typing.get_args(arm)[0], [*words, name])
-            if any(hasattr(arm, "__metadata__") for arm in typing.get_args(hints[part])):
-                return
-    yield " ".join(words), form, hints
-
-
 def paths():
     """Yield each verb's options that are text or a path."""
-    for verb in _VERBS:
-        for words, form, hints in leaves(_verb(verb), [verb]):
+    for verb, known in VERBS.items():
+        for part in known.parts or (None,):
+            form = resolve(verb, part)
+            hints = typing.get_type_hints(form, include_extras=True)
             for field in fields(form):
                 if "Literal" not in str(hints[field.name]) and any(
                     kind in parts(hints[field.name]) for kind in (str, Path)
                 ):
-                    yield f"{words} {field.name}"
+                    yield " ".join([verb, *filter(None, [part]), field.name])
 
 
 def parts(hint):
@@ -254,18 +243,18 @@ def test_every_path_of_every_verb_is_in_a_table():
     assert known - found == set(), "these are no options any more"
 
 
-ONCE = {"policies init out", "policies fold out", "scenes check suite"}
+ONCE = {"policies init out", "policies fold out", "scenes check out"}
 """What writes no file that is there already."""
 SLOW = {
-    *("plan png", "replay picture", "replay video", "replay out", "blame out", "run comment"),
-    *("scenes render out", "sensors out", "scenes check suite", "merge comment", "compare picture"),
+    *("plan out", "replay picture", "replay video", "replay out", "attribute out", "run comment"),
+    *("scenes render out", "sensors out", "scenes check out", "merge comment", "compare picture"),
     *(
         "robots check out",
         "train teacher out",
         "train student out",
         "bisect out",
         "twin label out",
-        "blame out",
+        "attribute out",
     ),
 }
 """Verbs of some seconds, which are tried at night."""

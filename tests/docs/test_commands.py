@@ -51,7 +51,7 @@ ENDS = MappingProxyType({"nw-eval run my-suite.yaml --out mine": 3})  # One tria
 
 NOT_RUN = MappingProxyType(
     {
-        "nw-eval watch logs/go2 --suite hurdles --card my-policy/policy.yaml": (
+        "nw-eval watch logs/go2 --suite hurdles --policy my-policy/policy.yaml": (
             "till Ctrl-C; tests/api/test_watching.py watches a training"
         ),
         "nw-eval bisect hurdles logs/go2 --policy my-policy/policy.yaml "
@@ -71,7 +71,7 @@ NOT_RUN = MappingProxyType(
             "on a cluster; tests/engine/ray does"
         ),
         "nw-eval sweep hurdles-state --axis friction=0.1..1.2:6 --axis payload=0..10:6 "
-        "--axis latency=0..0.12:7 --against go1-act-depth --trials 12 "
+        "--axis latency=0..0.12:7 --baseline go1-act-depth --trials 12 "
         "--scenes hurdles/one_low_carpet hurdles/two_brick_dusk": (
             "minutes; the page runs a smaller one"
         ),
@@ -141,7 +141,7 @@ NOT_RUN = MappingProxyType(
                 "nw-eval view go1-act-rgb",
                 "nw-eval view --policy go1-act-rgb --scene hurdles/two_logs_park",
                 (
-                    "nw-eval view my-run --against baseline-run "
+                    "nw-eval view my-run --baseline baseline-run "
                     "--trial hurdles-one_low_carpet-000 --at 1.5"
                 ),
                 "nw-eval view my-run/mcap/hurdles/one_low_carpet/hurdles-one_low_carpet-000.mcap",

@@ -45,7 +45,7 @@ def test_a_teacher_is_trained_resumed_and_taken_out_as_a_policy(
         "config.yaml", "curve.parquet", "curve.png", "policy", "state.pt",
     }  # fmt: skip
     assert run("train", "teacher", "--resume", folder) == 0
-    assert run("train", "export", folder, "policies/mine") == 0
+    assert run("train", "export", folder, "--out", "policies/mine") == 0
     assert load_bundle("mine").card.name == "mine"
     assert run("train", "teacher", config) == 2
     assert "holds a training already" in capsys.readouterr().err
@@ -87,7 +87,7 @@ def test_arguments_that_contradict_each_other_are_a_usage_error(config, tmp_path
     assert run("train", "teacher", config, "--resume", tmp_path) == 2
     assert run("train", "teacher", "--resume", tmp_path) == 2
     assert f"no training in {tmp_path}" in capsys.readouterr().err
-    assert run("train", "export", tmp_path, tmp_path / "policy") == 2
+    assert run("train", "export", tmp_path, "--out", tmp_path / "policy") == 2
 
 
 def test_the_shipped_config_trains_further_what_is_shipped_at_the_evaluations_own_time_step():

@@ -182,7 +182,7 @@ def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) 
     name, starts = against.info.name, against.bank.manifest.starts
     if rounds > starts:
         policy = request.baseline_policy or against.bank.manifest.policy.typed
-        words = (str(request.suite or suite.name), policy, "--starts", str(rounds))
+        words = (str(request.suite or suite.name), policy, "--trials", str(rounds))
         raise IncomparableError(
             f"baseline {name} has {plural(starts, 'start')} in each scene, and {rounds} trials of "
             "each draw more",

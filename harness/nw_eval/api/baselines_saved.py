@@ -91,13 +91,13 @@ def save_baseline(
     from nw_eval.suite import load_suite
 
     if starts is not None and starts < 1:
-        raise UsageError(f"--starts {starts}", fix="give at least 1")
+        raise UsageError(f"--trials {starts}", fix="give at least 1")
     place, run, rows = None, None, ()
     if from_run is None:
         place = here(suite, policy=policy, **changes)
         folder, own = place.plan.suite.name, place.policy.name
     else:
-        _check_decided({"policy": policy, "starts": starts, "workers": workers, **changes})
+        _check_decided({"policy": policy, "trials": starts, "workers": workers, **changes})
         folder = load_suite(suite).name
         run, rows = _finished_results(Path(from_run), folder)
         own = run.policy.name
@@ -131,7 +131,7 @@ def _check_decided(wanted: dict[str, Any]) -> None:
     """
     if decided := [option for option, value in wanted.items() if value]:
         raise UsageError(
-            f"--from and --{decided[0].replace('_', '-')}: the run has decided that",
+            f"--run and --{decided[0].replace('_', '-')}: the run has decided that",
             fix="drop one of them",
         )
 

@@ -94,7 +94,7 @@ def verify_baseline(
     if share is not None and trials is not None:
         raise UsageError("--share and --trials exclude each other", fix="drop one of them")
     sample = share or SHARE if trials is None else str(trials)
-    check_sample(sample, "--share" if trials is None else "--trials")
+    check_sample(sample)
     shown = show_baseline(baseline, suite=None if suite is None else load_suite(suite).name)
     bank, own = shown.bank, shown.bank.manifest.policy
     if policy is None and _is_here(own.card or own.name):

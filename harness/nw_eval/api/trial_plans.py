@@ -116,7 +116,7 @@ def plan_trials(
         if gate.success_rate is not None and (asked_for or not bank_files(resolved.suite.name)):
             if png is not None:
                 raise UsageError(
-                    "--png without a baseline: the curve is of drops against one",
+                    "--out without a baseline: the curve is of drops against one",
                     fix="name a baseline with --baseline, or a run of the suite with --run",
                 )
             return _of_bar(resolved, gate.success_rate)

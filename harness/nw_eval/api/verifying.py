@@ -196,7 +196,7 @@ def draw(trials: Collection[str], sample: str, seed: int) -> tuple[str, ...]:
     return tuple(sorted(ranked[:count]))
 
 
-def check_sample(sample: str, option: str = "--sample") -> None:
+def check_sample(sample: str, option: str = "--trials") -> None:
     """Refuse what is neither a share, such as `5%`, nor a number of trials.
 
     Args:

@@ -12,12 +12,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_DESCRIPTION = """May this policy checkpoint ship?
-
-Rolls a legged robot's checkpoint out in simulated places, synthetic ones that are built in or scans
-that you bring, scores the share of waypoints reached, and gives a verdict as an exit code: 0 PASS,
-or RAN where the suite has no bar, 1 REGRESSED, 2 usage or suite error, 3 INCONCLUSIVE, 4 errors
-left or trials missing, 5 not comparable, 130 interrupted."""
+_DESCRIPTION = """Says whether a checkpoint of a legged robot's policy may ship: runs it in
+simulated scenes, synthetic ones that are built in or scans of yours, measures
+what it does, and gives a verdict as an exit code."""
 
 
 def main(argv: Sequence[str] | None = None) -> None:

@@ -246,5 +246,5 @@ def read_cause_file(path: Path) -> Cause | None:
         return None
     except (OSError, ValidationError):
         raise StoreError(
-            f"{path} is damaged", fix="remove it, or run `nw-eval blame --cause` again"
+            f"{path} is damaged", fix="remove it, or run `nw-eval attribute --cause` again"
         ) from None

@@ -144,7 +144,7 @@ def _manifest(text: str | None, path: Path) -> Manifest:
     if text is None:
         raise IncomparableError(
             f"{path} is no baseline",
-            fix="save one from a run with `nw-eval baseline save SUITE --from RUN`",
+            fix="save one from a run with `nw-eval baseline save SUITE --run RUN`",
         )
     try:
         content = json.loads(text)

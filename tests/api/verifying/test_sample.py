@@ -21,7 +21,7 @@ def test_as_many_are_drawn_as_are_asked_for_at_least_one_and_each_once(sample, c
 
 @pytest.mark.parametrize("sample", ["", "0", "0%", "101%", "-1", "5%%", "many", "1e3", "٣"])
 def test_what_is_no_share_and_no_number_is_refused(sample):
-    with pytest.raises(UsageError, match="--sample"):
+    with pytest.raises(UsageError, match="--trials"):
         check_sample(sample)
 
 

@@ -574,7 +574,7 @@ def test_a_bank_needs_as_many_starts_as_rounds_and_says_how_many_to_save(
     ) as caught:
         compare([], drawn, few, GATE)
     assert caught.value.exit_code == 5
-    command = "nw-eval baseline save hurdles --policy go1-act-rgb --starts 20"
+    command = "nw-eval baseline save hurdles --policy go1-act-rgb --trials 20"
     assert command in str(caught.value)
     enough = make_against(make_bank(drawn, {"a": [1.0] * 20}))
     # The rule of three starts for each round is gone, for fresh starts too.

@@ -11,7 +11,7 @@ from onnx import numpy_helper
 
 from nw_eval import api
 from nw_eval.api.blaming import baseline_bundle
-from nw_eval.cli.verbs.blame import blame_page, forecast_line, trial_line, written
+from nw_eval.cli.verbs.attribute import blame_page, forecast_line, trial_line, written
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.replaying import blame as searching
@@ -98,7 +98,7 @@ def test_files_hold_every_try_and_the_page_a_table():
     )
     lost = api.BlamedTrial(trial="t-002", scene="t", report=None, fault="it is damaged")
     blames = api.Blames(run="r", plan=plan, trials=(blamed((0, True), (216, False)), lost))
-    assert "2 more are left out, --at-most 4" in forecast_line(plan)
+    assert "2 more are left out, --trials 4" in forecast_line(plan)
     assert "1 failed trial without a log" in forecast_line(plan)
     read = json.loads(written(blames, ".json"))
     assert [each["committed_s"] for each in read["trials"]] == [0.0, None]

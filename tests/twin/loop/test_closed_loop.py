@@ -10,7 +10,7 @@ def test_a_bar_built_from_twenty_small_photographs_is_walked_over_like_the_bar(t
     name = "hurdles/one_low_carpet"
     size = {"count": 20, "width": 480, "height": 270}
     cameras = photograph(name, tmp_path / "photographs", walk=round_the_first_obstacle, **size)
-    quick = ("--iterations", "120", "--longest", "240", "--gaussians", "20000", "--threads", "1")
+    quick = ("--iterations", "120", "--longest", "240", "--gaussians", "20000", "--workers", "1")
     build(tmp_path / "photographs", tmp_path / "twin", quick)
     teacher = ("go1-parkour",)
     found = compare(name, cameras, tmp_path / "twin", tmp_path, trials=3, policies=teacher)

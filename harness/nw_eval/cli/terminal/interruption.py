@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from contextlib import suppress
 from types import FrameType
 from typing import NoReturn
@@ -38,6 +39,15 @@ def leave_at_signals() -> None:
     """End at the first signal: while everything is still being imported, nothing can be lost."""
     for number in _SIGNALS:
         signal.signal(number, leave)
+
+
+def stopped_by_signals() -> threading.Event:
+    """Return what Ctrl-C and SIGTERM set from now on, for verbs that serve until then."""
+    stop = threading.Event()
+    for number in _SIGNALS:
+        # Said outright: a shell starts its background jobs with SIGINT ignored.
+        signal.signal(number, lambda *_: stop.set())
+    return stop
 
 
 def nothing_left_to_interrupt(code: int) -> None:

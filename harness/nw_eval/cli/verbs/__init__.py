@@ -1,51 +1,28 @@
-"""The verbs of the command line, and how arguments become one of them."""
+"""How arguments become one of the verbs of `table`, or their help."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import reduce
-from operator import or_
+from contextlib import AbstractContextManager, nullcontext
 from pkgutil import resolve_name
-from types import MappingProxyType
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 from nw_eval import __version__
-
-_VERBS = MappingProxyType(
-    {
-        "run": "Run",
-        "check": "Check",
-        "plan": "PlanTrials",
-        "suites": "Suites",
-        "baseline": "Baseline",
-        "gate": "GateRun",
-        "merge": "MergeRuns",
-        "ledger": "Ledger",
-        "bisect": "BisectSeries",
-        "watch": "Watch",
-        "report": "Report",
-        "compare": "Compare",
-        "sweep": "SweepAxes",
-        "agree": "Agree",
-        "replay": "Replay",
-        "scores": "Scores",
-        "view": "ViewTrials",
-        "verify": "Verify",
-        "blame": "Blame",
-        "train": "Train",
-        "study": "Study",
-        "twin": "Twin",
-        "policies": "Policies",
-        "scenes": "Scenes",
-        "robots": "Robots",
-        "sensors": "Sensors",
-        "splat": "Splat",
-        "schema": "Schema",
-        "cache": "CacheOfTrials",
-        "warmup": "Warmup",
-    }
+from nw_eval.cli.terminal.last_words import tell
+from nw_eval.cli.verbs.table import (
+    DOCS,
+    EXAMPLES,
+    EXIT_CODES,
+    GROUPS,
+    OUT_WAS_POSITIONAL,
+    RENAMED,
+    RENAMED_FLAGS,
+    VERBS,
 )
-"""The class of each of them, in the module of its name; in the order of the help text."""
+from nw_eval.errors import UsageError, nearest
+
+if TYPE_CHECKING:
+    from nw_eval.cli.verbs.help import Option
 
 _FENCELESS = ("--in", "--engine", "--allow", "--render")
 """Beginnings of options with which trials run elsewhere, or in processes that are not forked."""
@@ -56,22 +33,31 @@ def parse(arguments: Sequence[str], *, description: str) -> Callable[[], int]:
     """Return the verb that the arguments name; calling it returns its exit code.
 
     Raises:
-        SystemExit: help was asked for and printed (0), or the arguments are none (2).
+        SystemExit: help was asked for and printed (0), or no verb is named (2).
+        UsageError: the arguments are none that the verb takes.
     """
     if list(arguments) == ["--version"]:
         print(f"nw-eval {__version__}")
         raise SystemExit(0)
+    if not arguments or arguments[0] in _HELP or list(arguments) == ["help"]:
+        print(program_page(description))
+        raise SystemExit(0 if arguments else UsageError.exit_code)
     begin(arguments)
-    import tyro
-
-    # The other verbs take longer to import than many a verb takes to run.
-    if arguments and arguments[0] in _VERBS:
-        try:
-            return _parsed(_verb(arguments[0]), arguments[1:], console_outputs=False)
-        except SystemExit:
-            pass  # Help, or usage: all verbs say that, which know each other's options.
-    verbs = [Annotated[_verb(name), tyro.conf.subcommand(name)] for name in _VERBS]
-    return _parsed(reduce(or_, verbs), arguments, prog="nw-eval", description=description)
+    verb, *rest = arguments if arguments[0] != "help" else [*arguments[1:], "--help"]
+    if verb in RENAMED:
+        _notice(f"nw-eval {verb}", f"nw-eval {RENAMED[verb]}")
+        verb = RENAMED[verb]
+    if verb not in VERBS:
+        raise _unknown(f"nw-eval has no command {verb!r}", verb, VERBS, "nw-eval")
+    parts = VERBS[verb].parts
+    if not parts:
+        return _read(verb, resolve(verb), rest, VERBS[verb].examples)
+    if not rest or rest[0] in _HELP:
+        _family(verb, is_asked=bool(rest))
+    part, *rest = rest
+    if part not in parts:
+        raise _unknown(f"nw-eval {verb} has no command {part!r}", part, parts, f"nw-eval {verb}")
+    return _read(f"{verb} {part}", resolve(verb, part), rest, parts[part][1:])
 
 
 def begin(arguments: Sequence[str]) -> None:
@@ -88,22 +74,145 @@ def begin(arguments: Sequence[str]) -> None:
         prepare()
 
 
-def _verb(name: str) -> Any:
-    return resolve_name(f"{__name__}.{name}:{_VERBS[name]}")
+def resolve(verb: str, part: str | None = None) -> Any:
+    """Return the class of a verb, or of a verb of its family."""
+    form = VERBS[verb].form if part is None else VERBS[verb].parts[part][0]
+    return resolve_name(f"{__name__}.{verb}:{form}")
 
 
-def _parsed(form: Any, arguments: Sequence[str], **words: Any) -> Callable[[], int]:
+def program_page(description: str) -> str:
+    """Return what `nw-eval --help` prints."""
+    lines = ["usage: nw-eval COMMAND [options]", "", description, ""]
+    for title, verbs in GROUPS.items():
+        lines += [f"{title}:", *(f"  {name:<12}{verb.line}" for name, verb in verbs.items()), ""]
+    shown = [f"  {example}" for example in EXAMPLES]
+    more = "`nw-eval COMMAND --help` says more of one, `nw-eval --version` the version."
+    return "\n".join([*lines, "Examples:", *shown, "", EXIT_CODES, "", more, f"Docs: {DOCS}"])
+
+
+def _family(verb: str, *, is_asked: bool) -> NoReturn:
+    from nw_eval.cli.verbs.help import family_page
+
+    parts = VERBS[verb].parts
+    if not is_asked:
+        names = ", ".join(parts)
+        raise UsageError(f"nw-eval {verb}: no command", fix=f"give one of {names}")
+    lines = [(part, str(resolve(verb, part).__doc__).split("\n")[0]) for part in parts]
+    examples = [f"{verb} {part} {example}".rstrip() for part, (_, example) in parts.items()][:2]
+    print(family_page(verb, lines, examples))
+    raise SystemExit(0)
+
+
+def _read(name: str, form: Any, arguments: list[str], examples: Sequence[str]) -> Callable[[], int]:
+    """Return a verb of these arguments, or print its help."""
     import tyro
 
-    verb = tyro.cli(
-        form,
-        args=arguments,
-        config=(
-            tyro.conf.OmitSubcommandPrefixes,
-            tyro.conf.FlagCreatePairsOff,
-            tyro.conf.DisallowNone,  # Who wants none leaves the option out.
-            tyro.conf.PositionalMetavarFromFieldName,
-        ),
-        **words,
-    )
+    from nw_eval.cli.verbs.help import options_of, verb_page
+
+    if _HELP & set(arguments):
+        print(verb_page(name, form, examples))
+        raise SystemExit(0)
+    arguments = _under_new_names(name, form, arguments)
+
+    def refuse(event: Any) -> None:
+        raise _refusal(name, event, arguments, options_of(form))
+
+    with _errors_to(refuse):
+        verb = tyro.cli(
+            form,
+            args=arguments,
+            prog=f"nw-eval {name}",
+            config=(
+                tyro.conf.FlagCreatePairsOff,
+                tyro.conf.DisallowNone,  # Who wants none leaves the option out.
+            ),
+        )
     return cast("Callable[[], int]", verb)
+
+
+def _errors_to(refuse: Callable[[Any], None]) -> AbstractContextManager[None]:
+    """Let a function raise what is wrong with arguments, in place of tyro's page of it."""
+    try:  # No public part of tyro, whose own words come where it is gone.
+        return resolve_name("tyro._errors:on_parse_error")(refuse)
+    except (ImportError, AttributeError):
+        return nullcontext()
+
+
+def _under_new_names(name: str, form: Any, arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with options by their names of today; each other one is told."""
+    renamed, given = RENAMED_FLAGS.get(name, {}), list(arguments)
+    for place, word in enumerate(given):
+        flag, equals, value = word.partition("=")
+        if (now := renamed.get(flag.replace("_", "-"))) is not None:
+            _notice(flag, now)
+            given[place] = f"{now}{equals}{value}"
+    if name in OUT_WAS_POSITIONAL and "--out" not in {word.partition("=")[0] for word in given}:
+        from nw_eval.cli.verbs.help import options_of
+
+        taking = {flag for option in options_of(form) if option.metavar for flag in option.flags}
+        places = [
+            place
+            for place, word in enumerate(given)
+            if not word.startswith("-") and (place == 0 or given[place - 1] not in taking)
+        ]
+        if len(places) > 1:
+            _notice("OUT without an option", "--out OUT")
+            given.insert(places[1], "--out")
+    return given
+
+
+def _notice(then: str, now: str) -> None:
+    tell(f"notice: {then} is {now} now; the next release takes only that")
+
+
+def _unknown(what: str, word: str, known: Sequence[str] | Any, command: str) -> UsageError:
+    hint = nearest(word, known)
+    if not hint.startswith("did you mean"):
+        return UsageError(what, fix=f"`{command} --help` lists them")
+    return UsageError(what, fix=f"{hint.replace(chr(39), '')} (`{command} --help` lists them)")
+
+
+def _refusal(
+    name: str, event: Any, arguments: Sequence[str], options: Sequence[Option]
+) -> UsageError:
+    """Return why arguments are refused: the option, its value and what to give."""
+    kind, by_name = type(event).__name__, {option.name: option for option in options}
+    extra = getattr(event, "tokens", None) or getattr(event, "unrecognized_tokens", None) or []
+    flags = [flag for option in options for flag in option.flags]
+    marked = [word for word in extra if word[0:1] == "-"]
+    for word in [*marked, *(word for word in arguments if word[0:2] == "--" != word)]:
+        flag = word.partition("=")[0].replace("_", "-")
+        if flag not in flags:
+            known = [each for each in flags if each.startswith("--")]
+            return _unknown(f"nw-eval {name} has no option {flag}", flag, known, f"nw-eval {name}")
+    if extra:
+        takes = ", ".join(option.metavar for option in options if not option.flags) or "none"
+        fix = f"its arguments: {takes}"
+        return UsageError(f"nw-eval {name} takes no argument {extra[0]!r}", fix=fix)
+    if kind == "MissingArgs":
+        [option, *_] = (by_name[each.arg.field.intern_name] for each in event.missing_arguments)
+    elif getattr(event, "argument", None) is not None:
+        option = by_name[event.argument.field.intern_name]
+    else:
+        return UsageError(f"nw-eval {name}: {getattr(event, 'message', kind)}")
+    values = [event.value] if kind == "InvalidChoice" else _values(option, arguments)
+    flag = option.flags[-1] if option.flags else option.metavar
+    if not values and (kind == "MissingArgs" or not option.flags):
+        fix = option.help[:1].lower() + option.help[1:]
+        return UsageError(f"nw-eval {name}: {option.shown} is missing", fix=fix)
+    if not values:
+        return UsageError(f"{flag} has no value", fix=f"give {flag} {option.metavar}")
+    one_of = f"one of {', '.join(option.choices)}" if option.choices else option.metavar
+    fix = {"N": "a whole number", "X": "a number"}.get(option.metavar, one_of)
+    return UsageError(f"{flag} {' '.join(values)}", fix=f"give {fix}")
+
+
+def _values(option: Option, arguments: Sequence[str]) -> list[str]:
+    """Return what was given for an option."""
+    for place, word in enumerate(arguments):
+        flag, equals, value = word.partition("=")
+        if flag.replace("_", "-") in option.flags:
+            after = arguments[place + 1 : place + 2 + option.metavar.count(" ")]
+            stop = next((i for i, each in enumerate(after) if each.startswith("--")), len(after))
+            return [value] if equals else list(after[:stop])
+    return []

@@ -13,6 +13,7 @@ import tyro
 
 from nw_eval.clean import clean
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.options import AllowCode, Checkpoint, NoCache, Suite, Workers
 from nw_eval.plural import plural
 from nw_eval.words import Backend
 
@@ -38,19 +39,17 @@ class Save:
     what moved is shown (exit code 5 without it).
     """
 
-    suite: tyro.conf.Positional[str]
-    """A suite file, or the name of a shipped suite."""
+    suite: Suite
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """A shipped bundle's name, a bundle's folder, or a card; the suite's own when absent."""
-    checkpoint: Path | None = None
-    """Weights to use in place of those that the card names."""
-    starts: int | None = None
-    """Starts in each scene; as many as the baseline has, and 60 for a new one, when absent."""
+    checkpoint: Checkpoint = None
+    trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
+    """Trials in each scene; as many as the baseline has, and 60 for a new one, when absent."""
     name: str | None = None
     """The baseline's name; the policy's when absent."""
     note: str = ""
     """Why it is saved."""
-    from_run: Annotated[Path | None, tyro.conf.arg(name="from")] = None
+    run: Path | None = None
     """The folder of a finished run to save as a baseline; nothing is run."""
     renew: bool = False
     """Replace the baseline that is there, with its panels of all classes of machine."""
@@ -60,12 +59,9 @@ class Save:
     """Seconds of wall time after which a trial counts as hung."""
     memory_limit: str | None = None
     """Memory that a worker may hold with the processes that it started, such as 2GB or 1.5GiB."""
-    allow_code: bool = False
-    """Let the policy's card import Python code."""
-    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Worker processes; the number of cores when absent."""
-    no_cache: bool = False
-    """Run every trial, and keep no result for later runs."""
+    allow_code: AllowCode = False
+    workers: Workers = None
+    no_cache: NoCache = False
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -76,10 +72,10 @@ class Save:
             saved = api.save_baseline(
                 self.suite,
                 policy=self.policy,
-                starts=self.starts,
+                starts=self.trials,
                 name=self.name,
                 note=self.note,
-                from_run=self.from_run,
+                from_run=self.run,
                 renew=self.renew,
                 workers=self.workers,
                 cache=not self.no_cache,
@@ -134,12 +130,10 @@ class Check:
     """The suite's file, where its name does not find it."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """Where the baseline's policy lies, if not where the baseline says."""
-    checkpoint: Path | None = None
-    """Weights to use in place of those that the card names."""
+    checkpoint: Checkpoint = None
     render: Backend | None = None
     """The splat renderer; cpu when absent."""
-    allow_code: bool = False
-    """Let the policy's card import Python code."""
+    allow_code: AllowCode = False
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -166,24 +160,19 @@ class Verify:
 
     baseline: tyro.conf.Positional[str]
     """A name, suite/name, or a path."""
-    share: Annotated[str | None, tyro.conf.arg(metavar="N%")] = None
-    """Share of all its starts, at least one; 10% when absent."""
-    trials: int | None = None
-    """How many starts instead."""
+    trials: Annotated[str | None, tyro.conf.arg(aliases=["-n"], metavar="N%|N")] = None
+    """How many of all its starts, or which share, at least one; 10% when absent."""
     seed: int | None = None
     """Draw the starts of an earlier verification again, which printed this number."""
     suite: str | None = None
     """The suite's file, where its name does not find it."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """Where the baseline's policy lies, if not where the baseline says."""
-    checkpoint: Path | None = None
-    """Weights to use in place of those that the card names."""
+    checkpoint: Checkpoint = None
     render: Backend | None = None
     """The splat renderer; cpu when absent."""
-    allow_code: bool = False
-    """Let the policy's card import Python code."""
-    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Worker processes; the number of cores when absent."""
+    allow_code: AllowCode = False
+    workers: Workers = None
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -194,8 +183,7 @@ class Verify:
         with RunProgress() as progress:
             verified = api.verify_baseline(
                 self.baseline,
-                share=self.share,
-                trials=self.trials,
+                share=self.trials,
                 seed=self.seed,
                 suite=self.suite,
                 policy=self.policy,
@@ -228,23 +216,6 @@ class Diff:
 
         print(change_page(api.diff_baselines(self.then, self.now, suite=self.suite)))
         return 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Baseline:
-    """Save what a policy scores from every start; list, show, check, verify, compare baselines."""
-
-    action: (
-        Annotated[Save, tyro.conf.subcommand("save")]
-        | Annotated[List, tyro.conf.subcommand("list")]
-        | Annotated[Show, tyro.conf.subcommand("show")]
-        | Annotated[Check, tyro.conf.subcommand("check")]
-        | Annotated[Verify, tyro.conf.subcommand("verify")]
-        | Annotated[Diff, tyro.conf.subcommand("diff")]
-    )
-
-    def __call__(self) -> int:
-        return self.action()
 
 
 _NOTE = 60  # characters of a note in a table

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.options import AllowCode, NoCache, Scenes, Suite, Workers
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import bounds_header
 
@@ -31,8 +32,7 @@ class BisectSeries:
     decided.
     """
 
-    suite: tyro.conf.Positional[str]
-    """A suite file, or the name of a shipped suite."""
+    suite: Suite
     checkpoints: tyro.conf.Positional[tuple[str, ...]]
     """The series between the good and the bad one."""
     good: str
@@ -43,22 +43,18 @@ class BisectSeries:
     """Whose card the weights are for; the suite's own policy when absent."""
     everyone: bool = False
     """Judge every checkpoint: searching alone seldom sees that a series is not monotone."""
-    scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
-    """Only scenes that match one of these globs, or are of `split:train` or `split:eval`."""
+    scenes: Scenes = None
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
     """The most trials of each scene for each checkpoint, on average; `gate.rounds` of the suite
     when absent."""
-    starts: int | None = None
-    """Starts in each scene of a baseline that is saved; 60 when absent."""
-    allow_code: bool = False
-    """Let the policy's card import Python code."""
+    baseline_trials: int | None = None
+    """Trials in each scene of a baseline that is saved; 60 when absent."""
+    allow_code: AllowCode = False
     out: Path | None = None
     """The folder of the runs, in which an interrupted search goes on; `reports/bisect-<suite>`
     when absent."""
-    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Worker processes; the number of cores when absent."""
-    no_cache: bool = False
-    """Run every trial, and keep no result for later runs."""
+    workers: Workers = None
+    no_cache: NoCache = False
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -75,7 +71,7 @@ class BisectSeries:
                 everyone=self.everyone,
                 scenes=self.scenes,
                 trials=self.trials,
-                starts=self.starts,
+                starts=self.baseline_trials,
                 allow_code=self.allow_code,
                 out=self.out,
                 workers=self.workers,

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Annotated
-
-import tyro
+from typing import TYPE_CHECKING
 
 from nw_eval.clean import clean
 from nw_eval.plural import plural
@@ -57,20 +55,6 @@ class VerifyCache:
         checked = api.verify_cache()
         print(verified_line(checked))
         return StoreError.exit_code if checked.removed else 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class CacheOfTrials:
-    """Look into the results of earlier runs that a run takes over, prune or verify them."""
-
-    action: (
-        Annotated[ShowCache, tyro.conf.subcommand("info")]
-        | Annotated[PruneCache, tyro.conf.subcommand("prune")]
-        | Annotated[VerifyCache, tyro.conf.subcommand("verify")]
-    )
-
-    def __call__(self) -> int:
-        return self.action()
 
 
 _SHOWN = 20

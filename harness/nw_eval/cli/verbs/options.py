@@ -19,6 +19,32 @@ import tyro
 from nw_eval.errors import NwEvalError, UsageError
 from nw_eval.request import Request
 
+# One idea has one option, and one help, in all verbs that have it.
+Suite = tyro.conf.Positional[
+    Annotated[
+        str,
+        tyro.conf.arg(
+            help="A suite file, or the name of a shipped suite (`nw-eval suites` lists them)."
+        ),
+    ]
+]
+Workers = Annotated[
+    int | None,
+    tyro.conf.arg(aliases=["-j"], help="Worker processes; the number of cores when absent."),
+]
+Scenes = Annotated[
+    tuple[str, ...] | None,
+    tyro.conf.arg(
+        metavar="GLOB ...",
+        help="Only scenes that match one of these globs, or are of `split:train` or `split:eval`.",
+    ),
+]
+Checkpoint = Annotated[
+    Path | None, tyro.conf.arg(help="Weights to use in place of those that the card names.")
+]
+AllowCode = Annotated[bool, tyro.conf.arg(help="Let the policy's card import Python code.")]
+NoCache = Annotated[bool, tyro.conf.arg(help="Run every trial, and keep no result for later runs.")]
+
 if TYPE_CHECKING:
     from nw_eval.api import Published, RunReport, Surfaces
     from nw_eval.words import Tracker
@@ -31,7 +57,7 @@ class Options(Request):
     suite: tyro.conf.Positional[str | None] = None
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
-    scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
+    scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="GLOB ...")] = None
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
     """Worker processes; the number of cores when absent."""
 

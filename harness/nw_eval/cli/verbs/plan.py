@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.options import Scenes, Suite
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
@@ -30,8 +31,7 @@ class PlanTrials:
     which parts a run goes, each of which a machine of its own runs (`run --shard`).
     """
 
-    suite: tyro.conf.Positional[str]
-    """A suite file, or the name of a shipped suite (`nw-eval suites` lists them)."""
+    suite: Suite
     detect: float | None = None
     """Drop of mean success to detect; the suite's gate.max_drop when absent."""
     baseline: str | None = None
@@ -39,8 +39,8 @@ class PlanTrials:
     only one that there is of the suite."""
     run: Path | None = None
     """In place of a baseline, a run of the suite: its scores are taken for the baseline's."""
-    png: Path | None = None
-    """Draw the curve into this file."""
+    out: Path | None = None
+    """Draw the curve into this file: a PNG."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
     """Worker processes to estimate minutes with; the number of cores when absent."""
 
@@ -52,8 +52,7 @@ class PlanTrials:
     """With --shards: as for `run`, and so are the next two."""
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
     """Trials per scene, against a baseline at most."""
-    scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
-    """Only scenes that match one of these globs, or are of `split:train` or `split:eval`."""
+    scenes: Scenes = None
 
     def __call__(self) -> int:
         self._check()
@@ -68,7 +67,7 @@ class PlanTrials:
         from nw_eval.errors import UsageError
 
         of_parts = ("json", "policy", "trials", "scenes")
-        of_curve = ("detect", "run", "png")
+        of_curve = ("detect", "run", "out")
         for name in of_parts if self.shards is None else of_curve:
             if getattr(self, name) not in {None, False}:
                 without = "without" if self.shards is None else "with"
@@ -97,15 +96,15 @@ class PlanTrials:
             detect=self.detect,
             baseline=self.baseline,
             run=self.run,
-            png=self.png,
+            png=self.out,
             workers=self.workers,
         )
         if isinstance(planned, api.BarPlan):
             print(bar_plan_page(planned))
             return 0
         print(trial_plan_page(planned))
-        if self.png is not None:
-            print(f"drawn in {self.png}")
+        if self.out is not None:
+            print(f"drawn in {self.out}")
         return 0
 
 

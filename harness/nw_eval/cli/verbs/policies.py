@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import tyro
 
 from nw_eval.clean import clean
+from nw_eval.cli.terminal.interruption import stopped_by_signals
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.options import AllowCode, Checkpoint
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
@@ -46,10 +46,8 @@ class Show:
     """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
     robot: str | None = None
     """The folder of the robot that the card names; it is found by its name when absent."""
-    checkpoint: Path | None = None
-    """Weights to use in place of those that the card names."""
-    allow_code: bool = False
-    """Let the card import Python code."""
+    checkpoint: Checkpoint = None
+    allow_code: AllowCode = False
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -77,12 +75,10 @@ class Check:
     """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
     robot: str | None = None
     """The folder of the robot that the card names; it is found by its name when absent."""
-    checkpoint: Path | None = None
-    """Weights to use in place of those that the card names."""
+    checkpoint: Checkpoint = None
     scene: str | None = None
     """Where; a flat room when absent."""
-    allow_code: bool = False
-    """Let the card import Python code."""
+    allow_code: AllowCode = False
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -153,22 +149,17 @@ class Serve:
 
     policy: tyro.conf.Positional[str]
     """A shipped bundle's name, a bundle's folder, a card, or hub:org/name."""
-    checkpoint: Path | None = None
-    """Weights to use in place of those that the card names."""
+    checkpoint: Checkpoint = None
     host: str = "127.0.0.1"
     """Address to listen on; whoever reaches it can use the policy."""
     port: int = 8765
     """Port to listen on; 0 chooses a free one."""
-    allow_code: bool = False
-    """Let the card import Python code."""
+    allow_code: AllowCode = False
 
     def __call__(self) -> int:
         from nw_eval import api
 
-        stop = threading.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            # Said outright: a shell starts its background jobs with SIGINT ignored.
-            signal.signal(number, lambda *_: stop.set())
+        stop = stopped_by_signals()
         with api.serve_policy(
             self.policy,
             checkpoint=self.checkpoint,
@@ -200,24 +191,6 @@ class FetchPolicy:
 
         print(fetched_lines(api.fetch_policy(self.policy)))
         return 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Policies:
-    """List policies, show and check their cards, draft, fold, serve or fetch one."""
-
-    action: (
-        Annotated[List, tyro.conf.subcommand("list")]
-        | Annotated[Show, tyro.conf.subcommand("show")]
-        | Annotated[Check, tyro.conf.subcommand("check")]
-        | Annotated[Init, tyro.conf.subcommand("init")]
-        | Annotated[Fold, tyro.conf.subcommand("fold")]
-        | Annotated[Serve, tyro.conf.subcommand("serve")]
-        | Annotated[FetchPolicy, tyro.conf.subcommand("fetch")]
-    )
-
-    def __call__(self) -> int:
-        return self.action()
 
 
 def policy_table(policies: Sequence[ListedPolicy]) -> str:

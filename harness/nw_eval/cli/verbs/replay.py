@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from nw_eval.clean import clean
+from nw_eval.cli.verbs.options import AllowCode, Checkpoint
 from nw_eval.plural import plural
 from nw_eval.words import Viewer
 
@@ -32,8 +33,7 @@ class Replay:
     """A trial's MCAP file."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """The bundle that made it, when it has moved since; with --from, the one that takes over."""
-    checkpoint: Path | None = None
-    """Weights to use in place of those that the card names."""
+    checkpoint: Checkpoint = None
     start: float = 0.0
     """Restore the last recorded state at or before this second, instead of the beginning."""
     takeover: Annotated[float | None, tyro.conf.arg(name="from", metavar="FLOAT")] = None
@@ -51,8 +51,7 @@ class Replay:
     the new trial goes, an .mcap that can be replayed."""
     rrd: Path | None = None
     """Write the log as a recording of Rerun, an .rrd (needs nw-eval[rerun])."""
-    allow_code: bool = False
-    """Let `python:` adapters import code."""
+    allow_code: AllowCode = False
 
     def __call__(self) -> int:
         if self.takeover is not None:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import tyro
 
@@ -112,22 +112,6 @@ class Fetch:
 
         print(fetched_lines(api.fetch_robot(self.robot)))
         return 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Robots:
-    """List the robots that suites can name, show, check or fetch one, draft one from a model."""
-
-    action: (
-        Annotated[List, tyro.conf.subcommand("list")]
-        | Annotated[Show, tyro.conf.subcommand("show")]
-        | Annotated[Init, tyro.conf.subcommand("init")]
-        | Annotated[Check, tyro.conf.subcommand("check")]
-        | Annotated[Fetch, tyro.conf.subcommand("fetch")]
-    )
-
-    def __call__(self) -> int:
-        return self.action()
 
 
 def robot_table(robots: Sequence[ListedRobot]) -> str:

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
@@ -66,23 +66,23 @@ class Check:
     """Built-in names, scene folders, neverwhere:<folder or published name>, or hub:org/name."""
     robot: str = "go1"
     """Whose feet, camera and length count."""
-    suite: Path | None = None
+    out: Path | None = None
     """Write a suite of them to this file, ready to run, unless something is wrong."""
     policy: str | None = None
-    """With --suite: the policy of the suite. One that nw-eval has a card of when absent."""
+    """With --out: the policy of the suite. One that nw-eval has a card of when absent."""
 
     def __call__(self) -> int:
         from nw_eval import api
         from nw_eval.errors import SceneError
 
         checked = api.check_scenes(
-            self.scenes, robot=self.robot, suite=self.suite, policy=self.policy
+            self.scenes, robot=self.robot, suite=self.out, policy=self.policy
         )
         print(findings_text(checked))
         if any(scene.has_errors for scene in checked):
             return SceneError.exit_code
-        if self.suite is not None:
-            print(f"ready: nw-eval run {shlex.quote(str(self.suite))}")
+        if self.out is not None:
+            print(f"ready: nw-eval run {shlex.quote(str(self.out))}")
         return 0
 
 
@@ -264,25 +264,6 @@ class LevelScene:
         )
         print(scan_lines(written))
         return 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Scenes:
-    """List the places that suites can name, show, check or draw them; import, fetch, push them."""
-
-    action: (
-        Annotated[List, tyro.conf.subcommand("list")]
-        | Annotated[Show, tyro.conf.subcommand("show")]
-        | Annotated[Check, tyro.conf.subcommand("check")]
-        | Annotated[Render, tyro.conf.subcommand("render")]
-        | Annotated[ImportScan, tyro.conf.subcommand("import")]
-        | Annotated[LevelScene, tyro.conf.subcommand("level")]
-        | Annotated[FetchScenes, tyro.conf.subcommand("fetch")]
-        | Annotated[PushScene, tyro.conf.subcommand("push")]
-    )
-
-    def __call__(self) -> int:
-        return self.action()
 
 
 def scene_table(scenes: Sequence[ListedScene]) -> str:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from nw_eval.cli.verbs.options import AllowCode
+
 if TYPE_CHECKING:
     from nw_eval.api import ListedSensor
     from nw_eval.sensors.gallery import SeenCard, SeenObservation
@@ -24,8 +26,7 @@ class Sensors:
     """Where to look: a scene's name or folder."""
     out: Path = Path("sensors.png")
     """The PNG to write."""
-    allow_code: bool = False
-    """Let the card import code of its own."""
+    allow_code: AllowCode = False
     names: Annotated[bool, tyro.conf.arg(name="list")] = False
     """List sensors and wrappers, plug-ins included, and draw nothing."""
 

@@ -38,7 +38,7 @@ class Convert:
 
     source: tyro.conf.Positional[str]
     """A file of Gaussians, or the name of a built-in scene, which comes in world metres."""
-    out: tyro.conf.Positional[Path]
+    out: Path
     """What to write; its suffix says the format."""
 
     def __call__(self) -> int:
@@ -92,20 +92,6 @@ class Render:
         )
         print(picture)
         return 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Splat:
-    """Look into files of Gaussians, convert them, and draw them."""
-
-    action: (
-        Annotated[Info, tyro.conf.subcommand("info")]
-        | Annotated[Convert, tyro.conf.subcommand("convert")]
-        | Annotated[Render, tyro.conf.subcommand("render")]
-    )
-
-    def __call__(self) -> int:
-        return self.action()
 
 
 _BAR = 40

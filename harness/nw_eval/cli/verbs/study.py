@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import tyro
+
+from nw_eval.cli.verbs.options import Workers
 
 if TYPE_CHECKING:
     from nw_eval.learn.studies.kinds import Kind
@@ -23,8 +25,7 @@ class _Options:
     """The study's folder; `runs/<name>` when absent."""
     resume: Path | None = None
     """The folder of a study to go on with: what is trained and evaluated there is kept."""
-    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Worker processes; the number of cores when absent."""
+    workers: Workers = None
 
     def carry_out(self, kind: Kind) -> int:
         """Begin the study or go on with it, and say where its figure is."""
@@ -79,20 +80,3 @@ class ObservationsStudy(_Options):
         from nw_eval.learn.studies.kinds import Observations
 
         return self.carry_out(Observations())
-
-
-@dataclass(frozen=True, kw_only=True)
-class Study:
-    """Train students of several kinds, evaluate them, and draw what came of it.
-
-    Figure and tables are written after each evaluation, so one can look while it goes on.
-    """
-
-    kind: (
-        Annotated[SingleSceneStudy, tyro.conf.subcommand("single-scene")]
-        | Annotated[MultiSceneStudy, tyro.conf.subcommand("multi-scene")]
-        | Annotated[ObservationsStudy, tyro.conf.subcommand("observations")]
-    )
-
-    def __call__(self) -> int:
-        return self.kind()

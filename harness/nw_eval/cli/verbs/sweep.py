@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.options import AllowCode, NoCache, Scenes, Suite, Workers
 from nw_eval.request import Request
 
 if TYPE_CHECKING:
@@ -24,32 +25,27 @@ class SweepAxes:
     few to show even a fall to none, it says how many are needed.
     """
 
-    suite: tyro.conf.Positional[str]
-    """A suite file, or the name of a shipped suite."""
+    suite: Suite
     axis: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Axis and values: friction=0.3..1.2 (7 values), payload=0..6:4, push=0,0.5,1. May be given
     again for other axes."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """A shipped bundle's name, a bundle's folder, a card, or hub:org/name[@revision]; the suite's
     own when absent."""
-    against: str | None = None
+    baseline: str | None = None
     """Another policy, on the same trials and in the same picture."""
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
     """Trials of each value in each scene; the suite's own number when absent."""
-    scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
-    """Only scenes that match one of these globs."""
+    scenes: Scenes = None
     seed: int | None = None
     """Another panel of starts than the suite's own."""
     out: Path | None = None
     """A new folder; `reports/<suite>-sweep-<number>` when absent."""
-    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Worker processes; the number of cores when absent."""
+    workers: Workers = None
     confidence: float = 0.95
     """Of each interval alone, and of all comparisons along one curve together."""
-    no_cache: bool = False
-    """Run every trial, also those that an earlier run has results of."""
-    allow_code: bool = False
-    """Let the policy's own Python code run."""
+    no_cache: NoCache = False
+    allow_code: AllowCode = False
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -70,7 +66,7 @@ class SweepAxes:
                 request,
                 self.axis,
                 out=self.out,
-                against=self.against,
+                against=self.baseline,
                 workers=self.workers,
                 cache=not self.no_cache,
                 confidence=self.confidence,

@@ -76,7 +76,7 @@ class Student(Program):
     images frozen to the mean of those that it learnt from.
     """
 
-    workers: int | None = None
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
     """Processes that drive trajectories; one for each core when absent."""
 
     def _train(self, config: Path, out: Path) -> Trained:
@@ -100,7 +100,7 @@ class Export:
 
     folder: tyro.conf.Positional[Path]
     """Of the training."""
-    out: tyro.conf.Positional[Path]
+    out: Path
     """The policy's folder, such as policies/mine."""
     checkpoint: int | None = None
     """Number of a kept checkpoint; the newest state when absent."""
@@ -110,20 +110,6 @@ class Export:
 
         print(clean(f"{export_checkpoint(self.folder, self.checkpoint, self.out)} -> {self.out}"))
         return 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Train:
-    """Train a policy, or take one out of a training."""
-
-    action: (
-        Annotated[Teacher, tyro.conf.subcommand("teacher")]
-        | Annotated[Student, tyro.conf.subcommand("student")]
-        | Annotated[Export, tyro.conf.subcommand("export")]
-    )
-
-    def __call__(self) -> int:
-        return self.action()
 
 
 def end_of_training(trained: Trained) -> int:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
+
+from nw_eval.cli.terminal.interruption import stopped_by_signals
 
 if TYPE_CHECKING:
     from nw_eval.twin.building.build import BuildSettings
@@ -66,7 +66,10 @@ class AlignFlags:
     """Outer edge of the black border of the AprilTags (36h11) that lie about, m."""
     camera_height: float | None = None
     """Height at which the camera was held above the floor, the median, m."""
-    length: tyro.conf.UseAppendAction[tuple[tuple[str, str, float], ...]] = ()
+    length: Annotated[
+        tyro.conf.UseAppendAction[tuple[tuple[str, str, float], ...]],
+        tyro.conf.arg(metavar="POINT POINT METRES"),
+    ] = ()
     """A distance that you measured, between two points of photographs, m: IMG_1.jpg:412,310
     IMG_1.jpg:590,322 0.90. The pixel of one photograph is where it meets the mesh; that of two,
     IMG_1.jpg:412,310+IMG_2.jpg:97,305, is where their rays meet."""
@@ -84,7 +87,7 @@ class SplatFlags:
     """Gaussians, at most."""
     longest: int = 480
     """Longest side of the pictures that are learnt from, pixels."""
-    held_out: str = ""
+    held_out: Annotated[str, tyro.conf.arg(metavar="GLOB")] = ""
     """Photographs that are kept from training to compare with, such as 'low_*'; every eighth when
     absent. Of fewer than 16 photographs, one or two are until the figures are taken."""
 
@@ -120,14 +123,14 @@ class BuildTwin(AllFlags):
     """The folder, or the video."""
     out: Path
     """The scene's folder; work in progress lies in its `build/`."""
-    threads: int | None = None
-    """That share the work; one for each core when absent. They change no result."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Threads that share the work; the number of cores when absent. They change no result."""
 
     def __call__(self) -> int:
         from nw_eval.errors import SceneError
         from nw_eval.twin.building.build import Build
 
-        build = Build(self.out, settings_of(self, self.threads), _say)
+        build = Build(self.out, settings_of(self, self.workers), _say)
         return 0 if build.whole(self.photographs) else SceneError.exit_code
 
 
@@ -140,13 +143,13 @@ class Calibrate(CalibrateFlags):
     another app of docs/twins.md."""
     out: Path
     """The scene's folder."""
-    threads: int | None = None
-    """That share the work; one for each core when absent. They change no result."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Threads that share the work; the number of cores when absent. They change no result."""
 
     def __call__(self) -> int:
         from nw_eval.twin.building.build import Build
 
-        Build(self.out, settings_of(self, self.threads), _say).calibrate(self.photographs)
+        Build(self.out, settings_of(self, self.workers), _say).calibrate(self.photographs)
         return 0
 
 
@@ -156,13 +159,13 @@ class Reconstruct(ReconstructFlags):
 
     scene: tyro.conf.Positional[Path]
     """The scene's folder."""
-    threads: int | None = None
-    """That share the work; one for each core when absent. They change no result."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Threads that share the work; the number of cores when absent. They change no result."""
 
     def __call__(self) -> int:
         from nw_eval.twin.building.build import Build
 
-        Build(self.scene, settings_of(self, self.threads), _say).reconstruct()
+        Build(self.scene, settings_of(self, self.workers), _say).reconstruct()
         return 0
 
 
@@ -186,13 +189,13 @@ class TrainSplat(SplatFlags):
 
     scene: tyro.conf.Positional[Path]
     """The scene's folder."""
-    threads: int | None = None
-    """That share the work; one for each core when absent. They change no result."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Threads that share the work; the number of cores when absent. They change no result."""
 
     def __call__(self) -> int:
         from nw_eval.twin.building.build import Build
 
-        Build(self.scene, settings_of(self, self.threads), _say).splat()
+        Build(self.scene, settings_of(self, self.workers), _say).splat()
         return 0
 
 
@@ -225,14 +228,14 @@ class AblateSplat(SplatFlags):
 
     scene: tyro.conf.Positional[Path]
     """The scene's folder, with a mesh in its `build/`."""
-    threads: int | None = None
-    """That share the work; one for each core when absent. They change no result."""
+    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
+    """Threads that share the work; the number of cores when absent. They change no result."""
 
     def __call__(self) -> int:
         from nw_eval.twin.building.ablation import ablate, table_text, write_table
         from nw_eval.twin.building.folder import BuildFolder
 
-        settings = settings_of(self, self.threads)
+        settings = settings_of(self, self.workers)
         folder = BuildFolder(self.scene)
         outcomes = ablate(folder, settings.splat, _say, threads=settings.threads)
         print(table_text(outcomes))
@@ -279,10 +282,7 @@ class LabelScene:
         with LabelPage(
             labelling, None if splat is None else read_splat(splat), port=self.port, on_save=on_save
         ) as page:
-            stop = threading.Event()
-            for number in (signal.SIGINT, signal.SIGTERM):
-                # Said outright: a shell starts its background jobs with SIGINT ignored.
-                signal.signal(number, lambda *_: stop.set())
+            stop = stopped_by_signals()
             if not labelling.state.to_scale:
                 _say_label(f"{folder} is not to scale: {NEEDS_SCALE}")
             _say_label(f"{folder} is at {page.url}: open that in a browser; Ctrl-C ends it")
@@ -293,25 +293,6 @@ class LabelScene:
             stop.wait()
         _say_label(_ending(labelling, is_saved=bool(saved)))
         return 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Twin:
-    """Turn photographs into a place that suites can name."""
-
-    action: (
-        Annotated[BuildTwin, tyro.conf.subcommand("build")]
-        | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
-        | Annotated[Reconstruct, tyro.conf.subcommand("reconstruct")]
-        | Annotated[Align, tyro.conf.subcommand("align")]
-        | Annotated[TrainSplat, tyro.conf.subcommand("splat")]
-        | Annotated[PlaceScene, tyro.conf.subcommand("place")]
-        | Annotated[AblateSplat, tyro.conf.subcommand("ablate")]
-        | Annotated[LabelScene, tyro.conf.subcommand("label")]
-    )
-
-    def __call__(self) -> int:
-        return self.action()
 
 
 def settings_of(flags: object, threads: int | None) -> BuildSettings:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from nw_eval.clean import clean
+from nw_eval.cli.verbs.options import AllowCode, Workers
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ class Verify:
     """The folder of a run."""
     offline: bool = False
     """Look at its files only, and run nothing."""
-    sample: Annotated[str | None, tyro.conf.arg(metavar="N%|N")] = None
+    trials: Annotated[str | None, tyro.conf.arg(aliases=["-n"], metavar="N%|N")] = None
     """Run again so many of the trials that have a result, at least one; 5% when absent."""
     seed: int | None = None
     """Draw the trials of an earlier verification again, which printed this number."""
@@ -40,10 +41,8 @@ class Verify:
     """The bundle that made it, when it has moved since."""
     checkpoint: Path | None = None
     """The weights that were used in place of the card's, when they have moved since."""
-    allow_code: bool = False
-    """Let the policy's card import Python code."""
-    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Worker processes; the number of cores when absent."""
+    allow_code: AllowCode = False
+    workers: Workers = None
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -57,7 +56,7 @@ class Verify:
             verified = api.verify(
                 self.run,
                 offline=self.offline,
-                sample=SAMPLE if self.sample is None else self.sample,
+                sample=SAMPLE if self.trials is None else self.trials,
                 seed=self.seed,
                 root=self.root,
                 policy=self.policy,
@@ -75,7 +74,7 @@ class Verify:
     def _check(self) -> None:
         from nw_eval.errors import UsageError
 
-        run = {"--sample": self.sample, "--seed": self.seed, "--policy": self.policy}
+        run = {"--trials": self.trials, "--seed": self.seed, "--policy": self.policy}
         used = [option for option, value in run.items() if value is not None]
         if self.offline and used:
             raise UsageError(

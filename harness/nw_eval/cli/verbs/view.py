@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tyro
+
+from nw_eval.cli.terminal.interruption import stopped_by_signals
+from nw_eval.cli.verbs.options import AllowCode, Checkpoint
 
 if TYPE_CHECKING:
     from nw_eval.view.served import ServedPage
@@ -29,7 +30,7 @@ class ViewTrials:
 
     source: tyro.conf.Positional[str | None] = None
     """A trial's log, a run's folder, a place or a policy. Without it, --policy and --scene."""
-    against: Path | None = None
+    baseline: Path | None = None
     """Another log, or another run's folder: its trials of the same names walk along as ghosts."""
     trial: str = ""
     """Trial of a run that is shown first, by its name in the report."""
@@ -39,10 +40,8 @@ class ViewTrials:
     """Policy that is played with; go1-parkour if only a place is named."""
     scene: str | None = None
     """Place in which it runs; hurdles/one_low_carpet if only a policy is named."""
-    checkpoint: Path | None = None
-    """Weights to use in place of those that the policy's card names."""
-    allow_code: bool = False
-    """Let the policy run Python code of its own."""
+    checkpoint: Checkpoint = None
+    allow_code: AllowCode = False
     port: int | None = None
     """Port to listen at, on this machine's own address only; 0 chooses a free one. Without it:
     8720, where the links of reports lead, or a free one if that is in use."""
@@ -74,7 +73,7 @@ class ViewTrials:
         from nw_eval.view.trials_page import ViewPage
 
         assert self.source is not None, "it was found to be a log"
-        shelf = open_shelf(Path(self.source), self.against)
+        shelf = open_shelf(Path(self.source), self.baseline)
         if self.trial not in {"", *shelf.logs}:
             raise UsageError(
                 f"there is no log of trial {self.trial!r} at {self.source}",
@@ -84,10 +83,7 @@ class ViewTrials:
 
     def _serve(self, opened: AbstractContextManager[ServedPage], what: str) -> int:
         with opened as page:
-            stop = threading.Event()
-            for number in (signal.SIGINT, signal.SIGTERM):
-                # Said outright: a shell starts its background jobs with SIGINT ignored.
-                signal.signal(number, lambda *_: stop.set())
+            stop = stopped_by_signals()
             print(f"view: {what} is at {page.url}; Ctrl-C ends it", flush=True)
             if self.open:
                 from nw_eval.cli.terminal.last_words import show_address

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, cast
 
 import tyro
 
+from nw_eval.cli.verbs.options import AllowCode, NoCache, Scenes, Workers
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ class Watch:
     their name, or in their folder's: `model_1500.pt`."""
     suite: str
     """A suite file, or the name of a shipped suite."""
-    card: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
+    policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """Whose card the weights are for: a bundle's name or folder, or a card; the suite's own policy
     when absent."""
     pattern: str = "*"
@@ -44,22 +45,18 @@ class Watch:
     """End when for so many seconds no new one has appeared; Ctrl-C ends it when absent."""
     interval: float = 5.0
     """Seconds between two looks. A file is taken when two looks find it unchanged."""
-    scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[GLOB [GLOB ...]]")] = None
-    """Only scenes that match one of these globs, or are of `split:train` or `split:eval`."""
+    scenes: Scenes = None
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
     """Trials per scene of each checkpoint; the suite's own number when absent."""
-    allow_code: bool = False
-    """Let the policy's card import Python code."""
+    allow_code: AllowCode = False
     track: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="TRACKER[,TRACKER]")
     ] = ()
     """Show scores by training step in a tracker: wandb, mlflow, tensorboard."""
     out: Path | None = None
     """The folder of runs, table and page; `reports/watch-<suite>-<folder>` when absent."""
-    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Worker processes; the number of cores when absent."""
-    no_cache: bool = False
-    """Run every trial, and keep no result for later runs."""
+    workers: Workers = None
+    no_cache: NoCache = False
 
     def __call__(self) -> int:
         from nw_eval import api
@@ -72,7 +69,7 @@ class Watch:
             watched = api.watch(
                 self.folder,
                 suite=self.suite,
-                card=self.card,
+                card=self.policy,
                 pattern=self.pattern,
                 every=self.every,
                 once=self.once,

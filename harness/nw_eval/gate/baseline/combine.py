@@ -94,7 +94,7 @@ def _mend(run: RunInfo, against: Against) -> str:
     suite, manifest = _as_asked(run)[0], against.bank.manifest
     file = quote(f"{manifest.suite}/{manifest.name}")
     return (
-        f"`nw-eval baseline verify {file} --share 100%` names each row that differs, "
+        f"`nw-eval baseline verify {file} --trials 100%` names each row that differs, "
         f"`nw-eval baseline save {quote(suite)} --policy {quote(manifest.policy.name)} "
         f"--name {quote(manifest.name)} --renew` saves it again"
     )

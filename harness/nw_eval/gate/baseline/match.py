@@ -192,7 +192,7 @@ def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, rounds: int, gate: Gat
     if basis != "same" and has < needs:
         raise IncomparableError(
             f"baseline {bank.manifest.name} has {has} starts in each scene; the run needs {needs}",
-            fix=f"save them with `{renewing(run, bank, '--starts', str(needs))}`, or run fewer "
+            fix=f"save them with `{renewing(run, bank, '--trials', str(needs))}`, or run fewer "
             "--trials",
         )
     if gate.claim == "fresh" or basis == "same":

@@ -1,6 +1,6 @@
 """Tables of a drop: what changed against a baseline, scene by scene, and what it is due to.
 
-Perception or control is the answer of `nw-eval blame`, in words and as a two-by-two.
+Perception or control is the answer of `nw-eval attribute`, in words and as a two-by-two.
 """
 
 from __future__ import annotations

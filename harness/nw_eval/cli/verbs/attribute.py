@@ -1,4 +1,4 @@
-"""`nw-eval blame`: from when on a run's failures could not be averted."""
+"""`nw-eval attribute`: from when on a run's failures could not be averted."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import tyro
 
 from nw_eval.clean import clean
 from nw_eval.cli.terminal.lines import aligned
+from nw_eval.cli.verbs.options import AllowCode, Checkpoint, Workers
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Blame:
+class Attribute:
     """Find for each failed trial of a run the latest moment from which a baseline completes it.
 
     The trial goes its recorded way, and the baseline takes over at moments spread evenly over it,
@@ -43,21 +44,17 @@ class Blame:
     where the run's suite has no such baseline, a policy (a bundle's name, folder or card)."""
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     """Where the baseline's policy lies, if not where the baseline says."""
-    checkpoint: Path | None = None
-    """Weights in place of those that its card names."""
-    at_most: int = 10
-    """Trials to look at, the worst first: each takes about as long as ten others."""
+    checkpoint: Checkpoint = None
+    trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
+    """Failed trials to look at, the worst first: each takes about as long as ten others; 10 when
+    absent. With --cause: trials in each scene; the run's own number when absent."""
     cause: bool = False
     """Exchange sight and control between the run's policy and the baseline's."""
-    trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
-    """With --cause: trials in each scene; the run's own number when absent."""
     out: Path | None = None
     """Write the answer to this file as well: a .md or a .json. With --cause, the new folder of the
     four policies' runs; one in the run's folder when absent."""
-    allow_code: bool = False
-    """Let `python:` adapters import code."""
-    workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
-    """Worker processes; the number of cores when absent."""
+    allow_code: AllowCode = False
+    workers: Workers = None
 
     def __call__(self) -> int:
         return self._cause() if self.cause else self._since_when()
@@ -89,6 +86,7 @@ class Blame:
 
     def _since_when(self) -> int:
         from nw_eval import api
+        from nw_eval.api.blaming import AT_MOST
         from nw_eval.cli.terminal.last_words import tell
 
         if self.out is not None:
@@ -98,7 +96,7 @@ class Blame:
             baseline=self.baseline,
             policy=self.policy,
             checkpoint=self.checkpoint,
-            at_most=self.at_most,
+            at_most=AT_MOST if self.trials is None else self.trials,
             workers=self.workers,
             allow_code=self.allow_code,
             planned=lambda plan: tell(forecast_line(plan)),
@@ -139,7 +137,7 @@ def forecast_line(plan: BlamePlan) -> str:
     cost = f"at most about {plan.minutes:.1f} minutes with --workers {plan.workers}"
     words = [f"{what}, at most {plan.tries} times in each: {cost}"]
     if left > 0:
-        words.append(f"{left} more are left out, --at-most {plan.chosen + left} takes them in")
+        words.append(f"{left} more are left out, --trials {plan.chosen + left} takes them in")
     if plan.without_log:
         words.append(f"{plural(plan.without_log, 'failed trial')} without a log")
     return "; ".join(words)

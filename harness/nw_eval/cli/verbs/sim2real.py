@@ -1,4 +1,4 @@
-"""`nw-eval agree`: does the simulator rank policies as the robot does?"""
+"""`nw-eval sim2real`: does the simulator rank policies as the robot does?"""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Agree:
+class SimToReal:
     """Say how well runs agree with results on the robot, and what a perfect simulator shows."""
 
     real: tyro.conf.Positional[Path]

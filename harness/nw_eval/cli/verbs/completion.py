@@ -1,0 +1,104 @@
+"""`nw-eval completion`: what makes a shell complete verbs, options and their words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from shlex import quote
+from typing import TYPE_CHECKING, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from nw_eval.cli.verbs.help import Option
+
+
+@dataclass(frozen=True, kw_only=True)
+class Completion:
+    """Print a script that makes a shell complete commands, options and their choices.
+
+    bash: `nw-eval completion bash > ~/.local/share/bash-completion/completions/nw-eval`.
+
+    zsh: `nw-eval completion zsh > ~/.nw-eval.zsh`, and `source ~/.nw-eval.zsh` in ~/.zshrc.
+
+    fish: `nw-eval completion fish > ~/.config/fish/completions/nw-eval.fish`.
+    """
+
+    shell: tyro.conf.Positional[Literal["bash", "zsh", "fish"]]
+    """The shell."""
+
+    def __call__(self) -> int:
+        from nw_eval.cli.verbs import resolve
+        from nw_eval.cli.verbs.help import options_of
+        from nw_eval.cli.verbs.table import VERBS
+
+        forms = {
+            f"{verb} {part}".strip(): options_of(resolve(verb, part or None))
+            for verb, known in VERBS.items()
+            for part in (known.parts or ("",))
+        }
+        print("\n".join(_fish(forms) if self.shell == "fish" else _bash(forms, self.shell)))
+        return 0
+
+
+_BASH = """_nw_eval() {
+  local cur="${COMP_WORDS[COMP_CWORD]}" words="" verb="${COMP_WORDS[1]}" from=2
+  case "$verb" in %s) verb="$verb ${COMP_WORDS[2]}"; from=3;; esac
+  if [ "$COMP_CWORD" -eq 1 ]; then words="%s"
+  elif [ "$COMP_CWORD" -lt "$from" ]; then case "${COMP_WORDS[1]}" in
+%s
+  esac
+  else case "$verb ${COMP_WORDS[COMP_CWORD-1]}" in
+%s
+    *) case "$cur" in -*) case "$verb" in
+%s
+    esac;; esac;;
+  esac; fi
+  COMPREPLY=($(compgen -W "$words" -- "$cur"))
+}
+complete -o default -o bashdefault -F _nw_eval nw-eval"""
+
+
+def _bash(forms: Mapping[str, tuple[Option, ...]], shell: str) -> Iterator[str]:
+    from nw_eval.cli.verbs.table import VERBS
+
+    families = {verb: known.parts for verb, known in VERBS.items() if known.parts}
+    chosen = [
+        (" | ".join(f'"{name} {flag}"' for flag in option.flags), option)
+        for name, options in forms.items()
+        for option in options
+        if option.choices and option.flags
+    ]
+    if shell == "zsh":
+        yield "autoload -U +X compinit bashcompinit && compinit && bashcompinit"
+    yield _BASH % (
+        "|".join(families),
+        " ".join(VERBS),
+        "\n".join(f'    {verb}) words="{" ".join(parts)}";;' for verb, parts in families.items()),
+        "\n".join(f'    {keys}) words="{" ".join(option.choices)}";;' for keys, option in chosen),
+        "\n".join(
+            f'      "{name}") words="{" ".join(flag for each in options for flag in each.flags)}";;'
+            for name, options in forms.items()
+        ),
+    )
+
+
+def _fish(forms: Mapping[str, tuple[Option, ...]]) -> Iterator[str]:
+    from nw_eval.cli.verbs.table import VERBS
+
+    for verb, known in VERBS.items():
+        yield f"complete -c nw-eval -n __fish_use_subcommand -f -a {verb} -d {quote(known.line)}"
+        if known.parts:
+            parts, of = " ".join(known.parts), "__fish_seen_subcommand_from"
+            seen = f"{of} {verb}; and not {of} {parts}"
+            yield f"complete -c nw-eval -n {quote(seen)} -f -a {quote(parts)}"
+    for name, options in forms.items():
+        seen = "; and ".join(f"__fish_seen_subcommand_from {word}" for word in name.split())
+        for option in (option for option in options if option.flags):
+            flags = [f"-{'sl'[flag[1] == '-']} {flag.lstrip('-')}" for flag in option.flags]
+            takes = f" -x -a {quote(' '.join(option.choices))}" if option.choices else " -r"
+            words = quote(option.help.split(". ")[0])
+            yield (
+                f"complete -c nw-eval -n {quote(seen)} {' '.join(flags)}"
+                f"{takes if option.metavar else ''} -d {words}"
+            )

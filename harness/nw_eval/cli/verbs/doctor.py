@@ -1,0 +1,71 @@
+"""`nw-eval doctor`: what this machine offers."""
+
+from __future__ import annotations
+
+import json as jsons
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+from nw_eval.amounts import in_words
+from nw_eval.cli.terminal.lines import aligned
+from nw_eval.plural import plural
+
+if TYPE_CHECKING:
+    from nw_eval.api.doctor import Checkup
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doctor:
+    """Say what this machine offers nw-eval, to be pasted into a bug report.
+
+    Versions, the fence round policies, cores, memory, the cache, kernels, GPUs, and which extras
+    are installed. Exit code 4 where something that nw-eval needs is missing or broken, else 0.
+    """
+
+    json: bool = False
+    """Print it as JSON."""
+
+    def __call__(self) -> int:
+        from nw_eval.api.doctor import check_up
+
+        found = check_up()
+        print(jsons.dumps(asdict(found), indent=2) if self.json else checkup_page(found))
+        return found.exit_code
+
+
+def checkup_page(found: Checkup) -> str:
+    """Return what a machine offers as lines of text."""
+    from nw_eval.api.doctor import USES
+
+    versions = dict(found.versions)
+    own = [f"nw-eval {versions.pop('nw-eval')}", f"Python {versions.pop('python')}"]
+    rows = [
+        ("version", ", ".join([*own, versions.pop("system")])),
+        ("libraries", ", ".join(f"{name} {version}" for name, version in versions.items())),
+        ("fence", str(found.fence["meaning"])),
+    ]
+    if cpu := found.processor:
+        cores = f"{cpu['usable']} usable ({cpu['affinity']} by affinity, {cpu['installed']} there)"
+        rows += [("processor", f"{cpu['name']} ({cpu['kind']})"), ("cores", cores)]
+    if memory := found.memory:
+        limit = memory["limit"]
+        free, there = (in_words(memory[key] or 0) for key in ("available", "installed"))
+        limited = "" if limit is None else f", limited to {in_words(limit)}"
+        rows.append(("memory", f"{free} of {there} free{limited}"))
+    if "bytes" in (cache := found.cache):
+        space = f"{in_words(int(cache['bytes']))}, {in_words(int(cache['free']))} free on its disk"
+        rows.append(("cache", f"{cache['folder']}: {space}"))
+    rows.append(("kernels", "compiled" if found.kernels else "not compiled"))
+    rows.append(("GPU", ", ".join(found.gpus) or "none seen; only `run --render cuda` uses one"))
+    installed = [extra for extra, unmet in found.extras.items() if not unmet]
+    rows.append(("extras", ", ".join(installed) or "none"))
+    rows += [
+        ("  missing", f"{extra}: {USES[extra]} (needs {', '.join(unmet)})")
+        for extra, unmet in found.extras.items()
+        if unmet
+    ]
+    rows += [("warning", words) for words in found.warnings]
+    rows += [("PROBLEM", words) for words in found.problems]
+    if found.problems:
+        rows.append(("", f"{plural(len(found.problems), 'problem')}: runs may fail"))
+    return "\n".join(aligned(rows))

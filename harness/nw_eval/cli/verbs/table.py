@@ -1,0 +1,232 @@
+"""The verbs in their groups, with a line, a page of the docs and examples; and names that changed.
+
+Nothing is imported here: `nw-eval --help` is this table.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+DOCS = "docs/"
+"""Where the pages of the table are."""
+
+
+class Verb(NamedTuple):
+    """A verb, or a family of them: `policies` has `policies list` and others."""
+
+    form: str
+    """Its class, in the module of the verb's name; `-` of a family."""
+    page: str
+    line: str
+    examples: list[str]
+    """Arguments, without the verb."""
+    parts: dict[str, tuple[str, str]]
+    """Of a family: class and example of each by its name. The first line of its docstring is told
+    of it."""
+
+
+_TABLE = """
+Evaluate:
+  run Run suites.md run a checkpoint through a suite and give a verdict
+    $ hurdles --policy ./my-policy
+    $ smoke --policy ./my-policy --trials 2
+  check Check suites.md say what a run would do, and what is wrong with its files
+    $ hurdles --policy ./my-policy
+  plan PlanTrials gate.md say how many trials show a drop, or cut a run into parts
+    $ hurdles --detect 0.1
+    $ hurdles --shards 4 --json
+  suites Suites suites.md list the suites that have a name
+    $
+  watch Watch watch.md evaluate the checkpoints of a training as they appear
+    $ logs/go2 --suite hurdles --policy my-policy/policy.yaml
+  bisect BisectSeries gate.md find the first checkpoint of a series that got worse
+    $ hurdles logs/go2 --good model_100.pt --bad model_900.pt -p ./my-policy
+  merge MergeRuns ci.md put the parts of a run together and give a verdict
+    $ part-1 part-2 --out whole
+Judge:
+  gate GateRun gate.md judge a run again by its suite's bar and a baseline
+    $ reports/my-run --baseline go1-parkour
+  baseline - gate.md save, list, show, check, verify or compare baselines
+    save Save hurdles-state --policy go1-parkour
+    list List
+    show Show hurdles/go1-act-rgb
+    check Check hurdles/go1-act-rgb
+    verify Verify hurdles/go1-act-rgb --trials 10%
+    diff Diff old.parquet new.parquet
+  report Report results.md write the report of a run, or a page over many runs
+    $ reports/my-run --open
+    $ reports/* --site site
+  compare Compare leaderboard.md put policies side by side, scene by scene
+    $ reports/my-run reports/another-run --out compared.md
+  sim2real SimToReal results.md say how well runs agree with results on the robot
+    $ real.csv reports/my-run reports/another-run
+  verify Verify results.md check that a run is as it ended, and run some of it again
+    $ reports/my-run --trials 5%
+  ledger Ledger gate.md sum up a ledger of verdicts: false alarms, repeated tests
+    $ verdicts.jsonl
+Look:
+  view ViewTrials viewing.md show a trial, or play with a policy, in the browser
+    $ reports/my-run
+    $ go1-parkour --scene hurdles/one_low_carpet
+  replay Replay results.md run a recorded trial again, film it, or show its log
+    $ trial.mcap
+    $ trial.mcap --video trial.mp4
+  attribute Attribute results.md find from when on failed trials were lost, and why
+    $ reports/my-run --baseline go1-parkour
+  scores Scores scores.md compute scores from the log of a trial or of a robot
+    $ trial.mcap
+    $ walk.mcap --robot go1
+  sensors Sensors wrappers.md draw what the sensors of a policy see
+    $ go1-act-rgb --out seen.png
+Stress:
+  sweep SweepAxes perturbations.md run a suite at values of friction, payload, latency ...
+    $ hurdles --axis friction=0.3..1.2 --policy ./my-policy
+Bring your own:
+  policies - policies.md list, show, check, draft, fetch or serve policies
+    list List
+    show Show go1-parkour
+    check Check ./my-policy
+    init Init model_1500.pt --robot go1
+    fold Fold policy.onnx --out one.onnx
+    serve Serve ./my-policy --port 8765
+    fetch FetchPolicy hub:org/trot
+  robots - robots.md list, show, check, draft or fetch robots
+    list List
+    show Show go1
+    init Init my-robot/robot.urdf
+    check Check ./my-robot
+    fetch Fetch menagerie:unitree_a1
+  scenes - scenes.md list, show, check, draw, import, fetch or push scenes
+    list List 'hurdles/*'
+    show Show hurdles/one_low_carpet
+    check Check ./my-place --out suite.yaml
+    render Render 'hurdles/*' --out scenes.png
+    import ImportScan scan.glb --out my-hall
+    level LevelScene my-hall --flip
+    fetch FetchScenes hub:org/corridor
+    push PushScene ./my-place hub:org/my-place
+  twin - twins.md make a scene of photographs
+    build BuildTwin photographs/ --out corridor --tag-edge 0.16
+    calibrate Calibrate photographs/ --out corridor
+    reconstruct Reconstruct corridor
+    align Align corridor --tag-edge 0.16
+    splat TrainSplat corridor
+    place PlaceScene corridor
+    ablate AblateSplat corridor
+    label LabelScene corridor --open
+  splat - rendering.md look into files of Gaussians, convert or draw them
+    info Info scan.ply
+    convert Convert scan.ply --out scan.spz
+    render Render scan.ply --out scan.png
+  schema Schema suites.md write the JSON Schema of suites, cards and scenes for editors
+    $ suite --out suite.schema.json
+Train:
+  train - training.md train a policy, or export one from a training
+    teacher Teacher teacher
+    student Student student-rgb-small
+    export Export runs/teacher --out policies/mine
+  study - studies.md train students of several kinds and compare them
+    single-scene SingleSceneStudy single-scene-reduced
+    multi-scene MultiSceneStudy --resume runs/my-study
+    observations ObservationsStudy mine.yaml --out my-study
+Upkeep:
+  doctor Doctor stability.md say what this machine offers, for a bug report
+    $
+    $ --json
+  cache - results.md show, prune or verify the results that runs take over
+    info ShowCache
+    prune PruneCache --limit 2
+    verify VerifyCache
+  warmup Warmup ci.md compile kernels and build scenes ahead of the first run
+    $ 'hurdles/*'
+  completion Completion stability.md print what completes commands in bash, zsh or fish
+    $ bash
+"""
+"""Groups; in them verbs: name, class, page, line; in these their examples, or verbs of the family:
+name, class, example."""
+
+
+def _groups() -> dict[str, dict[str, Verb]]:
+    groups: dict[str, dict[str, Verb]] = {}
+    verb, group = Verb("", "", "", [], {}), dict[str, Verb]()
+    for line in _TABLE.strip().splitlines():
+        depth, words = len(line) - len(line.lstrip()), line.strip()
+        if depth == 0:
+            group = groups[words.rstrip(":")] = {}
+        elif depth == 2:
+            name, form, page, told = words.split(" ", 3)
+            verb = group[name] = Verb(form, page, told, [], {})
+        elif words.startswith("$"):
+            verb.examples.append(words[1:].strip())
+        else:
+            name, form, *example = words.split(" ", 2)
+            verb.parts[name] = form, " ".join(example)
+    return groups
+
+
+GROUPS = _groups()
+VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}
+
+EXAMPLES = (
+    "nw-eval run hurdles --policy ./my-policy        a verdict on a checkpoint",
+    "nw-eval gate reports/my-run --baseline mine     the same against a baseline",
+    "nw-eval view reports/my-run                     its trials in the browser",
+    "nw-eval sweep hurdles --axis friction=0.3..1.2  where the policy breaks off",
+    "nw-eval policies init model.pt --robot go1      a first card for a checkpoint",
+    "nw-eval train student student-rgb-small         a policy of your own",
+    "nw-eval doctor                                  what this machine offers",
+)
+"""One for each group."""
+
+EXIT_CODES = """Exit codes: 0 PASS, or RAN if the suite has no bar; 1 REGRESSED; 2 wrong usage
+or file; 3 INCONCLUSIVE; 4 errors left or trials missing; 5 not comparable; 130
+interrupted."""
+
+RENAMED = {"agree": "sim2real", "blame": "attribute"}
+"""Verbs by their names until 0.1, which are understood for one release."""
+
+_WORKERS = {"--threads": "--workers"}
+RENAMED_FLAGS = {
+    "plan": {"--png": "--out"},
+    "watch": {"--card": "--policy"},
+    "bisect": {"--starts": "--baseline-trials"},
+    "sweep": {"--against": "--baseline"},
+    "view": {"--against": "--baseline"},
+    "attribute": {"--at-most": "--trials"},
+    "verify": {"--sample": "--trials"},
+    "baseline save": {"--starts": "--trials", "--from": "--run"},
+    "baseline verify": {"--share": "--trials"},
+    "scenes check": {"--suite": "--out"},
+    **{f"twin {part}": _WORKERS for part in VERBS["twin"].parts},
+}
+"""Likewise, options of verbs."""
+OUT_WAS_POSITIONAL = {"train export", "splat convert"}
+"""Verbs that took what --out names as their last argument."""
+
+OPTION_GROUPS = {
+    "Policy and robot": ("policy", "robot", "checkpoint", "allow_code"),
+    "Trials": (
+        *("trials", "scenes", "seed", "panel", "shard", "resume", "all_rounds", "time_limit"),
+        *("memory_limit", "collision", "render"),
+    ),
+    "Comparison": (
+        *("baseline", "baseline_policy", "baseline_trials", "recheck", "max_drop", "tolerate"),
+        "confidence",
+    ),
+    "Machine": ("workers", "engine", "address", "in_process", "no_cache"),
+    "Output": (
+        *("out", "record", "ledger", "junit", "comment", "github", "no_github", "track"),
+        *("reporter", "label"),
+    ),
+    "Cameras": (
+        *("matching", "frames", "per_second", "lens", "share", "features", "side"),
+        "megapixels",
+    ),
+    "Mesh": ("mesher", "depth_side", "faces", "unit", "up"),
+    "Scale": ("tag_edge", "camera_height", "length", "metric"),
+    "Elevation map": ("cell", "white", "black", "no_data"),
+    "Gaussians": ("iterations", "gaussians", "longest", "held_out", "splat", "splat_transform"),
+    "Scene": ("trail", "task"),
+    "Name and licence": ("name", "note", "licence"),
+}
+"""Titles under which `--help` lists the options of a verb that has many, by field."""
