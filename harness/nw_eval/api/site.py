@@ -155,7 +155,7 @@ def _badges(runs: Sequence[ListedRun], folder: Path, stem: str) -> tuple[Path, .
     Raises:
         StoreError: one cannot be written.
     """
-    from nw_eval.reporting.badges import badges
+    from nw_eval.reporting.html.badges import badges
 
     found = badges(runs, stem=stem)
     for name, text in found.items():

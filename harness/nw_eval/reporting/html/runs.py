@@ -101,8 +101,9 @@ class ListedRun:
 
     @property
     def name(self) -> str:
-        """Its folder's name, if somebody gave it one; else when it started."""
-        return self.date if _GIVEN.fullmatch(self.info.id) else self.info.id
+        """Its folder's name, if somebody gave it one of its own; else when it started."""
+        says_more = self.info.id != self.info.policy.name and not _GIVEN.fullmatch(self.info.id)
+        return self.info.id if says_more else self.date
 
     @property
     def at(self) -> str:
