@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Self
 
 from nw_eval.engine.building import SplatBuilders
-from nw_eval.engine.cache import limit_bytes
+from nw_eval.engine.cache import limit_bytes, told_of_cache
 from nw_eval.engine.known import known_trials
 from nw_eval.engine.listener import Listener, Silence
 from nw_eval.engine.machine import worker_count
@@ -118,6 +118,8 @@ def carry_out(
             )
         folder = _folder(plan, out, resume)
         listener.message(f"run folder: {folder.path}")
+        if not _uncached(cache=cache, in_process=in_process) and (told := told_of_cache()):
+            listener.message(told)
         # Workers and rows need a path that means the same everywhere.
         folder = RunFolder(path=folder.path.resolve())
         info = run_info(
