@@ -2,6 +2,7 @@
 # make test   set up, then every check and every test
 # make check  formatting, lint, types and the arrows between rooms
 # make bench  the benchmark tables (minutes; on an idle machine)
+# make leaderboard  pages of the shipped policies on hurdles, to publish (minutes)
 # make build  wheel and source archive, checked, and a smoke run of the wheel on its own
 
 PYTHON ?= python3
@@ -11,7 +12,7 @@ export OMP_NUM_THREADS := 1
 # Every trial's process and some hundred of the tests import the package: compiled once, not each time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test check lint types arrows warm bench build
+.PHONY: run test check lint types arrows warm bench leaderboard build
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
@@ -48,6 +49,19 @@ bench: $(VENV)/.installed-dev
 	@missed=; for script in tests/bench/bench_*.py; do \
 	  echo "== $$script"; $(BIN)/python $$script || missed="$$missed $$script"; \
 	done; test -z "$$missed" || { echo "targets missed in:$$missed"; exit 1; }
+
+# What has not changed since is taken over from the cache. The suite's own policy is the latest run: the badge shows it.
+LEADERBOARD := build/leaderboard
+BOARD_POLICIES := stand go1-parkour go1-act-depth go1-act-rgb
+
+leaderboard: $(VENV)/.installed
+	for policy in $(BOARD_POLICIES); do \
+	  rm -rf $(LEADERBOARD)-runs/$$policy; \
+	  $(BIN)/nw-eval run suites/hurdles.yaml --policy $$policy --baseline none --trials 4 --record none \
+	    --out $(LEADERBOARD)-runs/$$policy; code=$$?; \
+	  case $$code in 0|1|3) ;; *) exit $$code;; esac; \
+	done
+	$(BIN)/nw-eval report --site $(LEADERBOARD) --title "Shipped policies on hurdles" $(LEADERBOARD)-runs/*
 
 build: $(VENV)/.installed-dev
 	rm -rf dist

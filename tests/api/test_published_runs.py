@@ -15,6 +15,7 @@ import nw_eval
 from nw_eval.api.saved_run import saved_suite, saved_trials
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
+from nw_eval.results.labels import KNOWN
 from nw_eval.results.provenance import (
     BaselineInfo,
     CacheInfo,
@@ -39,6 +40,7 @@ EVIL = (
     "</style><svg/onload=owned()>{{7*7}}<!--]]>--!><a href=javascript:owned()>x</a>\u202e\x00"
 )
 SECRET = "root:x:0:0:what lies outside"
+EVIL_LABEL = "</td><script>alert('owned')</script>\"' onload='owned()' javascript:owned()"
 TEMPLATES = Path(nw_eval.__file__).parent / "reporting/templates"
 TRIALS = 12
 
@@ -62,6 +64,7 @@ def save_run(path: Path, *, evil: str = "", success: bool = True, **facts: Any) 
         "versions": {evil or "mujoco": evil or "4.0.0"},
         "engine": {evil or "mujoco": evil or "4.0.0"},
         "cache": CacheInfo(off=evil, differing=(evil,) if evil else ()),
+        "labels": {name: EVIL_LABEL for name in KNOWN if evil and name != "job_url"},
         **facts,
     }
     info = RunInfo(
@@ -174,7 +177,7 @@ class Parts(HTMLParser):
 # Those of the templates, and no more: no iframe, object, embed, base, link but the icon's, a form
 # that goes nowhere.
 NAMES = """
-html head meta link title style body a header h1 h2 h3 p span ul li nav main section
+html head meta link title style body a g header h1 h2 h3 p span ul li nav main section
 div table caption thead tbody tr th td svg defs symbol path circle rect text polygon
 image use figure figcaption strong small code em label form input select option
 button img details summary footer script
@@ -209,7 +212,9 @@ def pages_of(runs: list[Path], folder: Path) -> tuple[list[Path], list[str]]:
     site = nw_eval.write_site(runs, folder / "site", pictures=False)
     index = nw_eval.index_runs(runs, out=folder / "list" / "index.html")
     pages = sorted((folder / "site").rglob("*.*")) + sorted((folder / "list").rglob("*.*"))
-    assert {page.name for page in pages if page.suffix != ".html"} == {"site.json"}
+    assert {page.name for page in pages if page.suffix != ".html"} == {
+        *("site.json", "badge.json", "badge-tiny.json")
+    }
     pages = [page for page in pages if page.suffix == ".html"]
     for page in pages:
         assert page.is_file()
@@ -246,9 +251,9 @@ def test_words_of_a_strangers_run_are_text_on_every_page(tmp_path: Path, honest:
     (folder.path / "index.html").write_text(EVIL)
     pages, left_out = pages_of([folder.path, honest], tmp_path)
     assert left_out == []
-    assert len(pages) == 6
+    assert len(pages) == 7
     shown = [page for page in pages if "alert(" in page.read_text(encoding="utf-8")]
-    assert len(shown) == 4, "the site, the index, and a page of the run in each of them"
+    assert len(shown) == 5, "the site's two pages, the index, a page of the run in either folder"
     folder.cause.write_text(json.dumps(cause))
     _, left_out = pages_of([folder.path, honest], tmp_path)
     assert "cause.json is damaged" in left_out[0]
@@ -264,7 +269,7 @@ def test_a_page_that_a_run_brings_is_not_published(
     os.mkfifo(other.workers_log)
     pages, left_out = pages_of([honest, other.path], tmp_path)
     assert left_out == []
-    assert len(pages) == 6
+    assert len(pages) == 7
 
 
 def link(path: Path, outside: Path) -> None:
@@ -432,7 +437,7 @@ def test_a_run_that_is_not_consistent_or_leads_elsewhere_is_named_and_costs_no_o
     runs = [folder.path for folder in folders.values()]
     before = {path: path.lstat().st_mtime_ns for run in runs for path in run.rglob("*")}
     pages, left_out = pages_of([*runs, honest], tmp_path)
-    assert len(pages) == 4, "the site, the index, and the honest run's page in each of them"
+    assert len(pages) == 5, "the site's two pages, the index, the honest run's page in either"
     why = {sentence.partition(": ")[0]: sentence.partition(": ")[2] for sentence in left_out}
     wrong = {
         name: why.get(folder.path.name, "")
@@ -450,7 +455,7 @@ def test_runs_that_have_no_comparison_stand_alone(tmp_path: Path, honest: Path) 
     folder = save_run(tmp_path / "runs" / name)
     change_rows(folder, lambda _, row: replace(row, perturbation=(("<script>", 1.0),)))
     pages, left_out = pages_of([honest, folder.path], tmp_path)
-    assert (len(pages), left_out) == (6, [])
+    assert (len(pages), left_out) == (7, [])
     site = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
     assert "tiny (1)" in site
     assert "tiny (2)" in site
@@ -460,7 +465,7 @@ def test_a_run_that_is_whole_but_for_its_logs_is_shown(tmp_path: Path, honest: P
     folder = save_run(tmp_path / "runs" / "bare")
     name_log(folder, "mcap/flat/a.mcap")
     pages, left_out = pages_of([honest, folder.path], tmp_path)
-    assert (len(pages), left_out) == (6, [])
+    assert (len(pages), left_out) == (7, [])
 
 
 def test_a_bank_is_read_from_the_runs_folder_alone(tmp_path: Path, outside: Path) -> None:
@@ -482,5 +487,5 @@ def test_ten_megabytes_of_words_make_no_page_of_ten_megabytes(tmp_path: Path, ho
     folder = save_run(tmp_path / "runs" / "long", renderer=long, command=(long,), id=long)
     assert folder.run_json.stat().st_size > 9_000_000
     pages, left_out = pages_of([folder.path, honest], tmp_path)
-    assert (len(pages), left_out) == (6, [])
+    assert (len(pages), left_out) == (7, [])
     assert max(page.stat().st_size for page in pages) < 400_000

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -40,16 +41,16 @@ def save_run(
     scene="flat/room",
     part=None,
     power=None,
+    checkpoint=None,
     **changes,
 ):
     """Save a run of which this many of twelve trials reached all of four waypoints."""
     settings = {"name": suite, "robot": "go1", "policy": "stand", "scenes": [scene]}
     planned = new_suite({"nw-eval": 1, "trials": STARTS, "seed": seed, **settings})
-    checkpoint = policy.encode().hex().ljust(64, "0")[:64]
+    checkpoint = checkpoint or policy.encode().hex().ljust(64, "0")[:64]
     info = RunInfo(
         id=path.name,
-        started="2026-11-21T11:00:05Z",
-        **{"finished": "2026-11-21T11:01:05Z", **changes},
+        **{"started": "2026-11-21T11:00:05Z", "finished": "2026-11-21T11:01:05Z", **changes},
         suite_file="tiny.yaml",
         suite=planned.model_dump(by_alias=True, mode="json"),
         suite_digest=planned.digest,
@@ -165,23 +166,26 @@ def test_policies_stand_by_suite_with_intervals_and_ties(runs, tmp_path):
 
 def test_every_number_leads_to_a_report_that_is_there(runs, tmp_path):
     site = nw_eval.write_site(runs, tmp_path / "site")
-    links = [link for link in Reader(site.page).links if not link.startswith("#")]
+    pages = (site.page, site.page.with_name("runs.html"))
+    links = [link for page in pages for link in Reader(page).links if not link.startswith("#")]
     assert len(links) > 8
     for link in links:
         assert (site.page.parent / link).is_file(), link
-    assert len(set(links)) == len(runs)
+    assert len(set(links)) == len(runs) + len(pages)
 
 
 def test_the_same_runs_give_the_same_bytes_in_any_order_and_replace_a_site(runs, tmp_path):
     first = nw_eval.write_site(runs, tmp_path / "a")
     nw_eval.write_site(runs[:2], tmp_path / "b")
     second = nw_eval.write_site(runs[::-1], tmp_path / "b")
-    assert first.page.read_bytes() == second.page.read_bytes()
-    names = [
-        sorted(str(path.relative_to(site.page.parent)) for path in site.page.parent.rglob("*"))
+    files = [
+        {
+            path.relative_to(site.page.parent): path.read_bytes() if path.is_file() else None
+            for path in site.page.parent.rglob("*")
+        }
         for site in (first, second)
     ]
-    assert names[0] == names[1]
+    assert files[0] == files[1]
 
 
 def test_runs_that_do_not_compare_stand_apart_with_the_reason(runs, tmp_path):
@@ -231,7 +235,8 @@ def test_what_a_strangers_run_says_is_text_and_opens_nothing(tmp_path):
     assert "&lt;script&gt;" in text
     assert "<img" not in text
     inside = {path.relative_to(site.page.parent).parts[0] for path in site.page.parent.rglob("*")}
-    assert inside == {"index.html", "site.json", "runs"}
+    badges = {"badge.json", "badge-tiny.json"}
+    assert inside == {"index.html", "runs.html", "site.json", "runs"} | badges
     assert all(re.fullmatch(r"[A-Za-z0-9_.-]+", path.name) for path in site.page.parent.rglob("*"))
     assert "src=" not in text.replace("data:", "")
 
@@ -239,8 +244,52 @@ def test_what_a_strangers_run_says_is_text_and_opens_nothing(tmp_path):
 def test_the_verb_says_where_the_page_is_and_what_it_lacks(runs, tmp_path, capsys):
     going = save_run(tmp_path / "runs" / "going", "good", 12, finished=None)
     with pytest.raises(SystemExit) as end:
-        main(["report", "--site", str(tmp_path / "site"), str(runs[0]), str(going)])
+        main(
+            [
+                "report",
+                "--site",
+                str(tmp_path / "site"),
+                "--title",
+                "Walkers",
+                str(runs[0]),
+                str(going),
+            ]
+        )
     printed = capsys.readouterr()
     assert end.value.code == 4
     assert printed.out == f"leaderboard of 1 run: {tmp_path / 'site' / 'index.html'}\n"
     assert "left out: going: the run has not ended" in printed.err
+    assert "<h1>Walkers</h1>" in (tmp_path / "site" / "index.html").read_text()
+
+
+def test_badges_say_what_the_latest_run_of_each_suite_came_to(runs, tmp_path):
+    newer = save_run(tmp_path / "runs" / "late", "late", 3, started="2026-12-01T00:00:00Z")
+    site = nw_eval.write_site([newer, *runs], tmp_path / "site")
+    assert [path.name for path in site.badges] == [
+        *("badge.json", "badge-other.json", "badge-tiny.json")
+    ]
+    found = [json.loads(path.read_text()) for path in site.badges]
+    assert [each["schemaVersion"] for each in found] == [1, 1, 1]
+    assert [(each["label"], each["message"], each["color"]) for each in found] == [
+        ("nw-eval", "2 RAN", "blue"),
+        ("other", "RAN, good 0.500", "blue"),
+        ("tiny", "RAN, late 0.250", "blue"),
+    ]
+    nw_eval.write_site(runs[:3], tmp_path / "site")
+    assert not site.badges[1].exists(), "a badge of a suite that the site no longer has"
+
+
+def test_policies_of_one_name_are_told_apart_by_their_training_steps(tmp_path):
+    steps = [
+        save_run(
+            tmp_path / "runs" / f"at-{step}", "walker", reached,
+            checkpoint=digest * 32, labels={"step": step},
+        )
+        for step, reached, digest in (("500", 3, "aa"), ("1000", 12, "bb"))
+    ]  # fmt: skip
+    site = nw_eval.write_site(steps, tmp_path / "site")
+    board = Reader(site.page).rows[1:3]
+    assert [row[:3] for row in board] == [
+        ["walker", "step 1000", "1.000"],
+        ["walker", "step 500", "0.250"],
+    ]

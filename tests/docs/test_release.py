@@ -33,13 +33,34 @@ def test_a_tag_is_published_without_a_token_and_by_pinned_steps_alone():
     jobs = yaml(".github/workflows/release.yml")["jobs"]
     assert {name: job["permissions"] for name, job in jobs.items()} == {
         "build": {"contents": "read"},
-        "publish": {"id-token": "write"},
+        "image": {"contents": "read"},
+        "publish": {"id-token": "write", "attestations": "write"},
+        "publish-image": {"packages": "write", "id-token": "write", "attestations": "write"},
     }
     steps = [step["uses"] for job in jobs.values() for step in job["steps"] if "uses" in step]
     assert steps
     assert all(re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", step) for step in steps)
-    # Nothing of the project runs where an upload is allowed.
+    # Nothing of the project runs where an upload is allowed: Docker moves an image that was built.
     assert not [step for step in jobs["publish"]["steps"] if "run" in step]
+    (moved,) = [step["run"] for step in jobs["publish-image"]["steps"] if "run" in step]
+    assert not re.search(r"docker (run|build)|python|make|nw-eval [a-z]", moved)
+    for name in ("publish", "publish-image"):
+        steps = [step.get("uses", "") for step in jobs[name]["steps"]]
+        assert not [step for step in steps if step.startswith("actions/checkout@")]
+        assert [step for step in steps if step.startswith("actions/attest-build-provenance@")]
+
+
+def test_the_changelog_begins_with_this_version_and_a_tag_needs_its_date():
+    headings = re.findall(r"^## (.+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    version = re.escape(nw_eval.__version__)
+    assert re.fullmatch(rf"{version} \((unreleased|\d{{4}}-\d{{2}}-\d{{2}})\)", headings[0])
+    steps = yaml(".github/workflows/release.yml")["jobs"]["build"]["steps"]
+    (asked,) = [step["run"] for step in steps if "CHANGELOG.md" in step.get("run", "")]
+    form = re.search(r'"(## .+)"', asked)
+    assert form is not None
+    form = form[1].replace("${GITHUB_REF_NAME#v}", version)
+    assert re.fullmatch(form, f"## {nw_eval.__version__} (2026-12-01)")
+    assert not re.fullmatch(form, f"## {nw_eval.__version__} (unreleased)")
 
 
 def test_the_image_has_the_versions_of_the_constraints():

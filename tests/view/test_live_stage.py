@@ -66,6 +66,25 @@ def test_what_a_policy_cannot_feel_is_not_offered(stage):
     assert "fog" not in stage.axes
 
 
+def test_it_is_said_when_a_trial_of_a_run_would_have_ended():
+    with open_stage("stand", PLACE) as stage:
+        walk(stage, 100)
+        assert stage.run_end is None
+        # It is stuck after 4 s in a run, and stands here as long as one likes.
+        walk(stage, 130)
+        assert stage.trial.episode.step == 230
+        assert stage.run_end == (pytest.approx(4.0), "stuck", "no progress")
+        stage.restart()
+        assert stage.run_end is None
+
+
+def test_the_time_limit_of_a_run_ends_no_play_and_is_said(stage):
+    stage._limit = 0.2
+    walk(stage, 30)
+    assert stage.trial.episode.step == 30
+    assert stage.run_end == (pytest.approx(0.2), "timeout", "0.2 s")
+
+
 def test_a_push_moves_the_robot_its_own_way(stage):
     walk(stage, 25)
     world = stage.trial.episode.world

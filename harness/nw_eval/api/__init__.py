@@ -44,7 +44,7 @@ from nw_eval.api.replays import (
     rerun_recording,
     take_over,
 )
-from nw_eval.api.reports import RunIndex, RunReport, index_runs, judge, report
+from nw_eval.api.reports import RunReport, judge, report
 from nw_eval.api.robots import (
     ListedRobot,
     RobotDraft,
@@ -68,7 +68,7 @@ from nw_eval.api.scenes import (
 from nw_eval.api.schemas import schema
 from nw_eval.api.sensors import ListedSensor, draw_sensors, list_sensors
 from nw_eval.api.series import BisectedSeries, bisect
-from nw_eval.api.site import WrittenSite, write_site
+from nw_eval.api.site import RunIndex, WrittenSite, index_runs, write_site
 from nw_eval.api.splats import WrittenSplat, splat_convert, splat_info, splat_render
 from nw_eval.api.suites import ListedSuite, ShownSuite, list_suites, show_suite
 from nw_eval.api.surfaces import (

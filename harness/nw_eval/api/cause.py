@@ -254,8 +254,8 @@ def apart(old: Bundle, new: Bundle) -> Apart:
             raise PolicyError(
                 f"{bundle.subject} has no files here: its perception cannot be separated from its "
                 "control",
-                fix="run `nw-eval attribute` without --cause, which finds the point of no return of "
-                "each failed trial",
+                fix="run `nw-eval attribute` without --cause, which finds the point of no return "
+                "of each failed trial",
             )
     one, other = (set(_sight(bundle.card)) for bundle in (old, new))
     if not one or one != other:

@@ -1,30 +1,167 @@
-"""A leaderboard over runs, as a folder that any host of static pages can show."""
+"""Pages over many runs: an index of them, and a leaderboard that any host of static pages can show.
+
+Both judge the runs again from rows that are checked, and have badges beside them.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, NwEvalError, StoreError, UsageError
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import (
+    DamagedError,
+    atomic_path,
+    followed,
+    is_stream,
+    private_dir,
+    read_sealed,
+    sealed_path,
+)
 from nw_eval.files.inside import regular
 
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
     from nw_eval.gate.side_by_side import Entrant, PolicyComparison
-    from nw_eval.reporting.html.runs import BoardSection
+    from nw_eval.reporting.html.board import BoardSection
+    from nw_eval.reporting.html.runs import ListedRun
+    from nw_eval.results.provenance import RunInfo
+    from nw_eval.scenes.scene import Scene
 
-PAGE, MARK, REPORTS = "index.html", "site.json", "runs"
+PAGE, RUNS_PAGE, MARK, REPORTS, BADGE = "index.html", "runs.html", "site.json", "runs", "badge"
 _WIDTH = 320
 """Of a view of a scene, pixels."""
 _QUALITY = 72
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunIndex:
+    """Runs, judged again, and the page that lists them."""
+
+    runs: tuple[RunReport, ...]
+    unread: tuple[str, ...]
+    """A sentence on each run whose rows or run.json are damaged: the page has it, too."""
+    page: Path
+    badges: tuple[Path, ...] = ()
+    """Of all suites together first, then of each."""
+
+    @property
+    def typed_page(self) -> Path:
+        """The page as one would type it here."""
+        from nw_eval.api.reports import typed
+
+        return typed(self.page)
+
+    @property
+    def exit_code(self) -> int:
+        """4 if a run could not be read, else 0: the verdicts are those of the runs."""
+        return StoreError.exit_code if self.unread else 0
+
+
+def index_runs(
+    runs: Sequence[str | Path],
+    *,
+    out: Path | None = None,
+    title: str | None = None,
+    pictures: bool = True,
+) -> RunIndex:
+    """Judge runs again as they were begun, and write a page over all and one of each.
+
+    Nothing of the runs' own pages is shown or linked, as somebody else may have written them; they
+    stay as they are. A run that is not as it was when it ended is named, and not shown. Badges are
+    written beside the page: of `index.html`, `badge.json` and `badge-SUITE.json`.
+
+    Args:
+        runs: their folders.
+        out: where to write the page; if None, `index.html` in the folder that all of them lie in.
+            Those of the runs are in a folder beside it: of `index.html`, in `index-runs`.
+        title: of the page; how many runs there are if None.
+        pictures: whether built-in scenes are drawn, by their splats.
+
+    Raises:
+        UsageError: one is no run's folder, or there is none.
+        StoreError: the page cannot be written.
+    """
+    from nw_eval.api.reports import as_published, fault_of
+    from nw_eval.reporting.html.runs import render_index
+    from nw_eval.reporting.markdown import write_report
+
+    folders = _folders(runs, "list")
+    page = Path(os.path.commonpath([folder.parent for folder in folders])) / PAGE
+    page = out or page
+    judged: list[RunReport] = []
+    listed: list[ListedRun] = []
+    unread: list[str] = []
+    for folder in folders:
+        try:
+            run = as_published(folder)
+            listed.append(_listed(run, page))
+        except Exception as error:  # noqa: BLE001 - One run costs no other run its line.
+            unread.append(f"{clean(folder.name)}: {fault_of(error)}")
+        else:
+            judged.append(run)
+    drawn = _Pictures(draws=pictures).of_runs(judged)
+    text = render_index(listed, unread, title=title or "", pictures=drawn)
+    write_report(page if out is None else followed(page), text)
+    stem = BADGE if page.stem == "index" else f"{page.stem}-{BADGE}"
+    badges = () if is_stream(page) else _badges(listed, page.parent, stem)
+    return RunIndex(runs=tuple(judged), unread=tuple(unread), page=page, badges=badges)
+
+
+def _folders(runs: Sequence[str | Path], what: str) -> list[Path]:
+    """Return the folders of runs, each once.
+
+    Raises:
+        UsageError: one is no run's folder, or there is none.
+    """
+    from nw_eval.results.run_folder import open_run_folder
+
+    if not runs:
+        raise UsageError(f"no run to {what}", fix="name the folders of some")
+    return list(dict.fromkeys(open_run_folder(Path(run)).path.resolve() for run in runs))
+
+
+def _listed(judged: RunReport, page: Path) -> ListedRun:
+    """Return a run as the page lists it, once its own page is written beside it."""
+    from nw_eval.api.reports import write_anew
+    from nw_eval.reporting.html.runs import ListedRun
+
+    # Two runs of one name lie in two folders.
+    digest = sha256(os.fsencode(judged.folder)).hexdigest()[:8]
+    name = f"{re.sub(r'[^A-Za-z0-9_-]+', '-', judged.folder.name)[:80]}-{digest}.html"
+    beside = f"{page.stem}-runs"
+    write_anew(judged, page.with_name(beside) / name, logs=False)
+    return ListedRun(
+        folder=str(judged.typed_folder),
+        href=quote(f"{beside}/{name}"),
+        info=judged.info,
+        verdict=judged.verdict,
+    )
+
+
+def _badges(runs: Sequence[ListedRun], folder: Path, stem: str) -> tuple[Path, ...]:
+    """Write the badges of runs, and return where they lie.
+
+    Raises:
+        StoreError: one cannot be written.
+    """
+    from nw_eval.reporting.html.badges import badges
+
+    found = badges(runs, stem=stem)
+    for name, text in found.items():
+        with atomic_path(folder / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return tuple(folder / name for name in found)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,11 +172,13 @@ class WrittenSite:
         page: to open, or to publish with the folder that it lies in.
         runs: that it shows.
         left_out: a sentence for each run that it does not.
+        badges: of all suites together first, then of each.
     """
 
     page: Path
     runs: int
     left_out: tuple[str, ...]
+    badges: tuple[Path, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -57,9 +196,10 @@ def write_site(
 ) -> WrittenSite:
     """Write a leaderboard: policies by suites and tasks, scenes with pictures, and all reports.
 
-    Every page is written anew from rows that are checked. A run that is not as it was when it
-    ended, or holds links, is named and left out. The same runs give the same bytes. A site that is
-    there already is replaced; nothing else is.
+    Beside it are an index of the runs, as `index_runs` writes it, and badges. Every page is written
+    anew from rows that are checked. A run that is not as it was when it ended, or holds links, is
+    named and left out. The same runs give the same bytes. A site that is there already is replaced;
+    nothing else is.
 
     Args:
         runs: their folders, in any order.
@@ -74,14 +214,12 @@ def write_site(
     """
     from nw_eval.api.comparisons import check_share
     from nw_eval.api.reports import as_published, fault_of
-    from nw_eval.reporting.html.runs import render_board
+    from nw_eval.reporting.html.board import render_board
+    from nw_eval.reporting.html.runs import ListedRun, render_index
     from nw_eval.reporting.markdown import write_report
-    from nw_eval.results.run_folder import open_run_folder
 
     check_share(confidence)
-    if not runs:
-        raise UsageError("no run to show", fix="name the folders of some")
-    folders = list(dict.fromkeys(open_run_folder(Path(run)).path.resolve() for run in runs))
+    folders = _folders(runs, "show")
     folder = _emptied(Path(out))
     judged: list[RunReport] = []
     left_out: list[str] = []
@@ -102,13 +240,28 @@ def write_site(
     )
     hrefs = _rendered(judged, folder, left_out)
     shown = [run for run in judged if run.folder in hrefs]
-    sections = _sections(shown, hrefs, left_out, confidence)
-    if pictures:
-        drawn: dict[tuple[str, str], bytes | None] = {}
-        sections = [replace(each, pictures=_pictures(each, drawn)) for each in sections]
-    write_report(folder / PAGE, render_board(title, sections, left_out))
-    runs_shown = sum(len(each.runs) for each in sections)
-    return WrittenSite(page=folder / PAGE, runs=runs_shown, left_out=tuple(left_out))
+    drawn = _Pictures(draws=pictures)
+    sections = [
+        replace(each, pictures=drawn.of_scenes(each.runs[0].info))
+        for each in _sections(shown, hrefs, left_out, confidence)
+    ]
+    listed = [
+        ListedRun(
+            folder=run.folder.name, href=hrefs[run.folder], info=run.info, verdict=run.verdict
+        )
+        for run in shown
+    ]
+    write_report(folder / PAGE, render_board(title, sections, left_out, runs_page=RUNS_PAGE))
+    history = render_index(
+        listed, (), title=f"{title}: runs", pictures=drawn.of_runs(shown), board=PAGE
+    )
+    write_report(folder / RUNS_PAGE, history)
+    return WrittenSite(
+        page=folder / PAGE,
+        runs=sum(len(each.runs) for each in sections),
+        left_out=tuple(left_out),
+        badges=_badges(listed, folder, BADGE),
+    )
 
 
 def _emptied(out: Path) -> Path:
@@ -129,7 +282,8 @@ def _emptied(out: Path) -> Path:
                     f"{out} holds something that is no site of nw-eval", fix="give a new folder"
                 )
             shutil.rmtree(out / REPORTS, ignore_errors=True)
-            (out / PAGE).unlink(missing_ok=True)
+            for old in (out / PAGE, out / RUNS_PAGE, *out.glob(f"{BADGE}*.json")):
+                old.unlink(missing_ok=True)
         out.mkdir(parents=True, exist_ok=True)
         with atomic_path(mark) as temporary:
             temporary.write_text('{"nw-site": 1}\n', encoding="utf-8")
@@ -172,7 +326,7 @@ def _sections(
     """Return runs that compare with one another, each in a section; some may be left out."""
     from nw_eval.api.reports import fault_of
     from nw_eval.gate.side_by_side import check_alike, entrant_of_run
-    from nw_eval.reporting.html.runs import BoardRun, BoardSection
+    from nw_eval.reporting.html.board import BoardRun, BoardSection
 
     groups: list[list[tuple[RunReport, Entrant]]] = []
     notes: list[str] = []
@@ -239,40 +393,76 @@ def _compared(
     return [each for one in group for each in _compared([one], confidence, left_out)]
 
 
-def _pictures(
-    section: BoardSection, drawn: dict[tuple[str, str], bytes | None]
-) -> dict[str, bytes]:
-    """Return a JPEG of each scene that is the one of these runs and can be drawn here."""
-    digests = {name: scene.digest for name, scene in section.runs[0].info.scenes.items()}
-    found: dict[str, bytes] = {}
-    for scene in section.comparison.scenes:
-        key = (scene.scene, digests.get(scene.scene, ""))
-        if key not in drawn:
-            drawn[key] = _picture(*key)
-        picture = drawn[key]
-        if picture is not None:
-            found[scene.scene] = picture
-    return found
+@dataclass(frozen=True, kw_only=True)
+class _Pictures:
+    """JPEGs of scenes by name and digest, each drawn once; None of those that cannot be."""
+
+    draws: bool
+    drawn: dict[tuple[str, str], bytes | None] = field(
+        default_factory=dict[tuple[str, str], bytes | None]
+    )
+
+    def of_scenes(self, info: RunInfo) -> dict[str, bytes]:
+        """Return those of a run's scenes, by name."""
+        return {name: picture for (name, _), picture in self._of(info).items()}
+
+    def of_runs(self, runs: Sequence[RunReport]) -> dict[tuple[str, str], bytes]:
+        """Return those of all scenes of several runs."""
+        return {key: picture for run in runs for key, picture in self._of(run.info).items()}
+
+    def _of(self, info: RunInfo) -> dict[tuple[str, str], bytes]:
+        found: dict[tuple[str, str], bytes] = {}
+        for name, scene in info.scenes.items() if self.draws else ():
+            key = (name, scene.digest)
+            if key not in self.drawn:
+                self.drawn[key] = _picture(*key)
+            if (picture := self.drawn[key]) is not None:
+                found[key] = picture
+        return found
 
 
 def _picture(name: str, digest: str) -> bytes | None:
+    from nw_eval.catalogue import get_scene, is_built_in
+
+    if not is_built_in(name):  # Nothing that a stranger's run names is opened or fetched.
+        return None
+    kept = _kept(name, digest)
+    with suppress(OSError, DamagedError):
+        if kept is not None:
+            return bytes(read_sealed(kept))
+    try:
+        scene = get_scene(name)
+        if scene.digest != digest:
+            return None
+        picture = _drawn(scene)
+    except NwEvalError:  # Not of this machine; the page does without.
+        return None
+    if kept is not None:
+        with suppress(StoreError), sealed_path(kept) as path:
+            path.write_bytes(picture)
+    return picture
+
+
+def _drawn(scene: Scene) -> bytes:
     from io import BytesIO
 
     import numpy as np
     from PIL import Image
 
-    from nw_eval.catalogue import get_scene, is_built_in
     from nw_eval.rollout.replaying.contact_sheet import scene_views
 
-    if not is_built_in(name):  # Nothing that an untrusted run names is opened or fetched.
-        return None
-    try:
-        scene = get_scene(name)
-        if scene.digest != digest:
-            return None
-        views = scene_views(scene, width=_WIDTH)
-    except NwEvalError:  # Not of this machine; the page does without.
-        return None
     content = BytesIO()
+    views = scene_views(scene, width=_WIDTH)
     Image.fromarray(np.hstack(views)).save(content, format="JPEG", quality=_QUALITY)
     return content.getvalue()
+
+
+def _kept(name: str, digest: str) -> Path | None:
+    """Return where the picture of a scene is kept for the next page; None without a cache."""
+    from nw_eval.results.machine import code_info
+
+    drawn_by = f"{code_info().digest} {_WIDTH} {_QUALITY} {name} {digest}"
+    try:
+        return private_dir("pictures") / sha256(drawn_by.encode()).hexdigest()
+    except StoreError:
+        return None

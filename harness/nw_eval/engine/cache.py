@@ -33,8 +33,8 @@ from tempfile import mkdtemp
 from time import time
 from typing import TYPE_CHECKING, Any, Self, cast
 
-from nw_eval.errors import UsageError
-from nw_eval.files.cache import private_dir
+from nw_eval.errors import StoreError, UsageError
+from nw_eval.files.cache import cache_dir, private_dir
 from nw_eval.results.row import Row, from_dict, to_dict
 from nw_eval.results.seal import seal, unseal
 from nw_eval.suite.digest import digest_of
@@ -50,6 +50,7 @@ LIMIT_GB = 5.0
 _GB = 10**9
 _ABANDONED = 3600.0  # s after which a half-written file is given up.
 _HEADROOM = 0.9  # of the limit to which it is pruned, so that not every run has to.
+_TRIALS = "trials"
 _ROW, _LOG = "row.json", "log.mcap"
 _MOST_ROW = 2**20
 """Bytes of a row.json that is read; honest ones have about two thousand."""
@@ -97,6 +98,28 @@ def limit_bytes() -> int:
     raise UsageError(f"NW_EVAL_CACHE_GB is {text[:40]!r}", fix="give a size in GB; 0 keeps nothing")
 
 
+def told_of_cache() -> str:
+    """Return where a cache will be and how large, if no run has kept a result there yet.
+
+    Empty if one has, if none is to be kept, or where there is no place for it, which is told later.
+
+    Raises:
+        UsageError: `NW_EVAL_CACHE_GB` is no size.
+    """
+    limit = limit_bytes() / _GB
+    try:
+        folder = cache_dir()
+    except StoreError:
+        return ""
+    if not limit or (folder / _TRIALS).exists():
+        return ""
+    return (
+        f"first run: what is built and computed is kept in {folder} for later runs (results up to "
+        f"{limit:g} GB, about 15 MB for each scene, 60 MB of compiled code); NW_EVAL_CACHE names "
+        "another folder, NW_EVAL_CACHE_GB another size"
+    )
+
+
 class TrialStore:
     """The cache of trials.
 
@@ -114,7 +137,7 @@ class TrialStore:
         Raises:
             StoreError: its folder cannot be made, or others could write into it.
         """
-        return cls(private_dir("trials"))
+        return cls(private_dir(_TRIALS))
 
     def find(self, conditions: Conditions, key: str) -> CacheEntry | None:
         """Return the entry of a key, if there is one that can be used."""

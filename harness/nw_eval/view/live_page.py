@@ -200,7 +200,7 @@ class LivePage(ServedPage):
         self._show_pictures(decision.observation)
         if outcome is not None:
             self.runs = False
-            self._say(self._stage.trial.episode.task.end_reason)
+            self._say("")
         elif clock.monotonic() - self._said_at > _SAID_EVERY or not self.runs:
             self._say("")
 
@@ -219,6 +219,10 @@ class LivePage(ServedPage):
             done = self._done * episode.world.control_period
             parts.append(f"{done / (now - self._said_at):.2f} of real time")
         parts += [f"{axis} {value:g}" for axis, value in self._stage.cell.items()]
+        if self._stage.run_end is not None:
+            at, outcome, reason = self._stage.run_end
+            how = _ENDS.get(outcome, outcome.replace("_", " "))
+            parts.append(f"a run ends at {at:.2f} s: {how} ({reason})")
         self._said_at, self._done = now, 0
         self.words = " · ".join([*parts, *filter(None, [more])])
         self._panel.status(plain(self.words), runs=self.runs)
@@ -257,6 +261,11 @@ class LivePage(ServedPage):
         self._panel = LivePanel(
             self, stage, heading, has_splat=self._splat is not None, save_to=save_to
         )
+
+    @property
+    def has_picture(self) -> bool:
+        """Whether the policy has an observation that is an image."""
+        return bool(self._views)
 
     def _on_goal(self, event: Any) -> None:
         x, y, _ = (float(value) for value in self._goal.position)
@@ -312,6 +321,10 @@ def _picture(view: View, array: NDArray[Any]) -> NDArray[np.uint8] | None:
 _WAYS = {"ahead": (1.0, 0.0), "back": (-1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0)}
 
 
+_ENDS = {"completed": "success", "timeout": "time limit"}
+"""Outcomes that a page calls otherwise than rows do."""
+
+
 class LivePanel:
     """Draws the controls.
 
@@ -336,6 +349,8 @@ class LivePanel:
         if has_splat:
             mesh = gui.add_checkbox("Mesh", initial_value=False)
             mesh.on_update(lambda _: page.show_mesh(mesh.value))
+        if not page.has_picture:
+            gui.add_markdown("The policy has no camera.")
         self._ego = gui.add_image(np.zeros((9, 16, 3), np.uint8), label="What the policy sees")
         self._ego.visible = False
         with gui.add_folder("Push"):

@@ -109,6 +109,7 @@ class Stage:
         place: with what was done to it.
         cell: the axes of perturbation that were set, and their values.
         pushed: the hardest push, m/s.
+        run_end: when a run's trial would have ended, s, and how; None while it would go on.
 
     Raises:
         NwEvalError: place or policy cannot be opened.
@@ -125,6 +126,8 @@ class Stage:
         self.place = ChangedPlace(scene=still, folder=Path(self._folder.name))
         self.cell: dict[str, float] = {}
         self.pushed = 0.0
+        self.run_end: tuple[float, Outcome, str] | None = None
+        self._limit = job.duration
         self._job = replace(job, duration=_LONG, mcap=None, record="none")
         self._bundle = bundle
         self._policy_process = PolicyProcess(policy_rules(bundle))
@@ -167,7 +170,18 @@ class Stage:
         episode = self.trial.episode
         decision = episode.decide()
         outcome = episode.advance(decision).outcome
+        if self.run_end is None:
+            self._note_end(outcome)
         return decision, None if outcome in GOES_ON else outcome
+
+    def _note_end(self, outcome: Outcome | None) -> None:
+        episode = self.trial.episode
+        time, reason = episode.world.time, episode.task.end_reason
+        if outcome is None:
+            if episode.step < round(self._limit / episode.world.control_period):
+                return
+            outcome, reason = "timeout", f"{self._limit:g} s"
+        self.run_end = time, outcome, reason
 
     def push(self, ahead: float, left: float) -> None:
         """Add a velocity to the trunk's, m/s, in the robot's heading."""
@@ -201,6 +215,7 @@ class Stage:
     def restart(self) -> None:
         """Begin again, with all that was changed."""
         self._replace(self._open(self.place, self.cell))
+        self.run_end = None
 
     def _go_on(self, place: ChangedPlace, cell: dict[str, float]) -> None:
         trial = self._open(place, cell)

@@ -57,7 +57,7 @@ class Trace:
         series: what is plotted.
         frames: times, s, of the ego camera's pictures, ascending, and the pictures (H, W, 3); none
             where they were not kept.
-        is_seen: whether the policy was given these pictures.
+        is_seen: whether the policy was given these pictures; None where that is not known.
     """
 
     logged: LoggedTrial
@@ -69,7 +69,7 @@ class Trace:
     events: tuple[tuple[float, str], ...]
     series: tuple[Series, ...]
     frames: tuple[F64, tuple[NDArray[np.uint8], ...]]
-    is_seen: bool
+    is_seen: bool | None
 
     @property
     def trunk(self) -> F64:
@@ -149,7 +149,7 @@ def _trace(logged: LoggedTrial, messages: dict[str, list[tuple[float, Any]]]) ->
     )
 
 
-def _is_seen(logged: LoggedTrial) -> bool:
+def _is_seen(logged: LoggedTrial) -> bool | None:
     """Whether the policy was given the pictures of the ego camera, as the card in the log says.
 
     For a policy that is given no camera's image, the log has a camera of its own there.
@@ -158,7 +158,7 @@ def _is_seen(logged: LoggedTrial) -> bool:
     try:
         card = parse_card(text, file=CARD_FILE)
     except PolicyError:  # A log of another version, or of no card: then nothing is claimed.
-        return False
+        return None
     return any(isinstance(seen, CameraObservation) for seen in card.observations.values())
 
 

@@ -167,7 +167,12 @@ _PLOT_EVERY = 0.25
 """Seconds between two plots that are sent while it plays."""
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2")
 _MOST_OTHERS = 8
-_BLIND = "From its head (not seen by the policy)"
+_EGO = {
+    True: "What the policy saw",
+    False: "The policy has no camera; from its head",
+    None: "From its head",
+}
+"""Titles of the ego camera's picture, by whether the policy was given it."""
 
 
 class TrialPanel:
@@ -214,7 +219,7 @@ class TrialPanel:
         if has_splat:
             mesh = gui.add_checkbox("Mesh", initial_value=False)
             mesh.on_update(lambda _: page.show_mesh(mesh.value))
-        label = "What the policy saw" if traces[0].is_seen else _BLIND
+        label = _EGO[traces[0].is_seen]
         self._ego = gui.add_image(np.zeros((9, 16, 3), np.uint8), label=label)
         self._ego.visible = bool(len(traces[0].frames[0]))
         with gui.add_folder("Events"):

@@ -11,7 +11,7 @@ from cache_parts import DONE, conditions_of, finish, jobs_of, row_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_eval.engine.cache import NO_ENTRY, limit_bytes, read_entry
+from nw_eval.engine.cache import NO_ENTRY, TrialStore, limit_bytes, read_entry, told_of_cache
 from nw_eval.errors import UsageError
 from nw_eval.results.seal import seal
 
@@ -270,3 +270,16 @@ def test_the_folder_of_a_store_that_is_not_there_holds_nothing(store):
     assert list(store) == []
     assert store.find(HERE, "0" * 64) is None
     assert store.prune(0) == []
+
+
+def test_the_first_run_is_told_where_the_cache_is_and_how_large(tmp_path, monkeypatch):
+    monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("NW_EVAL_CACHE_GB", "2.5")
+    told = told_of_cache()
+    assert str(tmp_path / "cache") in told
+    assert "up to 2.5 GB" in told
+    monkeypatch.setenv("NW_EVAL_CACHE_GB", "0")
+    assert told_of_cache() == ""
+    monkeypatch.setenv("NW_EVAL_CACHE_GB", "2.5")
+    TrialStore.of_user()
+    assert told_of_cache() == ""

@@ -117,12 +117,38 @@ def index_page(make_run: Make, make_row: Make, compared: Comparison, tmp_path: P
     rows = [make_row("hurdles/high", index, index % 5) for index in range(20)]
     verdict = combined(judge(rows, Gate(), {"hurdles/high": 20}, against=compared), compared)
     runs = [
-        ListedRun(folder=name, href=href, info=make_run({"hurdles/high": 20}), verdict=verdict)
+        ListedRun(
+            folder=name, href=href, info=make_run({"hurdles/high": 20}, id=name), verdict=verdict
+        )
         for name, href in (("one", "one/report.html"), ("two", None))
     ]
     path = tmp_path / "index.html"
     path.write_text(render_index(runs, ["three: damaged"]), encoding="utf-8")
     return path
+
+
+def test_two_runs_of_an_index_stand_side_by_side_and_runs_are_filtered(
+    tab: Browser, index_page: Path
+) -> None:
+    tab.show(index_page)
+    heads = "[...document.querySelectorAll('[data-compares] thead > tr > *')]"
+    shown = f"{heads}.filter((head) => !head.hidden).map((head) => head.innerText.split(/\\s/)[0])"
+    assert len(tab.run(shown)) == 5, "the scene, a drawing, the last change, and two runs"
+    pick = (
+        "((form) => { form.second.selectedIndex = 1; form.dispatchEvent(new Event('input')); })"
+        "(document.querySelector('form.pick'))"
+    )
+    tab.run(pick)
+    assert tab.run(shown)[-1] == "change"
+    changes = "[...document.querySelectorAll('td.change')].map((cell) => cell.textContent)"
+    assert tab.run(changes) == ["0.000", "0.000"]
+    find = (
+        "((form) => { form.words.value = 'two'; form.dispatchEvent(new Event('input')); })"
+        "(document.querySelector('form.filter'))"
+    )
+    tab.run(find)
+    assert tab.run("document.querySelector('.count').textContent") == "1 of 2 runs"
+    assert tab.complaints == []
 
 
 @pytest.mark.nightly

@@ -110,8 +110,8 @@ def test_many_runs_get_one_page_with_trends_by_scene(
     page = read(Path("runs/index.html").read_text(encoding="utf-8"))
     runs, trends = page.all("table")
     assert [line[:1] + line[2:4] for line in runs.cells[1:]] == [
-        ["new", "INCONCLUSIVE", "hurdles"],
-        ["old", "PASS", "hurdles"],
+        ["go1-parkour new", "INCONCLUSIVE", "0.500"],
+        ["go1-parkour old", "PASS", "1.000"],
     ]
     links = [str(each.attributes["href"]) for each in runs.all("a")]
     assert [re.sub(r"-[0-9a-f]{8}\.html", "", link) for link in links] == [
@@ -120,8 +120,9 @@ def test_many_runs_get_one_page_with_trends_by_scene(
     ]
     old = read((Path("runs") / links[1]).read_text(encoding="utf-8"))
     assert "PASS" in old.one("h1").text
-    # The oldest first.
-    assert [[line[0], *line[2:]] for line in trends.cells[1:]] == [
+    # The oldest first, and named as one knows them.
+    assert [[line[0], *line[2:]] for line in trends.cells] == [
+        ["scene", "go1-parkour last change", "go1-parkour old", "go1-parkour new"],
         ["all scenes", "-0.500", "1.000", "0.500"],
         ["a", "-0.500", "1.000", "0.500"],
     ]

@@ -31,7 +31,13 @@ class Report(Publishing):
     """Show the page in HTML in a browser."""
     site: Path | None = None
     """Write a leaderboard over the runs into this folder, to be published as it is: policies by
-    suites and tasks, scenes with pictures, the runs' reports. A site that is there is replaced."""
+    suites and tasks, scenes with pictures, an index of the runs and their reports, badges. A site
+    that is there is replaced."""
+    title: str | None = None
+    """Of the page over several runs, or of the leaderboard."""
+    pictures: bool = True
+    """Draw the built-in scenes on a page over several runs, about a second each; they are kept in
+    the cache."""
 
     def __call__(self) -> int:
         if self.site is not None:
@@ -44,7 +50,13 @@ class Report(Publishing):
         from nw_eval import api
         from nw_eval.cli.terminal.last_words import show
         from nw_eval.cli.verbs.options import summary
+        from nw_eval.errors import UsageError
 
+        if self.title is not None:
+            raise UsageError(
+                "--title is of a page over several runs, and one run is named",
+                fix="name another one, or --site",
+            )
         with self.publishing(str(self.runs[0])) as judged:
             judged.run = outcome = api.report(self.runs[0], out=self.out)
             print(summary(outcome, folded=self.on_github))
@@ -64,7 +76,8 @@ class Report(Publishing):
                 "--out, --junit, --github, --comment, --track and --reporter with --site",
                 fix="drop them",
             )
-        found = api.write_site(self.runs, folder)
+        title = self.title or "Leaderboard"
+        found = api.write_site(self.runs, folder, title=title, pictures=self.pictures)
         for sentence in found.left_out:
             tell(f"warning: left out: {sentence}")
         print(f"leaderboard of {plural(found.runs, 'run')}: {found.page}")
@@ -83,7 +96,7 @@ class Report(Publishing):
                 "--junit, --github, --comment, --track and --reporter are of one run",
                 fix="name one, or drop them",
             )
-        found = api.index_runs(self.runs, out=self.out)
+        found = api.index_runs(self.runs, out=self.out, title=self.title, pictures=self.pictures)
         for sentence in found.unread:
             tell(f"warning: not read: {sentence}")
         print(f"index of {plural(len(found.runs), 'run')}: {found.typed_page}")

@@ -1,28 +1,55 @@
-"""Pages over many runs: an index of them, and a leaderboard.
+"""Pages over many runs: an index of them, and a training's checkpoints.
 
-The index shows what each run came to, and how every scene went from run to run. The leaderboard
-shows policies by suites and tasks, and every suite scene by scene.
+The index shows what each run came to, how each policy's success went over training steps or dates,
+and how every scene went from run to run. Any two of its runs can be put side by side there.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from types import MappingProxyType
 from typing import Any
+from urllib.parse import urlsplit
 
-from nw_eval.gate.side_by_side import PolicyComparison
 from nw_eval.gate.verdict import Verdict
+from nw_eval.plural import plural
 from nw_eval.reporting.headline import headline_parts, part_of_suite
 from nw_eval.reporting.html.environment import render
-from nw_eval.reporting.side_by_side import ranks_text
+from nw_eval.reporting.html.trend import Chart, Result, chart
 from nw_eval.reporting.tables.table import Bar
+from nw_eval.results.labels import links_of
 from nw_eval.results.provenance import RunInfo
-from nw_eval.stats.interval import Interval
 
 _WIDTH, _HEIGHT = 120.0, 28.0
 """Of a trend's drawing."""
 _LEVELS = (0.0, 0.1, 0.25, 0.5, 0.75)
 """Shares of success lost over which a cell is drawn one step stronger."""
+_DIGITS = 10
+"""Of a commit, shown."""
+_KNOWN_SERVERS = frozenset({"", "github.com", "gitlab.com"})
+_LABELS = (("commit", "commit"), ("branch", "branch"), ("pull_request", "pull"), ("job", "job"))
+"""Columns of the page, where runs have such a label."""
+_GIVEN = re.compile(r".*-[0-9]{8}T[0-9]{6}Z-[0-9a-f]{8}(?:-[0-9]+)?(?:-[0-9]+of[0-9]+)?", re.DOTALL)
+"""A folder's name that nobody chose: `results.run_folder`."""
+_NO_PICTURES: Mapping[tuple[str, str], bytes] = MappingProxyType({})
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabelLink:
+    """What a label says, and where it leads.
+
+    Attributes:
+        text: to show; it may be a stranger's.
+        href: an https address of the job's own server; empty where there is none.
+        host: that server, where readers may not expect it.
+    """
+
+    text: str
+    href: str
+    host: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,11 +62,77 @@ class ListedRun:
     """Of its own page, relative to this one; None without a page."""
     info: RunInfo
     verdict: Verdict
+    number: int = 0
+    """On a page, the oldest is 1."""
 
     @property
     def suite(self) -> str:
         """The suite's name."""
         return str(self.info.suite.get("name", "suite"))
+
+    @property
+    def policy(self) -> str:
+        """The policy's name, and of which training it is, where a label says so."""
+        training = self.info.labels.get("training_run", "")
+        name = self.info.policy.name
+        return f"{name} ({training})" if training and training != name else name
+
+    @property
+    def step(self) -> int | None:
+        """The training step, where a label says it."""
+        text = self.info.labels.get("step", "")
+        return int(text) if re.fullmatch(r"[0-9]{1,15}", text) else None
+
+    @property
+    def when(self) -> datetime | None:
+        """When it started; None if that is no time of these centuries."""
+        try:
+            found = datetime.fromisoformat(self.info.started)
+        except ValueError:
+            return None
+        if not 1970 < found.year < 2200:
+            return None
+        return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+
+    @property
+    def date(self) -> str:
+        """When it started, as a table shows it."""
+        return self.info.started if self.when is None else f"{self.when:%Y-%m-%d %H:%M}"
+
+    @property
+    def name(self) -> str:
+        """Its folder's name, if somebody gave it one of its own; else when it started."""
+        says_more = self.info.id != self.info.policy.name and not _GIVEN.fullmatch(self.info.id)
+        return self.info.id if says_more else self.date
+
+    @property
+    def at(self) -> str:
+        """What tells it from other runs of its policy: its training step, or else its name."""
+        return self.name if self.step is None else f"step {self.step}"
+
+    @property
+    def links(self) -> dict[str, LabelLink]:
+        """What its labels say of commit, branch, pull request and job, with where they lead."""
+        labels, found = self.info.labels, links_of(self.info.labels)
+        server = urlsplit(found.get("job_url", "")).netloc
+        job = labels.get("job") or ("job" if "job_url" in labels else "")
+        commit, pull = labels.get("commit", ""), labels.get("pull_request", "")
+        shown = {
+            "commit": LabelLink(text=commit[:_DIGITS], href=found.get("commit", "")),
+            "branch": LabelLink(text=labels.get("branch", ""), href=found.get("branch", "")),
+            "pull_request": LabelLink(text=pull and f"#{pull}", href=found.get("pull_request", "")),
+            "job": LabelLink(
+                text=job,
+                href=found.get("job_url", ""),
+                host="" if server in _KNOWN_SERVERS else server,
+            ),
+        }
+        return {key: link for key, link in shown.items() if link.text}
+
+    @property
+    def order(self) -> tuple[Any, ...]:
+        """By what runs are put in order of age; no two of a page have the same."""
+        return self.info.started, self.info.id, self.folder
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -65,39 +158,93 @@ class Trend:
     """Success from run to run: of a scene, or of all together."""
 
     name: str
-    means: tuple[float | None, ...]
-    """In the order of the runs; None where a run has none."""
+    lines: tuple[tuple[float | None, ...], ...]
+    """For each policy, in the order of its runs; None where a run has none."""
 
     @property
-    def points(self) -> tuple[tuple[float, float], ...]:
-        """Of its drawing, those that there are."""
-        step = _WIDTH / max(1, len(self.means) - 1)
+    def points(self) -> tuple[tuple[tuple[float, float], ...], ...]:
+        """Of its drawing, those that there are, for each policy."""
         return tuple(
-            (round(place * step, 1), round(_HEIGHT * (1.0 - mean), 1))
-            for place, mean in enumerate(self.means)
-            if mean is not None
+            tuple(
+                (round(place * _WIDTH / max(1, len(line) - 1), 1), round(_HEIGHT * (1.0 - mean), 1))
+                for place, mean in enumerate(line)
+                if mean is not None
+            )
+            for line in self.lines
         )
 
     @property
-    def levels(self) -> tuple[int, ...]:
+    def levels(self) -> tuple[tuple[int, ...], ...]:
         """How strongly to draw each, from 0, all was reached, to 5."""
-        return tuple(0 if mean is None else _level(mean) for mean in self.means)
+        return tuple(
+            tuple(0 if mean is None else level_of(mean) for mean in line) for line in self.lines
+        )
 
     @property
-    def change(self) -> float | None:
-        """The last run's success less that of the one before it, of those that have one."""
-        known = [mean for mean in self.means if mean is not None]
-        return known[-1] - known[-2] if len(known) > 1 else None
+    def changes(self) -> tuple[float | None, ...]:
+        """Of each policy the last run's success less that of the one before it, if it has two."""
+        known = [[mean for mean in line if mean is not None] for line in self.lines]
+        return tuple(line[-1] - line[-2] if len(line) > 1 else None for line in known)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyRuns:
+    """The runs of one policy on one suite, by training step or the oldest first."""
+
+    name: str
+    runs: tuple[ListedRun, ...]
+
+    @property
+    def by_step(self) -> bool:
+        """Whether all of them are of a training whose steps are known."""
+        return all(run.step is not None for run in self.runs)
+
+    @property
+    def results(self) -> list[Result]:
+        """Those that a drawing has room for."""
+        found: list[Result] = []
+        for run in self.runs:
+            at = run.step if self.by_step else run.when and run.when.timestamp()
+            if at is not None and run.verdict.success is not None:
+                found.append(
+                    Result(
+                        at=float(at),
+                        success=run.verdict.success,
+                        interval=run.verdict.interval,
+                        name=f"{self.name}, {run.at}",
+                    )
+                )
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)
 class SuiteTrends:
-    """The runs of one suite, the oldest first."""
+    """The runs of one suite, policy after policy."""
 
     suite: str
-    runs: tuple[ListedRun, ...]
+    policies: tuple[PolicyRuns, ...]
+    """That with the latest run first."""
     trends: tuple[Trend, ...]
     """All scenes together first, then each in alphabetical order."""
+    pictures: Mapping[str, bytes]
+    """JPEGs by scene, as far as there are any."""
+
+    @property
+    def runs(self) -> tuple[ListedRun, ...]:
+        """In the order of the policies."""
+        return tuple(run for each in self.policies for run in each.runs)
+
+    @property
+    def charts(self) -> tuple[Chart, ...]:
+        """Success over training steps, and over dates where these are not known."""
+        drawn = (
+            chart(
+                axis,
+                [(each.name, each.results) for each in self.policies if each.by_step is by_step],
+            )
+            for axis, by_step in (("training step", True), ("date", False))
+        )
+        return tuple(each for each in drawn if each is not None)
 
     @property
     def panels(self) -> int:
@@ -105,215 +252,82 @@ class SuiteTrends:
         return len({(run.info.suite_digest, run.info.drawn_from) for run in self.runs})
 
 
-def render_index(runs: Sequence[ListedRun], unread: Sequence[str]) -> str:
+def render_index(
+    runs: Sequence[ListedRun],
+    unread: Sequence[str],
+    *,
+    title: str = "",
+    pictures: Mapping[tuple[str, str], bytes] = _NO_PICTURES,
+    board: str = "",
+) -> str:
     """Return the page.
 
     Args:
         runs: in any order.
         unread: a sentence on each run that could not be read.
+        title: above it; the number of runs if empty.
+        pictures: JPEGs by name and digest of a scene.
+        board: address of a leaderboard over the same runs; empty without one.
     """
-    ordered = sorted(runs, key=lambda run: (run.info.started, run.info.id, run.folder))
+    ordered = [
+        replace(run, number=place)
+        for place, run in enumerate(sorted(runs, key=lambda run: run.order), 1)
+    ]
     suites = sorted({run.suite for run in ordered})
     return render(
         "index.html.j2",
+        title=title or plural(len(ordered), "run"),
         runs=ordered[::-1],
         unread=tuple(unread),
-        suites=[_trends(suite, [run for run in ordered if run.suite == suite]) for suite in suites],
+        suites=[
+            _trends(suite, [run for run in ordered if run.suite == suite], pictures)
+            for suite in suites
+        ],
+        policies=sorted({run.policy for run in ordered}),
+        verdicts=sorted({run.verdict.verdict for run in ordered}),
+        labels=[(key, words) for key, words in _LABELS if any(key in run.links for run in ordered)],
+        has_steps=any(run.step is not None for run in ordered),
+        board=board,
     )
 
 
-def _trends(suite: str, runs: Sequence[ListedRun]) -> SuiteTrends:
-    means = [{item.scene: item.mean for item in run.verdict.per_scene} for run in runs]
-    scenes = sorted({scene for each in means for scene in each})
+def _trends(
+    suite: str, runs: Sequence[ListedRun], pictures: Mapping[tuple[str, str], bytes]
+) -> SuiteTrends:
+    """Return the trends of runs, the oldest first."""
+    names = list(dict.fromkeys(run.policy for run in runs[::-1]))
+    policies: list[PolicyRuns] = []
+    for name in names:
+        own = [run for run in runs if run.policy == name]
+        if all(run.step is not None for run in own):
+            own.sort(key=lambda run: (run.step, run.order))
+        policies.append(PolicyRuns(name=name, runs=tuple(own)))
+    means = [
+        [{item.scene: item.mean for item in run.verdict.per_scene} for run in each.runs]
+        for each in policies
+    ]
+    scenes = sorted({scene for line in means for each in line for scene in each})
+    together = tuple(tuple(run.verdict.success for run in each.runs) for each in policies)
+    digests = {(n, s.digest) for run in runs for n, s in run.info.scenes.items()}
     return SuiteTrends(
         suite=suite,
-        runs=tuple(runs),
+        policies=tuple(policies),
         trends=(
-            Trend(name="all scenes", means=tuple(run.verdict.success for run in runs)),
+            Trend(name="all scenes", lines=together),
             *(
-                Trend(name=scene, means=tuple(each.get(scene) for each in means))
+                Trend(
+                    name=scene,
+                    lines=tuple(tuple(each.get(scene) for each in line) for line in means),
+                )
                 for scene in scenes
             ),
         ),
+        pictures={name: pictures[name, d] for name, d in sorted(digests) if (name, d) in pictures},
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class BoardRun:
-    """A run of the board.
-
-    Attributes:
-        info: its run.json.
-        verdict: as it was begun.
-        href: of its own report, relative to the page.
-    """
-
-    info: RunInfo
-    verdict: Verdict
-    href: str
-
-    @property
-    def part(self) -> str:
-        """Of how many of its suite's scenes it has results; nothing if of all."""
-        return part_of_suite(self.verdict, self.info)
-
-    @property
-    def identity(self) -> tuple[str, str]:
-        """The policy: its name, and the digest of its checkpoint."""
-        return self.info.policy.name, self.info.policy.checkpoint_digest
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoardSection:
-    """Runs of one suite that compare with one another.
-
-    Attributes:
-        title: the suite's name, with a number where its runs do not all compare.
-        note: why they do not; empty where they do.
-        comparison: of their policies, in the order of `runs`.
-        runs: one for each.
-        pictures: JPEGs by scene, as far as there are any.
-    """
-
-    title: str
-    note: str
-    comparison: PolicyComparison
-    runs: tuple[BoardRun, ...]
-    pictures: Mapping[str, bytes]
-
-    @property
-    def order(self) -> list[int]:
-        """Places of the policies, the best first."""
-        policies = self.comparison.policies
-        return sorted(range(len(policies)), key=lambda i: (-policies[i].mean, policies[i].label))
-
-    @property
-    def has_splits(self) -> bool:
-        """Whether any of the policies says in which scenes it was trained."""
-        return any(each.split for run in self.runs for each in run.info.scenes.values())
-
-    def split(self, place: int, scene: str) -> str:
-        """Return whether a policy was trained in a scene: `train` or `eval`, or nothing."""
-        known = self.runs[place].info.scenes.get(scene)
-        return "" if known is None else known.split or ""
-
-    def split_mean(self, place: int, split: str) -> float | None:
-        """Return a policy's mean success over its `train` or its `eval` scenes; None without any.
-
-        Scenes weigh equally. Those that the verdict takes for informational do not count.
-        """
-        tiers = {item.scene: item.tier for item in self.runs[place].verdict.per_scene}
-        found = [
-            each.means[place]
-            for each in self.comparison.scenes
-            if self.split(place, each.scene) == split and tiers.get(each.scene) != "informational"
-        ]
-        return sum(found) / len(found) if found else None
-
-    def level(self, mean: float) -> int:
-        """Return how strongly a cell is drawn: 0 where all was reached, to 5."""
-        return _level(mean)
-
-    def bar(self, place: int) -> Bar:
-        """Return the drawing of a policy's success."""
-        policy = self.comparison.policies[place]
-        return Bar(value=policy.mean, interval=policy.interval)
-
-    def rank(self, place: int) -> str:
-        """Return the ranks that a policy may have; nothing where it is alone."""
-        policies = self.comparison.policies
-        return ranks_text(policies[place]) if len(policies) > 1 else ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoardStanding:
-    """A policy in one column: success, its interval, its ranks (of a task none), and its report."""
-
-    mean: float
-    interval: Interval
-    rank: str
-    href: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class BoardLine:
-    """A policy over all columns.
-
-    Attributes:
-        name: of the policy.
-        checkpoint: the beginning of its checkpoint's digest; empty where names tell all apart.
-        standings: by column, None where it has no run.
-    """
-
-    name: str
-    checkpoint: str
-    standings: tuple[BoardStanding | None, ...]
-
-
-def render_board(title: str, sections: Sequence[BoardSection], left_out: Sequence[str]) -> str:
-    """Return the page.
-
-    Args:
-        title: above it.
-        sections: in their order.
-        left_out: a sentence for each run that the page does not have.
-    """
-    columns, lines = _lines(sections)
-    return render(
-        "site.html.j2",
-        title=title,
-        sections=tuple(sections),
-        columns=columns,
-        lines=lines,
-        left_out=tuple(left_out),
-        suites=len({section.comparison.suite for section in sections}),
-        percent=f"{100 * sections[0].comparison.confidence:.4g} %" if sections else "",
-    )
-
-
-def _lines(sections: Sequence[BoardSection]) -> tuple[list[str], list[BoardLine]]:
-    """Return the names of the columns, and a line for each policy, the best of the first on top."""
-    columns: list[str] = []
-    standings: dict[tuple[str, str], dict[int, BoardStanding]] = {}
-    for section in sections:
-        tasks = section.comparison.tasks
-        shown = [None, *tasks] if len(tasks) > 1 else [None]
-        for task in shown:
-            for place, (policy, run) in enumerate(
-                zip(section.comparison.policies, section.runs, strict=True)
-            ):
-                found = policy if task is None else task.estimates[place]
-                own = standings.setdefault(run.identity, {})
-                # Of two runs of one policy in one suite, the first is the board's.
-                own.setdefault(
-                    len(columns),
-                    BoardStanding(
-                        mean=found.mean,
-                        interval=found.interval,
-                        rank=section.rank(place) if task is None else "",
-                        href=run.href,
-                    ),
-                )
-            columns.append(section.title if task is None else f"{section.title}: {task.task}")
-    names = [name for name, _ in standings]
-    order = sorted(
-        standings,
-        key=lambda key: (
-            [-standings[key][c].mean if c in standings[key] else 1.0 for c in range(len(columns))],
-            key,
-        ),
-    )
-    return columns, [
-        BoardLine(
-            name=name,
-            checkpoint=digest[:8] if names.count(name) > 1 else "",
-            standings=tuple(standings[name, digest].get(c) for c in range(len(columns))),
-        )
-        for name, digest in order
-    ]
-
-
-def _level(mean: float) -> int:
+def level_of(mean: float) -> int:
+    """Return how strongly a cell of mean success is drawn: 0 where all was reached, to 5."""
     return sum(1.0 - mean > least for least in _LEVELS)
 
 

@@ -66,44 +66,84 @@
     const more = document.querySelector(".more");
     const count = document.querySelector(".count");
     const titles = [...table.tHead.rows[0].cells].map((cell) => cell.textContent.trim());
-    const [scene, outcome] = [titles.indexOf("scene"), titles.indexOf("outcome")];
-    let most = FIRST;
+    const noun = form.dataset.noun;
+    let most = more ? FIRST : Number.POSITIVE_INFINITY;
     const words = new Map([...table.tBodies[0].rows].map((row) => [row, row.textContent.toLowerCase()]));
+    const chosen = [...form.querySelectorAll("select")].map((select) => [select, titles.indexOf(select.name)]);
+    const value = (cell) => cell.dataset.value ?? cell.textContent;
 
     function show() {
       const sought = form.words.value.toLowerCase().split(" ").filter(Boolean);
       let found = 0;
       for (const row of table.tBodies[0].rows) {
         const fits =
-          (!form.scene.value || row.cells[scene].textContent === form.scene.value) &&
-          (!form.outcome.value || row.cells[outcome].textContent === form.outcome.value) &&
+          chosen.every(([select, column]) => !select.value || value(row.cells[column]) === select.value) &&
           sought.every((word) => words.get(row).includes(word));
         found += fits;
         row.hidden = !fits || found > most;
         if (!row.hidden) copyable(row);
       }
       const shown = Math.min(found, most);
-      count.textContent = `${found} of ${words.size} trials${shown < found ? `, ${shown} shown` : ""}`;
-      more.hidden = shown === found;
+      count.textContent = `${found} of ${words.size} ${noun}${shown < found ? `, ${shown} shown` : ""}`;
+      if (more) more.hidden = shown === found;
     }
 
     form.hidden = false;
     form.addEventListener("submit", (event) => event.preventDefault());
     form.addEventListener("input", show);
     table.addEventListener("sorted", show);
-    more.firstElementChild.addEventListener("click", () => {
-      most = Number.POSITIVE_INFINITY;
-      show();
-    });
-    // Paper has room for all rows that were not filtered away.
-    addEventListener("beforeprint", () => { const before = most; most = Number.POSITIVE_INFINITY; show(); most = before; });
-    addEventListener("afterprint", show);
+    if (more) {
+      more.firstElementChild.addEventListener("click", () => {
+        most = Number.POSITIVE_INFINITY;
+        show();
+      });
+      // Paper has room for all rows that were not filtered away.
+      addEventListener("beforeprint", () => { const before = most; most = Number.POSITIVE_INFINITY; show(); most = before; });
+      addEventListener("afterprint", show);
+    }
     show();
     table.classList.add("ready");
   }
 
+  // Two runs of a table side by side: the columns of all others are hidden, and one has the change.
+  function comparable(table) {
+    const form = table.closest("section").querySelector("form.pick");
+    const heads = [...table.tHead.rows[0].cells];
+    if (!form || heads.filter((head) => head.dataset.run).length < 2) return;
+    const rows = [...table.rows];
+    const change = rows.map((row, place) => {
+      const cell = document.createElement(place ? "td" : "th");
+      if (!place) cell.scope = "col";
+      cell.className = "number change";
+      cell.hidden = true;
+      row.append(cell);
+      return cell;
+    });
+    change[0].textContent = "change";
+    const column = (run) => heads.findIndex((head) => head.dataset.run === run);
+
+    function show() {
+      const [first, second] = [form.first.value, form.second.value].map(column);
+      const all = second < 0;
+      for (const [place, row] of rows.entries()) {
+        for (let i = 1; i < heads.length; i++) row.cells[i].hidden = !all && i !== first && i !== second;
+        change[place].hidden = all;
+        if (place && !all) {
+          const [before, after] = [first, second].map((i) => number(row.cells[i].textContent));
+          const much = after - before;
+          change[place].textContent = Number.isNaN(much) ? "" : `${much > 0 ? "+" : ""}${much.toFixed(3)}`;
+        }
+      }
+    }
+
+    form.hidden = false;
+    form.addEventListener("submit", (event) => event.preventDefault());
+    form.addEventListener("input", show);
+    show();
+  }
+
+  document.querySelectorAll("table[data-compares]").forEach(comparable);
   document.querySelectorAll("table[data-sorts]").forEach(sortable);
-  const all = document.getElementById("all");
-  if (all) filters(all);
+  document.querySelectorAll("table[data-filtered]").forEach(filters);
   document.querySelectorAll(".worst").forEach(copyable);
 })();

@@ -1,0 +1,202 @@
+"""A leaderboard: policies by suites and tasks, and every suite scene by scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from nw_eval.gate.side_by_side import PolicyComparison
+from nw_eval.gate.verdict import Verdict
+from nw_eval.reporting.headline import part_of_suite
+from nw_eval.reporting.html.environment import render
+from nw_eval.reporting.html.runs import ListedRun, level_of
+from nw_eval.reporting.side_by_side import ranks_text
+from nw_eval.reporting.tables.table import Bar
+from nw_eval.results.provenance import RunInfo
+from nw_eval.stats.interval import Interval
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardRun:
+    """A run of the board.
+
+    Attributes:
+        info: its run.json.
+        verdict: as it was begun.
+        href: of its own report, relative to the page.
+    """
+
+    info: RunInfo
+    verdict: Verdict
+    href: str
+
+    @property
+    def part(self) -> str:
+        """Of how many of its suite's scenes it has results; nothing if of all."""
+        return part_of_suite(self.verdict, self.info)
+
+    @property
+    def name(self) -> str:
+        """Its training step, or else its folder's name or when it started."""
+        return ListedRun(folder="", href=None, info=self.info, verdict=self.verdict).at
+
+    @property
+    def identity(self) -> tuple[str, str]:
+        """The policy: its name, and the digest of its checkpoint."""
+        return self.info.policy.name, self.info.policy.checkpoint_digest
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardSection:
+    """Runs of one suite that compare with one another.
+
+    Attributes:
+        title: the suite's name, with a number where its runs do not all compare.
+        note: why they do not; empty where they do.
+        comparison: of their policies, in the order of `runs`.
+        runs: one for each.
+        pictures: JPEGs by scene, as far as there are any.
+    """
+
+    title: str
+    note: str
+    comparison: PolicyComparison
+    runs: tuple[BoardRun, ...]
+    pictures: Mapping[str, bytes]
+
+    @property
+    def order(self) -> list[int]:
+        """Places of the policies, the best first."""
+        policies = self.comparison.policies
+        return sorted(range(len(policies)), key=lambda i: (-policies[i].mean, policies[i].label))
+
+    @property
+    def has_splits(self) -> bool:
+        """Whether any of the policies says in which scenes it was trained."""
+        return any(each.split for run in self.runs for each in run.info.scenes.values())
+
+    def split(self, place: int, scene: str) -> str:
+        """Return whether a policy was trained in a scene: `train` or `eval`, or nothing."""
+        known = self.runs[place].info.scenes.get(scene)
+        return "" if known is None else known.split or ""
+
+    def split_mean(self, place: int, split: str) -> float | None:
+        """Return a policy's mean success over its `train` or its `eval` scenes; None without any.
+
+        Scenes weigh equally. Those that the verdict takes for informational do not count.
+        """
+        tiers = {item.scene: item.tier for item in self.runs[place].verdict.per_scene}
+        found = [
+            each.means[place]
+            for each in self.comparison.scenes
+            if self.split(place, each.scene) == split and tiers.get(each.scene) != "informational"
+        ]
+        return sum(found) / len(found) if found else None
+
+    def level(self, mean: float) -> int:
+        """Return how strongly a cell is drawn: 0 where all was reached, to 5."""
+        return level_of(mean)
+
+    def bar(self, place: int) -> Bar:
+        """Return the drawing of a policy's success."""
+        policy = self.comparison.policies[place]
+        return Bar(value=policy.mean, interval=policy.interval)
+
+    def rank(self, place: int) -> str:
+        """Return the ranks that a policy may have; nothing where it is alone."""
+        policies = self.comparison.policies
+        return ranks_text(policies[place]) if len(policies) > 1 else ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardStanding:
+    """A policy in one column: success, its interval, its ranks (of a task none), and its report."""
+
+    mean: float
+    interval: Interval
+    rank: str
+    href: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoardLine:
+    """A policy over all columns.
+
+    Attributes:
+        name: of the policy.
+        run: the name or training step of its first run; empty where names tell all apart.
+        standings: by column, None where it has no run.
+    """
+
+    name: str
+    run: str
+    standings: tuple[BoardStanding | None, ...]
+
+
+def render_board(
+    title: str, sections: Sequence[BoardSection], left_out: Sequence[str], *, runs_page: str = ""
+) -> str:
+    """Return the page.
+
+    Args:
+        title: above it.
+        sections: in their order.
+        left_out: a sentence for each run that the page does not have.
+        runs_page: address of an index of the runs; empty without one.
+    """
+    columns, lines = _lines(sections)
+    return render(
+        "site.html.j2",
+        title=title,
+        sections=tuple(sections),
+        columns=columns,
+        lines=lines,
+        left_out=tuple(left_out),
+        runs_page=runs_page,
+        suites=len({section.comparison.suite for section in sections}),
+        percent=f"{100 * sections[0].comparison.confidence:.4g} %" if sections else "",
+    )
+
+
+def _lines(sections: Sequence[BoardSection]) -> tuple[list[str], list[BoardLine]]:
+    """Return the names of the columns, and a line for each policy, the best of the first on top."""
+    columns: list[str] = []
+    standings: dict[tuple[str, str], dict[int, BoardStanding]] = {}
+    called: dict[tuple[str, str], str] = {}
+    for section in sections:
+        tasks = section.comparison.tasks
+        shown = [None, *tasks] if len(tasks) > 1 else [None]
+        for task in shown:
+            for place, (policy, run) in enumerate(
+                zip(section.comparison.policies, section.runs, strict=True)
+            ):
+                found = policy if task is None else task.estimates[place]
+                own = standings.setdefault(run.identity, {})
+                called.setdefault(run.identity, run.name)
+                # Of two runs of one policy in one suite, the first is the board's.
+                own.setdefault(
+                    len(columns),
+                    BoardStanding(
+                        mean=found.mean,
+                        interval=found.interval,
+                        rank=section.rank(place) if task is None else "",
+                        href=run.href,
+                    ),
+                )
+            columns.append(section.title if task is None else f"{section.title}: {task.task}")
+    names = [name for name, _ in standings]
+    order = sorted(
+        standings,
+        key=lambda key: (
+            [-standings[key][c].mean if c in standings[key] else 1.0 for c in range(len(columns))],
+            key,
+        ),
+    )
+    return columns, [
+        BoardLine(
+            name=name,
+            run=called[name, digest] if names.count(name) > 1 else "",
+            standings=tuple(standings[name, digest].get(c) for c in range(len(columns))),
+        )
+        for name, digest in order
+    ]
