@@ -2,6 +2,7 @@
 # make test   set up, then every check and every test
 # make check  formatting, lint, types and the arrows between rooms
 # make bench  the benchmark tables (minutes; on an idle machine)
+# make docs   the docs site, in site/; `make docs-serve` shows it while you write
 # make build  wheel and source archive, checked, and a smoke run of the wheel on its own
 
 PYTHON ?= python3
@@ -11,7 +12,7 @@ export OMP_NUM_THREADS := 1
 # Every trial's process and some hundred of the tests import the package: compiled once, not each time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test check lint types arrows warm bench build
+.PHONY: run test check lint types arrows warm bench docs docs-serve build
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
@@ -49,6 +50,14 @@ bench: $(VENV)/.installed-dev
 	  echo "== $$script"; $(BIN)/python $$script || missed="$$missed $$script"; \
 	done; test -z "$$missed" || { echo "targets missed in:$$missed"; exit 1; }
 
+# A warning is an error (`strict` of mkdocs.yml). The variable silences the theme's note on its successor, Zensical.
+docs docs-serve: export NO_MKDOCS_2_WARNING = 1
+docs: $(VENV)/.installed-docs
+	$(BIN)/mkdocs build --quiet
+
+docs-serve: $(VENV)/.installed-docs
+	$(BIN)/mkdocs serve --livereload --no-strict
+
 build: $(VENV)/.installed-dev
 	rm -rf dist
 	$(BIN)/python -m build --sdist --wheel --outdir dist
@@ -69,6 +78,10 @@ $(VENV)/.installed: $(BIN)/python pyproject.toml constraints.txt
 	PYTHONPATH=harness $(BIN)/python -c '$(WARM_UP)' >/dev/null 2>&1 & \
 	  $(PIP) torch==$(shell sed -n 's/^torch==//p' constraints.txt) \
 	  && $(PIP) -c constraints.txt -e .; code=$$?; wait; exit $$code
+	touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(PIP) -c constraints.txt -e '.[docs]'
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed

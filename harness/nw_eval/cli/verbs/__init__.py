@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from argparse import ArgumentParser
+from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
 from operator import or_
 from pkgutil import resolve_name
@@ -92,18 +93,27 @@ def _verb(name: str) -> Any:
     return resolve_name(f"{__name__}.{name}:{_VERBS[name]}")
 
 
+def parsers() -> Iterator[tuple[str, ArgumentParser]]:
+    """Yield every verb, in the order of the help text, with the parser that says its options."""
+    from tyro.extras import get_parser
+
+    for name in _VERBS:
+        yield name, get_parser(_verb(name), prog=f"nw-eval {name}", config=_config())
+
+
 def _parsed(form: Any, arguments: Sequence[str], **words: Any) -> Callable[[], int]:
     import tyro
 
-    verb = tyro.cli(
-        form,
-        args=arguments,
-        config=(
-            tyro.conf.OmitSubcommandPrefixes,
-            tyro.conf.FlagCreatePairsOff,
-            tyro.conf.DisallowNone,  # Who wants none leaves the option out.
-            tyro.conf.PositionalMetavarFromFieldName,
-        ),
-        **words,
-    )
+    verb = tyro.cli(form, args=arguments, config=_config(), **words)
     return cast("Callable[[], int]", verb)
+
+
+def _config() -> tuple[Any, ...]:
+    from tyro import conf
+
+    return (
+        conf.OmitSubcommandPrefixes,
+        conf.FlagCreatePairsOff,
+        conf.DisallowNone,  # Who wants none leaves the option out.
+        conf.PositionalMetavarFromFieldName,
+    )

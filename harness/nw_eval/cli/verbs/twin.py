@@ -137,7 +137,7 @@ class Calibrate(CalibrateFlags):
 
     photographs: tyro.conf.Positional[Path]
     """A folder of photographs, a video, or cameras of COLMAP, nerfstudio, Polycam, Record3D or
-    another app of docs/twins.md."""
+    another app of docs/how-to/twins.md."""
     out: Path
     """The scene's folder."""
     threads: int | None = None
