@@ -27,6 +27,9 @@ _NAMED_FENCE = re.compile(r"^( *)```([\w-]+) ([^\s{}=]+)$", re.MULTILINE)
 _FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\[((?:[^\[\]]|\[[^\]]*\])*)\]\((?!https?://)([^)\s#]+)(#[^)\s]*)?\)")
 _TAIL = re.compile(r"\s*\((?:default: (?P<default>.*?)|required|repeatable)\)\s*$", re.DOTALL)
+_SEARCH = 'data-md-component="search" role="dialog" aria-label="Search"'
+_UNSEARCHED = frozenset({"changelog.md", "reference/api-values.md"})
+"""Pages that the search leaves out: every page loads its index, and they are a third of it."""
 _NO_VALUE = frozenset({"", "None", "False"})
 
 
@@ -36,8 +39,8 @@ def parts() -> Mapping[str, Callable[[], str]]:
         "verbs": verbs,
         "suite keys": lambda: keys("suite"),
         "policy keys": lambda: keys("policy"),
-        "scene keys": lambda: keys("scene"),
-        "collision keys": lambda: keys("collision"),
+        "scene keys": lambda: keys("scene", level=3),
+        "collision keys": lambda: keys("collision", level=3),
         "robot keys": lambda: keys("robot"),
         "columns": columns,
         "topics": topics,
@@ -108,15 +111,20 @@ def _option(action: Action) -> tuple[str, str, str]:
 
 
 @cache
-def keys(kind: str) -> str:
-    """Return the keys of a kind of file, one table for each of its parts, from its models."""
+def keys(kind: str, *, level: int = 2) -> str:
+    """Return the keys of a kind of file, one table for each of its parts, from its models.
+
+    Args:
+        kind: of the file, as `nw-eval schema` names it, or `robot`.
+        level: of the headings of its parts.
+    """
     whole = _schema(kind)
     named = _headings(whole)
     sections = [_keys(whole, named)]
     for name, heading in named.items():
         part = whole["$defs"][name]
         if "properties" in part:
-            sections += [f"### {heading}", _prose(part.get("description", ""))]
+            sections += [f"{'#' * level} {heading}", _prose(part.get("description", ""))]
             sections.append(_keys(part, named))
     return "\n\n".join(section for section in sections if section)
 
@@ -369,4 +377,12 @@ def on_config(config: Any) -> Any:
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Any) -> str:  # noqa: ARG001
     """Put the generated parts into a page."""
+    if page.file.src_uri in _UNSEARCHED:
+        page.meta["search"] = {"exclude": True}
     return adapted(filled(markdown), page.file.src_uri)
+
+
+def on_post_page(output: str, *, page: Any, config: Any) -> str:  # noqa: ARG001
+    """Mend what the theme leaves out for those who read with the keyboard or the ear."""
+    output = output.replace('data-md-component="search" role="dialog"', _SEARCH)
+    return output.replace("<pre><span></span><code>", '<pre><span></span><code tabindex="0">')

@@ -90,14 +90,14 @@ def test_every_key_of_every_part_stands_in_a_table(kind: str) -> None:
         *(key for part in _in_order(text, schema) for key in part["properties"]),
     ]
     assert text.count("| key | type | default | meaning |") == len(parts)
-    anchors = {generate.anchor(head) for head in re.findall(r"^### (.+)$", text, re.MULTILINE)}
+    anchors = {generate.anchor(head) for head in re.findall(r"^#+ (.+)$", text, re.MULTILINE)}
     assert len(anchors) == len(parts) - 1, "no two parts have one heading"
     assert set(re.findall(r"\]\(#(.*?)\)", text)) <= anchors
 
 
 def _in_order(text: str, schema: dict[str, Any]) -> list[dict[str, Any]]:
     """The parts of a schema in the order of their tables, known by their keys and words."""
-    sections = re.split(r"^### .+$", text, flags=re.MULTILINE)[1:]
+    sections = re.split(r"^#+ .+$", text, flags=re.MULTILINE)[1:]
     left = [part for part in schema.get("$defs", {}).values() if "properties" in part]
     found = []
     for section in sections:
@@ -122,7 +122,7 @@ def test_keys_have_type_default_and_meaning() -> None:
         r"^\| `protocol` \| `strict`, `neverwhere-2026` \| `\"strict\"` \|", suite, re.MULTILINE
     )
     assert "| `gate` | [`gate`](#gate) | as below |" in suite
-    assert "### `sensor: depth`" in generate.keys("policy")
+    assert "## `sensor: depth`" in generate.keys("policy")
 
 
 def test_every_column_topic_and_score_is_there() -> None:
