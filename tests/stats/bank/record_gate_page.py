@@ -47,8 +47,8 @@ POLICIES = (
     ("at max_drop", "worse by `max_drop`", "PASS", "passed", 5),
 )
 NAMES = {
-    "harder": "every waypoint, other starts than the baseline's",
-    "harder, same starts": "every waypoint, the same starts",
+    "harder": "every waypoint, other initial states than the baseline's",
+    "harder, same starts": "every waypoint, the same initial states",
     "some scenes": "some trials of a quarter of the scenes get nowhere",
     "all or nothing": "trials reach all waypoints or none",
 }
