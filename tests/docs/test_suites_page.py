@@ -79,7 +79,7 @@ def test_its_bounds_are_those_of_the_code() -> None:
     train, evaluation = (len(names(split)) for split in get_args(Split))
     for said in (
         f"at most {MAX_CELLS} cells, a run at most {MAX_TRIALS} trials",
-        f"{train} built-in places to train in, and the {evaluation} others",
+        f"{train} built-in scenes to train in, and the {evaluation} others",
         f"({Gate().most_drop:g} without the key)",
         f"`RandomState({PUBLISHED_FIRST_SEED} + i)`",
     ):
