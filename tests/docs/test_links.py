@@ -91,6 +91,7 @@ def test_a_page_can_be_read_by_every_engine(page: Path) -> None:
     assert len(re.findall(r"^# ", _FENCES.sub("", text), re.MULTILINE)) == 1
     assert len(set(headings(page))) == len(headings(page)), "two headings have one anchor"
     assert len(re.findall(r"^ *```", text, re.MULTILINE)) % 2 == 0
+    assert "```mermaid" not in text, "what draws it would come from elsewhere: draw an SVG"
     fence, in_list, before = False, False, ""
     for number, line in enumerate(lines, 1):
         where = f"{name(page)}:{number}"
