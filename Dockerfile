@@ -1,7 +1,7 @@
 # The wheel alone, on CPUs, as a user without rights:
 #   docker build -t nw-eval .
 #   docker run --rm -v "$PWD:/work" --user "$(id -u):$(id -g)" nw-eval run hurdles --policy ./my-policy
-# docs/docker.md says more.
+# docs/how-to/docker.md says more.
 
 ARG PYTHON=3.12-slim-bookworm
 

@@ -3,6 +3,7 @@
 # make check  formatting, lint, types and the arrows between rooms
 # make bench  the benchmark tables (minutes; on an idle machine)
 # make leaderboard  pages of the shipped policies on hurdles, to publish (minutes)
+# make docs   the docs site, in site/; `make docs-serve` shows it while you write
 # make build  wheel and source archive, checked, and a smoke run of the wheel on its own
 
 PYTHON ?= python3
@@ -12,7 +13,7 @@ export OMP_NUM_THREADS := 1
 # Every trial's process and some hundred of the tests import the package: compiled once, not each time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test check lint types arrows warm bench leaderboard build
+.PHONY: run test check lint types arrows warm bench leaderboard docs docs-serve build
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
@@ -62,6 +63,13 @@ leaderboard: $(VENV)/.installed
 	  case $$code in 0|1|3) ;; *) exit $$code;; esac; \
 	done
 	$(BIN)/nw-eval report --site $(LEADERBOARD) --title "Shipped policies on hurdles" $(LEADERBOARD)-runs/*
+# A warning is an error (`strict` of mkdocs.yml). The variable silences the theme's note on its successor, Zensical.
+docs docs-serve: export NO_MKDOCS_2_WARNING = 1
+docs: $(VENV)/.installed-docs
+	$(BIN)/mkdocs build --quiet
+
+docs-serve: $(VENV)/.installed-docs
+	$(BIN)/mkdocs serve --livereload --no-strict
 
 build: $(VENV)/.installed-dev
 	rm -rf dist
@@ -83,6 +91,10 @@ $(VENV)/.installed: $(BIN)/python pyproject.toml constraints.txt
 	PYTHONPATH=harness $(BIN)/python -c '$(WARM_UP)' >/dev/null 2>&1 & \
 	  $(PIP) torch==$(shell sed -n 's/^torch==//p' constraints.txt) \
 	  && $(PIP) -c constraints.txt -e .; code=$$?; wait; exit $$code
+	touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(PIP) -c constraints.txt -e '.[docs]'
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed

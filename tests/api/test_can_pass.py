@@ -28,7 +28,7 @@ gate: {{{gate}}}
 HERE = "flat/carpet_room"
 IN_DOCS = {
     f"{page.name} {name}": text
-    for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+    for page in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
     for name, text in re.findall(
         r"^```yaml (\S+)\n(nw-eval: 1.*?)^```$", page.read_text("utf-8"), re.MULTILINE | re.DOTALL
     )
@@ -159,7 +159,7 @@ def test_every_shipped_suite_can_pass(name, monkeypatch):
 
 
 def test_the_docs_have_suites_of_which_each_with_a_bar_can_pass(tmp_path, monkeypatch):
-    assert "suites.md my-suite.yaml" in IN_DOCS
+    assert "suite.md my-suite.yaml" in IN_DOCS
     monkeypatch.chdir(tmp_path)
     for name, text in IN_DOCS.items():
         if "gate:" in text:

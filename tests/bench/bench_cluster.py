@@ -1,4 +1,4 @@
-"""Ray on one machine beside the local engine, and what clusters take: the table of docs/cluster.md.
+"""Ray beside the local engine, and what clusters take: the table of docs/how-to/cluster.md.
 
     python tests/bench/bench_cluster.py [trials]
 

@@ -1,4 +1,4 @@
-"""The cards with networks on docs/policies.md, as they stand there, on networks of their sizes."""
+"""The cards of docs/how-to/networks.md, as they stand there, on networks of their sizes."""
 
 import hashlib
 import io
@@ -18,17 +18,14 @@ from nw_eval.rollout.confined.vetting import check_bundle
 # torch recommends torch.export for new files; people have these.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "policies.md").read_text()
-SECTION = PAGE[PAGE.index("## Networks that feed") : PAGE.index("## A policy in Python")]
-CARDS = dict(
-    re.findall(r"^```yaml (\S+)/policy\.yaml\n(.*?)^```$", SECTION, re.MULTILINE | re.DOTALL)
-)
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "networks.md").read_text()
+CARDS = dict(re.findall(r"^```yaml (\S+)/policy\.yaml\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
 
 
 def test_it_has_every_key_of_a_network():
-    told = re.findall(r"^\| `(\w+)` \|", SECTION, re.MULTILINE)
+    told = re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE)
     assert told == list(Network.model_fields)
-    (row,) = re.findall(r"^\| `outputs` .*$", SECTION, re.MULTILINE)
+    (row,) = re.findall(r"^\| `outputs` .*$", PAGE, re.MULTILINE)
     assert set(NetworkOutput.model_fields) <= set(re.findall(r"\w+", row))
 
 

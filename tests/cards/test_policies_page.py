@@ -1,4 +1,4 @@
-"""docs/policies.md names what the code has: every key, adapter, term, camera and default.
+"""The pages on policies name what the code has: every key, adapter, term, camera and default.
 
 Its files and commands are used as they stand there.
 """
@@ -48,7 +48,15 @@ from nw_eval.sensors import check_card
 from nw_eval.sensors.heights import grid
 
 NW_EVAL = [sys.executable, "-c", "from nw_eval.cli import main; main()"]
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "policies.md").read_text()
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGES = (
+    "how-to/policy-card.md",
+    "reference/policy-card.md",
+    "reference/observations.md",
+    "how-to/policy-in-python.md",
+    "how-to/policy-server.md",
+)
+PAGE = "\n".join((DOCS / page).read_text(encoding="utf-8") for page in PAGES)
 FILES = dict(re.findall(r"^```\w+ (\S+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
 TERMS = [get_args(term.model_fields["term"].annotation)[0] for term in get_args(AnyTerm)]
 OPTIONS = ("depth_every", "steer_by_depth", "heads", "ensemble", "query_every")
@@ -149,7 +157,7 @@ def test_the_row_of_a_term_has_its_keys_and_words(term):
 
 
 def test_its_filters_are_filters(tmp_path):
-    said = re.findall(r"^    filter: (\{.*\}) +#", PAGE, re.MULTILINE)
+    said = re.findall(r"^filter: (\{.*\}) +#", PAGE, re.MULTILINE)
     assert len(said) == 2
     for line in said:
         (tmp_path / "policy.yaml").write_text(
@@ -161,7 +169,7 @@ def test_its_filters_are_filters(tmp_path):
 
 
 def test_its_clocks_are_clocks_of_the_size_that_their_stacks_see(tmp_path):
-    said = re.findall(r"^    (\{term: clock.*\}) +# ([\w-]+)", PAGE, re.MULTILINE)
+    said = re.findall(r"^(\{term: clock.*\}) +# ([\w-]+)", PAGE, re.MULTILINE)
     sizes = {}
     for line, stack in said:
         written = card(tmp_path, f"{{sensor: proprio, terms: [{line}]}}")
@@ -222,7 +230,7 @@ def test_its_command_folds_the_weights_into_the_graph(tmp_path):
     onnx.save(
         model, tmp_path / "policy.onnx", save_as_external_data=True, location="policy.onnx.data"
     )
-    words, _ = re.findall(r"^    nw-eval (policies fold .*)$", PAGE, re.MULTILINE)
+    words, _ = re.findall(r"^nw-eval (policies fold .*)$", PAGE, re.MULTILINE)
     subprocess.run([*NW_EVAL, *words.split()], cwd=tmp_path, check=True)
     (tmp_path / "policy.onnx.data").unlink()
     (folded,) = onnx.load(tmp_path / "one.onnx").graph.initializer

@@ -1,10 +1,10 @@
-"""docs/security.md says of each kind of file what the code says."""
+"""docs/concepts/security.md says of each kind of file what the code says."""
 
 from pathlib import Path
 
 from nw_eval.confinement.files import FILES, table
 
-PAGE = Path(__file__).parents[2] / "docs" / "security.md"
+PAGE = Path(__file__).parents[2] / "docs" / "concepts" / "security.md"
 
 
 def test_the_page_shows_the_table_of_the_code():

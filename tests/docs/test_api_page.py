@@ -1,4 +1,7 @@
-"""docs/api.md does what it says: every block runs as it stands, each in a fresh interpreter."""
+"""docs/how-to/python.md does what it says, and docs/reference/api.md has every function.
+
+Every block runs as it stands, each in a fresh interpreter.
+"""
 
 import inspect
 import re
@@ -11,9 +14,11 @@ import pytest
 import nw_eval
 from nw_eval import api
 
-PAGE = (Path(__file__).parents[2] / "docs" / "api.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "how-to" / "python.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-TABLE = PAGE.split("\n## All functions")[1]
+REFERENCE = (DOCS / "reference" / "api.md").read_text(encoding="utf-8")
+TABLE = REFERENCE.split("\n## All functions")[1]
 
 
 def run_block(text, folder):

@@ -1,4 +1,4 @@
-"""docs/architecture.md shows the packages as the contract of imports has them."""
+"""docs/concepts/architecture.md shows the packages as the contract of imports has them."""
 
 import re
 import tomllib
@@ -7,7 +7,7 @@ from pathlib import Path
 import nw_eval
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "concepts" / "architecture.md").read_text(encoding="utf-8")
 PACKAGE = Path(nw_eval.__file__).parent
 
 

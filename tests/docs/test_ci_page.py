@@ -1,4 +1,4 @@
-"""docs/ci.md: what it tells GitLab and Jenkins to run is run, as far as that goes without them."""
+"""The pages on GitLab and Jenkins: what they tell these to run is run, as far as that goes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nw_eval.cli.verbs import parse
 from nw_eval.gate.verdict import EXIT_CODES
 from nw_eval.reporting.junit import _KINDS
 
-PAGE = (Path(__file__).parents[2] / "docs" / "ci.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "ci.md").read_text(encoding="utf-8")
 BLOCKS = dict(re.findall(r"^```\w+ (\S+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))
 JOB = YAML(typ="safe", pure=True).load(BLOCKS[".gitlab-ci.yml"])["gate"]
 

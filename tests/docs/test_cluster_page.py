@@ -1,4 +1,4 @@
-"""The manifest of docs/cluster.md is one that KubeRay knows.
+"""The manifest of docs/how-to/cluster.md is one that KubeRay knows.
 
 Fields and types of RayJob and RayCluster are those of KubeRay's `apis/ray/v1` (`rayjob_types.go`,
 `raycluster_types.go`); of pods, those of Kubernetes' `core/v1` that the manifest uses.
@@ -14,7 +14,7 @@ from pydantic.alias_generators import to_camel
 from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "cluster.md").read_text("utf-8")
+PAGE = (ROOT / "docs" / "how-to" / "cluster.md").read_text("utf-8")
 (MANIFEST,) = re.findall(r"^```yaml rayjob\.yaml\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 

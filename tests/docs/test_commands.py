@@ -21,11 +21,15 @@ from nw_eval import cli
 from nw_eval.cli.verbs import parse
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
+_EXTENDING = ("robots", "tasks", "scores", "axes", "splat-formats", "reporters", "testing")
 OWN_TESTS = {
-    "wrappers.md": "tests/sensors/test_wrappers_page.py",
-    "extending.md": "tests/extending/test_extending_page.py",
+    "docs/how-to/extending/sensors.md": "tests/sensors/test_wrappers_page.py",
+    **{
+        f"docs/how-to/extending/{name}.md": "tests/extending/test_extending_page.py"
+        for name in _EXTENDING
+    },
 }
 """Pages whose worked examples have tests of their own, with all that they print."""
 
@@ -34,7 +38,7 @@ REDUCED = MappingProxyType(
     {
         "nw-eval run my-suite.yaml --out mine": _ONE_TRIAL,
         "nw-eval run smoke --policy ./my-trot --allow-code": _ONE_TRIAL,
-        "nw-eval run my-place.yaml --out my-run": "--record none",
+        "nw-eval run my-scene.yaml --out my-run": "--record none",
         "nw-eval run smoke --policy policies/mine": _ONE_TRIAL,
         "nw-eval run smoke --policy go1-parkour --out board/parkour": _ONE_TRIAL,
         "nw-eval run smoke --out looked-at": _ONE_TRIAL,
@@ -97,8 +101,8 @@ NOT_RUN = MappingProxyType(
                 "nw-eval scenes fetch hub:org/corridor@v2",
                 "nw-eval scenes fetch neverwhere:hurdle_stata_v1",
                 "nw-eval policies fetch hub:org/trot",
-                "nw-eval run my-place.yaml --policy hub:org/trot",
-                "nw-eval scenes push ./my-place hub:org/my-place",
+                "nw-eval run my-scene.yaml --policy hub:org/trot",
+                "nw-eval scenes push ./my-scene hub:org/my-scene",
             ],
             "nobody's repositories; tests/hub fetches from a hub of its own, and pushes to it",
         ),
@@ -167,6 +171,11 @@ _BLOCK = re.compile(r"^```([\w-]*)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DO
 _COMMAND = re.compile(r"^ {4,}(?:- run: )?((?:nw-eval|python|make|mkdir) .+?)(?:\s+#.*)?$")
 
 
+def _name(page: Path) -> str:
+    """Where a page lies in the sources."""
+    return page.relative_to(ROOT).as_posix()
+
+
 def files_of(page: Path) -> dict[str, str]:
     """The files that a page shows, by their names."""
     text = page.read_text(encoding="utf-8")
@@ -218,14 +227,14 @@ def type_in(command: str) -> int:
 
 def test_every_page_with_a_test_of_its_own_has_one() -> None:
     for page, file in OWN_TESTS.items():
-        assert page in (ROOT / file).read_text(encoding="utf-8")
+        assert Path(page).stem in (ROOT / file).read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "page",
-    [page for page in PAGES if page.name not in OWN_TESTS and commands_of(page)],
-    ids=lambda page: page.name,
+    [page for page in PAGES if _name(page) not in OWN_TESTS and commands_of(page)],
+    ids=_name,
 )
 def test_a_page_can_be_followed(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -245,7 +254,7 @@ def test_no_command_is_left_out_that_no_page_has() -> None:
     assert {*REDUCED, *ENDS, *NOT_RUN} <= typed
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=_name)
 def test_the_program_takes_every_command_of_a_page(
     page: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -255,4 +264,4 @@ def test_the_program_takes_every_command_of_a_page(
     for command in named_in_prose(page):
         with pytest.raises(SystemExit) as left:  # Most name no file: their help is enough.
             parse([*shlex.split(command.split(" ||")[0]), "--help"], description="")
-        assert left.value.code == 0, f"{page.name}: {command}\n{capsys.readouterr().err}"
+        assert left.value.code == 0, f"{_name(page)}: {command}\n{capsys.readouterr().err}"

@@ -1,4 +1,4 @@
-"""docs/pytest.md names every option and every key of the ini file, and its tests run."""
+"""docs/how-to/pytest.md names every option and every key of the ini file, and its tests run."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 
 from nw_eval.pytest_plugin.options import add_options
 
-PAGE = (Path(__file__).parents[2] / "docs" / "pytest.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "pytest.md").read_text(encoding="utf-8")
 
 
 def test_the_table_has_every_option_and_every_key():

@@ -1,4 +1,4 @@
-"""docs/scenes.md names what the readers read: every key with its default, format and bound."""
+"""The pages on scenes name what the readers read: every key with its default, format and bound."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from nw_eval.scenes.mesh_file import MESH_SUFFIXES
 from nw_eval.scenes.neverwhere.primitives import _SIZES
 from nw_eval.splat import files as splat_files
 
-PAGE = Path(__file__).parents[2] / "docs" / "scenes.md"
-TEXT = PAGE.read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = ("how-to/published-scenes.md", "reference/scene.md", "reference/meshes-and-splats.md")
+TEXT = "\n".join((DOCS / page).read_text(encoding="utf-8") for page in PAGES)
 PROSE = " ".join(TEXT.split())
 
 

@@ -1,4 +1,4 @@
-"""docs/suites.md says what the code does: keys, defaults, rules, thresholds, and what is a bug."""
+"""The pages on suites say what the code does: keys, defaults, rules, thresholds, bugs."""
 
 from __future__ import annotations
 
@@ -21,8 +21,15 @@ from nw_eval.suite.trials import MAX_TRIALS
 from nw_eval.tasks.course import PUBLISHED_FIRST_SEED, REACH_RADIUS, REACH_STEPS, Limits
 from nw_eval.words import OUTCOMES, Protocol, Tier
 
-PAGE = Path(__file__).parents[2] / "docs" / "suites.md"
-TEXT = PAGE.read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[2]
+PAGES = (
+    "reference/suite.md",
+    "reference/gate.md",
+    "reference/outcomes.md",
+    "concepts/seeds.md",
+    "concepts/verdict.md",
+)
+TEXT = "\n".join((ROOT / "docs" / page).read_text(encoding="utf-8") for page in PAGES)
 PROSE = " ".join(TEXT.split())
 
 
@@ -72,7 +79,7 @@ def test_its_bounds_are_those_of_the_code() -> None:
     train, evaluation = (len(names(split)) for split in get_args(Split))
     for said in (
         f"at most {MAX_CELLS} cells, a run at most {MAX_TRIALS} trials",
-        f"{train} built-in places to train in, and the {evaluation} others",
+        f"{train} built-in scenes to train in, and the {evaluation} others",
         f"({Gate().most_drop:g} without the key)",
         f"`RandomState({PUBLISHED_FIRST_SEED} + i)`",
     ):
@@ -95,7 +102,7 @@ def test_its_words_are_those_of_the_format() -> None:
 def test_the_outcomes_are_told_in_the_order_in_which_they_are_looked_for() -> None:
     rules = {row[0].strip("`"): row[1] for row in table("outcome")}
     assert set(rules) == set(OUTCOMES) - {"policy_failed"}
-    source = (PAGE.parents[1] / "harness/nw_eval/tasks/course.py").read_text(encoding="utf-8")
+    source = (ROOT / "harness/nw_eval/tasks/course.py").read_text(encoding="utf-8")
     body = source.split("    def check(")[1].split("    def state(")[0]
     assert re.findall(r'return "(\w+)"', body) == list(rules)
     limits = Limits()

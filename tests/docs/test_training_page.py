@@ -1,4 +1,4 @@
-"""docs/training.md says what the configs of teachers have, and what they have by default."""
+"""docs/how-to/training.md says what the configs of teachers have, and what they have by default."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ from nw_eval.learn.teacher.config import (
     TrainingPhase,
 )
 
-PAGE = (Path(__file__).parents[2] / "docs" / "training.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "training.md").read_text(encoding="utf-8")
 ROWS = {
     key: (meaning, default)
     for key, meaning, default in re.findall(

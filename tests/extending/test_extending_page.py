@@ -1,5 +1,5 @@
-"""docs/extending.md: its packages are those beside this file, installed by pip, and its commands
-run as they stand there."""
+"""docs/how-to/extending: its packages are those beside this file, installed by pip, and its
+commands run as they stand there."""
 
 import os
 import re
@@ -12,13 +12,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+FOLDER = ROOT / "docs" / "how-to" / "extending"
+ORDER = ("robots", "tasks", "scores", "axes", "splat-formats", "reporters", "testing")
+PAGES = {name: (FOLDER / f"{name}.md").read_text(encoding="utf-8") for name in ("index", *ORDER)}
 PACKAGES = Path(__file__).parent / "packages"
 HARNESS = ROOT / "harness" / "nw_eval"
 BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-SECTIONS = {
-    section.partition("\n")[0]: BLOCK.findall(section) for section in PAGE.split("\n## ")[1:]
-}
+SECTIONS = {name: BLOCK.findall(PAGES[name]) for name in ORDER}
+"""What each page shows, in the order in which they are followed."""
 
 
 class Reader:
@@ -112,7 +113,7 @@ def test_the_table_names_every_entry_point_group():
         plugins.TASKS,
         plugins.WRAPPERS,
     }
-    assert set(re.findall(r"^\| `(nw_eval\.\w+)` \|", PAGE, re.MULTILINE)) == groups
+    assert set(re.findall(r"^\| `(nw_eval\.\w+)` \|", PAGES["index"], re.MULTILINE)) == groups
     for package in PACKAGES.iterdir():
         project = tomllib.loads((package / "pyproject.toml").read_text())["project"]
         assert set(project["entry-points"]) <= groups
@@ -135,15 +136,15 @@ def test_each_kind_of_extension_takes_one_source_file_in_a_package_of_its_own():
     linked = {
         plugins.SENSORS,
         plugins.WRAPPERS,
-    }  # Of docs/wrappers.md, which has a test of its own.
-    groups = set(re.findall(r"^\| `(nw_eval\.\w+)` \|", PAGE, re.MULTILINE))
+    }  # Of sensors.md, which has a test of its own.
+    groups = set(re.findall(r"^\| `(nw_eval\.\w+)` \|", PAGES["index"], re.MULTILINE))
     assert set(sources) == groups - linked
 
 
 def test_its_reporters_are_those_that_are_built_in():
     from nw_eval.api.surfaces import REPORTERS
 
-    said = PAGE.partition("The built-in ones are ")[2].partition(";")[0]
+    said = PAGES["reporters"].partition("The built-in ones are ")[2].partition(";")[0]
     words = [word.partition("=")[0] for word in re.findall(r"`([^`]+)`", said)]
     assert words == list(REPORTERS)
 
@@ -159,5 +160,5 @@ def test_the_commands_of_the_page_do_what_it_says_and_change_no_file_of_ours(rea
 def test_the_page_tells_all_that_is_there_for_tests():
     from nw_eval import testing
 
-    told = re.findall(r"^\| `(\w+)[^`]*` \|", PAGE.partition("## Testing")[2], re.MULTILINE)
+    told = re.findall(r"^\| `(\w+)[^`]*` \|", PAGES["testing"], re.MULTILINE)
     assert sorted(told) == testing.__all__

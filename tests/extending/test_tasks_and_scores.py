@@ -1,4 +1,7 @@
-"""Tasks and scores of packages: those of docs/extending.md run, count, and are told where wrong."""
+"""Tasks and scores of packages: those of docs/how-to/extending run and count.
+
+What is wrong with one is told where it is wrong.
+"""
 
 import math
 import re

@@ -1,21 +1,19 @@
-"""The columns that have been published, and the page that says what each one holds.
+"""The columns that have been published.
 
-`python tests/results/record_columns.py` records those that were added: at the end of
-row_schema.jsonl, and in the table of docs/results.md. It refuses while a published one has changed.
+`python tests/results/record_columns.py` records those that were added at the end of
+row_schema.jsonl. It refuses while a published one has changed.
 """
 
 from __future__ import annotations
 
 import json
-import re
 import sys
 from itertools import zip_longest
 from pathlib import Path
 
-from nw_eval.results.parquet import SCHEMA, columns_table
+from nw_eval.results.parquet import SCHEMA
 
 RECORD = Path(__file__).with_name("row_schema.jsonl")
-PAGE = Path(__file__).parents[2] / "docs" / "results.md"
 
 
 def schema_text() -> str:
@@ -24,12 +22,6 @@ def schema_text() -> str:
         json.dumps({"name": field.name, "type": str(field.type), "nullable": field.nullable}) + "\n"
         for field in SCHEMA
     )
-
-
-def with_table(page: str, table: str) -> str:
-    """Return a page with another table of columns."""
-    told = re.compile(r"^\| column \| type \| what \|\n(?:\|.*\n)+", re.MULTILINE)
-    return told.sub(lambda _: table, page)
 
 
 def recorded(published: str, now: str) -> str:
@@ -49,4 +41,3 @@ if __name__ == "__main__":
         RECORD.write_text(recorded(RECORD.read_text("utf-8"), schema_text()), "utf-8")
     except ValueError as error:
         sys.exit(str(error))
-    PAGE.write_text(with_table(PAGE.read_text("utf-8"), columns_table()), "utf-8")

@@ -13,7 +13,7 @@ from typing import Annotated
 import pytest
 
 from nw_eval.results.column import Column, columns_of
-from nw_eval.results.parquet import SCHEMA, columns_table
+from nw_eval.results.parquet import SCHEMA
 from nw_eval.results.row import COLUMNS, MEASURED, OF_THE_PLAN, Row
 
 
@@ -35,12 +35,6 @@ _HINT = (
 def test_the_schema_is_the_one_that_readers_elsewhere_rely_on() -> None:
     """Columns may be added at the end of the record; none may change or go."""
     assert record.schema_text() == PUBLISHED, _HINT
-
-
-def test_the_page_is_as_the_command_that_records_columns_writes_it() -> None:
-    page = record.PAGE.read_text("utf-8")
-    assert record.with_table(page, columns_table()) == page, _HINT
-    assert "| `mood` |" in record.with_table(page, "| `mood` | string | how it was |\n")
 
 
 def test_the_record_takes_up_what_is_added_and_nothing_else() -> None:

@@ -18,7 +18,7 @@ NEEDED_BY_WRAPPERS = {
     "clip": {"limits": 1.0},
     "stack": {"steps": 2},
 }
-PAGE = Path(__file__).parents[2] / "docs" / "wrappers.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "sensors.md"
 
 
 def names_in_schema(key):

@@ -1,4 +1,4 @@
-"""Does what docs/wrappers.md says, word for word."""
+"""Does what docs/how-to/extending/sensors.md says, word for word."""
 
 import os
 import re
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-PAGE = Path(__file__).parents[2] / "docs" / "wrappers.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "extending" / "sensors.md"
 BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted((ROOT / "docs").glob("*.md"))
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
 _BLOCK = re.compile(r"^```ya?ml \.github/(\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _USES = re.compile(r"uses: (\S+)(.*)$", re.MULTILINE)
 
@@ -82,7 +82,7 @@ def test_workflows_give_the_actions_only_inputs_that_they_have() -> None:
 
 
 def test_the_page_has_every_input_and_output_of_the_action() -> None:
-    page = (ROOT / "docs" / "github.md").read_text()
+    page = (ROOT / "docs" / "how-to" / "github.md").read_text()
     action = YAML(typ="safe", pure=True).load(
         (ROOT / ".github" / "actions" / "nw-eval" / "action.yml").read_text()
     )

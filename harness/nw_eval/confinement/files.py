@@ -1,4 +1,4 @@
-"""What each kind of untrusted file may do; `docs/security.md` shows this table.
+"""What each kind of untrusted file may do; `docs/concepts/security.md` shows this table.
 
 A confined process is behind the fence of the operating system, with limits of time and memory.
 Numbers stand where they are held to: `rules.py`, `rollout/confined/access.py`, `policies/safety`.
@@ -59,7 +59,7 @@ FILES: tuple[UntrustedFile, ...] = (
     ),
     UntrustedFile(
         kind="any of these checkpoints, for the digest of what it computes "
-        "([gate.md](gate.md#one-candidate-many-files))",
+        "([how](baseline.md#one-candidate-many-files))",
         read_by="readers of our own, zipfile, json, pickletools",
         where="the main process",
         may="give a digest",

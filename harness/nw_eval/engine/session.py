@@ -109,16 +109,7 @@ def carry_out(
         ) as builders,
     ):
         if plan.renders:
-            code = plan.request.allow_code and senses_by_code(plan.bundle.card)
-            off = why_off(code=code, render=plan.render, in_process=in_process)
-            open_backend(
-                plan.render,
-                listener,
-                is_fenced=not off,
-                surfaces=plan.bundle.card.meets_splat,
-                kernels=plan.kernels,
-                beside=builders.beside_compiler(),
-            )
+            _open_backend(plan, listener, builders, in_process=in_process)
         folder = _folder(plan, out, resume)
         listener.message(f"run folder: {folder.path}")
         if not _uncached(cache=cache, in_process=in_process) and (told := told_of_cache()):
@@ -144,12 +135,7 @@ def carry_out(
                 info = prelude(folder, info)
                 write_run_info(folder.run_json, info)
             if (info.stop is None or info.stop.trials) and not info.interrupted:
-                ready_scans(plan.scenes, listener)
-                if not place.is_local:
-                    builders.wait()
-                if plan.renders:
-                    missing = set(builders.missing) if place.is_local else ()
-                    build_splats((s for s in plan.scenes if s.name not in missing), listener)
+                _ready_scenes(plan, builders, listener, is_local=place.is_local)
                 jobs = plan_jobs(plan, folder)
                 with (
                     place.start_workers(plan, jobs, folder, listener, builders) as start_workers,
@@ -189,6 +175,33 @@ def _in_need(plan: Plan) -> list[Scene]:
     names = dict.fromkeys(trial.scene for trial in in_order(plan.trials))
     scenes = {scene.name: scene for scene in plan.scenes}
     return [scenes[name] for name in names if name in scenes]
+
+
+def _open_backend(
+    plan: Plan, listener: Listener, builders: SplatBuilders, *, in_process: bool
+) -> None:
+    """Compile what draws the plan's images, while splats are built beside it."""
+    code = plan.request.allow_code and senses_by_code(plan.bundle.card)
+    open_backend(
+        plan.render,
+        listener,
+        is_fenced=not why_off(code=code, render=plan.render, in_process=in_process),
+        surfaces=plan.bundle.card.meets_splat,
+        kernels=plan.kernels,
+        beside=builders.beside_compiler(),
+    )
+
+
+def _ready_scenes(
+    plan: Plan, builders: SplatBuilders, listener: Listener, *, is_local: bool
+) -> None:
+    """Make ready what trials need: on this machine, not the splats that are built beside them."""
+    ready_scans(plan.scenes, listener)
+    if not is_local:
+        builders.wait()
+    if plan.renders:
+        missing = set(builders.missing) if is_local else ()
+        build_splats((s for s in plan.scenes if s.name not in missing), listener)
 
 
 def _folder(plan: Plan, out: Path | None, resume: Path | None) -> RunFolder:

@@ -208,7 +208,8 @@ def _wanted(reference: Reference, opened: zipfile.ZipFile) -> list[zipfile.ZipIn
     if not any(name.endswith(".xml") for name in wanted):
         raise reference.error(
             f"{reference.archive} holds no XML at its root, which says where everything lies",
-            fix="unpack it by hand, with the XML of the release's code, as docs/scenes.md says",
+            fix="unpack it by hand, with the XML of the release's code, as "
+            "docs/how-to/published-scenes.md says",
         )
     return list(wanted.values())
 

@@ -228,7 +228,7 @@ class PipelineDraft:
                 f"{self._where}: input {tensor.said} of {self._pipeline.file} is nothing that a "
                 "card's observations have",
                 fix="annotate the complete observation term as the input, in Isaac Lab with "
-                "`leapp_observation_input`, or write the card by hand (docs/policies.md)",
+                "`leapp_observation_input`, or write the card by hand (docs/how-to/policy-card.md)",
             )
         return (f"terms: [{word}]",)
 

@@ -1,8 +1,8 @@
 """What an annotation of `Row` says about its column, what follows from it, and what is checked.
 
 The Arrow schema, the digest, what older files may lack, the bounds of values, the table of
-docs/results.md and the words in the file itself are all made from these. Of many rows at once a
-column is looked at as a whole, which takes a tenth of the time.
+docs/reference/columns.md and the words in the file itself are all made from these. Of many rows at
+once a column is looked at as a whole, which takes a tenth of the time.
 """
 
 from __future__ import annotations

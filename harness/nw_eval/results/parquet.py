@@ -51,7 +51,7 @@ SCHEMA = pa.schema(
 
 
 def columns_table() -> str:
-    """Return the columns as the Markdown table of docs/results.md."""
+    """Return the columns as the Markdown table of docs/reference/columns.md."""
     lines = ["| column | type | what |", "|---|---|---|"]
     lines += [f"| `{name}` | {_shown(name)} | {column.about} |" for name, column in COLUMNS.items()]
     return "\n".join(lines) + "\n"

@@ -1,6 +1,6 @@
 """Results of policies on the robot, as a CSV that somebody kept: policy, scene, trials, success.
 
-In place of success it may have a score of docs/scores.md, in a column of its name.
+In place of success it may have a score of docs/reference/scores.md, in a column of its name.
 """
 
 from __future__ import annotations

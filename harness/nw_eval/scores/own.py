@@ -67,7 +67,9 @@ class Expectation(BaseModel):
         "their size) or speed (m/s, of the trunk in the ground plane). Torques, rates and power "
         "are looked at in each physics step, the others in each control step.",
     )
-    score: str | None = Field(None, description="A score of docs/scores.md, at the trial's end.")
+    score: str | None = Field(
+        None, description="A score of docs/reference/scores.md, at the trial's end."
+    )
     at_most: Finite | None = Field(None, description="The bound, in the unit of what it bounds.")
     at_least: Finite | None = Field(
         None, description="Its lower bound, in the same unit; with `score` only."

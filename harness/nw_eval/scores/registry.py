@@ -33,7 +33,7 @@ _CLASSES: tuple[type[Score], ...] = (
     travel.DistanceBeforeFall,
 )
 BUILT_IN: dict[str, type[Score]] = {cls.spec.name: cls for cls in _CLASSES}
-"""By name, in the order of docs/scores.md."""
+"""By name, in the order of docs/reference/scores.md."""
 
 
 def score_names() -> tuple[str, ...]:

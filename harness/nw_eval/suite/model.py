@@ -421,9 +421,9 @@ class Suite(_Strict):
     )
     scores: tuple[str | OwnScore, ...] = Field(
         (),
-        description="What is measured of each trial beside success, by name (docs/scores.md), or "
-        "as a mapping with `python`, a function of one's own. Those that gate.scores names are "
-        "measured, too.",
+        description="What is measured of each trial beside success, by name "
+        "(docs/reference/scores.md), or as a mapping with `python`, a function of one's own. Those "
+        "that gate.scores names are measured, too.",
     )
     expect: dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,56}$")], Expectation] = Field(
         {},

@@ -58,7 +58,7 @@ _ABOUT: Mapping[str, str] = MappingProxyType(
 
 
 _HEAD = """\
-# Keys: docs/suites.md, and `nw-eval schema suite`.
+# Keys: docs/reference/suite.md, and `nw-eval schema suite`.
 """
 
 

@@ -66,7 +66,7 @@ PATCH = 0.25
 FOOT = 0.04
 """Length over which a step is measured, m: that of a foot."""
 MOST_ROUGH = 0.07
-"""Roughness that feet bear, in lengths of a leg; see docs/scenes.md for the trials."""
+"""Roughness that feet bear, in lengths of a leg; see docs/how-to/check-scenes.md for the trials."""
 MOST_STEEP = 0.61
 """Slope that feet bear, rad: 35 degrees; the steepest ramps of the built-in scenes have 30."""
 

@@ -92,7 +92,7 @@ def test_names_of_scenes_become_names_of_students():
 
 
 def test_the_config_of_the_page_on_studies_is_one(written):
-    page = (PRESETS.parents[1] / "docs" / "studies.md").read_text(encoding="utf-8")
+    page = (PRESETS.parents[1] / "docs" / "how-to" / "studies.md").read_text(encoding="utf-8")
     text = page.partition("```yaml mine.yaml\n")[2].partition("```")[0]
     config = settled(load_config(written(text), ObservationsConfig))
     assert [student.name for student in Observations().students(config)] == list(config.variants)

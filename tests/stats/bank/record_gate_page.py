@@ -1,4 +1,4 @@
-"""The tables and the picture of docs/gate.md that are simulated.
+"""The tables and the picture of docs/concepts/power.md that are simulated.
 
 `python tests/stats/bank/record_gate_page.py` writes them anew; tests hold them against the code.
 """
@@ -29,8 +29,8 @@ from nw_eval.stats.bank.curve import operating_curve
 from nw_eval.suite.load import load_suite
 
 ROOT = Path(__file__).parents[3]
-PAGE = ROOT / "docs" / "gate.md"
-PICTURE = PAGE.parent / "images" / "gate_curve.png"
+PAGE = ROOT / "docs" / "concepts" / "power.md"
+PICTURE = ROOT / "docs" / "images" / "gate_curve.png"
 CURVE = "| true drop | hurdles-state/go1-parkour | all-state/go1-parkour | hurdles/go1-act-rgb |"
 ERRORS = (
     "| policy | wrong is | at most | panel | fresh, M = 5 to 12 | fresh, M = 30, 60 | control |"
@@ -47,8 +47,8 @@ POLICIES = (
     ("at max_drop", "worse by `max_drop`", "PASS", "passed", 5),
 )
 NAMES = {
-    "harder": "every waypoint, other starts than the baseline's",
-    "harder, same starts": "every waypoint, the same starts",
+    "harder": "every waypoint, other initial states than the baseline's",
+    "harder, same starts": "every waypoint, the same initial states",
     "some scenes": "some trials of a quarter of the scenes get nowhere",
     "all or nothing": "trials reach all waypoints or none",
 }

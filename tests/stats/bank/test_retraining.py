@@ -1,4 +1,4 @@
-"""What docs/gate.md says of intervals from few seeds of one training recipe."""
+"""What docs/concepts/baseline.md says of intervals from few seeds of one training recipe."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "gate.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "concepts" / "baseline.md"
 Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]
 
 

@@ -27,62 +27,62 @@ class Verb(NamedTuple):
 
 _TABLE = """
 Evaluate:
-  run Run suites.md run a checkpoint through a suite and give a verdict
+  run Run reference/suite.md run a checkpoint through a suite and give a verdict
     $ hurdles --policy ./my-policy
     $ smoke --policy ./my-policy --trials 2
-  check Check suites.md say what a run would do, and what is wrong with its files
+  check Check reference/suite.md say what a run would do, and what is wrong with its files
     $ hurdles --policy ./my-policy
-  plan PlanTrials gate.md say how many trials show a drop, or cut a run into parts
+  plan PlanTrials concepts/power.md say how many trials show a drop, or cut a run into parts
     $ hurdles --detect 0.1
     $ hurdles --shards 4 --json
-  suites Suites suites.md list the suites that have a name
+  suites Suites reference/suite.md list the suites that have a name
     $
-  watch Watch watch.md evaluate the checkpoints of a training as they appear
+  watch Watch how-to/watch.md evaluate the checkpoints of a training as they appear
     $ logs/go2 --suite hurdles --policy my-policy/policy.yaml
-  bisect BisectSeries gate.md find the first checkpoint of a series that got worse
+  bisect BisectSeries concepts/baseline.md find the first checkpoint of a series that got worse
     $ hurdles logs/go2 --good model_100.pt --bad model_900.pt -p ./my-policy
-  merge MergeRuns ci.md put the parts of a run together and give a verdict
+  merge MergeRuns how-to/sharded-suites.md put the parts of a run together and give a verdict
     $ part-1 part-2 --out whole
 Judge:
-  gate GateRun gate.md judge a run again by its suite's bar and a baseline
+  gate GateRun concepts/verdict.md judge a run again by its suite's bar and a baseline
     $ reports/my-run --baseline go1-parkour
-  baseline - gate.md save, list, show, check, verify or compare baselines
+  baseline - concepts/baseline.md save, list, show, check, verify or compare baselines
     save Save hurdles-state --policy go1-parkour
     list List
     show Show hurdles/go1-act-rgb
     check Check hurdles/go1-act-rgb
     verify Verify hurdles/go1-act-rgb --trials 10%
     diff Diff old.parquet new.parquet
-  report Report results.md write the report of a run, or a page over many runs
+  report Report how-to/leaderboard.md write the report of a run, or a page over many runs
     $ reports/my-run --open
     $ reports/* --site site
-  compare Compare leaderboard.md put policies side by side, scene by scene
+  compare Compare how-to/compare.md put policies side by side, scene by scene
     $ reports/my-run reports/another-run --out compared.md
-  sim2real SimToReal results.md say how well runs agree with results on the robot
+  sim2real SimToReal how-to/compare.md say how well runs agree with results on the robot
     $ real.csv reports/my-run reports/another-run
-  verify Verify results.md check that a run is as it ended, and run some of it again
+  verify Verify concepts/determinism.md check that a run is as it ended, and run some of it again
     $ reports/my-run --trials 5%
-  ledger Ledger gate.md sum up a ledger of verdicts: false alarms, repeated tests
+  ledger Ledger concepts/verdict.md sum up a ledger of verdicts: false alarms, repeated tests
     $ verdicts.jsonl
 Look:
-  view ViewTrials viewing.md show a trial, or play with a policy, in the browser
+  view ViewTrials how-to/viewing.md show a trial, or play with a policy, in the browser
     $ reports/my-run
     $ go1-parkour --scene hurdles/one_low_carpet
-  replay Replay results.md run a recorded trial again, film it, or show its log
+  replay Replay how-to/replay.md run a recorded trial again, film it, or show its log
     $ trial.mcap
     $ trial.mcap --video trial.mp4
-  attribute Attribute results.md find from when on failed trials were lost, and why
+  attribute Attribute how-to/attribute.md find from when on failed trials were lost, and why
     $ reports/my-run --baseline go1-parkour
-  scores Scores scores.md compute scores from the log of a trial or of a robot
+  scores Scores reference/scores.md compute scores from the log of a trial or of a robot
     $ trial.mcap
     $ walk.mcap --robot go1
-  sensors Sensors wrappers.md draw what the sensors of a policy see
+  sensors Sensors reference/sensors.md draw what the sensors of a policy see
     $ go1-act-rgb --out seen.png
 Stress:
-  sweep SweepAxes perturbations.md run a suite at values of friction, payload, latency ...
+  sweep SweepAxes how-to/perturbations.md run a suite at values of friction, payload, latency ...
     $ hurdles --axis friction=0.3..1.2 --policy ./my-policy
 Bring your own:
-  policies - policies.md list, show, check, draft, fetch or serve policies
+  policies - how-to/policy-card.md list, show, check, draft, fetch or serve policies
     list List
     show Show go1-parkour
     check Check ./my-policy
@@ -90,13 +90,13 @@ Bring your own:
     fold Fold policy.onnx --out one.onnx
     serve Serve ./my-policy --port 8765
     fetch FetchPolicy hub:org/trot
-  robots - robots.md list, show, check, draft or fetch robots
+  robots - how-to/robot.md list, show, check, draft or fetch robots
     list List
     show Show go1
     init Init my-robot/robot.urdf
     check Check ./my-robot
     fetch Fetch menagerie:unitree_a1
-  scenes - scenes.md list, show, check, draw, import, fetch or push scenes
+  scenes - how-to/scene.md list, show, check, draw, import, fetch or push scenes
     list List 'hurdles/*'
     show Show hurdles/one_low_carpet
     check Check ./my-place --out suite.yaml
@@ -105,7 +105,7 @@ Bring your own:
     level LevelScene my-hall --flip
     fetch FetchScenes hub:org/corridor
     push PushScene ./my-place hub:org/my-place
-  twin - twins.md make a scene of photographs
+  twin - how-to/twins.md make a scene of photographs
     build BuildTwin photographs/ --out corridor --tag-edge 0.16
     calibrate Calibrate photographs/ --out corridor
     reconstruct Reconstruct corridor
@@ -114,32 +114,32 @@ Bring your own:
     place PlaceScene corridor
     ablate AblateSplat corridor
     label LabelScene corridor --open
-  splat - rendering.md look into files of Gaussians, convert or draw them
+  splat - reference/meshes-and-splats.md look into files of Gaussians, convert or draw them
     info Info scan.ply
     convert Convert scan.ply --out scan.spz
     render Render scan.ply --out scan.png
-  schema Schema suites.md write the JSON Schema of suites, cards and scenes for editors
+  schema Schema reference/suite.md write the JSON Schema of suites, cards and scenes for editors
     $ suite --out suite.schema.json
 Train:
-  train - training.md train a policy, or export one from a training
+  train - how-to/training.md train a policy, or export one from a training
     teacher Teacher teacher
     student Student student-rgb-small
     export Export runs/teacher --out policies/mine
-  study - studies.md train students of several kinds and compare them
+  study - how-to/studies.md train students of several kinds and compare them
     single-scene SingleSceneStudy single-scene-reduced
     multi-scene MultiSceneStudy --resume runs/my-study
     observations ObservationsStudy mine.yaml --out my-study
 Upkeep:
-  doctor Doctor stability.md say what this machine offers, for a bug report
+  doctor Doctor reference/stability.md say what this machine offers, for a bug report
     $
     $ --json
-  cache - results.md show, prune or verify the results that runs take over
+  cache - concepts/determinism.md show, prune or verify the results that runs take over
     info ShowCache
     prune PruneCache --limit 2
     verify VerifyCache
-  warmup Warmup ci.md compile kernels and build scenes ahead of the first run
+  warmup Warmup reference/environment.md compile kernels and build scenes ahead of the first run
     $ 'hurdles/*'
-  completion Completion stability.md print what completes commands in bash, zsh or fish
+  completion Completion reference/stability.md print what completes commands in bash, zsh or fish
     $ bash
 """
 """Groups; in them verbs: name, class, page, line; in these their examples, or verbs of the family:

@@ -140,7 +140,7 @@ class Calibrate(CalibrateFlags):
 
     photographs: tyro.conf.Positional[Path]
     """A folder of photographs, a video, or cameras of COLMAP, nerfstudio, Polycam, Record3D or
-    another app of docs/twins.md."""
+    another app of docs/how-to/twins.md."""
     out: Path
     """The scene's folder."""
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None

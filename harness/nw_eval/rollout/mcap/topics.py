@@ -1,4 +1,4 @@
-"""The topics of a log, as docs/results.md tells them; a test compares them with a log and the page.
+"""The topics of a log: docs/reference/mcap.md shows them, and a test compares them with a log.
 
 Frames are those of `/tf`: `world`, each body of the robot, and `camera/<camera>` with OpenCV's axes
 (x right, y down, z ahead). `heading` is the trunk's origin, level, turned by the trunk's yaw.
@@ -187,7 +187,7 @@ TOPICS = (
 
 
 def topics_table() -> str:
-    """Return the topics as the Markdown table of docs/results.md."""
+    """Return the topics as the Markdown table of docs/reference/mcap.md."""
     lines = ["| topic | schema | rate | what, in which unit | frame |", "|---|---|---|---|---|"]
     for topic in TOPICS:
         frame = f"`{topic.frame}`" if topic.frame else ""

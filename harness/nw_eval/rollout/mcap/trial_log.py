@@ -1,4 +1,4 @@
-"""What one trial writes down, topic by topic: see the table in docs/results.md and `topics`.
+"""What one trial writes down, topic by topic: see the table in docs/reference/mcap.md and `topics`.
 
 Log time is simulated time. A message says all that its topic shows: a viewer whose time is moved
 looks at the latest one only. A log that cannot be written costs the log, never the trial.

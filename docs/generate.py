@@ -1,0 +1,379 @@
+"""What the site says that the code says: verbs, keys, columns, topics, scores, Python API.
+
+A page has a line such as `<!-- generated: columns -->`. When MkDocs builds the site, this file, a
+hook of mkdocs.yml, puts the text of that part there. The hook also turns what GitHub shows and
+Python's Markdown does not into what both do: names of files behind fences, links to files that are
+not on the site, escaped bars in code.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nw_eval.cli.verbs.help import Option
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+
+_PART = re.compile(r"^<!-- generated: ([\w -]+) -->$", re.MULTILINE)
+_NAMED_FENCE = re.compile(r"^( *)```([\w-]+) ([^\s{}=]+)$", re.MULTILINE)
+_FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
+_LINK = re.compile(r"\[((?:[^\[\]]|\[[^\]]*\])*)\]\((?!https?://)([^)\s#]+)(#[^)\s]*)?\)")
+_DEFAULT = re.compile(r" \(default: (.*?)\)(?=$| \()", re.DOTALL)
+_SEARCH = 'data-md-component="search" role="dialog" aria-label="Search"'
+_UNSEARCHED = frozenset({"changelog.md", "reference/api-values.md"})
+"""Pages that the search leaves out: every page loads its index, and they are a third of it."""
+
+
+def parts() -> Mapping[str, Callable[[], str]]:
+    """Return what makes the text of each part, by its name."""
+    return {
+        "verbs": verbs,
+        "suite keys": lambda: keys("suite"),
+        "policy keys": lambda: keys("policy"),
+        "scene keys": lambda: keys("scene", level=3),
+        "collision keys": lambda: keys("collision", level=3),
+        "robot keys": lambda: keys("robot"),
+        "columns": columns,
+        "topics": topics,
+        "scores": scores,
+        "functions": lambda: api_of(functions=True),
+        "values": lambda: api_of(functions=False),
+        "changelog": changelog,
+    }
+
+
+def filled(text: str) -> str:
+    """Return a page with the parts that it names.
+
+    Raises:
+        KeyError: there is no part of a name.
+    """
+    made = parts()
+    return _PART.sub(lambda found: made[found[1]](), text)
+
+
+# The command line.
+
+
+def verbs() -> str:
+    """Return every verb with its options, as `--help` has them."""
+    from nw_eval.cli.verbs import resolve
+    from nw_eval.cli.verbs.table import VERBS
+
+    sections: list[str] = []
+    for name, verb in VERBS.items():
+        if not verb.parts:
+            sections += _verb(name, resolve(name), 2)
+            continue
+        sections += [f"## {name}", f"{verb.line.capitalize()}."]
+        for part in verb.parts:
+            sections += _verb(f"{name} {part}", resolve(name, part), 3)
+    return "\n\n".join(sections)
+
+
+def _verb(name: str, form: type, level: int) -> Iterator[str]:
+    from nw_eval.cli.verbs.help import options_of
+
+    yield f"{'#' * level} {name}"
+    yield _prose(inspect.cleandoc(form.__doc__ or ""))
+    if options := options_of(form):
+        yield _table(("option", "default", "meaning"), map(_option, options))
+
+
+def _option(option: Option) -> tuple[str, str, str]:
+    found = _DEFAULT.search(option.help)
+    told = option.help[: found.start()] + option.help[found.end() :] if found else option.help
+    default = "required" if option.is_required else _code(found[1]) if found else ""
+    if not option.flags:
+        return _code(option.metavar), default, _cell(told)
+    value = f" {_code(option.metavar)}" if option.metavar else ""
+    return ", ".join(map(_code, option.flags)) + value, default, _cell(told)
+
+
+# The files that people write.
+
+
+@cache
+def keys(kind: str, *, level: int = 2) -> str:
+    """Return the keys of a kind of file, one table for each of its parts, from its models.
+
+    Args:
+        kind: of the file, as `nw-eval schema` names it, or `robot`.
+        level: of the headings of its parts.
+    """
+    whole = _schema(kind)
+    named = _headings(whole)
+    sections = [_keys(whole, named)]
+    for name, heading in named.items():
+        part = whole["$defs"][name]
+        if "properties" in part:
+            sections += [f"{'#' * level} {heading}", _prose(part.get("description", ""))]
+            sections.append(_keys(part, named))
+    return "\n\n".join(section for section in sections if section)
+
+
+def _schema(kind: str) -> dict[str, Any]:
+    from nw_eval import api
+
+    if kind != "robot":
+        return api.schema(kind)  # type: ignore[arg-type]
+    from nw_eval.files.yaml_file import json_schema_of
+    from nw_eval.robots.folder import RobotFile
+
+    return json_schema_of(RobotFile)
+
+
+def _headings(whole: dict[str, Any]) -> dict[str, str]:
+    """Return what each part is called, in the order in which the keys lead to them.
+
+    That is the key that tells it from others, such as `sensor: depth`, or where it stands.
+    """
+    named: dict[str, str] = {}
+    waiting = [("", whole)]
+    while waiting:
+        path, part = waiting.pop(0)
+        for key, value in part.get("properties", {}).items():
+            where = f"{path}.{key}" if path else key
+            for name in _references(value):
+                if name in named:
+                    continue
+                inner = whole["$defs"][name]
+                kinds = [
+                    (each, of["const"])
+                    for each, of in inner.get("properties", {}).items()
+                    if isinstance(of.get("const"), str)
+                ]
+                heading = f"`{kinds[0][0]}: {kinds[0][1]}`" if kinds else f"`{where}`"
+                same = heading in named.values()
+                named[name] = f"{heading} ({name.strip('_')})" if same else heading
+                waiting.append((kinds[0][1] if kinds else where, inner))
+    return named
+
+
+def _references(value: Any) -> Iterator[str]:
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            if key == "$ref":
+                yield inner.rpartition("/")[2]
+            elif key not in {"default", "discriminator"}:
+                yield from _references(inner)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _references(inner)
+
+
+def _keys(part: dict[str, Any], named: dict[str, str]) -> str:
+    required = part.get("required", ())
+    rows = [
+        (
+            _code(key),
+            _type(value, named),
+            "required" if key in required else _default(value),
+            _cell(value.get("description", "")),
+        )
+        for key, value in part["properties"].items()
+    ]
+    return _table(("key", "type", "default", "meaning"), rows)
+
+
+def _default(value: dict[str, Any]) -> str:
+    if isinstance(value.get("default"), dict) and "$ref" in value:
+        return "as below"
+    if "default" not in value:
+        return "none"
+    default = value["default"]
+    return "none" if default in (None, "", [], {}) else _code(json.dumps(default))
+
+
+def _type(value: dict[str, Any], named: dict[str, str]) -> str:
+    """Return the type of a value in words."""
+    if "$ref" in value:
+        heading = named[value["$ref"].rpartition("/")[2]]
+        return f"[{heading}](#{anchor(heading)})"
+    for key in ("anyOf", "oneOf"):
+        if key in value:
+            kinds = dict.fromkeys(_type(each, named) for each in value[key])
+            return " or ".join(kind for kind in kinds if kind != "null") or "null"
+    if "enum" in value:
+        return ", ".join(_code(json.dumps(each).strip('"')) for each in value["enum"])
+    if "const" in value:
+        return _code(json.dumps(value["const"]).strip('"'))
+    kind = value.get("type", "any")
+    if kind == "array":
+        inner = value.get("prefixItems")
+        if inner:
+            return f"[{', '.join(_type(each, named) for each in inner)}]"
+        return f"list of {_type(value.get('items', {}), named)}"
+    if kind == "object":
+        inner = [value.get("additionalProperties"), *value.get("patternProperties", {}).values()]
+        of = next((_type(each, named) for each in inner if isinstance(each, dict)), "any")
+        return f"mapping to {of}"
+    return f"{kind}{_bounds(value)}"
+
+
+def _bounds(value: dict[str, Any]) -> str:
+    found = [
+        f"{word} {value[key]:g}"
+        for key, word in (
+            ("minimum", "at least"),
+            ("exclusiveMinimum", "over"),
+            ("maximum", "at most"),
+            ("exclusiveMaximum", "under"),
+        )
+        if key in value
+    ]
+    return f", {', '.join(found)}" if found else ""
+
+
+# What runs leave.
+
+
+def columns() -> str:
+    """Return the columns of `trials.parquet`."""
+    from nw_eval.results.parquet import columns_table
+
+    return columns_table()
+
+
+def topics() -> str:
+    """Return the topics of a log."""
+    from nw_eval.rollout.mcap.topics import topics_table
+
+    return topics_table()
+
+
+def scores() -> str:
+    """Return the scores that are built in, as they are declared."""
+    from nw_eval.scores.registry import BUILT_IN
+
+    rows = [
+        (
+            _code(name),
+            spec.unit or "none",
+            spec.better,
+            f"{spec.low:g} to {spec.high:g}",
+            f"{spec.undefined:g}",
+            _cell(spec.meaning),
+        )
+        for name, spec in ((name, cls.spec) for name, cls in BUILT_IN.items())
+    ]
+    return _table(("score", "unit", "better", "range", "undefined counts as", "what"), rows)
+
+
+def changelog() -> str:
+    """Return the changelog behind its title, with its links from the pages' folder."""
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").partition("\n")[2]
+    return text.replace("](docs/", "](").strip()
+
+
+# Python.
+
+
+def api_of(*, functions: bool) -> str:
+    """Return what tells mkdocstrings to show the public functions, or all other public names."""
+    import inspect
+
+    import nw_eval
+
+    return "\n\n".join(
+        f"::: nw_eval.{name}"
+        for name in sorted(nw_eval.__all__, key=str.lower)
+        if not name.startswith("_") and inspect.isfunction(getattr(nw_eval, name)) == functions
+    )
+
+
+# Markdown.
+
+
+def anchor(heading: str, separator: str = "-") -> str:
+    """Return the anchor of a heading, as GitHub makes it."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", separator)
+
+
+def _table(heads: Iterable[str], rows: Iterable[tuple[str, ...]]) -> str:
+    heads = list(heads)
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(line)} |".replace("|  |", "| |") for line in lines)
+
+
+def _cell(text: str) -> str:
+    """Return text for a cell of a table: one line, nothing in it is markup but code and links."""
+    pieces = re.split(r"(`[^`]*`)", " ".join(text.split()))
+    return "".join(
+        piece if piece.startswith("`") else _plain(piece).replace("|", "\\|") for piece in pieces
+    )
+
+
+def _prose(text: str) -> str:
+    pieces = re.split(r"(`[^`]*`)", text)
+    return "".join(piece if piece.startswith("`") else _plain(piece) for piece in pieces)
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"(?<=\w)_(?=\w)|\*", r"\\\g<0>", text.replace("<", "&lt;"))
+
+
+def _code(text: str) -> str:
+    return f"`{' '.join(text.split())}`"
+
+
+def adapted(text: str, page: str) -> str:
+    """Return a page as Python's Markdown needs it.
+
+    Args:
+        text: of the page, as GitHub shows it.
+        page: its path in docs/, such as `how-to/ci.md`.
+    """
+    text = _NAMED_FENCE.sub(r'\1```\2 title="\3"', text)
+    pieces = re.split(f"({_FENCE.pattern})", text, flags=_FENCE.flags)
+    return "".join(piece if _FENCE.match(piece) else _links(piece, page) for piece in pieces)
+
+
+def _links(text: str, page: str) -> str:
+    def followed(found: re.Match[str]) -> str:
+        target = ((DOCS / page).parent / found[2]).resolve()
+        if target == ROOT / "CHANGELOG.md":
+            up = "../" * page.count("/")
+            return f"[{found[1]}]({up}changelog.md{found[3] or ''})"
+        if target.is_relative_to(DOCS):
+            return found[0]
+        return f"{found[1]} (`{target.relative_to(ROOT)}` of the sources)"
+
+    lines = _LINK.sub(followed, text).split("\n")
+    # In code a bar needs no backslash here, and one would be shown.
+    return "\n".join(
+        re.sub(r"`[^`]*`", lambda code: code[0].replace("\\|", "|"), line)
+        if line.startswith("|")
+        else line
+        for line in lines
+    )
+
+
+# The hook of MkDocs.
+
+
+def on_config(config: Any) -> Any:
+    """Make anchors as GitHub makes them, so that a link leads to the same heading on both."""
+    config.mdx_configs.setdefault("toc", {})["slugify"] = anchor
+    return config
+
+
+def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Any) -> str:  # noqa: ARG001
+    """Put the generated parts into a page."""
+    if page.file.src_uri in _UNSEARCHED:
+        page.meta["search"] = {"exclude": True}
+    return adapted(filled(markdown), page.file.src_uri)
+
+
+def on_post_page(output: str, *, page: Any, config: Any) -> str:  # noqa: ARG001
+    """Mend what the theme leaves out for those who read with the keyboard or the ear."""
+    output = output.replace('data-md-component="search" role="dialog"', _SEARCH)
+    return output.replace("<pre><span></span><code>", '<pre><span></span><code tabindex="0">')
