@@ -83,11 +83,29 @@ def test_angles():
     assert Intrinsics.from_fovy(80, 45, 1.0).fovy == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("factor", [0.5, 0.8, 1.1])
+def test_a_wider_lens_sees_so_much_more_also_off_centre_and_through_a_fisheye(factor):
+    fisheye = {"model": "fisheye", "coefficients": (0.0,) * 4}
+    for changes in ({"cy": 60.0}, {"distortion": fisheye}, {"cy": 250.0, "distortion": fisheye}):
+        lens = Intrinsics(**{**SIZE, **changes})
+        assert lens.widened(factor).fovy == pytest.approx(factor * lens.fovy, rel=1e-6)
+
+
+def test_a_lens_that_would_look_beyond_what_a_camera_can_see_is_refused():
+    fisheye = {"model": "fisheye", "coefficients": (0.0,) * 4}
+    wide = Intrinsics(width=160, height=90, fx=70, fy=70, cx=80, cy=45, distortion=fisheye)
+    with pytest.raises(ValueError, match="no ray within 85 degrees of the axis"):
+        wide.widened(1.5)
+    pinhole = Intrinsics(width=160, height=90, fx=10, fy=10, cx=80, cy=45)
+    with pytest.raises(ValueError, match="232 degrees from top to bottom are more than the 170"):
+        pinhole.widened(1.5)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"cx": 700.0}, "cx 700 is outside of the image of 640 x 400"),
-        ({"fx": 0.0}, "greater than 0"),
+        ({"fx": 0.0}, "greater than or equal to 0.001"),
         (
             {"distortion": {"model": "radial_tangential", "coefficients": [-0.9, 0, 0, 0]}},
             r"no ray within 85 degrees of the axis meets pixel \(0, 0\)",

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 Array = NDArray[np.float64]
 
@@ -147,10 +147,10 @@ class Intrinsics(_Part, frozen=True):
     width: Annotated[int, Field(ge=1, le=16384)]
     """Pixels of the image that the numbers are of. Images of another size are the same view."""
     height: Annotated[int, Field(ge=1, le=16384)]
-    """As above."""
-    fx: Annotated[float, Field(gt=0.0, le=1e6)]
+    """Likewise."""
+    fx: Annotated[float, Field(ge=1e-3, le=1e6)]
     """Focal length across, pixels."""
-    fy: Annotated[float, Field(gt=0.0, le=1e6)]
+    fy: Annotated[float, Field(ge=1e-3, le=1e6)]
     """Focal length down, pixels."""
     cx: float
     """Column of the optical axis, pixels from the image's left border."""
@@ -234,8 +234,31 @@ class Intrinsics(_Part, frozen=True):
         )
 
     def widened(self, factor: float) -> Self:
-        """Return those of a lens with another focal length, for a vertical angle times `factor`."""
-        zoom = math.tan(0.5 * self.fovy) / math.tan(0.5 * factor * self.fovy)
+        """Return those of a lens with another focal length, for a vertical angle times `factor`.
+
+        Raises:
+            ValueError: a pixel of it would look farther from the axis than `WIDEST`.
+        """
+        wanted = factor * self.fovy
+        if not 0.0 < wanted <= 2.0 * WIDEST:
+            raise ValueError(
+                f"{math.degrees(wanted):.0f} degrees from top to bottom are more than the "
+                f"{math.degrees(2.0 * WIDEST):.0f} that a camera can see"
+            )
+        zoom = math.tan(0.5 * self.fovy) / math.tan(0.5 * wanted)  # Of a centred pinhole.
+        if self.distortion is not None or 2.0 * self.cy != self.height:
+            low, high = 1e-3 * zoom, 1e3 * zoom
+            for _ in range(100):
+                zoom = math.sqrt(low * high)
+                angle = self._zoomed(zoom).fovy
+                # No ray (NaN) is as too wide an angle.
+                low, high = (low, zoom) if angle <= wanted else (zoom, high)
+        try:
+            return type(self).model_validate(self._zoomed(zoom).model_dump())
+        except ValidationError as error:
+            raise ValueError(error.errors()[0]["msg"].removeprefix("Value error, ")) from None
+
+    def _zoomed(self, zoom: float) -> Self:
         return self.model_copy(update={"fx": self.fx * zoom, "fy": self.fy * zoom})
 
 

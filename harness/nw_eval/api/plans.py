@@ -136,7 +136,7 @@ def plan_of(
     trials, shard = shard_of(
         expand(suite, opened, _drawn(request, suite, opened, policy, against)), request.part
     )
-    if suite.plugins:
+    if suite.plugins or any(dict(trial.perturbation) for trial in trials):
         _try_axes(trials, suite, bundle)
     folder = None if robot is None else robot.folder
     if folder is not None:  # Who goes on with the run finds it by its path.
@@ -217,10 +217,11 @@ def _vet_scores(suite: Suite, faults: Faults, *, allow_code: bool) -> None:
 
 
 def _try_axes(trials: Sequence[Trial], suite: Suite, bundle: Bundle) -> None:
-    """Let the axes of packages change the setup of a trial of each cell, before anything runs.
+    """Let axes change the setup of a trial of each cell, before anything runs.
 
     Raises:
-        PluginError: one of them cannot.
+        PluginError: one of a package cannot.
+        UsageError: a camera cannot see so wide an angle.
     """
     from nw_eval.cards import mounted_robot
     from nw_eval.robots import get_robot

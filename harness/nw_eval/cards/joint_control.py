@@ -216,7 +216,7 @@ def mounted_robot(robot: RobotSpec, card: Card) -> RobotSpec:
     """Return a robot with its cameras as a card says.
 
     Raises:
-        PolicyError: the robot has no such camera.
+        PolicyError: the robot has no such camera, or none sees so wide an angle.
     """
     if not card.cameras:
         return robot
@@ -233,10 +233,16 @@ def mounted_robot(robot: RobotSpec, card: Card) -> RobotSpec:
             readout=own.readout if mounting.readout is None else mounting.readout,
             exposure=own.exposure if mounting.exposure is None else mounting.exposure,
         )
-        cameras[name] = remounted(
-            own,
-            pitch=mounting.pitch,
-            height=mounting.height,
-            factor=mounting.field_of_view,
-        )
+        try:
+            cameras[name] = remounted(
+                own,
+                pitch=mounting.pitch,
+                height=mounting.height,
+                factor=mounting.field_of_view,
+            )
+        except ValueError as error:
+            raise PolicyError(
+                f"cameras.{name}.field_of_view {mounting.field_of_view:g}: {error}",
+                fix="name a smaller factor",
+            ) from None
     return replace(robot, cameras=cameras)

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from nw_eval.lens import Intrinsics
+from nw_eval.lens import WIDEST, Intrinsics
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -193,6 +193,9 @@ def remounted(mount: CameraMount, *, pitch: float, height: float, factor: float)
         pitch: angle by which it looks farther down, rad.
         height: length by which it sits higher on the trunk, m.
         factor: of its vertical field of view.
+
+    Raises:
+        ValueError: no camera sees so wide an angle.
     """
     if (pitch, height, factor) == (0.0, 0.0, 1.0):
         return mount
@@ -202,6 +205,11 @@ def remounted(mount: CameraMount, *, pitch: float, height: float, factor: float)
     turn = np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
     rows = (np.array(mount.R_trunk_camera) @ turn).tolist()
     lens = mount.intrinsics
+    if lens is None and factor != 1.0 and mount.fovy * factor > 2.0 * WIDEST:
+        raise ValueError(
+            f"{math.degrees(mount.fovy * factor):.0f} degrees from top to bottom are more than the "
+            f"{math.degrees(2.0 * WIDEST):.0f} that a camera can see"
+        )
     return replace(
         mount,
         position=(x, y, z + height),

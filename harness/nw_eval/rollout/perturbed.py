@@ -23,7 +23,7 @@ from nw_eval.cards.observations import (
     SplatRgbObservation,
 )
 from nw_eval.cards.wrappers import Noise
-from nw_eval.errors import NwEvalError, PluginError
+from nw_eval.errors import NwEvalError, PluginError, UsageError
 from nw_eval.plugins import AXES as GROUP
 from nw_eval.plugins import installed, subject
 from nw_eval.robots import RobotSpec
@@ -110,11 +110,22 @@ class TrialSetup:
         return replace(self, air=replace(self.air, **changes))
 
     def remounted(self, *, pitch: float = 0.0, height: float = 0.0, factor: float = 1.0) -> Self:
-        """Return a setup whose cameras are mounted otherwise; figures as `robots.remounted`."""
-        cameras = {
-            name: remounted(mount, pitch=pitch, height=height, factor=factor)
-            for name, mount in self.robot.cameras.items()
-        }
+        """Return a setup whose cameras are mounted otherwise; figures as `robots.remounted`.
+
+        Raises:
+            UsageError: a camera that the policy sees through cannot see so wide an angle.
+        """
+        cameras = dict(self.robot.cameras)
+        seen = {getattr(each, "camera", None) for each in self.card.observations.values()}
+        for name, mount in cameras.items():
+            try:
+                cameras[name] = remounted(mount, pitch=pitch, height=height, factor=factor)
+            except ValueError as error:
+                if name in seen:
+                    raise UsageError(
+                        f"field_of_view {factor:g} of camera {name!r}: {error}",
+                        fix="name a smaller factor",
+                    ) from None
         return replace(self, robot=replace(self.robot, cameras=cameras))
 
     def later(self, seconds: float) -> Self:

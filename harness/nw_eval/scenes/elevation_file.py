@@ -7,6 +7,8 @@ means none after https://gdal.org/drivers/raster/gtiff.html (tag 42113).
 from __future__ import annotations
 
 import math
+import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +32,12 @@ _GEOGRAPHIC = 2
 # Metres in a unit, by its EPSG code: metre, international foot, US survey foot.
 _UNITS = {9001: 1.0, 9002: 0.3048, 9003: 1200.0 / 3937.0}
 _ENOUGH_WHITE = (255.0, 65535.0)
+_WIDEST_CELL = 1e3
+_PASSES = (
+    *((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2)),
+    (0, 1, 1, 2),
+)
+"""Of an interlaced PNG: first column and row, and from one to the next (PNG, section 8.2)."""
 _HIGHEST = 1e5
 """Metres above or below zero that ground on Earth does not reach."""
 
@@ -77,6 +85,8 @@ def read_elevation(
             raise UsageError(f"{name} {value}", fix="give metres")
     if cell is not None and cell <= 0.0:
         raise UsageError(f"--cell {cell}", fix="give the width of a pixel, metres, above 0")
+    if cell is not None and cell > _WIDEST_CELL:
+        raise UsageError(f"--cell {cell:g}", fix=f"give metres, at most {_WIDEST_CELL:g}")
     try:
         with open_picture(path, ("PNG", "TIFF")) as picture:
             _check_size(path, *picture.size)
@@ -95,6 +105,28 @@ def read_elevation(
             f"{path}: the picture is damaged: {clean(str(error), at_most=200)}",
             fix="export it again",
         ) from None
+
+
+def _check_whole(path: Path) -> None:
+    """Check that a PNG has all of its rows: Pillow shows those that it has not as black."""
+    content = path.read_bytes()
+    columns, rows, depth, colour, _, _, interlaced = struct.unpack(">IIBBBBB", content[16:29])
+    bits = depth * {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[colour]
+    wanted = 0
+    for x, y, dx, dy in _PASSES if interlaced else ((0, 0, 1, 1),):
+        across, down = -(-(columns - x) // dx), -(-(rows - y) // dy)
+        wanted += down * (1 + -(-across * bits // 8)) if across > 0 and down > 0 else 0
+    inflater, found, at = zlib.decompressobj(), 0, 8
+    while at + 12 <= len(content) and found < wanted:
+        length, kind = struct.unpack(">I4s", content[at : at + 8])
+        if kind == b"IDAT":
+            found += len(inflater.decompress(content[at + 8 : at + 8 + length], wanted - found))
+        at += 12 + length
+    if found < wanted:
+        raise SceneError(
+            f"{path}: the picture is cut short: {found / wanted:.0%} of its rows are there",
+            fix="export it again",
+        )
 
 
 def _check_size(path: Path, columns: int, rows: int) -> None:
@@ -123,6 +155,7 @@ def _png(
             fix="give the width of a pixel and the height of white, metres: "
             "--cell 0.04 --white 1.25",
         )
+    _check_whole(path)
     holes = None
     if picture.mode in {"P", "LA", "PA", "RGBA", "1"}:
         picture = picture.convert("L" if picture.mode == "1" else "RGBA")

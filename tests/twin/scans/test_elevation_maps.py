@@ -1,5 +1,7 @@
 """Heights in grey, and GeoTIFF with its own scale, become ground that a robot walks on."""
 
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -164,3 +166,25 @@ def test_black_of_a_tiff_is_refused_as_white_is(tmp_path):
     for options in ({"black": 1.0}, {"white": 1.0}):
         with pytest.raises(UsageError, match="leave --white and --black out"):
             read_elevation(tmp_path / "map.tif", cell=0.1, **options)
+
+
+def png_of(rows, *, height):
+    """Return a grey PNG that says it has `height` rows and has these, each as wide."""
+    raw = zlib.compress(b"".join(b"\0" + bytes(row) for row in rows))
+    parts = ((b"IHDR", struct.pack(">IIBBBBB", len(rows[0]), height, 8, 0, 0, 0, 0)),)
+    content = b"\x89PNG\r\n\x1a\n"
+    for kind, body in (*parts, (b"IDAT", raw), (b"IEND", b"")):
+        content += struct.pack(">I", len(body)) + kind + body
+        content += struct.pack(">I", zlib.crc32(kind + body))
+    return content
+
+
+def test_rows_that_a_picture_lacks_are_no_ground(tmp_path):
+    rows = np.full((10, 40), 200, np.uint8)
+    (tmp_path / "whole.png").write_bytes(png_of(rows, height=10))
+    (tmp_path / "half.png").write_bytes(png_of(rows, height=20))
+    assert read_elevation(tmp_path / "whole.png", cell=0.1, white=1.0).heights.shape == (10, 40)
+    with pytest.raises(SceneError, match="cut short: 50% of its rows"):
+        read_elevation(tmp_path / "half.png", cell=0.1, white=1.0)
+    with pytest.raises(UsageError, match="--cell 1e"):
+        read_elevation(tmp_path / "whole.png", cell=1e308, white=1.0)
