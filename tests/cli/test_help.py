@@ -218,6 +218,24 @@ def test_bash_completes_verbs_options_and_their_words(tmp_path, capsys):
     assert completed("run", "") == [], "bash itself completes files"
 
 
+@pytest.mark.skipif(shutil.which("fish") is None, reason="no fish here")
+def test_fish_completes_verbs_options_and_their_words(tmp_path, capsys):
+    assert end_of("completion fish") == 0
+    script = tmp_path / "completion.fish"
+    script.write_text(capsys.readouterr().out)
+
+    def completed(line):
+        ask = ["fish", "--no-config", "-c", f"source {script}; complete -C '{line}'"]
+        done = subprocess.run(ask, capture_output=True, text=True, check=True)
+        return [each.split("\t")[0] for each in done.stdout.splitlines()]
+
+    assert completed("nw-eval swe") == ["sweep"]
+    assert completed("nw-eval baseline s") == ["save", "show"]
+    assert completed("nw-eval baseline check --tr") == []
+    assert completed("nw-eval check --tr") == ["--trials"]
+    assert completed("nw-eval run --record ") == ["all", "failures", "none", "summary"]
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_a_shell_reads_its_script(shell, tmp_path, capsys):
     assert end_of(f"completion {shell}") == 0
