@@ -28,16 +28,11 @@ class Completion:
     """The shell."""
 
     def __call__(self) -> int:
-        from nw_eval.cli.verbs import resolve
+        from nw_eval.cli.verbs import forms
         from nw_eval.cli.verbs.help import options_of
-        from nw_eval.cli.verbs.table import VERBS
 
-        forms = {
-            f"{verb} {part}".strip(): options_of(resolve(verb, part or None))
-            for verb, known in VERBS.items()
-            for part in (known.parts or ("",))
-        }
-        print("\n".join(_fish(forms) if self.shell == "fish" else _bash(forms, self.shell)))
+        known = {name: options_of(form) for name, form in forms()}
+        print("\n".join(_fish(known) if self.shell == "fish" else _bash(known, self.shell)))
         return 0
 
 
