@@ -48,7 +48,8 @@ def parse(arguments: Sequence[str], *, description: str) -> Callable[[], int]:
         _notice(f"nw-eval {verb}", f"nw-eval {RENAMED[verb]}")
         verb = RENAMED[verb]
     if verb not in VERBS:
-        raise _unknown(f"nw-eval has no command {verb!r}", verb, VERBS, "nw-eval")
+        known = [*VERBS, "--help", "--version"]
+        raise _unknown(f"nw-eval has no command {verb!r}", verb, known, "nw-eval")
     parts = VERBS[verb].parts
     if not parts:
         return _read(verb, resolve(verb), rest, VERBS[verb].examples)
