@@ -6,12 +6,13 @@ import shlex
 import shutil
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from nw_eval import cli
-from nw_eval.cli.verbs import parse, program_page, resolve
+from nw_eval.cli.verbs import forms, parse, parsers, program_page
 from nw_eval.cli.verbs.help import options_of
 from nw_eval.cli.verbs.table import (
     GROUPS,
@@ -23,11 +24,7 @@ from nw_eval.cli.verbs.table import (
 )
 
 DOCS = Path(__file__).parents[2] / "docs"
-LEAVES = {
-    f"{verb} {part}".strip(): resolve(verb, part or None)
-    for verb, known in VERBS.items()
-    for part in (known.parts or ("",))
-}
+LEAVES = dict(forms())
 EXAMPLES = [
     f"{verb} {words}".strip()
     for verb, known in VERBS.items()
@@ -141,6 +138,26 @@ def test_wrong_arguments_are_answered_in_a_line_that_names_them(words, said, cap
     assert shown.out == ""
 
 
+@pytest.mark.filterwarnings("ignore:get_parser:DeprecationWarning")
+def test_the_pages_of_the_docs_can_read_the_options_of_each_verb():
+    found = {
+        name: {flag for action in parser._actions for flag in action.option_strings}
+        for name, parser in parsers()
+    }
+    for name, form in LEAVES.items():
+        own = {flag for option in options_of(form) for flag in option.flags}
+        assert found[name] == {*own, "-h", "--help"}
+
+
+def test_a_switch_that_is_on_is_told_by_what_turns_it_off():
+    @dataclass
+    class Form:
+        pictures: bool = True
+        """Draw."""
+
+    assert [option.flags for option in options_of(Form)] == [("--no-pictures",)]
+
+
 def test_without_a_command_the_page_is_printed_and_the_exit_code_is_2(capsys):
     assert end_of([]) == 2
     assert capsys.readouterr().out.startswith("usage: nw-eval COMMAND")
@@ -216,6 +233,24 @@ def test_bash_completes_verbs_options_and_their_words(tmp_path, capsys):
     assert completed("run", "--record", "") == ["all", "failures", "none", "summary"]
     assert completed("twin", "build", "--mesher", "o") == ["openmvs"]
     assert completed("run", "") == [], "bash itself completes files"
+
+
+@pytest.mark.skipif(shutil.which("fish") is None, reason="no fish here")
+def test_fish_completes_verbs_options_and_their_words(tmp_path, capsys):
+    assert end_of("completion fish") == 0
+    script = tmp_path / "completion.fish"
+    script.write_text(capsys.readouterr().out)
+
+    def completed(line):
+        ask = ["fish", "--no-config", "-c", f"source {script}; complete -C '{line}'"]
+        done = subprocess.run(ask, capture_output=True, text=True, check=True)
+        return [each.split("\t")[0] for each in done.stdout.splitlines()]
+
+    assert completed("nw-eval swe") == ["sweep"]
+    assert completed("nw-eval baseline s") == ["save", "show"]
+    assert completed("nw-eval baseline check --tr") == []
+    assert completed("nw-eval check --tr") == ["--trials"]
+    assert completed("nw-eval run --record ") == ["all", "failures", "none", "summary"]
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

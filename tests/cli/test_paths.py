@@ -16,8 +16,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval import cli
-from nw_eval.cli.verbs import resolve
-from nw_eval.cli.verbs.table import VERBS
+from nw_eval.cli.verbs import forms
 
 FILES = {
     "run junit": "run {suite} --policy {missing} --junit {out}",
@@ -219,15 +218,13 @@ WORDS = {
 
 def paths():
     """Yield each verb's options that are text or a path."""
-    for verb, known in VERBS.items():
-        for part in known.parts or (None,):
-            form = resolve(verb, part)
-            hints = typing.get_type_hints(form, include_extras=True)
-            for field in fields(form):
-                if "Literal" not in str(hints[field.name]) and any(
-                    kind in parts(hints[field.name]) for kind in (str, Path)
-                ):
-                    yield " ".join([verb, *filter(None, [part]), field.name])
+    for name, form in forms():
+        hints = typing.get_type_hints(form, include_extras=True)
+        for field in fields(form):
+            if "Literal" not in str(hints[field.name]) and any(
+                kind in parts(hints[field.name]) for kind in (str, Path)
+            ):
+                yield f"{name} {field.name}"
 
 
 def parts(hint):

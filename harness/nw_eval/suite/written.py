@@ -89,7 +89,7 @@ def check_has_policy(robot: str) -> None:
         raise UsageError(
             f"nw-eval has no policy of the robot {robot!r} to name in the scene's suite",
             fix="leave the robot out here, and then: nw-eval scenes check SCENE --robot ROBOT "
-            "--policy POLICY --suite FILE",
+            "--policy POLICY --out FILE",
         )
 
 

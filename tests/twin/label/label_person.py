@@ -42,7 +42,7 @@ def label(monkeypatch, capsys):
     monkeypatch.setattr(label_page, "LabelPage", SeenPage)
 
     def listens(number):
-        return "LabelScene" in getattr(signal.getsignal(number), "__qualname__", "")
+        return "stopped_by_signals" in getattr(signal.getsignal(number), "__qualname__", "")
 
     def run(*arguments, do=lambda _: None, number=signal.SIGINT):
         pages.clear()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NoReturn, cast
@@ -48,7 +48,8 @@ def parse(arguments: Sequence[str], *, description: str) -> Callable[[], int]:
         _notice(f"nw-eval {verb}", f"nw-eval {RENAMED[verb]}")
         verb = RENAMED[verb]
     if verb not in VERBS:
-        raise _unknown(f"nw-eval has no command {verb!r}", verb, VERBS, "nw-eval")
+        known = [*VERBS, "--help", "--version"]
+        raise _unknown(f"nw-eval has no command {verb!r}", verb, known, "nw-eval")
     parts = VERBS[verb].parts
     if not parts:
         return _read(verb, resolve(verb), rest, VERBS[verb].examples)
@@ -78,6 +79,20 @@ def resolve(verb: str, part: str | None = None) -> Any:
     """Return the class of a verb, or of a verb of its family."""
     form = VERBS[verb].form if part is None else VERBS[verb].parts[part][0]
     return resolve_name(f"{__name__}.{verb}:{form}")
+
+
+def forms() -> Iterator[tuple[str, Any]]:
+    """Yield each verb, those of families by two words, with its class."""
+    for verb, known in VERBS.items():
+        for part in known.parts or (None,):
+            yield " ".join(filter(None, (verb, part))), resolve(verb, part)
+
+
+def parsers() -> Iterator[tuple[str, Any]]:
+    """Yield each verb, in the order of the help text, with argparse's parser of its options."""
+    get_parser = resolve_name("tyro.extras:get_parser")  # Deprecated for parsing, not for reading.
+    for name, form in forms():
+        yield name, get_parser(form, prog=f"nw-eval {name}", config=_config())
 
 
 def program_page(description: str) -> str:
@@ -122,12 +137,19 @@ def _read(name: str, form: Any, arguments: list[str], examples: Sequence[str]) -
             form,
             args=arguments,
             prog=f"nw-eval {name}",
-            config=(
-                tyro.conf.FlagCreatePairsOff,
-                tyro.conf.DisallowNone,  # Who wants none leaves the option out.
-            ),
+            config=_config(),
         )
     return cast("Callable[[], int]", verb)
+
+
+def _config() -> tuple[Any, ...]:
+    from tyro import conf
+
+    return (
+        conf.FlagCreatePairsOff,
+        conf.DisallowNone,  # Who wants none leaves the option out.
+        conf.PositionalMetavarFromFieldName,
+    )
 
 
 def _errors_to(refuse: Callable[[Any], None]) -> AbstractContextManager[None]:

@@ -28,16 +28,11 @@ class Completion:
     """The shell."""
 
     def __call__(self) -> int:
-        from nw_eval.cli.verbs import resolve
+        from nw_eval.cli.verbs import forms
         from nw_eval.cli.verbs.help import options_of
-        from nw_eval.cli.verbs.table import VERBS
 
-        forms = {
-            f"{verb} {part}".strip(): options_of(resolve(verb, part or None))
-            for verb, known in VERBS.items()
-            for part in (known.parts or ("",))
-        }
-        print("\n".join(_fish(forms) if self.shell == "fish" else _bash(forms, self.shell)))
+        known = {name: options_of(form) for name, form in forms()}
+        print("\n".join(_fish(known) if self.shell == "fish" else _bash(known, self.shell)))
         return 0
 
 
@@ -83,22 +78,27 @@ def _bash(forms: Mapping[str, tuple[Option, ...]], shell: str) -> Iterator[str]:
     )
 
 
+_FISH = """function __nw_eval_is
+  set -l given (commandline -opc)[2..]
+  set -l same $given[1..(count $argv)]
+  test "$same" = "$argv"
+end"""
+"""Says whether the command line begins with these words."""
+
+
 def _fish(forms: Mapping[str, tuple[Option, ...]]) -> Iterator[str]:
     from nw_eval.cli.verbs.table import VERBS
 
+    begun, first = "complete -c nw-eval -n", "test (count (commandline -opc)) -eq"
+    yield _FISH
     for verb, known in VERBS.items():
-        yield f"complete -c nw-eval -n __fish_use_subcommand -f -a {verb} -d {quote(known.line)}"
+        yield f"{begun} '{first} 1' -f -a {verb} -d {quote(known.line)}"
         if known.parts:
-            parts, of = " ".join(known.parts), "__fish_seen_subcommand_from"
-            seen = f"{of} {verb}; and not {of} {parts}"
-            yield f"complete -c nw-eval -n {quote(seen)} -f -a {quote(parts)}"
+            yield f"{begun} '__nw_eval_is {verb}; and {first} 2' -f -a '{' '.join(known.parts)}'"
     for name, options in forms.items():
-        seen = "; and ".join(f"__fish_seen_subcommand_from {word}" for word in name.split())
         for option in (option for option in options if option.flags):
-            flags = [f"-{'sl'[flag[1] == '-']} {flag.lstrip('-')}" for flag in option.flags]
+            flags = " ".join(f"-{'sl'[each[1] == '-']} {each.lstrip('-')}" for each in option.flags)
             takes = f" -x -a {quote(' '.join(option.choices))}" if option.choices else " -r"
-            words = quote(option.help.split(". ")[0])
-            yield (
-                f"complete -c nw-eval -n {quote(seen)} {' '.join(flags)}"
-                f"{takes if option.metavar else ''} -d {words}"
-            )
+            words = quote(option.help.split(". ")[0].split(";")[0])
+            more = f"{takes if option.metavar else ''} -d {words}"
+            yield f"{begun} '__nw_eval_is {name}' {flags}{more}"

@@ -51,12 +51,13 @@ def options_of(form: type) -> tuple[Option, ...]:
         kind, marks = _plain(hints[field.name])
         conf = next((mark for mark in marks if hasattr(mark, "metavar")), None)
         word = (getattr(conf, "name", None) or field.name).replace("_", "-")
+        word = f"no-{word}" if kind is bool and field.default is True else word
         is_argument = tyro.conf.Positional in marks
         flags = () if is_argument else (*(getattr(conf, "aliases", None) or ()), f"--{word}")
         metavar = getattr(conf, "metavar", None) or _metavar(kind, field.name, is_argument)
         is_required = field.default is MISSING and field.default_factory is MISSING
         words = " ".join((told.get(field.name) or getattr(conf, "help", None) or "").split())
-        if field.default not in (MISSING, None, False, (), ""):
+        if field.default not in (MISSING, None, False, True, (), ""):
             words += f" (default: {field.default})"
         if tyro.conf.UseAppendAction in marks and "again" not in words:
             words += " (repeatable)"
