@@ -69,7 +69,7 @@ class Request:
     scenes: tuple[str, ...] | None = None
     """Only scenes that match one of these globs, or are of `split:train` or `split:eval`."""
     seed: int | None = None
-    """Another panel of starts than the suite's own: other trials in the same scenes."""
+    """Another seed set than the suite's own: other trials in the same scenes."""
     baseline: str | None = None
     """The baseline to compare with: its name, its file, or none. When absent the suite's own
     where the policy is the suite's own, else none: the bar alone judges."""

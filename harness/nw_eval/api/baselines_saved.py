@@ -1,4 +1,4 @@
-"""Saving a bank: what is missing is run, and what a renewal moves is shown before it replaces.
+"""Saving a baseline: what is missing is run, and what a renewal moves is shown before it replaces.
 
 Results come from trials that are run now, or from a run that has ended.
 """

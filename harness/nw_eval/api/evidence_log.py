@@ -46,7 +46,7 @@ class _Read(BaseModel):
 
 
 class ReadPlace(_Read):
-    """The place of a trial from straight above."""
+    """The scene of a trial from straight above."""
 
     box: tuple[_Metres, _Metres, _Metres, _Metres]
     """West, south, east, north."""

@@ -582,7 +582,7 @@ def open_policy(
 def _is_own_policy(draft: Draft, request: Request) -> bool:
     """Return whether the policy of a request is the suite's own, also by another path to its card.
 
-    With other weights for its card (`checkpoint`) it is a candidate in the place of the suite's
+    With other weights for its card (`checkpoint`) it is a candidate instead of the suite's
     own, and counts as that.
 
     Args:

@@ -85,7 +85,7 @@ LIGHTS: dict[str, Light] = {
         exposure=0.62,
         fog=0.12,
     ),
-    # The sun is the moon; lamps in the place do the rest.
+    # The sun is the moon; lamps in the scene do the rest.
     "night": Light(
         sun=(-0.4, -0.5, 0.75),
         sun_colour=(0.012, 0.015, 0.022),
@@ -127,9 +127,9 @@ LIGHTS: dict[str, Light] = {
 
 
 class Course(Protocol):
-    """The obstacles of one scene and the trail over them.
+    """The obstacles of one scene and the waypoints over them.
 
-    The trail is told in the world, where the spawn stands at z = 0; obstacles are built on a stage
+    Waypoints are in the world, where the spawn stands at z = 0; obstacles are built on a stage
     whose ground is at z = 0.
     """
 
@@ -156,7 +156,7 @@ class Setting(Protocol):
         ...
 
     def build(self, builder: PlaceBuilder, length: float) -> None:
-        """Build the scene, round a trail of `length` metres along x."""
+        """Build the scene, around a course of `length` metres along x."""
         ...
 
 
@@ -171,7 +171,7 @@ class Entry:
         course: obstacles and trail.
         light: a name of `LIGHTS`.
         exposure: multiplies that light's own, where the camera's automatic would choose badly.
-        task: what the trail asks of a robot.
+        task: what the course asks of a robot.
         waypoint_noise: half widths in metres along x and y.
         spawn: where the robot starts.
     """

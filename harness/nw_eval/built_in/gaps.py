@@ -31,13 +31,13 @@ class Gaps:
             last gap is the one before the end platform.
         edge: where the platform under the spawn ends, metres along x.
         length: of each platform along the course, metres.
-        width: of each platform across the trail, metres.
+        width: of each platform across the course, metres.
         shift: of each platform's middle to the left, metres; missing ones are 0.
         material: of the platforms' sides.
         top: of their tops, where that differs.
         thickness: of decks on four legs that one can look under, metres; solid blocks where not
             given.
-        last: whether the trail ends on a long platform or down on the floor.
+        last: whether the course ends on a long platform or down on the floor.
     """
 
     gaps: tuple[float, ...]

@@ -1,7 +1,7 @@
 """A course: points along it, how a robot stands there, and what is wrong with the course itself.
 
-Points are evenly spaced, with the way ahead at each. A robot that stands there has its camera in a
-place that follows. What is wrong: waypoints at the start, too short a way, no room to arrive.
+Points are evenly spaced, with the way ahead at each. A robot that stands there has its camera at a
+point that follows. What is wrong: waypoints at the start, too short a way, no room to arrive.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class TrailSamples:
         points: (S, 3) m, world, on that line.
         ahead: (S, 2) unit vectors along it, seen from above.
         above: (S,) z from where the ground there is looked for, m: over every obstacle of the
-            trail, and under ceilings.
+            course, and under ceilings.
     """
 
     along: Values

@@ -1,7 +1,7 @@
 """A course through a scene that was photographed on a walk, proposed for a person to agree with.
 
 It is as the shipped scenes have them: waypoints on top of things, a spawn, and a task. What the
-trail leads over is told from the profile of the ground: hurdles, gaps, slopes, leaning boards and
+course leads over is told from the profile of the ground: hurdles, gaps, slopes, leaning boards and
 stairs, each with its size.
 """
 

@@ -1,4 +1,4 @@
-"""The stage: a policy in a place, one control step after another, and what is done to it meanwhile.
+"""The stage: a policy in a scene, one control step after another, and what is done to it meanwhile.
 
 Friction, payload and all other axes are those of a suite's `perturb`: a change opens the trial of
 that cell and goes on there from the same state. So what is saved is what a run then meets.
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 def open_stage(
     policy: str, scene: str, *, checkpoint: Path | None = None, allow_code: bool = False
 ) -> Stage:
-    """Open a policy in a place, checked as a run would check both.
+    """Open a policy in a scene, checked as a run would check both.
 
     Raises:
         NwEvalError: either cannot be used.

@@ -199,7 +199,7 @@ class Courtyard:
     Attributes:
         ground: material; grass grows blades.
         walls: material of the houses.
-        path: whether paving runs along the trail through a grass yard's edge.
+        path: whether paving runs along the course through a grass yard's edge.
         lit: whether lamps and windows shine.
     """
 
@@ -363,7 +363,7 @@ class Field:
     indoor: bool = False
 
     def build(self, builder: PlaceBuilder, length: float) -> None:
-        """Build the field; how long the trail is changes nothing."""
+        """Build the field; how long the course is changes nothing."""
         del length
         near, far = self.reach, self.reach + 1.0
         builder.ground(self.ground, (-far - 6.0, far + 6.0), (-far - 6.0, far + 6.0))

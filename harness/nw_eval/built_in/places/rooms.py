@@ -273,7 +273,7 @@ class Lobby:
         deck: material of the gallery.
         flight: width that the gallery leaves free for the flight, metres.
         width, height: metres.
-        beyond: from the trail's end to the far wall, metres.
+        beyond: from the course's end to the far wall, metres.
     """
 
     gallery: float = 0.0

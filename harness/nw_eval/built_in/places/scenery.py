@@ -254,7 +254,7 @@ def car(
         x: metres.
         y: metres.
         paint: material.
-        along_y: whether it stands across the trail's direction.
+        along_y: whether it stands across the course's direction.
         nose: +1 or -1, where along its axis the car looks.
     """
     length, width = 4.2, 1.74

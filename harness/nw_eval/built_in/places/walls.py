@@ -92,7 +92,7 @@ def house(
     roof: str = "concrete/dark",
     fine: float = 1.0,
 ) -> None:
-    """Build a house as one box whose `face` looks at the trail, with a grid of windows.
+    """Build a house as one box whose `face` looks at the course, with a grid of windows.
 
     Args:
         builder: of the scene that it is part of.

@@ -76,7 +76,7 @@ class Places:
 
 
 def find_places(reference: Path, robot: str = "go1") -> Places:
-    """Return the places of a scene.
+    """Return the files of a scene.
 
     Args:
         reference: the scene folder, with the XML in it or two folders up (beside `real_scenes`), or

@@ -1,9 +1,9 @@
 """The model of the label page: every decision is a new state, and every state can be gone back to.
 
 Whoever works on the page works on `Labelling`; it needs no browser. `PlaceEdits` has the line of
-states and the edits of the place: moving, levelling, scaling, cropping and measuring it.
+states and the edits of the scene: moving, levelling, scaling, cropping and measuring it.
 `Labelling` adds waypoints, start, task, proposals, and the files. What follows from a state, the
-place as it lies now and the ground along the course, is built once somebody wants it.
+scene as it lies now and the ground along the course, is built when it is needed.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from nw_eval.words import Task
 
 
 class PlaceEdits:
-    """A place: where it lies, what is kept of it, and every state that can be gone back to.
+    """A scene: where it lies, what is kept of it, and every state that can be gone back to.
 
     Trail, start and markers move along with the scene.
 

@@ -134,7 +134,7 @@ def as_point(values: NDArray[np.float64]) -> Point:
 
 @dataclass(frozen=True, kw_only=True)
 class CropBox:
-    """What is kept of a place: a box with its sides along the world's axes.
+    """What is kept of a scene: a box with its sides along the world's axes.
 
     Attributes:
         low: smallest x, y, z; world, m.
