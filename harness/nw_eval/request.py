@@ -34,7 +34,9 @@ class Shard:
         """
         found = _SHARD.fullmatch(words)
         if found is None or not 1 <= int(found[1]) <= int(found[2]):
-            raise UsageError(f"--shard {words!r}", fix="give I/N, such as 1/3, with I from 1 to N")
+            raise UsageError(
+                f"--shard {words!r} is not a part", fix="give I/N, such as 1/3, with I from 1 to N"
+            )
         return cls(index=int(found[1]), count=int(found[2]))
 
     def __str__(self) -> str:

@@ -109,5 +109,5 @@ def test_a_restored_trail_goes_on_where_it_was():
 
 
 def test_a_trail_needs_a_waypoint():
-    with pytest.raises(SceneError, match="a course without waypoints"):
+    with pytest.raises(SceneError, match="the course has no waypoints"):
         TrailProgress(np.zeros((0, 3)))

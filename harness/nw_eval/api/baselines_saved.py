@@ -91,7 +91,7 @@ def save_baseline(
     from nw_eval.suite import load_suite
 
     if starts is not None and starts < 1:
-        raise UsageError(f"--starts {starts}", fix="give at least 1")
+        raise UsageError(f"--starts {starts} is too low", fix="give at least 1")
     place, run, rows = None, None, ()
     if from_run is None:
         place = here(suite, policy=policy, **changes)

@@ -58,7 +58,7 @@ def _planned(
         return plan_of(Request.of(None, **changes), draft_of(request), may_fail=may_fail)
     request = Request.of(request, **changes)
     if request.suite is None:
-        raise UsageError("no suite", fix="name one, such as `nw-eval run hurdles`")
+        raise UsageError("no suite is named", fix="name one, such as `nw-eval run hurdles`")
     return plan_of(request, draft_suite(request.suite), may_fail=may_fail)
 
 
@@ -413,7 +413,7 @@ def check_workers(workers: int | None) -> None:
         UsageError: it is less than 1.
     """
     if workers is not None and workers < 1:
-        raise UsageError(f"--workers {workers}", fix="give at least 1")
+        raise UsageError(f"--workers {workers} is too low", fix="give at least 1")
 
 
 def chosen_scenes(

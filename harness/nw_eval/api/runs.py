@@ -137,7 +137,7 @@ def roll_out(
     from nw_eval.gate.baseline.combine import unjudged
     from nw_eval.results.provenance import read_run_info
 
-    ears, command = listener or NullListener(), tuple(sys.argv)
+    told, command = listener or NullListener(), tuple(sys.argv)
     # Scores are judged once, of all trials: only success alone may settle a run early.
     all_rounds = all_rounds or bool(plan.suite.gate.scores)
     if plan.is_baseline and plan.drawn is None:
@@ -146,7 +146,7 @@ def roll_out(
         plan = rechecked(plan, unforeseen_seed(), all_rounds=whole)
     contest = None
     for words in _ahead(plan):
-        ears.message(words)
+        told.message(words)
     if plan.against is not None:
         contest = Contest(
             plan,
@@ -154,7 +154,7 @@ def roll_out(
             workers=workers,
             cluster=cluster,
             command=command,
-            listener=ears,
+            listener=told,
             cache=cache,
             all_rounds=all_rounds,
         )
@@ -162,14 +162,14 @@ def roll_out(
         name = plan.suite.name if plan.request.suite is None else str(plan.request.suite)
         policy = plan.bundle.name if plan.request.policy is None else plan.request.policy
         if why := unjudged(plan.suite.gate, name, policy):
-            ears.message(why)
+            told.message(why)
     folder = session.carry_out(
         plan,
         workers=workers,
         out=out,
         resume=resume,
         command=command,
-        listener=ears,
+        listener=told,
         in_process=in_process,
         cluster=cluster,
         prelude=None if contest is None else contest.begin,
@@ -253,7 +253,9 @@ def _cluster(engine: Engine, address: str | None) -> str | None:
         UsageError: an address of nothing, or no such engine.
     """
     if engine not in get_args(Engine):
-        raise UsageError(f"--engine {engine!r}", fix=nearest(str(engine), get_args(Engine)))
+        raise UsageError(
+            f"--engine {engine!r} is unknown", fix=nearest(str(engine), get_args(Engine))
+        )
     if engine == "ray":
         return address or "local"
     if address is not None:

@@ -82,7 +82,7 @@ class TrailProgress:
     ) -> None:
         self.waypoints = read_only(np.array(waypoints, dtype=np.float64).reshape(-1, 3))
         if not len(self.waypoints):
-            raise SceneError("a course without waypoints", fix="give the scene at least one")
+            raise SceneError("the course has no waypoints", fix="give the scene at least one")
         # Of a few plain numbers a step is computed in a third of the time that NumPy takes.
         self.places: list[list[float]] = self.waypoints[:, :2].tolist()
         self._forgets = protocol.reach_timer_forgets

@@ -266,7 +266,9 @@ class LabelState:
 
     def __post_init__(self) -> None:
         if len(self.waypoints) > WAYPOINTS:
-            raise UsageError(f"{len(self.waypoints)} waypoints", fix=f"give {WAYPOINTS} at most")
+            raise UsageError(
+                f"there are {len(self.waypoints)} waypoints", fix=f"give {WAYPOINTS} at most"
+            )
         points = [*self.waypoints, *self.markers, *self.floor]
         if self.start is not None:
             points.append(self.start.position)

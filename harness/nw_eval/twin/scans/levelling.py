@@ -59,7 +59,7 @@ def level_scene(
     if not (len(floor) or flip or unit != "m" or trail is not None or propose):
         raise UsageError("nothing to do", fix="give --floor, --flip, --unit, --trail or --propose")
     if trail is not None and propose:
-        raise UsageError("--trail and --propose", fix="give one of them")
+        raise UsageError("--trail and --propose exclude each other", fix="give one of them")
     files = folder_files(folder)
     if out is None:
         place = open_place(folder)
