@@ -417,12 +417,12 @@ def inspect_scene(
     """
     from nw_eval.scenes.finding import has_errors, unreadable
     from nw_eval.survey import survey_scene
-    from nw_eval.survey.trail import trail_findings
+    from nw_eval.survey.course import course_findings
 
     try:
         scene, found = _checked(reference, read_splat=read_splat)
         if scene is not None:
-            found = (*found, *trail_findings(scene, robot))
+            found = (*found, *course_findings(scene, robot))
         surveyed = None
         if scene is not None and not has_errors(found):
             surveyed = survey_scene(scene, robot=robot, read_splat=read_splat)

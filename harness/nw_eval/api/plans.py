@@ -482,7 +482,7 @@ def open_scenes(
     from nw_eval import catalogue
     from nw_eval.errors import SceneError
     from nw_eval.suite import tier_problems
-    from nw_eval.survey.trail import start_finding
+    from nw_eval.survey.course import start_finding
 
     found: dict[tuple[str, Collision], FoundScene] = {}
     failed: list[str] = []

@@ -208,11 +208,11 @@ def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
     The built-in ones are right.
     """
     from nw_eval.catalogue import is_built_in
-    from nw_eval.survey.trail import trail_findings
+    from nw_eval.survey.course import course_findings
 
     for place in plan.found:
         if not is_built_in(place.reference):
-            for finding in trail_findings(place.scene, plan.suite.robot):
+            for finding in course_findings(place.scene, plan.suite.robot):
                 yield place.scene.name, finding
 
 

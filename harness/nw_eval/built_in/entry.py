@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.built_in.places.crowns import crown_mesh
 from nw_eval.built_in.places.parts import Light, Place
 from nw_eval.errors import SceneError
@@ -142,7 +142,7 @@ class Course(Protocol):
         """Return the waypoints, metres."""
         ...
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Build the obstacles."""
         ...
 
@@ -155,7 +155,7 @@ class Setting(Protocol):
         """Whether a roof keeps sky and sun out."""
         ...
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the scene, around a course of `length` metres along x."""
         ...
 
@@ -193,7 +193,7 @@ class Entry:
         eyes = [(0.0, 0.0, up), *((x, y, z + up) for x, y, z in trail)]
         light = LIGHTS[self.light]
         light = replace(light, exposure=light.exposure * self.exposure)
-        builder = PlaceBuilder(self.name, light, indoor=self.setting.indoor, eyes=eyes)
+        builder = SceneBuilder(self.name, light, indoor=self.setting.indoor, eyes=eyes)
         self.setting.build(builder, trail[-1][0])
         self.course.build(builder)
         return builder.place()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from nw_eval.built_in.entry import Entry
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.built_in.places.gardens import Cloister, Courtyard, Garden, Park
 from nw_eval.built_in.places.halls import Warehouse, Workshop
 from nw_eval.built_in.places.rooms import Corridor, Room
@@ -56,7 +56,7 @@ class Hurdles:
         last = middles[-1] if middles else 0.0
         return (*tops, (last + self.finish, 0.0, 0.0))
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Build the bars."""
         for index, (x, height) in enumerate(zip(self.middles(), self.heights, strict=True)):
             y = self._shift(index)

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 from nw_eval.built_in.entry import Entry
-from nw_eval.built_in.places.builder import ALL_FACES, PlaceBuilder
+from nw_eval.built_in.places.builder import ALL_FACES, SceneBuilder
 from nw_eval.built_in.places.gardens import Cloister, Courtyard, Garden, Park
 from nw_eval.built_in.places.halls import Underpass, Warehouse, Workshop
 from nw_eval.built_in.places.parts import Decal, Pair
@@ -71,7 +71,7 @@ class Boards:
             points.append(((low + high) / 2, side * y, z))
         return (*points, (self._span(len(self.angles) - 1)[1] + 1.0, 0.0, 0.0))
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Build boards and props."""
         for index, degrees in enumerate(self.angles):
             x = self._span(index)
@@ -148,7 +148,7 @@ class Humps:
         start, run, deck, _ = self._humps()[-1]
         return (*points, (start + 2 * run + deck + 1.0, 0.0, 0.0))
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Build slopes and decks."""
         for index, (start, run, deck, height) in enumerate(self._humps()):
             y = (self._shift(index) - self.width / 2, self._shift(index) + self.width / 2)
@@ -183,7 +183,7 @@ class Humps:
 
 
 def pitched_board(
-    builder: PlaceBuilder,
+    builder: SceneBuilder,
     x: Pair,
     z: Pair,
     y: Pair,
@@ -242,7 +242,7 @@ def _treads(length: float, width: float, material: str) -> list[Decal]:
 
 
 def rolled_board(
-    builder: PlaceBuilder,
+    builder: SceneBuilder,
     x: Pair,
     y: float,
     z: float,

@@ -122,7 +122,7 @@ class Stage:
         spawn = replace(scene.spawn, x_jitter=0.0, y_jitter=0.0, yaw_jitter=0.0)
         still = replace(scene, spawn=spawn, waypoint_noise=(0.0, 0.0))
         self.original, self.reference, self.policy = scene, reference, policy
-        self.place = ChangedPlace(scene=still, folder=Path(self._folder.name))
+        self.place = ChangedScene(scene=still, folder=Path(self._folder.name))
         self.cell: dict[str, float] = {}
         self.pushed = 0.0
         self._job = replace(job, duration=_LONG, mcap=None, record="none")
@@ -202,7 +202,7 @@ class Stage:
         """Begin again, with all that was changed."""
         self._replace(self._open(self.place, self.cell))
 
-    def _go_on(self, place: ChangedPlace, cell: dict[str, float]) -> None:
+    def _go_on(self, place: ChangedScene, cell: dict[str, float]) -> None:
         trial = self._open(place, cell)
         try:
             carry_over(self.trial.episode, trial.episode)
@@ -216,7 +216,7 @@ class Stage:
         self.trial.__exit__()
         self.trial = trial
 
-    def _open(self, place: ChangedPlace, cell: dict[str, float]) -> OpenTrial:
+    def _open(self, place: ChangedScene, cell: dict[str, float]) -> OpenTrial:
         scene = place.changed()
         trial = replace(
             self._job.trial, scene_digest=scene.digest, perturbation=tuple(sorted(cell.items()))
@@ -244,7 +244,7 @@ class _OfStage(Library):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChangedPlace:
+class ChangedScene:
     """What was done to a scene.
 
     Attributes:
