@@ -296,7 +296,7 @@ def _check_limits(request: Request, door: str) -> None:
     limits += [] if memory is None else [f"--memory-limit {memory}"]
     if limits:
         raise UsageError(
-            f"{' and '.join(limits)} with {door}: no process of its own could be stopped",
+            f"{' and '.join(limits)} cannot be enforced with {door}",
             fix="drop one of them",
         )
 
