@@ -1,6 +1,6 @@
 # make run    set up, then gate the shipped policy on the hurdles suite: the main job
 # make test   set up, then every check and every test
-# make check  formatting, lint, types and the arrows between rooms
+# make check  formatting, lint, types, the imports between packages, and the words of code and pages
 # make bench  the benchmark tables (minutes; on an idle machine)
 # make leaderboard  pages of the shipped policies on hurdles, to publish (minutes)
 # make docs   the docs site, in site/; `make docs-serve` shows it while you write
@@ -13,7 +13,7 @@ export OMP_NUM_THREADS := 1
 # Every trial's process and some hundred of the tests import the package: compiled once, not each time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test check lint types arrows warm bench leaderboard docs docs-serve build
+.PHONY: run test check lint types imports words warm bench leaderboard docs docs-serve build
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
@@ -26,7 +26,7 @@ test: $(VENV)/.installed-dev
 	$(MAKE) -j 2 --output-sync=target check warm
 	$(BIN)/pytest -n auto --dist loadscope --no-loadscope-reorder $(PYTEST_ARGS)
 
-check: types lint arrows
+check: types lint imports words
 
 types: $(VENV)/.installed-dev
 	$(BIN)/pyright --pythonpath $(BIN)/python
@@ -35,8 +35,11 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 
-arrows: $(VENV)/.installed-dev
+imports: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
+
+words: $(VENV)/.installed-dev
+	$(BIN)/pytest -q -p no:cacheprovider tests/test_words.py
 
 KERNEL_TESTS := tests/twin/calibrate/test_features.py::test_of_two_alike_neither_is_a_match \
   tests/twin/reconstruct/test_reconstruct.py::test_what_a_mask_hides_is_not_known

@@ -58,7 +58,7 @@ def get_scene(name_or_path: str | Path) -> Scene:
     """Return a built-in scene by its name, or the scene of a folder by its path.
 
     Args:
-        name_or_path: a name, a folder, `neverwhere:<folder>`, or a place that `brought` fetches;
+        name_or_path: a name, a folder, `neverwhere:<folder>`, or a scene that `brought` fetches;
             `triangles:` before a folder makes its mesh collide by its own triangles, slow and
             exact, to check the terrain with.
 
@@ -264,14 +264,14 @@ def brought(reference: str, base: Path | None = None) -> str:
 
 
 def fetch_scene(reference: str, *, file: Path | None = None) -> Fetched:
-    """Return a place as its hub has it now, fetched if it is not here.
+    """Return a scene as its hub has it now, fetched if it is not here.
 
     Args:
         reference: `hub:org/name[@revision]`, `neverwhere:NAME` or `real:NAME`.
         file: of `real:NAME`, the file itself, fetched on another machine.
 
     Raises:
-        UsageError: a file of a place that is not one file.
+        UsageError: a file of a scene that is not one file.
         SceneError: as `brought`; or a reference of nothing on a hub.
         FetchError, PrerequisiteError, StoreError: as `brought`.
     """
@@ -296,7 +296,7 @@ def fetch_scene(reference: str, *, file: Path | None = None) -> Fetched:
 
 
 def elsewhere(reference: str, base: Path | None = None) -> Reference | None:
-    """Return where a place lies that is not on this machine; None of any other reference.
+    """Return where a scene lies that is not on this machine; None of any other reference.
 
     Raises:
         SceneError: it begins with `hub:`, and names nothing on a hub.
@@ -417,12 +417,12 @@ def inspect_scene(
     """
     from nw_eval.scenes.finding import has_errors, unreadable
     from nw_eval.survey import survey_scene
-    from nw_eval.survey.trail import trail_findings
+    from nw_eval.survey.course import course_findings
 
     try:
         scene, found = _checked(reference, read_splat=read_splat)
         if scene is not None:
-            found = (*found, *trail_findings(scene, robot))
+            found = (*found, *course_findings(scene, robot))
         surveyed = None
         if scene is not None and not has_errors(found):
             surveyed = survey_scene(scene, robot=robot, read_splat=read_splat)

@@ -4,7 +4,7 @@
     ├─ UsageError          exit 2   an option or argument that cannot be used
     │  └─ RobotError       exit 2   a robot's folder or package that cannot be used
     ├─ SuiteError          exit 2   problems in a suite file, all of them, each with its place
-    ├─ SceneError          exit 2   a place that cannot be loaded or built
+    ├─ SceneError          exit 2   a scene that cannot be loaded or built
     ├─ PolicyError         exit 2   a card or checkpoint that cannot be used, found before physics
     │  ├─ CodeError        exit 2   Python code that a card names failed
     │  └─ CrashError       exit 4   the process that opened a checkpoint died
@@ -19,7 +19,7 @@
     ├─ FetchError          exit 4   a hub that cannot be reached, or fails
     └─ IncomparableError   exit 5   runs that do not pair
 
-A message says what happened, the value, the place and the fix, in that order, on one line. Names
+A message says what happened, the value, the location and the fix, in that order, on one line. Names
 and texts of untrusted files are made harmless here, once, whoever prints the error.
 """
 

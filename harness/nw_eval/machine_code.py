@@ -147,7 +147,7 @@ def _folder() -> tuple[Path | None, str | None]:
 
 
 class _Locator:
-    """What Numba asks for the place of a function's code."""
+    """What Numba asks for the location of a function's code."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._py_file = function.__code__.co_filename

@@ -44,7 +44,7 @@ class EvaluationProtocol:
     0.005 s in every scene XML, four of them in a control step."""
 
     reads_forces_of_last_solve: bool
-    """Contact forces are what the last physics step's solver left in memory, read at the places of
+    """Contact forces are what the last solver step left in memory, read at the positions of
     the contacts after it, and so are accelerations; otherwise the solver runs once more. Source:
     dm_control's legacy step, which ends with `mj_step1` and so before any solver; up to 26 N apart
     at touch-down."""

@@ -34,7 +34,9 @@ class Shard:
         """
         found = _SHARD.fullmatch(words)
         if found is None or not 1 <= int(found[1]) <= int(found[2]):
-            raise UsageError(f"--shard {words!r}", fix="give I/N, such as 1/3, with I from 1 to N")
+            raise UsageError(
+                f"--shard {words!r} is not a part", fix="give I/N, such as 1/3, with I from 1 to N"
+            )
         return cls(index=int(found[1]), count=int(found[2]))
 
     def __str__(self) -> str:
@@ -69,7 +71,7 @@ class Request:
     scenes: tuple[str, ...] | None = None
     """Only scenes that match one of these globs, or are of `split:train` or `split:eval`."""
     seed: int | None = None
-    """Another panel of starts than the suite's own: other trials in the same scenes."""
+    """Another seed set than the suite's own: other trials in the same scenes."""
     baseline: str | None = None
     """The baseline to compare with: its name, its file, or none. When absent the suite's own
     where the policy is the suite's own, else none: the bar alone judges."""

@@ -283,7 +283,7 @@ def test_two_banks_are_compared_scene_by_scene(capsys):
     [
         ({"from_run": "there", "starts": 3}, "--run and --trials: the run has decided that"),
         ({"name": "a/b"}, "a baseline's name: 'a/b' is no name"),
-        ({"starts": 0}, "--trials 0; give at least 1"),
+        ({"starts": 0}, "--trials 0 is too low; give at least 1"),
         ({"from_run": "nowhere"}, "nowhere is not the folder of a run"),
     ],
 )

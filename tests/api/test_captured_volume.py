@@ -141,7 +141,7 @@ def test_over_the_cap_nothing_is_judged_and_the_report_says_what_to_do(rows):
     verdict = judge(rows, gate, {"all": 1, "half": 1})
     assert (verdict.verdict, verdict.exit_code) == ("INCONCLUSIVE", 3)
     assert verdict.reasons[0].startswith("1 of 2 trials left the captured volume, over")
-    assert "capture more of the place from the robot's height" in verdict.reasons[0]
+    assert "capture more of the scene from the robot's height" in verdict.reasons[0]
 
 
 def test_the_report_and_junit_count_them_apart(ran):

@@ -89,9 +89,9 @@ def test_networks_that_feed_a_policy_go_along_with_its_control(tmp_path):
 
 
 def test_policies_that_see_in_other_ways_cannot_be_exchanged():
-    with pytest.raises(PolicyError, match="cannot be exchanged"):
+    with pytest.raises(PolicyError, match="cannot be swapped"):
         apart(load_bundle("go1-parkour"), load_bundle("go1-act-rgb"))
-    with pytest.raises(PolicyError, match="cannot be exchanged"):
+    with pytest.raises(PolicyError, match="cannot be swapped"):
         apart(load_bundle("stand"), load_bundle("stand"))
 
 

@@ -191,7 +191,7 @@ def test_a_robot_that_stands_still_does_not_pass(name, attack):
 def test_a_part_of_a_run_is_no_verdict_and_cannot_be_merged_alone(attack, tmp_path):
     part = attack({"scenes": TWO}, {}, {"shard": "1/2"})
     assert part.verdict.verdict == "RAN"
-    with pytest.raises(UsageError, match="of the whole run it says nothing"):
+    with pytest.raises(UsageError, match="which is not the whole run"):
         api.judge(part.folder)
     with pytest.raises(StoreError, match="there is no part 2 of 2"):
         api.merge([part.folder], out=tmp_path / "merged")

@@ -10,7 +10,7 @@ import pytest
 from nw_eval.built_in.bake.generate import generate
 from nw_eval.built_in.entry import LIGHTS, BuiltInSplat
 from nw_eval.built_in.places import scenery as outdoors
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.catalogue import get_scene
 from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.camera import Camera
@@ -21,7 +21,7 @@ from nw_eval.splat.store import digest, open_store
 
 def tiny_place():
     """A bar on a lawn beside a bush, in the evening light of a lamp."""
-    builder = PlaceBuilder("tiny", LIGHTS["dusk"], indoor=False, eyes=[(0, 0, 0.3), (2, 0, 0.3)])
+    builder = SceneBuilder("tiny", LIGHTS["dusk"], indoor=False, eyes=[(0, 0, 0.3), (2, 0, 0.3)])
     builder.ground("grass/green", (-2, 4), (-2, 2))
     builder.lawn((-1, 2), (-1, 1), "grass/green")
     builder.box((1, 1.3), (-0.5, 0.5), (0, 0.2), "brick/red", kind="obstacle")

@@ -322,7 +322,7 @@ def test_a_reporter_gets_the_judged_run_and_its_words(package, judged, tmp_path)
     [
         ("slip", 'target="file"', "--reporter slip: it writes a file; --reporter slip=PATH"),
         ("slip=a", "", "--reporter slip=a: it takes nothing; --reporter slip"),
-        ("slpi", "", "--reporter slpi: no such reporter; did you mean 'slip'?"),
+        ("slpi", "", "--reporter slpi is unknown; did you mean 'slip'?"),
         ("slip", "nonsense=1", "cannot be imported: TypeError"),
         ("junit", "", "--reporter junit: it writes a file"),
     ],

@@ -318,7 +318,7 @@ def test_an_output_that_feeds_an_input_is_reset_saved_and_restored(tmp_path):
     [
         ("{h:", "{g:", "takes no 'g', which `recurrent` names"),
         ("[1, 12]", "[1, 11]", "correct `recurrent`|size of tensor"),
-        ("output: 0", "output: 5", "none at place 5"),
+        ("output: 0", "output: 5", "none at index 5"),
     ],
 )
 def test_what_is_fed_back_otherwise_than_the_card_says_is_named(tmp_path, was, becomes, said):

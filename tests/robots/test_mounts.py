@@ -224,7 +224,7 @@ def test_a_state_holds_what_an_imu_on_a_head_reads(tmp_path):
     ("line", "said"),
     [
         ("imu: {site: imu_in_hed}", ":8:7: imu: no site 'imu_in_hed'; did you mean 'imu_in_head'"),
-        ("imu: {site: imu_in_head, body: head}", "a site has its place and axes"),
+        ("imu: {site: imu_in_head, body: head}", "a site has its own position and axes"),
         ("imu: {body: hed}", "imu.body: no body 'hed'; did you mean 'head'?"),
         ("imu: {quaternion: [0, 0, 0, 0]}", "imu: a quaternion of length 0"),
         ("  ego: {position: [0, 0, 0]}", "cameras: `eye` is `ego`, too; remove one"),

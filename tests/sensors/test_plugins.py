@@ -217,7 +217,7 @@ def test_code_beside_a_card_needs_permission(packages, world, card_of, moment_of
         ("no_module_of_that_name:X", "cannot be opened: ModuleNotFoundError"),
         ("plugged:Talks", "wrapper plugged:Talks returned a str; return a NumPy array"),
         ("plugged:Half", "has only one of `state` and `restore`"),
-        ("plugged:Old", "which nobody calls any more; call them `state` and `restore`"),
+        ("plugged:Old", "which are no longer called; call them `state` and `restore`"),
     ],
 )
 def test_what_is_wrong_with_code_is_said_before_any_physics(packages, card_of, wrapper, said):

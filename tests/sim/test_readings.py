@@ -11,7 +11,7 @@ import nw_eval
 from nw_eval.robots import RobotSpec
 from nw_eval.robots.spec import CameraMount
 from nw_eval.sim import Actuators, World
-from nw_eval.tasks.course import Limits, Termination, TrailProgress
+from nw_eval.tasks.course import CourseProgress, Limits, Termination
 
 PACKAGE = Path(nw_eval.__file__).parent
 
@@ -227,7 +227,7 @@ def test_a_robot_has_fallen_where_it_is_low_over_what_is_under_it(place, level, 
         assert world.height_over_ground() == pytest.approx(0.3 - level)
         trail = np.array([[4.0, 0.0, 0.0]])
         judge = Termination(trail, (0.0, 0.0), limits=Limits.of(WADER))
-        assert judge.check(world, TrailProgress(trail), 1) == outcome
+        assert judge.check(world, CourseProgress(trail), 1) == outcome
 
 
 def test_its_own_body_is_not_the_ground_under_it(flat):

@@ -8,8 +8,8 @@ from nw_eval.catalogue import get_scene
 from nw_eval.robots import find_robot, get_robot
 from nw_eval.scenes.mesh import merge
 from nw_eval.scenes.scene import Box, Scene
+from nw_eval.survey.course import stance_of
 from nw_eval.survey.legs import demands_of, fit_of, legs_of
-from nw_eval.survey.trail import stance_of
 
 # Two legs with a hip, a knee and a foot; without a policy it tips over.
 LEG = """

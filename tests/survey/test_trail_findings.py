@@ -17,7 +17,7 @@ from nw_eval.built_in.entries import has_variants
 from nw_eval.catalogue import get_scene, names
 from nw_eval.robots import get_robot
 from nw_eval.scenes.scene import Spawn
-from nw_eval.survey.trail import stance_of, start_finding, trail_findings, waypoints_at_start
+from nw_eval.survey.course import course_findings, stance_of, start_finding, waypoints_at_start
 
 OPEN = trimesh.util.concatenate(
     [box((-1.5, -1, -0.2), (5.5, 1, 0)), box((1.5, -1, -0.1), (2.5, 1, 0.1))]
@@ -59,7 +59,7 @@ def test_on_real_stairs_a_waypoint_is_too_near_the_end_where_go1_parkour_fails(
 
 
 def codes(scene, robot="go1"):
-    return {finding.code: finding for finding in trail_findings(scene, robot)}
+    return {finding.code: finding for finding in course_findings(scene, robot)}
 
 
 def along(place, *x, **changes):
@@ -118,7 +118,7 @@ def test_a_last_waypoint_at_the_scans_end_is_an_error_that_says_how_far(place):
 def test_no_built_in_place_and_no_variant_of_one_has_such_a_trail(name):
     for reference in (name, f"{name}~1") if has_variants(name) else (name,):
         scene = get_scene(reference)
-        assert trail_findings(scene, "go1") == trail_findings(scene, "go2") == []
+        assert course_findings(scene, "go1") == course_findings(scene, "go2") == []
 
 
 def test_the_published_stairs_whose_steps_lie_close_together_are_not_refused(place):

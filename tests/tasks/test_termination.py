@@ -9,7 +9,7 @@ import pytest
 from nw_eval.catalogue import get_scene
 from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.sim import World
-from nw_eval.tasks.course import Termination, TrailProgress, distance_to_polyline
+from nw_eval.tasks.course import CourseProgress, Termination, distance_to_polyline
 
 PROTOCOLS = (STRICT, NEVERWHERE_2026)
 TRAIL = np.array([(2.0, 0.0, 0.3), (4.0, 0.0, 0.0)])
@@ -26,7 +26,7 @@ def robot_at(x=0.0, y=0.0, z=0.3, *, roll=0.0, pitch=0.0, force=0.0):
 
 
 def outcome(world, *, protocol=STRICT, step=1, progress=None, trail=TRAIL):
-    progress = TrailProgress(trail, protocol) if progress is None else progress
+    progress = CourseProgress(trail, protocol) if progress is None else progress
     return Termination(trail, (0.0, 0.0), protocol=protocol).check(world, progress, step)
 
 
@@ -47,7 +47,7 @@ def test_more_than_10_newtons_on_a_monitored_geom_is_a_collision(protocol):
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_without_contact_termination_collisions_are_only_counted(protocol):
     ending = Termination(TRAIL, (0.0, 0.0), protocol=protocol, contact_termination=False)
-    progress = TrailProgress(TRAIL, protocol)
+    progress = CourseProgress(TRAIL, protocol)
     for step, force in enumerate((0.0, 500.0, 9.9, 10.1), start=1):
         assert ending.check(robot_at(force=force), progress, step) is None
     assert ending.contact_seconds == pytest.approx(2 * 0.02)
@@ -64,7 +64,7 @@ def test_without_contact_termination_collisions_are_only_counted(protocol):
 def test_the_clock_ends_a_trial_at_step_600(protocol):
     trail = np.array([(60.0, 0.0, 0.0)])
     ending = Termination(trail, (0.0, 0.0), protocol=protocol)
-    progress = TrailProgress(trail, protocol)
+    progress = CourseProgress(trail, protocol)
     ends = [ending.check(robot_at(x=0.02 * step), progress, step) for step in range(1, 601)]
     assert ends[:-1] == [None] * 599
     assert ends[-1] == "timeout"
@@ -72,7 +72,7 @@ def test_the_clock_ends_a_trial_at_step_600(protocol):
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_completing_the_trail_counts_before_anything_else(protocol):
-    progress = TrailProgress(TRAIL[:1], protocol)
+    progress = CourseProgress(TRAIL[:1], protocol)
     for _ in range(7):
         progress.update(TRAIL[0])
     fallen = robot_at(roll=2.0, force=500.0)
@@ -90,7 +90,7 @@ def test_leaving_the_trail_ends_a_strict_trial_only():
 
 
 def test_going_nowhere_for_4_s_ends_a_strict_trial():
-    ending, progress = Termination(TRAIL, (0.0, 0.0)), TrailProgress(TRAIL)
+    ending, progress = Termination(TRAIL, (0.0, 0.0)), CourseProgress(TRAIL)
     # 0.2 m nearer to the end at 1 s, then swaying by 0.1 m.
     for step in range(1, 251):
         x = 0.0 if step < 50 else 0.2 + 0.05 * np.sin(step)
@@ -103,20 +103,20 @@ def test_going_nowhere_for_4_s_ends_a_strict_trial():
 
 def test_slow_progress_is_progress():
     # 5 cm/s, which is 0.2 m in 4 s.
-    ending, progress = Termination(TRAIL, (0.0, 0.0)), TrailProgress(TRAIL)
+    ending, progress = Termination(TRAIL, (0.0, 0.0)), CourseProgress(TRAIL)
     for step in range(1, 600):
         assert ending.check(robot_at(x=0.001 * step), progress, step) is None
 
 
 def test_walking_the_wrong_way_is_no_progress():
-    ending, progress = Termination(TRAIL, (0.0, 0.0)), TrailProgress(TRAIL)
+    ending, progress = Termination(TRAIL, (0.0, 0.0)), CourseProgress(TRAIL)
     ends = [ending.check(robot_at(x=-0.005 * step), progress, step) for step in range(1, 201)]
     assert ends[-1] == "stuck"
     assert not any(ends[:-1])
 
 
 def test_a_restored_judge_remembers_how_long_it_has_waited():
-    ending, progress = Termination(TRAIL, (0.0, 0.0)), TrailProgress(TRAIL)
+    ending, progress = Termination(TRAIL, (0.0, 0.0)), CourseProgress(TRAIL)
     for step in range(1, 150):
         ending.check(robot_at(), progress, step)
     other = Termination(TRAIL, (0.0, 0.0))
@@ -141,7 +141,7 @@ def test_distance_to_the_trail_is_that_to_the_nearest_segment():
 
 
 def play(world, targets, protocol):
-    progress = TrailProgress(world.scene.trail, protocol)
+    progress = CourseProgress(world.scene.trail, protocol)
     ending = Termination(world.scene.trail, world.scene.spawn.position, protocol=protocol)
     while True:
         world.step(targets)

@@ -7,14 +7,14 @@ import pytest
 
 from nw_eval.errors import SceneError
 from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.tasks.course import TrailProgress
+from nw_eval.tasks.course import CourseProgress
 
 PROTOCOLS = (STRICT, NEVERWHERE_2026)
 NEAR, FAR = (0.0, 0.0), (5.0, 5.0)
 
 
 def trail(*points, protocol=STRICT):
-    return TrailProgress(np.array(points, dtype=float), protocol)
+    return CourseProgress(np.array(points, dtype=float), protocol)
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -109,5 +109,5 @@ def test_a_restored_trail_goes_on_where_it_was():
 
 
 def test_a_trail_needs_a_waypoint():
-    with pytest.raises(SceneError, match="a course without waypoints"):
-        TrailProgress(np.zeros((0, 3)))
+    with pytest.raises(SceneError, match="the course has no waypoints"):
+        CourseProgress(np.zeros((0, 3)))

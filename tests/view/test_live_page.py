@@ -111,7 +111,7 @@ def test_what_a_word_names_is_found_out(tmp_path, monkeypatch):
         ("no-such-thing", "no log, run, place or policy", nothing),
         ("hub:org/name", "place or a policy", nothing),
         (".", "what was logged", nothing | {"policy": "stand"}),
-        ("go1-act-rgb", "two of one kind", nothing | {"policy": "stand"}),
+        ("go1-act-rgb", "name the same kind of thing", nothing | {"policy": "stand"}),
     ):
         with pytest.raises(UsageError, match=words):
             kind_of(source, **others)

@@ -1,4 +1,4 @@
-"""Saving a bank: what is missing is run, and what a renewal moves is shown before it replaces.
+"""Saving a baseline: what is missing is run, and what a renewal moves is shown before it replaces.
 
 Results come from trials that are run now, or from a run that has ended.
 """
@@ -91,7 +91,7 @@ def save_baseline(
     from nw_eval.suite import load_suite
 
     if starts is not None and starts < 1:
-        raise UsageError(f"--trials {starts}", fix="give at least 1")
+        raise UsageError(f"--trials {starts} is too low", fix="give at least 1")
     place, run, rows = None, None, ()
     if from_run is None:
         place = here(suite, policy=policy, **changes)

@@ -105,7 +105,7 @@ def blame(
     from nw_eval.rollout.replaying.apart import blame_apart
 
     if at_most < 1:
-        raise UsageError(f"--trials {at_most}", fix="give at least 1 trial")
+        raise UsageError(f"--trials {at_most} is too low", fix="give at least 1 trial")
     folder, info, rows = _read(run)
     bundle = baseline_bundle(baseline, info, policy=policy, checkpoint=checkpoint)
     robot = None if info.request is None else info.request.robot

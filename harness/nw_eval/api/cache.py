@@ -82,7 +82,7 @@ def prune_cache(limit_gb: float | None = None) -> CacheCleanup:
     from nw_eval.engine.cache import limit_bytes
 
     if limit_gb is not None and not 0.0 <= limit_gb < float("inf"):
-        raise UsageError(f"--limit {limit_gb:g}", fix="give a size in GB, 0 or more")
+        raise UsageError(f"--limit {limit_gb:g} is not a size", fix="give a size in GB, 0 or more")
     limit = limit_bytes() if limit_gb is None else round(limit_gb * _GB)
     store = _store()
     before = len(list(store))

@@ -91,7 +91,7 @@ def find_cause(
 
     check_workers(workers)
     if trials is not None and trials < 1:
-        raise UsageError(f"--trials {trials}", fix="give at least 1")
+        raise UsageError(f"--trials {trials} is too low", fix="give at least 1")
     source = open_run_folder(run)
     info = check_whole(read_run_info(source.run_json))
     base = continued(run, Request(allow_code=allow_code, shard=None))

@@ -1,4 +1,4 @@
-"""A run against a bank: what comes before its first trial, and after which trial it may end.
+"""A run against a baseline: what comes before its first trial, and after which trial it may end.
 
 On a class of machine that its baseline has not seen the baseline has trials of its own. They are a
 run of their own, `baseline/` in the folder of the candidate's: the baseline's policy from the

@@ -45,8 +45,8 @@ class _Read(BaseModel):
     )
 
 
-class ReadPlace(_Read):
-    """The place of a trial from straight above."""
+class ReadScene(_Read):
+    """The scene of a trial from straight above."""
 
     box: tuple[_Metres, _Metres, _Metres, _Metres]
     """West, south, east, north."""
@@ -76,7 +76,7 @@ class ReadLog(_Read):
     waypoints: tuple[Point, ...] = Field(default=(), max_length=1000)
     reach: float | None = None
     """Metres from a waypoint at which it counts as reached."""
-    place: ReadPlace | None = None
+    place: ReadScene | None = None
     clip: ReadClip | None = None
     unseen: str = Field(default="", max_length=_LONGEST)
     """Why its pictures cannot be shown; empty if they are, are not wanted, or there are none."""
@@ -199,7 +199,7 @@ def _waypoints(message: LoggedMessage) -> tuple[tuple[Point, ...], float | None]
     return places, 0.5 * discs[0].size.x
 
 
-def _place(message: LoggedMessage, box: Box, most_bytes: int) -> ReadPlace | None:
+def _place(message: LoggedMessage, box: Box, most_bytes: int) -> ReadScene | None:
     ground = 0.0
     parts: list[NDArray[np.float64]] = []
     for entity in _scene_update(message).entities:
@@ -209,7 +209,7 @@ def _place(message: LoggedMessage, box: Box, most_bytes: int) -> ReadPlace | Non
             parts += [_corners(triangles) for triangles in entity.triangles]
     triangles = np.concatenate(parts) if parts else np.empty((0, 3, 3))
     picture = picture_from_above(triangles, box, ground=ground, most_bytes=most_bytes)
-    return ReadPlace(box=box, picture=picture) if picture else None
+    return ReadScene(box=box, picture=picture) if picture else None
 
 
 def _corners(triangles: Any) -> NDArray[np.float64]:

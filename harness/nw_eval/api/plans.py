@@ -58,7 +58,7 @@ def _planned(
         return plan_of(Request.of(None, **changes), draft_of(request), may_fail=may_fail)
     request = Request.of(request, **changes)
     if request.suite is None:
-        raise UsageError("no suite", fix="name one, such as `nw-eval run hurdles`")
+        raise UsageError("no suite is named", fix="name one, such as `nw-eval run hurdles`")
     return plan_of(request, draft_suite(request.suite), may_fail=may_fail)
 
 
@@ -414,7 +414,7 @@ def check_workers(workers: int | None) -> None:
         UsageError: it is less than 1.
     """
     if workers is not None and workers < 1:
-        raise UsageError(f"--workers {workers}", fix="give at least 1")
+        raise UsageError(f"--workers {workers} is too low", fix="give at least 1")
 
 
 def chosen_scenes(
@@ -483,7 +483,7 @@ def open_scenes(
     from nw_eval import catalogue
     from nw_eval.errors import SceneError
     from nw_eval.suite import tier_problems
-    from nw_eval.survey.trail import start_finding
+    from nw_eval.survey.course import start_finding
 
     found: dict[tuple[str, Collision], FoundScene] = {}
     failed: list[str] = []
@@ -583,7 +583,7 @@ def open_policy(
 def _is_own_policy(draft: Draft, request: Request) -> bool:
     """Return whether the policy of a request is the suite's own, also by another path to its card.
 
-    With other weights for its card (`checkpoint`) it is a candidate in the place of the suite's
+    With other weights for its card (`checkpoint`) it is a candidate instead of the suite's
     own, and counts as that.
 
     Args:

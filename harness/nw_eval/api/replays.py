@@ -141,7 +141,9 @@ def log_scores(
     for each in topics:
         source, separator, name = each.partition("=")
         if not (separator and name):
-            raise UsageError(f"--topic {each}", fix="write it as joints=/joint_states")
+            raise UsageError(
+                f"--topic {each} has another form", fix="write it as joints=/joint_states"
+            )
         chosen[source] = name
     return scores_of_log(
         _found(log), names=scores, robot=robot, topics=chosen, allow_code=allow_code

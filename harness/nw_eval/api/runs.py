@@ -147,7 +147,7 @@ def roll_out(
     from nw_eval.results.provenance import read_run_info
 
     named = usable({**ci_labels(os.environ), **(labels or {})})
-    ears, command = listener or NullListener(), tuple(sys.argv)
+    told, command = listener or NullListener(), tuple(sys.argv)
     # Scores are judged once, of all trials: only success alone may settle a run early.
     all_rounds = all_rounds or bool(plan.suite.gate.scores)
     if plan.is_baseline and plan.drawn is None:
@@ -156,7 +156,7 @@ def roll_out(
         plan = rechecked(plan, unforeseen_seed(), all_rounds=whole)
     contest = None
     for words in _ahead(plan):
-        ears.message(words)
+        told.message(words)
     if plan.against is not None:
         contest = Contest(
             plan,
@@ -164,7 +164,7 @@ def roll_out(
             workers=workers,
             cluster=cluster,
             command=command,
-            listener=ears,
+            listener=told,
             cache=cache,
             all_rounds=all_rounds,
         )
@@ -172,7 +172,7 @@ def roll_out(
         name = plan.suite.name if plan.request.suite is None else str(plan.request.suite)
         policy = plan.bundle.name if plan.request.policy is None else plan.request.policy
         if why := unjudged(plan.suite.gate, name, policy):
-            ears.message(why)
+            told.message(why)
     folder = session.carry_out(
         plan,
         workers=workers,
@@ -180,7 +180,7 @@ def roll_out(
         resume=resume,
         command=command,
         labels=named,
-        listener=ears,
+        listener=told,
         in_process=in_process,
         cluster=cluster,
         prelude=None if contest is None else contest.begin,
@@ -219,11 +219,11 @@ def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
     The built-in ones are right.
     """
     from nw_eval.catalogue import is_built_in
-    from nw_eval.survey.trail import trail_findings
+    from nw_eval.survey.course import course_findings
 
     for place in plan.found:
         if not is_built_in(place.reference):
-            for finding in trail_findings(place.scene, plan.suite.robot):
+            for finding in course_findings(place.scene, plan.suite.robot):
                 yield place.scene.name, finding
 
 
@@ -264,7 +264,9 @@ def _cluster(engine: Engine, address: str | None) -> str | None:
         UsageError: an address of nothing, or no such engine.
     """
     if engine not in get_args(Engine):
-        raise UsageError(f"--engine {engine!r}", fix=nearest(str(engine), get_args(Engine)))
+        raise UsageError(
+            f"--engine {engine!r} is unknown", fix=nearest(str(engine), get_args(Engine))
+        )
     if engine == "ray":
         return address or "local"
     if address is not None:
@@ -305,7 +307,7 @@ def _check_limits(request: Request, door: str) -> None:
     limits += [] if memory is None else [f"--memory-limit {memory}"]
     if limits:
         raise UsageError(
-            f"{' and '.join(limits)} with {door}: no process of its own could be stopped",
+            f"{' and '.join(limits)} cannot be enforced with {door}",
             fix="drop one of them",
         )
 

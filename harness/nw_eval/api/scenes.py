@@ -144,7 +144,7 @@ def check_scenes(
     if not references:
         raise UsageError("no scene to check", fix="name one, or its folder")
     if policy is not None and suite is None:
-        raise UsageError(f"--policy {policy} without --out", fix="drop it")
+        raise UsageError(f"--policy {policy} needs --out", fix="add --out, or drop it")
     if suite is not None and what_is(followed(suite)) == "file":
         raise UsageError(f"{suite} is there already", fix="name another file, or remove it")
     checked: list[CheckedScene] = []

@@ -99,7 +99,7 @@ def splat_render(
         known = ", ".join(portrait.SUFFIXES)
         raise UsageError(f"{out}: cannot draw {suffix or 'nothing'!r}", fix=f"name one of {known}")
     if target is not None and eye is None:
-        raise UsageError("--target without --eye", fix="say where the camera stands too")
+        raise UsageError("--target needs --eye", fix="give the camera's position, too")
     gaussians = _gaussians(source)
     if catalogue.is_built_in(str(source)):
         scene = catalogue.get_scene(source)

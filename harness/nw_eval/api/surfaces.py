@@ -104,7 +104,7 @@ def _reporter(name: str, target: str | None) -> Reporter:
         found = load(GROUP, name, Reporter)
     else:
         raise UsageError(
-            f"--reporter {name}: no such reporter",
+            f"--reporter {name} is unknown",
             fix=nearest(name, {*REPORTERS, *installed(GROUP)}),
         )
     if found.target == "file" and not target:

@@ -90,7 +90,8 @@ def plan_trials(
         detect: drop of mean success; the suite's `gate.max_drop` if None.
         baseline: the baseline to compare with, by name or path; if None the suite's, or the only
             one that there is of it.
-        run: a run's folder in place of a bank: what it scored is taken for the baseline's success.
+        run: a run's folder instead of a baseline: what it scored is taken for the baseline's
+            success.
         png: file to draw the curve into.
         workers: processes to reckon minutes with; one for each core if None.
 

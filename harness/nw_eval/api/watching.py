@@ -173,7 +173,7 @@ def watch(
         raise UsageError(f"{folder} is no folder", fix="name the folder that a training writes to")
     if every < 1 or not interval > 0.0 or (idle is not None and not idle >= 0.0):
         raise UsageError(
-            f"every {every}, interval {interval:g}, idle {idle}",
+            f"every {every}, interval {interval:g}, idle {idle}: one is too low",
             fix="give an `every` of 1 or more, and seconds above 0",
         )
     request = Request.of(suite, policy=card, **changes)

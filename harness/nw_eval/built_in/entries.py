@@ -2,9 +2,9 @@
 
 `gaps/two_stones_park~3` is a variant: the course of a scene in another's place. Sixteen places a
 task are few to learn to see from: a network comes to know them by their floors. A variant has the
-obstacles and the trail of its scene to the last bit, but place, light and materials of others of
-the same task, so that what it looks like says nothing of where to step. Variants of training scenes
-are made of training scenes alone.
+obstacles and the waypoints of its scene to the last bit, but place, light and materials of others
+of the same task, so that what it looks like says nothing of where to step. Variants of training
+scenes are made of training scenes alone.
 """
 
 from __future__ import annotations

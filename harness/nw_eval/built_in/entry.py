@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.built_in.places.crowns import crown_mesh
 from nw_eval.built_in.places.parts import Light, Place
 from nw_eval.errors import SceneError
@@ -85,7 +85,7 @@ LIGHTS: dict[str, Light] = {
         exposure=0.62,
         fog=0.12,
     ),
-    # The sun is the moon; lamps in the place do the rest.
+    # The sun is the moon; lamps in the scene do the rest.
     "night": Light(
         sun=(-0.4, -0.5, 0.75),
         sun_colour=(0.012, 0.015, 0.022),
@@ -127,9 +127,9 @@ LIGHTS: dict[str, Light] = {
 
 
 class Course(Protocol):
-    """The obstacles of one scene and the trail over them.
+    """The obstacles of one scene and the waypoints over them.
 
-    The trail is told in the world, where the spawn stands at z = 0; obstacles are built on a stage
+    Waypoints are in the world, where the spawn stands at z = 0; obstacles are built on a stage
     whose ground is at z = 0.
     """
 
@@ -142,7 +142,7 @@ class Course(Protocol):
         """Return the waypoints, metres."""
         ...
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Build the obstacles."""
         ...
 
@@ -155,8 +155,8 @@ class Setting(Protocol):
         """Whether a roof keeps sky and sun out."""
         ...
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
-        """Build the scene, round a trail of `length` metres along x."""
+    def build(self, builder: SceneBuilder, length: float) -> None:
+        """Build the scene, around a course of `length` metres along x."""
         ...
 
 
@@ -171,7 +171,7 @@ class Entry:
         course: obstacles and trail.
         light: a name of `LIGHTS`.
         exposure: multiplies that light's own, where the camera's automatic would choose badly.
-        task: what the trail asks of a robot.
+        task: what the course asks of a robot.
         waypoint_noise: half widths in metres along x and y.
         spawn: where the robot starts.
     """
@@ -193,7 +193,7 @@ class Entry:
         eyes = [(0.0, 0.0, up), *((x, y, z + up) for x, y, z in trail)]
         light = LIGHTS[self.light]
         light = replace(light, exposure=light.exposure * self.exposure)
-        builder = PlaceBuilder(self.name, light, indoor=self.setting.indoor, eyes=eyes)
+        builder = SceneBuilder(self.name, light, indoor=self.setting.indoor, eyes=eyes)
         self.setting.build(builder, trail[-1][0])
         self.course.build(builder)
         return builder.place()

@@ -7,7 +7,7 @@ from itertools import accumulate
 from typing import Literal
 
 from nw_eval.built_in.entry import Entry
-from nw_eval.built_in.places.builder import SIDES_AND_TOP, PlaceBuilder
+from nw_eval.built_in.places.builder import SIDES_AND_TOP, SceneBuilder
 from nw_eval.built_in.places.gardens import Cloister, Courtyard, Garden, Park
 from nw_eval.built_in.places.halls import Underpass, Warehouse, Workshop
 from nw_eval.built_in.places.rooms import Corridor, Lobby, Room
@@ -31,13 +31,13 @@ class Gaps:
             last gap is the one before the end platform.
         edge: where the platform under the spawn ends, metres along x.
         length: of each platform along the course, metres.
-        width: of each platform across the trail, metres.
+        width: of each platform across the course, metres.
         shift: of each platform's middle to the left, metres; missing ones are 0.
         material: of the platforms' sides.
         top: of their tops, where that differs.
         thickness: of decks on four legs that one can look under, metres; solid blocks where not
             given.
-        last: whether the trail ends on a long platform or down on the floor.
+        last: whether the course ends on a long platform or down on the floor.
     """
 
     gaps: tuple[float, ...]
@@ -71,7 +71,7 @@ class Gaps:
             return (*middles, (spans[-1][1] + 1.4, 0.0, self.floor))
         return (*middles, (self._end()[0] + 1.2, 0.0, 0.0))
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Build the platforms; the ground lies at z = 0."""
         half = _START_WIDTH / 2
         self._platform(builder, (-_START, self.edge), (-half, half), 0)
@@ -82,7 +82,7 @@ class Gaps:
             self._platform(builder, self._end(), (-half, half), len(self.gaps))
 
     def _platform(
-        self, builder: PlaceBuilder, x: tuple[float, float], y: tuple[float, float], index: int
+        self, builder: SceneBuilder, x: tuple[float, float], y: tuple[float, float], index: int
     ) -> None:
         texture = (1.7 * index, 0.31 * index)
         thick = DEPTH if self.thickness is None else self.thickness

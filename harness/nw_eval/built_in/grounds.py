@@ -9,7 +9,7 @@ import numpy as np
 
 from nw_eval.built_in.entry import Entry
 from nw_eval.built_in.hurdles import Hurdles
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.built_in.places.gardens import Field
 from nw_eval.scenes.scene import Vector
 
@@ -41,7 +41,7 @@ class Bowl:
         """Return the waypoint, three metres up the slope ahead."""
         return ((self.middle + 3.0, 0.0, 3.0 * math.tan(math.radians(self.degrees))),)
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Build the slopes: of two that overlap the higher one is walked on, so none ends early."""
         angle = math.radians(self.degrees)
         run = self.reach - self.middle
@@ -103,7 +103,7 @@ class Rubble:
         """Return the waypoint, on the ground."""
         return ((self.finish, 0.0, 0.0),)
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Lay the stones, none on another one."""
         drawn = np.round(np.random.default_rng(self.seed).random((self.count, 6)), 4).tolist()
         low, high = self.sides

@@ -1,11 +1,11 @@
-"""Hurdles: bars, blocks and benches across the trail; and one scene with nothing in the way."""
+"""Hurdles: bars, blocks and benches across the course; and one scene with nothing in the way."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from nw_eval.built_in.entry import Entry
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.built_in.places.gardens import Cloister, Courtyard, Garden, Park
 from nw_eval.built_in.places.halls import Warehouse, Workshop
 from nw_eval.built_in.places.rooms import Corridor, Room
@@ -15,13 +15,13 @@ from nw_eval.scenes.scene import Vector
 
 @dataclass(frozen=True, kw_only=True)
 class Hurdles:
-    """Solid bars that lie across the trail, a waypoint on top of each and one after the last.
+    """Solid bars that lie across the course, a waypoint on top of each and one after the last.
 
     Attributes:
         heights: of the bars in metres, nearest first; none makes a flat trail.
         gaps: metres from the spawn to the first bar's middle, then from middle to middle.
-        length: of each bar along the trail, metres.
-        width: of each bar across the trail, metres.
+        length: of each bar along the course, metres.
+        width: of each bar across the course, metres.
         shift: of each bar's middle to the left, metres; missing ones are 0.
         material: of the bars' sides.
         top: of their tops, where that differs.
@@ -56,7 +56,7 @@ class Hurdles:
         last = middles[-1] if middles else 0.0
         return (*tops, (last + self.finish, 0.0, 0.0))
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Build the bars."""
         for index, (x, height) in enumerate(zip(self.middles(), self.heights, strict=True)):
             y = self._shift(index)

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 from nw_eval.built_in.entry import Entry
-from nw_eval.built_in.places.builder import ALL_FACES, PlaceBuilder
+from nw_eval.built_in.places.builder import ALL_FACES, SceneBuilder
 from nw_eval.built_in.places.gardens import Cloister, Courtyard, Garden, Park
 from nw_eval.built_in.places.halls import Underpass, Warehouse, Workshop
 from nw_eval.built_in.places.parts import Decal, Pair
@@ -34,11 +34,11 @@ class Boards:
     Attributes:
         angles: of the boards in degrees, nearest first.
         first: where the first board begins, metres along x.
-        length: of each board along the trail, metres.
-        width: of each board across the trail, on its slope, metres.
-        offset: of the boards' middles from the trail's line, to alternate sides, metres: small
+        length: of each board along the course, metres.
+        width: of each board across the course, on its slope, metres.
+        offset: of the boards' middles from the course's line, to alternate sides, metres: small
             ones are in line, large ones spread.
-        gap: metres between boards along the trail.
+        gap: metres between boards along the course.
         side: +1 where the first board lies on the left, -1 on the right.
         material: of the boards.
         props: material of the blocks under their high edges.
@@ -65,13 +65,13 @@ class Boards:
         for index, degrees in enumerate(self.angles):
             low, high = self._span(index)
             side = self._side(index)
-            # A little nearer to the trail's line, as one walks; so a little lower.
+            # A little nearer to the course's line, as one walks; so a little lower.
             y = 0.8 * self.offset
             z = self._middle(degrees) - (self.offset - y) * math.tan(math.radians(degrees))
             points.append(((low + high) / 2, side * y, z))
         return (*points, (self._span(len(self.angles) - 1)[1] + 1.0, 0.0, 0.0))
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Build boards and props."""
         for index, degrees in enumerate(self.angles):
             x = self._span(index)
@@ -114,7 +114,7 @@ class Humps:
         decks: length of each hump's level top, metres.
         first: where the first slope begins, metres along x.
         apart: metres of ground between humps.
-        width: across the trail, metres.
+        width: across the course, metres.
         shift: of each hump's middle to the left, metres; missing ones are 0.
         material: of the boards.
         body: of the blocks under the decks.
@@ -148,7 +148,7 @@ class Humps:
         start, run, deck, _ = self._humps()[-1]
         return (*points, (start + 2 * run + deck + 1.0, 0.0, 0.0))
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Build slopes and decks."""
         for index, (start, run, deck, height) in enumerate(self._humps()):
             y = (self._shift(index) - self.width / 2, self._shift(index) + self.width / 2)
@@ -183,7 +183,7 @@ class Humps:
 
 
 def pitched_board(
-    builder: PlaceBuilder,
+    builder: SceneBuilder,
     x: Pair,
     z: Pair,
     y: Pair,
@@ -192,7 +192,7 @@ def pitched_board(
     treads: str | None = None,
     texture: Pair = (0.0, 0.0),
 ) -> None:
-    """Lay a board whose upper surface runs from one height to another along the trail.
+    """Lay a board whose upper surface runs from one height to another along the course.
 
     Args:
         builder: of the scene that it is part of.
@@ -242,7 +242,7 @@ def _treads(length: float, width: float, material: str) -> list[Decal]:
 
 
 def rolled_board(
-    builder: PlaceBuilder,
+    builder: SceneBuilder,
     x: Pair,
     y: float,
     z: float,
@@ -252,14 +252,14 @@ def rolled_board(
     *,
     texture: Pair = (0.0, 0.0),
 ) -> None:
-    """Lay a board along the trail that leans to one side.
+    """Lay a board along the course that leans to one side.
 
     Args:
         builder: of the scene that it is part of.
         x: from and to.
         y: of the middle of its upper surface, metres.
         z: height of that middle, metres.
-        width: across the trail, measured on the slope, metres.
+        width: across the course, measured on the slope, metres.
         roll: radians; positive lifts its left side.
         material: of all its faces.
         texture: so that equal boards differ.

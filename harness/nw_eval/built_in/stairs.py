@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from nw_eval.built_in.entry import Entry
-from nw_eval.built_in.places.builder import ALL_FACES, SIDES_AND_TOP, PlaceBuilder
+from nw_eval.built_in.places.builder import ALL_FACES, SIDES_AND_TOP, SceneBuilder
 from nw_eval.built_in.places.gardens import Cloister, Courtyard, Garden, Park
 from nw_eval.built_in.places.halls import Underpass, Warehouse, Workshop
 from nw_eval.built_in.places.rooms import Corridor, Lobby, Room
@@ -85,7 +85,7 @@ class Stairs:
         on_steps = tuple((step.x, step.y, step.height) for step in steps[:-1:2])
         return (*on_steps, self._past_edge(_ARRIVAL))
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Build steps and landing."""
         steps = self._steps()
         for index, step in enumerate(steps[:-1]):
@@ -119,7 +119,7 @@ class Stairs:
             for side in (-1, 1):
                 self._side(builder, side)
 
-    def _tread(self, builder: PlaceBuilder, step: _Tread, index: int) -> None:
+    def _tread(self, builder: SceneBuilder, step: _Tread, index: int) -> None:
         # Wedges: a turned tread reaches a little under the next one, so that no crack opens on
         # the outer side.
         spare = 0.5 * self.width * math.tan(abs(self.turn))
@@ -142,7 +142,7 @@ class Stairs:
             texture=(0.41 * index, 0.17 * index),
         )
 
-    def _side(self, builder: PlaceBuilder, side: int) -> None:
+    def _side(self, builder: SceneBuilder, side: int) -> None:
         """Build what runs along one side: stringer, stepped wall, or posts with a rail."""
         for index, step in enumerate(self._steps()[:-1]):
             out = side * (self.width / 2 + 0.06)
@@ -174,7 +174,7 @@ class Stairs:
         if self.sides == "rails":
             self._rail(builder, side)
 
-    def _rail(self, builder: PlaceBuilder, side: int) -> None:
+    def _rail(self, builder: SceneBuilder, side: int) -> None:
         """Lay a hand rail on the posts of one side of a straight flight."""
         first, last = self._steps()[0], self._steps()[-1]
         run, rise = last.x - first.x, last.height - first.height

@@ -280,7 +280,7 @@ def _numbers(value: PerJoint, place: Location) -> list[tuple[Location, float]]:
 
 
 def _fault(file: YamlFile, place: Location, resolve: Callable[[], object]) -> Problem | None:
-    """Return what `resolve` has to object, at a place of the file."""
+    """Return what `resolve` has to object, at a position in the file."""
     try:
         resolve()
     except PolicyError as error:

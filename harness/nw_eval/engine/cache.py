@@ -232,12 +232,12 @@ class CacheEntry:
     log_sha256: str
 
     def link_log(self, to: Path) -> None:
-        """Put the log in a place, as a link to the entry's own file, or a copy on another disk.
+        """Put the log at a path, as a link to the entry's own file, or a copy on another disk.
 
         What was there is replaced, never written to.
 
         Raises:
-            OSError, ValueError: it is not what was kept, or the place cannot be written.
+            OSError, ValueError: it is not what was kept, or the path cannot be written.
         """
         to.parent.mkdir(parents=True, exist_ok=True)
         beside = to.with_name(f"{to.name}.cached")

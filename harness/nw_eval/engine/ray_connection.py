@@ -296,7 +296,7 @@ def _muted() -> Generator[None]:
 
 
 def _unheard(*_: Any, **__: Any) -> None:
-    """Take the place of what prints."""
+    """Replace what prints."""
 
 
 @contextmanager

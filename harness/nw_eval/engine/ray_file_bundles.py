@@ -144,7 +144,7 @@ def _policy_files(bundle: Bundle, card_path: Path) -> dict[str, Path]:
     named = {} if bundle.card.checkpoint is None else {"": bundle.card.checkpoint.file}
     named |= {name: network.checkpoint.file for name, network in bundle.card.networks.items()}
     files = [card_path.name, *(PurePosixPath(file).as_posix() for file in named.values())]
-    # Where a checkpoint of the caller's takes the place of the card's, that one may be missing.
+    # Where a checkpoint of the caller's replaces the card's, that one may be missing.
     return {name: path for name in files if (path := card_path.parent / name).is_file()}
 
 

@@ -114,18 +114,18 @@ def run_trials(
         KeyboardInterrupt: a second signal came before the first was obeyed.
     """
     began = perf_counter()
-    ears = listener or NullListener()
+    told = listener or NullListener()
     attempts = Attempts(
         journal=journal,
         folder=folder,
         policy=policy,
         arm=arm,
-        listener=ears,
+        listener=told,
         start_workers=start_workers,
         workers=worker_count(workers, len(jobs)),
         known=known or NothingKnown(),
     )
-    ears.planned(total=len(jobs), finished=attempts.finished_of(jobs))
+    told.planned(total=len(jobs), finished=attempts.finished_of(jobs))
     standing = None
     with Interrupts() as interrupts, attempts:
         if enough is None:
@@ -136,7 +136,7 @@ def run_trials(
     if standing is not None:
         judged = {*range(standing.first), *standing.followed}
         wanted = [job for job in jobs if job.trial.place in judged]
-        ears.message(_ended(standing, len(wanted), len(jobs)))
+        told.message(_ended(standing, len(wanted), len(jobs)))
     attempts.presence.check()
     names = {row.trial_id for row in journal.rows}
     return RunOutcome(

@@ -46,7 +46,7 @@ class DamagedError(ValueError):
 def cache_dir(*parts: str) -> Path:
     """Return (and create) a folder of the cache.
 
-    `NW_EVAL_CACHE` overrides the place; otherwise `$XDG_CACHE_HOME/nw-eval`, `~/.cache/nw-eval`.
+    `NW_EVAL_CACHE` overrides the path; otherwise `$XDG_CACHE_HOME/nw-eval`, `~/.cache/nw-eval`.
 
     Raises:
         StoreError: it cannot be made.

@@ -1,4 +1,4 @@
-"""YAML files as plain data with the place of every value, for errors that name file and line.
+"""YAML files as plain data with the position of every value, for errors that name file and line.
 
 A file is composed to nodes, not constructed to objects: no tag of it can make anything but text,
 numbers, booleans, null, lists and mappings, and every duplicate key is found, not the first only.
@@ -108,7 +108,7 @@ class YamlFile:
 
 
 def read_yaml(path: Path) -> YamlFile:
-    """Read one YAML mapping with the place of every value.
+    """Read one YAML mapping with the position of every value.
 
     Raises:
         YamlProblems: the file is missing, unreadable, no YAML, no mapping, or has duplicate keys.
@@ -118,7 +118,7 @@ def read_yaml(path: Path) -> YamlFile:
 
 
 def parse_yaml(text: str, *, file: str, foreign: bool = False) -> YamlFile:
-    """Read one YAML mapping of a text with the place of every value.
+    """Read one YAML mapping of a text with the position of every value.
 
     Args:
         text: of a file, or of a part of one.

@@ -1,4 +1,4 @@
-"""Trials whose images no longer showed the place: they are counted apart, for neither side.
+"""Trials whose images no longer showed the scene: they are counted apart, for neither side.
 
 What a policy does in fog says nothing of it. So such a trial is no success and no failure, and its
 start is unknown: whatever would speak for the policy counts it as the worst that it could have

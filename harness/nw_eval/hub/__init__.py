@@ -45,9 +45,9 @@ def listener() -> FetchListener:
 
 
 @contextmanager
-def heard_by(ears: FetchListener) -> Generator[None]:
+def heard_by(listener: FetchListener) -> Generator[None]:
     """Have somebody hear of what is fetched while the context lasts."""
-    token = _LISTENER.set(ears)
+    token = _LISTENER.set(listener)
     try:
         yield
     finally:

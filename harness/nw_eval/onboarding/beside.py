@@ -190,7 +190,7 @@ def read_beside(
 def _read_files(
     texts: Mapping[str, str], robot: RobotSpec, checkpoint: str, size: int
 ) -> list[tuple[int, ExporterMetadata]]:
-    """Return what each file says that is about a checkpoint, and the place of its kind."""
+    """Return what each file says that is about a checkpoint, and the index of its kind."""
     parsed: dict[str, Data] = {}
     for name, text in texts.items():
         try:

@@ -37,7 +37,7 @@ def write_bank(path: Path, bank: SavedBank) -> None:
     """Write a baseline. Equal baselines give equal bytes with one version of Arrow.
 
     Args:
-        path: `<name of the bank>.parquet`; appears whole or not at all.
+        path: `<name of the baseline>.parquet`; appears whole or not at all.
         bank: starts in the order of scene, perturbation and index.
 
     Raises:

@@ -125,7 +125,7 @@ class MachineInfo(_Saved):
 class BaselineInfo(_Saved):
     """The baseline that a run is compared with, and what its policy did on this machine.
 
-    The run's folder has a copy of the bank: whoever judges the run again needs no other file.
+    The run's folder has a copy of the baseline: whoever judges the run again needs no other file.
     """
 
     name: str
@@ -200,7 +200,7 @@ class StopInfo(_Saved):
     trials: dict[str, int] = {}  # How many these are, by scene.
 
     def wants(self, place: int | None) -> bool:
-        """Return whether the trial at a place is one of them."""
+        """Return whether the trial at an index is one of them."""
         return place is not None and (place < self.first or place in self.followed)
 
 

@@ -67,7 +67,7 @@ def write_tables(path: Path, tables: Iterable[pa.Table], metadata: Mapping[str, 
 
 
 def labels(metadata: Mapping[str, str]) -> dict[str, str]:
-    """Return metadata as a file has them, and a place for its sum."""
+    """Return metadata as a file has them, and room for its sum."""
     return {**{f"nw.{key}": value for key, value in sorted(metadata.items())}, _SUM: _UNKNOWN}
 
 

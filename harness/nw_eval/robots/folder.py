@@ -273,7 +273,7 @@ class RobotFolder:
 
     Attributes:
         path: of the folder, absolute.
-        file: robot.yaml with the places of its settings.
+        file: robot.yaml with the positions of its settings.
         settings: the same, valid in itself.
         model: the root of the model file, without what is left out.
         lines: where each of its elements stands in the file, counted from 1.

@@ -1,7 +1,7 @@
 """Man-made edges: boxes behind straight, upright faces that a height field would bevel.
 
 Between two samples a height field can only slope, so a riser becomes a ramp one cell wide. Where
-the mesh jumps along a straight line and the upper side is flat behind it, a box takes the place of
+the mesh jumps along a straight line and the upper side is flat behind it, a box replaces
 the last samples: its face is the riser, its top is the tread, and the samples below it are lowered
 so that nothing of the slope shows.
 """

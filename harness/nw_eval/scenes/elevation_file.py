@@ -84,9 +84,13 @@ def read_elevation(
         if value is not None and not math.isfinite(value):
             raise UsageError(f"{name} {value}", fix="give metres")
     if cell is not None and cell <= 0.0:
-        raise UsageError(f"--cell {cell}", fix="give the width of a pixel, metres, above 0")
+        raise UsageError(
+            f"--cell {cell} is not a width", fix="give the width of a pixel, metres, above 0"
+        )
     if cell is not None and cell > _WIDEST_CELL:
-        raise UsageError(f"--cell {cell:g}", fix=f"give metres, at most {_WIDEST_CELL:g}")
+        raise UsageError(
+            f"--cell {cell:g} is too wide", fix=f"give metres, at most {_WIDEST_CELL:g}"
+        )
     try:
         with open_picture(path, ("PNG", "TIFF")) as picture:
             _check_size(path, *picture.size)

@@ -498,7 +498,7 @@ def _place_of(
     Judged by the bulk of its vertices: a scan has stray points far behind the scene.
 
     Raises:
-        SceneError: no robot walks in a place of this size, or so far from the origin.
+        SceneError: no robot walks in a scene of this size, or so far from the origin.
     """
     low, high = np.percentile(mesh.vertices, [5, 95], axis=0)
     middle = np.median(mesh.vertices, axis=0)

@@ -83,7 +83,9 @@ def _read(path: Path, remarks: Remarks) -> Arrays:
     try:
         size = regular(path).stat().st_size
         if size > MESH_BYTES:
-            raise SceneError(f"{path}: {size} bytes", fix=f"decimate it below {MESH_BYTES} bytes")
+            raise SceneError(
+                f"{path} has {size} bytes", fix=f"decimate it below {MESH_BYTES} bytes"
+            )
         vertices, faces = _READERS[path.suffix.lower()](path, remarks)
     except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
         reason = (isinstance(error, OSError) and error.strerror) or error

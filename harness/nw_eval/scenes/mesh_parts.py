@@ -23,7 +23,7 @@ AGAIN = "open it in a mesh viewer and export it again"
 CUT_SHORT = "the file is cut short; export it again"
 
 _FAR = 1e6
-"""Of a place in a texture that repeats: beyond, single precision knows no place in it."""
+"""Of a point in a texture that repeats: beyond, single precision knows no point in it."""
 
 Arrays = tuple[NDArray[np.float64], NDArray[np.int64]]
 """Vertices (V, 3) and triangles (F, 3)."""

@@ -84,7 +84,7 @@ def read_obj(path: Path, remarks: Remarks) -> Arrays:
         )
     if remarks.paint is None:
         return vertices, cut_faces(path, vertices, widths, corners, lines)
-    # Corners are cut in place of vertices: each has a place in the texture of its own.
+    # Corners are cut instead of vertices: each has its own point in the texture.
     own = np.arange(len(corners))
     finite = np.where(np.isfinite(vertices), vertices, 0.0)
     cut = cut_faces(path, finite[corners], widths, own, lines)

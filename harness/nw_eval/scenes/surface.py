@@ -156,7 +156,7 @@ def _slabs(
         depth -= out & (depth > 0)
     # Two surfaces entered, at least one never left, and far apart: the upper one is a single sheet,
     # such as a roof scanned from above, and not the top of a block as high as a house. What the
-    # trail leads over is no roof.
+    # course leads over is no roof.
     last = np.maximum(number, 0)
     top = tops[last, lines]
     sheets = (depth > 1) & (top - second > headroom) & (top > lowest_roof)

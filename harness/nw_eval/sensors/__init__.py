@@ -4,7 +4,7 @@ from nw_eval.sensors.build import build_sensors
 from nw_eval.sensors.check import ObservationSpec, check_card
 from nw_eval.sensors.sensor import SceneView, Sensor, Shot, StepContext
 
-Moment = StepContext  # Its name until 0.1.
+Moment, TrialPlace = StepContext, SceneView  # Their names until 0.1.
 
 __all__ = [
     "Moment",
@@ -13,6 +13,7 @@ __all__ = [
     "Sensor",
     "Shot",
     "StepContext",
+    "TrialPlace",
     "build_sensors",
     "check_card",
 ]

@@ -20,7 +20,7 @@ from nw_eval.errors import PolicyError, nearest
 from nw_eval.lens import Intrinsics
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.mesh import FACE_KINDS
-from nw_eval.sensors.drawing.cones import TrailCones
+from nw_eval.sensors.drawing.cones import CourseCones
 from nw_eval.sensors.drawing.overlay import RobotView, ray_directions
 from nw_eval.sensors.drawing.palette import CONE, FACE_CLASSES, NOTHING, PALETTE, ROBOT
 from nw_eval.sensors.drawing.props import cast_at_prop
@@ -57,7 +57,7 @@ class Surroundings:
 
     def __init__(self, rays: Rays, *, cones: bool, robot: bool) -> None:
         self._rays = rays
-        self._cones = TrailCones() if cones else None
+        self._cones = CourseCones() if cones else None
         self._robot = robot
 
     def distance(

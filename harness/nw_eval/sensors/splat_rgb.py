@@ -18,7 +18,7 @@ from nw_eval.memory import Arrays
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.scene import Nearness
 from nw_eval.sensors.drawing import overlay
-from nw_eval.sensors.drawing.cones import TrailCones
+from nw_eval.sensors.drawing.cones import CourseCones
 from nw_eval.sensors.drawing.insert import insert
 from nw_eval.sensors.drawing.overlay import Overlay, ray_directions
 from nw_eval.sensors.drawing.props import PropPictures, joined
@@ -69,7 +69,7 @@ class SplatRgb(Measurement):
         self._pitch = (1.0 / camera.fx, 1.0 / camera.fy)
         mount = robot.cameras[observation.camera]
         self._shutter = Shutter(observation.camera, mount, camera, self._pixels)
-        self._cones = TrailCones()
+        self._cones = CourseCones()
         self.shape: tuple[int, ...] = (observation.height, observation.width, 3)
         self.dtype = np.dtype(np.uint8)
         self.form = (Arrange(observation),)

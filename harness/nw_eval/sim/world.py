@@ -365,7 +365,7 @@ class World(Body):
         )
 
     def _specific_force(self, at: Array, imu: ImuMount) -> Array:
-        """Return the same along the axes of the IMU's body, at a place (3,) in it, m."""
+        """Return the same along the axes of the IMU's body, at a point (3,) in it, m."""
         if not imu.body:
             return specific_force(
                 at.tolist(),
@@ -452,7 +452,7 @@ class World(Body):
         return Looks(self.robot, self._model)
 
     def _sees_from(self, origin: Array) -> int:
-        """Return the number of the body whose camera is at a place (3,), else of the trunk."""
+        """Return the number of the body whose camera is at a point (3,), else of the trunk."""
         for name, mount in self.robot.cameras.items():
             if mount.body and origin.ndim == 1:
                 away = self.camera_pose(name)[:3, 3] - origin

@@ -45,13 +45,13 @@ _BACKDROP = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class Subject:
-    """What is drawn: Gaussians seen from outside, or a place with the camera in it.
+    """What is drawn: Gaussians seen from outside, or a scene with the camera in it.
 
     Attributes:
         gaussians: all of them.
         up: upward axis of their frame.
-        stand: where the camera of a place stands for a still, looking ahead.
-        circuit: the camera's way round a place.
+        stand: where the camera of a scene stands for a still, looking ahead.
+        circuit: the camera's way around a scene.
     """
 
     gaussians: Gaussians

@@ -62,7 +62,7 @@ def lower_bound(groups: Groups, confidence: float = 0.95) -> float:
     low, high = 0.0, 1.0
     for _ in range(_STEPS):
         middle = (low + high) / 2
-        if _log_wealth(values, shares, middle) >= threshold:
+        if _log_capital(values, shares, middle) >= threshold:
             low = middle
         else:
             high = middle
@@ -79,7 +79,7 @@ def evidence_above(groups: Groups, mean: float) -> float:
     values, shares = _weighted(groups)
     if values.size == 0:
         return 1.0
-    power = _log_wealth(values, shares, mean)
+    power = _log_capital(values, shares, mean)
     return exp(power) if power < 700.0 else inf
 
 
@@ -133,5 +133,5 @@ def _weighted(groups: Groups) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return values, weights / weights.max()
 
 
-def _log_wealth(values: NDArray[np.float64], shares: NDArray[np.float64], mean: float) -> float:
+def _log_capital(values: NDArray[np.float64], shares: NDArray[np.float64], mean: float) -> float:
     return float(log_mixture(log_bets(values, shares, mean).sum(axis=1)))

@@ -148,7 +148,7 @@ DRAFTED = SHOWN.model_copy(update={"samples": 4})
 
 
 class Validity(_Strict):
-    """Where images of a splat still show the place: near the cameras that it was photographed with.
+    """Where images of a splat still show the scene: near the cameras that it was photographed with.
 
     A trial in which they do not for longer than `longer_than` in a row has left the captured
     volume, and is counted apart.
@@ -513,7 +513,7 @@ class Suite(_Strict):
 
     @property
     def source(self) -> Source:
-        """The file that the suite was read from, with the places of its settings."""
+        """The file that the suite was read from, with the positions of its settings."""
         return self._source
 
     @property

@@ -11,6 +11,7 @@ from nw_eval.robots import get_robot
 from nw_eval.scenes.finding import SceneFinding
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Scene
+from nw_eval.survey.course import course_samples, stance_of
 from nw_eval.survey.ground import (
     FOOT,
     MOST_ROUGH,
@@ -24,7 +25,6 @@ from nw_eval.survey.ground import (
     survey_ground,
 )
 from nw_eval.survey.legs import Fit, beyond_finding, fit_of, legs_of
-from nw_eval.survey.trail import stance_of, trail_samples
 from nw_eval.survey.views import (
     FARTHEST,
     LEAST_COVERED,
@@ -85,7 +85,7 @@ def survey_scene(scene: Scene, *, robot: str = "go1", read_splat: bool = True) -
         views = survey_views(scene, rays, spec, stance)
     return Survey(
         robot=robot,
-        length=float(trail_samples(scene, 1.0).along[-1]),
+        length=float(course_samples(scene, 1.0).along[-1]),
         legs=legs,
         ground=ground,
         feet=feet,

@@ -19,7 +19,7 @@ from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Scene, Triangles
 from nw_eval.sim.batch import drop_balls, solid_heights
-from nw_eval.survey.trail import TrailSamples, trail_samples
+from nw_eval.survey.course import CourseSamples, course_samples
 from nw_eval.words import Task
 
 Values = NDArray[np.float64]
@@ -98,8 +98,8 @@ def survey_ground(scene: Scene, rays: RayScene, half_width: float, length: float
         half_width: of the corridor, m: half of a standing robot, without `WANDER`.
         length: of the robot, m: the corridor goes on so far behind the last waypoint.
     """
-    samples = trail_samples(scene, SPACING, behind=_BEHIND, beyond=length, most=_MOST)
-    end = float(trail_samples(scene, 1.0).along[-1])
+    samples = course_samples(scene, SPACING, behind=_BEHIND, beyond=length, most=_MOST)
+    end = float(course_samples(scene, 1.0).along[-1])
     reach = half_width + WANDER
     sides = np.linspace(-reach, reach, 1 + 2 * round(reach / SPACING))
     xy = samples.points[:, None, :2] + sides[:, None] * samples.left[:, None]
@@ -173,7 +173,7 @@ class Footing:
     slope: Values
 
 
-def footing_of(samples: TrailSamples, seen: Values) -> Footing:
+def footing_of(samples: CourseSamples, seen: Values) -> Footing:
     """Return how rough, stepped and steep a corridor is.
 
     Args:
@@ -341,7 +341,7 @@ def _shifted(mask: Mask, by: int, axis: int) -> Mask:
 
 
 def _stretches(
-    kind: Flaw, mask: Mask, samples: TrailSamples, xy: Values, off: Values
+    kind: Flaw, mask: Mask, samples: CourseSamples, xy: Values, off: Values
 ) -> Iterator[GroundFlaw]:
     """Yield the stretches of a mask (S, L) along the course."""
     rows = np.flatnonzero(mask.any(axis=1))
@@ -378,7 +378,7 @@ def drop_feet(scene: Scene, rays: RayScene, half_width: float) -> DroppedFeet:
         rays: of its mesh.
         half_width: of the corridor, m.
     """
-    samples = trail_samples(scene, FEET_SPACING, most=_MOST_FEET)
+    samples = course_samples(scene, FEET_SPACING, most=_MOST_FEET)
     sides = half_width * _LINES
     xy = (samples.points[:, None, :2] + sides[:, None] * samples.left[:, None]).reshape(-1, 2)
     along = np.repeat(samples.along, len(sides))

@@ -18,7 +18,7 @@ from nw_eval.robots import RobotSpec
 from nw_eval.scenes.finding import SceneFinding
 from nw_eval.scenes.scene import Scene
 from nw_eval.sim.batch import solid_distances
-from nw_eval.survey.trail import flat_world, stance_of, trail_samples
+from nw_eval.survey.course import course_samples, flat_world, stance_of
 
 Values = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def demands_of(scene: Scene, height: float) -> Demands:
         scene: whose course.
         height: over the course at which its walls are looked for, m.
     """
-    samples = trail_samples(scene, _SPACING, most=5_000)
+    samples = course_samples(scene, _SPACING, most=5_000)
     left = np.column_stack([samples.left, np.zeros(len(samples.along))])
     lines = samples.points[:, None] + np.array(_SIDES)[:, None] * left[:, None]
     above = np.repeat(samples.above, len(_SIDES))

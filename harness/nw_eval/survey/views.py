@@ -18,7 +18,7 @@ from nw_eval.scenes.scene import Nearness, Scene
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.render import Renderer, open_renderer
 from nw_eval.splat.store import open_store
-from nw_eval.survey.trail import CAMERA, Stance, TrailSamples, camera_poses, trail_samples
+from nw_eval.survey.course import CAMERA, CourseSamples, Stance, camera_poses, course_samples
 
 Values = NDArray[np.float64]
 
@@ -83,7 +83,7 @@ def survey_views(scene: Scene, rays: RayScene, robot: RobotSpec, stance: Stance)
     Raises:
         SceneError: the splat cannot be read.
     """
-    samples = trail_samples(scene, SPACING, most=MOST_VIEWS)
+    samples = course_samples(scene, SPACING, most=MOST_VIEWS)
     renderer = open_renderer(open_store(scene.splat_store()), projection="ray")
     looker = _Looker(scene, rays, robot, renderer, samples)
     poses = camera_poses(samples, rays, stance)
@@ -137,7 +137,7 @@ class _Looker:
         rays: RayScene,
         robot: RobotSpec,
         renderer: Renderer,
-        samples: TrailSamples,
+        samples: CourseSamples,
     ) -> None:
         width, height = _SIZE
         lens = robot.cameras[CAMERA].lens(width, height)

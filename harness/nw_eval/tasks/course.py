@@ -51,7 +51,7 @@ class _Reached(NamedTuple):
     times: tuple[float, ...]  # of the credits, s
 
 
-class TrailProgress:
+class CourseProgress:
     """Counts waypoints. Call `update` once after every control step.
 
     A waypoint is credited on the step after its sixth step within 0.3 m, so a robot that enters at
@@ -82,7 +82,7 @@ class TrailProgress:
     ) -> None:
         self.waypoints = read_only(np.array(waypoints, dtype=np.float64).reshape(-1, 3))
         if not len(self.waypoints):
-            raise SceneError("a course without waypoints", fix="give the scene at least one")
+            raise SceneError("the course has no waypoints", fix="give the scene at least one")
         # Of a few plain numbers a step is computed in a third of the time that NumPy takes.
         self.places: list[list[float]] = self.waypoints[:, :2].tolist()
         self._forgets = protocol.reach_timer_forgets
@@ -257,7 +257,7 @@ class Termination:
         """Simulated time so far during which head or trunk collided, s."""
         return self._so_far.contact_steps * self._control_period
 
-    def check(self, world: Readings, progress: TrailProgress, step: int) -> Outcome | None:
+    def check(self, world: Readings, progress: CourseProgress, step: int) -> Outcome | None:
         """Return how the trial ends now, or None if it goes on.
 
         Args:
@@ -285,7 +285,7 @@ class Termination:
 
     def state(self) -> bytes:
         """Return how long it has waited and counted, for `restore`."""
-        return repr([*self._so_far]).encode()  # the JSON of finite numbers, as in `TrailProgress`
+        return repr([*self._so_far]).encode()  # the JSON of finite numbers, as in `CourseProgress`
 
     def restore(self, state: bytes) -> None:
         """Go back to a `state` of this trial."""
@@ -297,7 +297,7 @@ class Termination:
         most, corners = self.limits.off_course_distance, self._corners
         return all(_distance(x, y, *span) > most for span in pairwise(corners))
 
-    def _is_stuck(self, x: float, y: float, progress: TrailProgress, step: int) -> bool:
+    def _is_stuck(self, x: float, y: float, progress: CourseProgress, step: int) -> bool:
         goal_x, goal_y = progress.places[progress.index]
         off_x, off_y = goal_x - x, goal_y - y
         remaining = math.sqrt(off_x * off_x + off_y * off_y) + self._onward[progress.index]
@@ -334,7 +334,7 @@ COURSE = CourseSettings()
 
 
 class Course(Task):
-    """Waypoints in their order: `TrailProgress` counts them, `Termination` ends the trial."""
+    """Waypoints in their order: `CourseProgress` counts them, `Termination` ends the trial."""
 
     kind = "course"
     settings = CourseSettings
@@ -347,7 +347,7 @@ class Course(Task):
         self._limits = Limits()
         self._ended: Outcome | None = None
         self._readings: Readings | None = None
-        self._progress: TrailProgress
+        self._progress: CourseProgress
         self._termination: Termination
 
     @classmethod
@@ -385,7 +385,7 @@ class Course(Task):
 
     def _begin(self, x: float, y: float, yaw: float, waypoints: npt.NDArray[np.float64]) -> Goal:
         rules = self._rules
-        self._progress = TrailProgress(
+        self._progress = CourseProgress(
             waypoints, rules.protocol, control_period=rules.control_period
         )
         self._termination = Termination(

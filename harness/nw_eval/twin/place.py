@@ -52,7 +52,7 @@ _WAYS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class Route:
-    """What the robot is to do in a place.
+    """What the robot is to do in a scene.
 
     Attributes:
         task: what the course asks of it.

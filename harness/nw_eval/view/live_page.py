@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 def open_live(
     policy: str, scene: str, *, checkpoint: Path | None = None, allow_code: bool = False, port: int
 ) -> Generator[LivePage]:
-    """Serve a policy in a place, standing still at first.
+    """Serve a policy in a scene, standing still at first.
 
     Raises:
         NwEvalError: either cannot be used, or nothing can be served.

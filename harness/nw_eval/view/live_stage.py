@@ -1,4 +1,4 @@
-"""The stage: a policy in a place, one control step after another, and what is done to it meanwhile.
+"""The stage: a policy in a scene, one control step after another, and what is done to it meanwhile.
 
 Friction, payload and all other axes are those of a suite's `perturb`: a change opens the trial of
 that cell and goes on there from the same state. So what is saved is what a run then meets.
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 def open_stage(
     policy: str, scene: str, *, checkpoint: Path | None = None, allow_code: bool = False
 ) -> Stage:
-    """Open a policy in a place, checked as a run would check both.
+    """Open a policy in a scene, checked as a run would check both.
 
     Raises:
         NwEvalError: either cannot be used.
@@ -123,7 +123,7 @@ class Stage:
         spawn = replace(scene.spawn, x_jitter=0.0, y_jitter=0.0, yaw_jitter=0.0)
         still = replace(scene, spawn=spawn, waypoint_noise=(0.0, 0.0))
         self.original, self.reference, self.policy = scene, reference, policy
-        self.place = ChangedPlace(scene=still, folder=Path(self._folder.name))
+        self.place = ChangedScene(scene=still, folder=Path(self._folder.name))
         self.cell: dict[str, float] = {}
         self.pushed = 0.0
         self.run_end: tuple[float, Outcome, str] | None = None
@@ -217,7 +217,7 @@ class Stage:
         self._replace(self._open(self.place, self.cell))
         self.run_end = None
 
-    def _go_on(self, place: ChangedPlace, cell: dict[str, float]) -> None:
+    def _go_on(self, place: ChangedScene, cell: dict[str, float]) -> None:
         trial = self._open(place, cell)
         try:
             carry_over(self.trial.episode, trial.episode)
@@ -231,7 +231,7 @@ class Stage:
         self.trial.__exit__()
         self.trial = trial
 
-    def _open(self, place: ChangedPlace, cell: dict[str, float]) -> OpenTrial:
+    def _open(self, place: ChangedScene, cell: dict[str, float]) -> OpenTrial:
         scene = place.changed()
         trial = replace(
             self._job.trial, scene_digest=scene.digest, perturbation=tuple(sorted(cell.items()))
@@ -259,7 +259,7 @@ class _OfStage(Library):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ChangedPlace:
+class ChangedScene:
     """What was done to a scene.
 
     Attributes:

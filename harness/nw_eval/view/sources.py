@@ -46,7 +46,9 @@ def kind_of(source: str | None, *, policy: str | None, scene: str | None) -> Kin
             fix="leave --policy and --scene out; `nw-eval replay` runs another policy in it",
         )
     if (kind == "scene" and scene is not None) or (kind == "policy" and policy is not None):
-        raise UsageError(f"two of one kind: {source} and --{kind}", fix="name one of them")
+        raise UsageError(
+            f"{source} and --{kind} name the same kind of thing", fix="name one of them"
+        )
     return kind
 
 

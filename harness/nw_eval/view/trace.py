@@ -51,7 +51,7 @@ class Trace:
         times: (T,) s, of the poses.
         bodies: positions (T, 3) m and quaternions (T, 4) wxyz in the world, by name, the trunk
             first.
-        entities: what stands in the place and what hangs on a body, as the log has it.
+        entities: what stands in the scene and what hangs on a body, as the log has it.
         waypoints: (K, 3) m.
         events: times, s, and what happened then.
         series: what is plotted.

@@ -144,7 +144,7 @@ def test_nobody_learns_in_a_scene_that_evaluations_are_for():
     names = [found.scene.name for found in training_scenes(["hurdles/*"])]
     assert len(names) == 11
     assert "hurdles/three_low" not in names
-    with pytest.raises(UsageError, match="in which nobody learns"):
+    with pytest.raises(UsageError, match="may not be used for training"):
         training_scenes(["hurdles/three_low"])
 
 

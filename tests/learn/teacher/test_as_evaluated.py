@@ -15,7 +15,7 @@ from nw_eval.rollout.result import StageClock
 from nw_eval.sim import World
 from nw_eval.sim.batch import Simulation
 from nw_eval.suite.trials import Trial
-from nw_eval.tasks.course import TrailProgress, distance_to_polyline
+from nw_eval.tasks.course import CourseProgress, distance_to_polyline
 
 SCENE = "hurdles/three_high_wood_hall"
 
@@ -93,7 +93,7 @@ def test_observations_are_those_of_the_card(lane):
 def test_trails_count_as_the_evaluation_counts():
     rng = np.random.default_rng(2)
     points = np.array([[0.5, 0.1], [1.2, -0.1], [1.9, 0.0]])
-    trails, progress = Trails(1), TrailProgress(np.c_[points, np.zeros(3)])
+    trails, progress = Trails(1), CourseProgress(np.c_[points, np.zeros(3)])
     trails.begin(np.arange(1), np.zeros((1, 2)), [points])
     position = np.zeros(2)
     for _ in range(400):

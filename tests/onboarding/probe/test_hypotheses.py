@@ -97,10 +97,10 @@ def test_only_terms_of_equal_size_are_exchanged_with_their_scales(commanded):
     place, command = "observations.obs.terms:", "{term: command, scale: 2}"
     joints, past, gravity = "{term: joint_pos}", "{term: last_output}", "{term: gravity}"
     assert exchanged == {
-        "`command` and `gravity` of `obs` exchanged": [
+        "`command` and `gravity` of `obs` swapped": [
             f"{place} [{gravity}, {joints}, {command}, {past}]"
         ],
-        "`joint_pos` and `last_output` of `obs` exchanged": [
+        "`joint_pos` and `last_output` of `obs` swapped": [
             f"{place} [{command}, {past}, {gravity}, {joints}]"
         ],
     }
@@ -190,13 +190,13 @@ def test_velocities_are_tried_along_other_axes_and_for_each_other(commanded):
     assert words["`ang_vel` along the axes of the world"] == [
         f"{place} - {{term: ang_vel, scale: 0.25, frame: world}}"
     ]
-    assert words["`lin_vel` in place of `ang_vel` in `obs`"] == [
+    assert words["`lin_vel` instead of `ang_vel` in `obs`"] == [
         f"{place} [{{term: lin_vel, scale: 0.25}}, {{term: gravity}}]"
     ]
     twice = tried(with_terms(commanded, "lin_vel", "lin_vel"))
-    assert [one for one in twice if "in place of" in one] == [
-        "`ang_vel` in place of the first `lin_vel` in `obs`",
-        "`ang_vel` in place of the second `lin_vel` in `obs`",
+    assert [one for one in twice if "instead of" in one] == [
+        "`ang_vel` instead of the first `lin_vel` in `obs`",
+        "`ang_vel` instead of the second `lin_vel` in `obs`",
     ]
 
 

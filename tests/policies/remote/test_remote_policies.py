@@ -282,7 +282,7 @@ def test_a_wrong_greeting_is_a_policy_error(fake, reason, tmp_path):
 @pytest.mark.parametrize(
     ("fake", "reason"),
     [
-        ((encode(HELLO), None), "no answer from ws://.* within 0.3 s; look at the server"),
+        ((encode(HELLO), None), "no answer from ws://.* within 0.3 s; check the server"),
         ((encode(HELLO), "close"), "the connection to ws://.* is lost"),
         ((encode(HELLO), b"\xff\xff"), "cannot read what"),
         ((encode(HELLO), encode({"action": np.zeros(7)})), r"an action of shape \(7,\)"),

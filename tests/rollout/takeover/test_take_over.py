@@ -96,7 +96,9 @@ def test_the_log_of_a_taken_over_trial_is_replayed_from_itself(
         assert bits(again.result) == bits(taken.result)
     back = take_over(new, start=0.2, policy="go1-parkour", library=library)
     assert bits(back.result) == bits(walked[1])
-    with pytest.raises(UsageError, match="taken over in control step 25 already; give an earlier"):
+    with pytest.raises(
+        UsageError, match="switched to another policy in control step 25 already; give an earlier"
+    ):
         take_over(new, start=0.6, policy="go1-parkour", library=library)
 
 

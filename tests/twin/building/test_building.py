@@ -313,7 +313,7 @@ def test_a_place_without_room_for_a_trail_says_why_and_names_the_label_page(tmp_
     build = Build(tmp_path, BuildSettings(), lines.append)
     walked(build.folder, quad_mesh((0, 0, 0), (1.1, 0, 0), (0, 0.8, 0), "ground"), 1.5)
     build.place()
-    (why,) = [line for line in lines if line.startswith("place: no trail: ")]
+    (why,) = [line for line in lines if line.startswith("place: no course: ")]
     assert "too little for a waypoint 0.60 m from the start, with 0.60 m behind it" in why
     assert any(line.endswith(f"nw-eval twin label {tmp_path}") for line in lines)
 
@@ -426,7 +426,7 @@ def test_a_room_with_a_tag_becomes_a_place_in_metres(tmp_path, capsys):
         cli.main(words)
     # The cameras stand about the room: that is no trail, and a hole where it would begin.
     assert caught.value.code == 2
-    assert "place: no trail: " in (said := capsys.readouterr().out)
+    assert "place: no course: " in (said := capsys.readouterr().out)
     assert "check: error ground_missing" in said
 
     loaded = load_folder(scene)

@@ -6,9 +6,9 @@ import trimesh
 from nw_eval.scenes.capture_file import write_captures
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians
+from nw_eval.twin.course import propose_course
 from nw_eval.twin.label.files import open_place
 from nw_eval.twin.label.labelling import Labelling, open_labelling
-from nw_eval.twin.trail import propose_trail
 
 SCENE = """\
 # A corridor, scanned in spring.
@@ -65,7 +65,7 @@ def written_place(folder, *solids, scene=SCENE):
     return folder
 
 
-def opened(tmp_path, *solids, propose=propose_trail):
+def opened(tmp_path, *solids, propose=propose_course):
     """Return a labelling of such a place."""
     return Labelling(open_place(written_place(tmp_path / "place", *solids)), propose=propose)
 

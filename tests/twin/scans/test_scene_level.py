@@ -139,7 +139,7 @@ def test_a_mesh_in_millimetres_with_a_trail_in_metres_is_mended_by_its_unit(tmp_
         load_folder(tmp_path)
     written = level_scene(tmp_path, unit="mm")
     assert written.before is None
-    assert "the trail was in metres already" in "\n".join(written.lines)
+    assert "the waypoints were in metres already" in "\n".join(written.lines)
     scene = load_folder(tmp_path)
     assert np.ptp(scene.static_mesh.vertices, axis=0) == pytest.approx((5.0, 3.0, 0.3))
     assert scene.trail.tolist() == [[1.5, 0, 0.1], [3.0, 0, 0]]
@@ -154,7 +154,7 @@ def test_what_is_no_floor_is_refused_and_changes_nothing(tilted, tmp_path):
         ({"floor": line}, "on one line"),
         ({"floor": line[:2]}, "a floor of 2 points"),
         ({"floor": [(0.0, 0.0, 0.0), (90.0, 0.0, 0.0), (0.0, 90.0, 0.0)]}, "outside of the mesh"),
-        ({"trail": [(0.0, 0.0), (1.0, 0.0)], "propose": True}, "--trail and --propose"),
+        ({"trail": [(0.0, 0.0), (1.0, 0.0)], "propose": True}, "--trail and --propose exclude"),
         ({"flip": True, "out": folder}, "is there already"),
     ):
         with pytest.raises(UsageError, match=why):

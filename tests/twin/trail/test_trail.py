@@ -11,7 +11,7 @@ from nw_eval.built_in.ramps import RAMPS
 from nw_eval.built_in.stairs import STAIRS
 from nw_eval.errors import SceneError
 from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
-from nw_eval.twin.trail import propose_free_trail, propose_trail
+from nw_eval.twin.course import propose_course, propose_free_course
 
 GROUND = quad_mesh((-5, -5, 0), (30, 0, 0), (0, 10, 0), "ground")
 
@@ -42,7 +42,7 @@ def turned(mesh, heading):
 
 
 def test_a_flat_way_is_a_trail_without_obstacles():
-    proposal = propose_trail(GROUND, walk(5.0))
+    proposal = propose_course(GROUND, walk(5.0))
     assert proposal.task == "hurdles"
     assert proposal.features == ()
     assert "flat" in proposal.reasons[0]
@@ -53,7 +53,7 @@ def test_a_flat_way_is_a_trail_without_obstacles():
 def test_bars_are_hurdles_with_a_waypoint_on_each(heading):
     bars = [box((2.0, 2.35), (0, 0.25)), box((3.6, 3.95), (0, 0.35))]
     mesh = turned(merge([GROUND, *bars]), heading)
-    proposal = propose_trail(mesh, walk(6.5, heading=heading))
+    proposal = propose_course(mesh, walk(6.5, heading=heading))
     assert proposal.task == "hurdles"
     assert [feature.size for feature in proposal.features] == pytest.approx([0.25, 0.35], abs=0.01)
     along = np.array(proposal.trail)[:, :2] @ [math.cos(heading), math.sin(heading)]
@@ -66,7 +66,7 @@ def test_bars_are_hurdles_with_a_waypoint_on_each(heading):
 def test_platforms_are_gaps_with_a_waypoint_behind_each():
     platforms = [box(x, (-0.4, 0.0)) for x in ((-1.0, 1.3), (1.7, 2.75), (3.25, 6.0))]
     lower = quad_mesh((-5, -5, -0.4), (30, 0, 0), (0, 10, 0), "ground")
-    proposal = propose_trail(merge([lower, *platforms]), walk(5.5))
+    proposal = propose_course(merge([lower, *platforms]), walk(5.5))
     assert proposal.task == "gaps"
     assert [feature.size for feature in proposal.features] == pytest.approx([0.4, 0.5], abs=0.06)
     assert len(proposal.trail) == 3
@@ -84,7 +84,7 @@ def test_steps_are_stairs_with_a_waypoint_on_every_other(down):
     mesh, centres = merge([GROUND, *steps]), walk(5.5, height=2.3)
     if down:
         centres = centres[::-1]
-    proposal = propose_trail(mesh, centres)
+    proposal = propose_course(mesh, centres)
     assert proposal.task == "stairs"
     assert "6 steps" in proposal.features[0].words
     assert proposal.features[0].size == pytest.approx(0.9, abs=0.02)
@@ -104,7 +104,7 @@ def test_a_hump_is_a_ramp_with_a_waypoint_on_its_deck():
         quad_mesh((1.5 + run, -0.5, rise), (0.8, 0, 0), (0, 1, 0), "obstacle"),
         quad_mesh((2.3 + run, -0.5, rise), (run, 0, -rise), (0, 1, 0), "obstacle"),
     ]
-    proposal = propose_trail(merge(parts), walk(6.5))
+    proposal = propose_course(merge(parts), walk(6.5))
     assert proposal.task == "ramps"
     assert [feature.size for feature in proposal.features] == pytest.approx([15, 15], abs=1.5)
     assert proposal.trail[0][2] == pytest.approx(rise, abs=0.01)
@@ -122,7 +122,7 @@ def test_boards_that_lean_to_the_sides_are_ramps():
         if side < 0:  # Its face is to look up.
             origin, v = (x, low + along, 0.03 + lift), (0, -along, -lift)
         boards.append(quad_mesh(origin, u, v, "obstacle"))
-    proposal = propose_trail(merge([GROUND, *boards]), walk(6.0, swing=0.0))
+    proposal = propose_course(merge([GROUND, *boards]), walk(6.0, swing=0.0))
     assert proposal.task == "ramps"
     leaning = [feature for feature in proposal.features if "board" in feature.words]
     assert len(leaning) == 3
@@ -142,7 +142,7 @@ def test_the_shipped_scenes_are_taken_for_what_they_are(entry):
     path = np.vstack([scene.spawn.position, scene.trail, scene.trail[-1:] + np.array([0.8, 0, 0])])
     along = np.linspace(0, len(path) - 1, 60)
     centres = np.column_stack([np.interp(along, np.arange(len(path)), axis) for axis in path.T])
-    proposal = propose_trail(scene.mesh(), centres + np.array([0, 0, 1.2]))
+    proposal = propose_course(scene.mesh(), centres + np.array([0, 0, 1.2]))
     assert proposal.task == scene.task
     # Nearly all of the shipped waypoints have one near; the last one depends on the walk's end.
     proposed = np.array(proposal.trail)
@@ -154,7 +154,7 @@ def test_the_shipped_scenes_are_taken_for_what_they_are(entry):
 def test_a_way_that_no_camera_saw_the_beginning_of_begins_where_a_robot_can_stand():
     for edge in (1.0, -0.05):  # The second is below the first camera, and its rear legs' void.
         ground = quad_mesh((edge, -5, 0), (30, 0, 0), (0, 10, 0), "ground")
-        proposal = propose_trail(ground, walk(6.0))
+        proposal = propose_course(ground, walk(6.0))
         assert proposal.spawn.position[0] == pytest.approx(edge + 0.3, abs=0.05)
     np.testing.assert_allclose(proposal.trail, [(6.0, 0.0, 0.0)], atol=0.05)
     assert not any("holes" in warning for warning in proposal.warnings)
@@ -162,7 +162,7 @@ def test_a_way_that_no_camera_saw_the_beginning_of_begins_where_a_robot_can_stan
 
 def test_a_long_way_begins_one_and_a_half_metres_before_what_lies_on_it():
     bar = box((3.9, 4.1), (0.0, 0.15), (-1, 1))
-    proposal = propose_trail(merge([GROUND, bar]), walk(6.0, swing=0.0))
+    proposal = propose_course(merge([GROUND, bar]), walk(6.0, swing=0.0))
     assert proposal.spawn.position[0] == pytest.approx(2.4, abs=0.1)
     assert proposal.features[0].start == pytest.approx(1.5, abs=0.05)
     assert proposal.trail[0] == pytest.approx((4.0, 0.0, 0.15), abs=0.05)
@@ -176,7 +176,7 @@ def test_a_robot_is_not_set_down_with_a_foot_over_a_hole():
         quad_mesh((-2, 0, 0), (1.7, 0, 0), (0, 0.25, 0), "ground"),
         quad_mesh((-0.04, 0, 0), (8, 0, 0), (0, 0.25, 0), "ground"),
     ]
-    x = propose_trail(merge(parts), walk(6.0, swing=0.0)).spawn.position[0]
+    x = propose_course(merge(parts), walk(6.0, swing=0.0)).spawn.position[0]
     assert -0.04 + 0.25 < x < 0.6
 
 
@@ -184,7 +184,7 @@ def test_who_walks_over_the_course_and_then_once_around_it_gets_the_way_over_it(
     over = walk(5.0)
     turn = np.linspace(0.0, 2.0 * math.pi, 24)
     around = np.column_stack([2.5 - 2.8 * np.cos(turn), 1.4 * np.sin(turn), 1.4 + 0 * turn])
-    proposal = propose_trail(GROUND, np.concatenate([over, around]))
+    proposal = propose_course(GROUND, np.concatenate([over, around]))
     np.testing.assert_allclose(proposal.trail, [(5.0, 0.0, 0.0)], atol=0.05)
     assert proposal.spawn.yaw == pytest.approx(0.0, abs=0.1)
 
@@ -193,7 +193,7 @@ def test_ceilings_and_walks_back_do_not_matter():
     ceiling = box((-1, 8), (2.2, 2.5), (-3, 3))
     mesh = merge([GROUND, box((2.0, 2.35), (0, 0.25)), ceiling])
     there = walk(5.0)
-    proposal = propose_trail(mesh, np.concatenate([there, there[::-1]]))
+    proposal = propose_course(mesh, np.concatenate([there, there[::-1]]))
     assert len(proposal.features) == 1
     assert proposal.trail[-1][0] == pytest.approx(2.35 + 1.4, abs=0.25)
 
@@ -226,7 +226,7 @@ def scanned(height, rng, *, cell=0.04, noise=0.006, holes=0.03):
 def test_scans_with_noise_and_holes_are_read_as_well(height, task, count):
     for seed in range(3):
         mesh = scanned(height, np.random.default_rng(seed))
-        proposal = propose_trail(mesh, walk(6.0, height=2.4))
+        proposal = propose_course(mesh, walk(6.0, height=2.4))
         assert (proposal.task, len(proposal.features)) == (task, count), proposal.reasons
 
 
@@ -236,30 +236,30 @@ def test_steps_with_rounded_edges_are_as_high_as_their_treads():
         return 0.1 * (0.5 + 0.5 * np.tanh(along / 0.03)).sum(axis=-1)
 
     mesh = scanned(height, np.random.default_rng(0), cell=0.02, noise=0.001, holes=0.0)
-    (feature,) = propose_trail(mesh, walk(6.0, height=2.4)).features
+    (feature,) = propose_course(mesh, walk(6.0, height=2.4)).features
     assert feature.words == "5 steps up, 0.10 m each"
 
 
 def test_what_lies_too_near_is_warned_of():
-    proposal = propose_trail(merge([GROUND, box((0.3, 0.6), (0, 0.2))]), walk(3.0))
+    proposal = propose_course(merge([GROUND, box((0.3, 0.6), (0, 0.2))]), walk(3.0))
     assert any("start farther back" in warning for warning in proposal.warnings)
 
 
 def test_no_walk_and_no_ground_are_errors_in_words():
     with pytest.raises(SceneError, match=r"went 0\.50 m"):
-        propose_trail(GROUND, walk(0.5, swing=0.0))
+        propose_course(GROUND, walk(0.5, swing=0.0))
     far = walk(4.0) + np.array([100.0, 0.0, 0.0])
     with pytest.raises(SceneError, match="0% of the way has ground"):
-        propose_trail(GROUND, far)
+        propose_course(GROUND, far)
 
 
 def test_a_trail_begins_a_step_later_where_the_ground_at_its_first_camera_is_uneven():
     bump = box((-0.3, 0.1), (0.0, 0.05))
-    start = propose_trail(merge([GROUND, bump]), walk(5.0)).spawn.position
+    start = propose_course(merge([GROUND, bump]), walk(5.0)).spawn.position
     assert 0.35 < start[0] < 0.7
     assert start[2] == pytest.approx(0.0, abs=0.005)
     rough = merge([GROUND, *(box((x, x + 0.2), (0.0, 0.05)) for x in np.arange(-0.5, 5.0, 0.4))])
-    assert propose_trail(rough, walk(5.0)).spawn.position[0] < 0.05, "nowhere is better"
+    assert propose_course(rough, walk(5.0)).spawn.position[0] < 0.05, "nowhere is better"
 
 
 def island(length):
@@ -269,13 +269,13 @@ def island(length):
 
 @pytest.mark.parametrize("length", [2.0, 3.1, 4.0])
 def test_the_last_waypoint_has_a_robots_length_of_ground_behind_it(length):
-    (last,) = propose_trail(island(length), walk(5.0)).trail
+    (last,) = propose_course(island(length), walk(5.0)).trail
     assert length - 0.75 < last[0] < length - 0.55
 
 
 def test_no_waypoint_is_within_reach_of_the_start():
     bar = box((0.2, 0.4), (0, 0.15))
-    proposal = propose_trail(merge([GROUND, bar]), walk(4.0))
+    proposal = propose_course(merge([GROUND, bar]), walk(4.0))
     start = np.array(proposal.spawn.position)
     away = np.linalg.norm(np.array(proposal.trail) - start, axis=1)
     assert len(away) >= 1
@@ -284,7 +284,7 @@ def test_no_waypoint_is_within_reach_of_the_start():
 
 def test_too_little_ground_for_a_waypoint_is_no_trail():
     with pytest.raises(SceneError, match=r"too little for a waypoint 0\.60 m from the start"):
-        propose_trail(island(0.8), walk(1.1))
+        propose_course(island(0.8), walk(1.1))
 
 
 def cobbled(seed, *, rough=0.025):
@@ -303,14 +303,14 @@ def cobbled(seed, *, rough=0.025):
 
 def test_cobbles_are_a_flat_way():
     for seed in range(4):
-        proposal = propose_trail(cobbled(seed, rough=0.035), walk(5.0))
+        proposal = propose_course(cobbled(seed, rough=0.035), walk(5.0))
         assert proposal.features == (), proposal.reasons
         assert proposal.spawn.position[0] < 0.1
 
 
 def test_on_cobbles_a_trail_begins_where_they_are_as_even_as_usual():
     bump = box((-0.3, 0.1), (0.0, 0.15))
-    start = propose_trail(merge([cobbled(0), bump]), walk(5.0)).spawn.position
+    start = propose_course(merge([cobbled(0), bump]), walk(5.0)).spawn.position
     assert 0.35 < start[0] < 0.8
 
 
@@ -319,7 +319,7 @@ def test_a_way_across_a_hole_is_a_trail_on_its_longer_side():
         quad_mesh((-5, -5, 0), (6.5, 0, 0), (0, 10, 0), "ground"),
         quad_mesh((3.0, -5, 0), (20, 0, 0), (0, 10, 0), "ground"),
     ]
-    proposal = propose_trail(merge(parts), walk(8.0))
+    proposal = propose_course(merge(parts), walk(8.0))
     assert proposal.spawn.position[0] == pytest.approx(3.3, abs=0.05)
     assert proposal.trail[-1][0] == pytest.approx(8.0, abs=0.05)
     assert "1.5 m of the way lie beyond" in proposal.warnings[0]
@@ -327,19 +327,19 @@ def test_a_way_across_a_hole_is_a_trail_on_its_longer_side():
 
 
 def test_ground_that_no_photograph_shows_is_no_way():
-    proposal = propose_trail(GROUND, walk(8.0), shown=lambda xy: xy[:, 0] > 2.0)
+    proposal = propose_course(GROUND, walk(8.0), shown=lambda xy: xy[:, 0] > 2.0)
     assert proposal.spawn.position[0] == pytest.approx(2.0, abs=0.35)
 
 
 def test_a_trail_is_no_longer_than_a_robot_walks_in_a_trial():
-    proposal = propose_trail(GROUND, walk(20.0))
+    proposal = propose_course(GROUND, walk(20.0))
     assert proposal.trail[-1][0] == pytest.approx(8.0, abs=0.05)
     assert "the way goes on for 20.0 m: the trail is 8 m long at most" in proposal.warnings[0]
 
 
 def test_a_way_that_bends_has_a_waypoint_in_the_bend():
     corner = np.array([(0, 0, 1.4), (1.5, 0, 1.4), (3, 0, 1.4), (3, 1.5, 1.4), (3, 3, 1.4)])
-    proposal = propose_trail(GROUND, corner)
+    proposal = propose_course(GROUND, corner)
     bend, last = np.array(proposal.trail)[:, :2]
     np.testing.assert_allclose(bend, (3.0, 0.0), atol=0.3)
     np.testing.assert_allclose(last, (3.0, 3.0), atol=0.05)
@@ -347,10 +347,10 @@ def test_a_way_that_bends_has_a_waypoint_in_the_bend():
 
 @pytest.mark.parametrize("length", [0.55, 0.9])
 def test_a_longer_robot_has_a_longer_trail_and_more_ground_to_arrive_on(length):
-    (last,) = propose_trail(island(3.0), walk(5.0), length=length).trail
+    (last,) = propose_course(island(3.0), walk(5.0), length=length).trail
     assert last[0] == pytest.approx(3.0 - length - 0.05, abs=0.06)
     with pytest.raises(SceneError, match=f"a waypoint {max(0.6, length):.2f} m from the start"):
-        propose_trail(island(length + 0.55), walk(1.7), length=length)
+        propose_course(island(length + 0.55), walk(1.7), length=length)
 
 
 def table(*things):
@@ -368,8 +368,8 @@ def orbit():
 def test_where_the_cameras_stood_off_the_ground_the_trail_is_on_the_longest_free_strip():
     toy = box((1.8, 2.4), (0.0, 0.6), (1.3, 2.0))
     with pytest.raises(SceneError, match="of the way has ground below it"):
-        propose_trail(table(toy), orbit())
-    proposal = propose_free_trail(table(toy), orbit())
+        propose_course(table(toy), orbit())
+    proposal = propose_free_course(table(toy), orbit())
     assert proposal.whole
     assert proposal.features == ()
     stops = np.array([proposal.spawn.position, *proposal.trail])
@@ -383,15 +383,15 @@ def test_a_trail_on_a_free_strip_begins_where_the_strip_does():
     strip = quad_mesh((0, 0, 0), (12, 0, 0), (0, 1.0, 0), "ground")
     bar = box((9.0, 9.3), (0, 0.1), (0, 1.0))
     aside = np.column_stack([np.linspace(0, 12, 30), np.full(30, -1.0), np.full(30, 1.5)])
-    with_bar = propose_free_trail(merge([strip, bar]), aside)
-    without = propose_free_trail(strip, aside)
+    with_bar = propose_free_course(merge([strip, bar]), aside)
+    without = propose_free_course(strip, aside)
     assert with_bar.spawn.position[0] == pytest.approx(without.spawn.position[0], abs=0.1)
     assert with_bar.spawn.position[0] < 2.0
 
 
 def test_a_table_with_no_room_for_a_robot_has_no_trail():
     with pytest.raises(SceneError, match="too little for a waypoint") as caught:
-        propose_free_trail(quad_mesh((0, 0, 0), (1.2, 0, 0), (0, 0.8, 0), "ground"), orbit())
+        propose_free_course(quad_mesh((0, 0, 0), (1.2, 0, 0), (0, 0.8, 0), "ground"), orbit())
     assert "label page" in str(caught.value)
     with pytest.raises(SceneError, match=r"no level ground 0\.6 m wide"):
-        propose_free_trail(quad_mesh((0, 0, 0), (3, 0, 0), (0, 0.5, 0), "ground"), orbit())
+        propose_free_course(quad_mesh((0, 0, 0), (3, 0, 0), (0, 0.5, 0), "ground"), orbit())

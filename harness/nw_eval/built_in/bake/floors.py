@@ -52,7 +52,7 @@ def carpet_tiles(spots: Spots, colour: Colour) -> Coat:
 
 
 def parquet(spots: Spots, colour: Colour) -> Coat:
-    """Floor boards along the trail, each with a grain and a shade of its own."""
+    """Floor boards along the course, each with a grain and a shade of its own."""
     boards = tiles(
         spots.u, spots.v, size=(1.4, 0.095), joint=0.005, blur=spots.blur, seed=31, loose=True
     )
@@ -222,7 +222,7 @@ def stripe(spots: Spots, colour: Colour) -> Coat:
 
 
 def arrow(spots: Spots, colour: Colour) -> Coat:
-    """A painted arrow that points along the trail."""
+    """A painted arrow that points along the course."""
     middle = np.abs(spots.v - spots.h / 2)
     shaft = band(spots.u, 0.0, 0.6 * spots.w, spots.blur) * (1 - step(middle, 0.10, spots.blur))
     reach = (spots.w - spots.u) / (0.4 * spots.w) * 0.38

@@ -14,10 +14,10 @@ ALL_FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
 SIDES_AND_TOP = ("-x", "+x", "-y", "+y", "+z")
 
 
-class PlaceBuilder:
+class SceneBuilder:
     """Collects the parts of one scene; `place()` hands them out as frozen data.
 
-    Lengths are metres in the world: x along the trail, y to the left, z up, the spawn at 0, 0, 0.
+    Lengths are metres in the world: x along the course, y to the left, z up, the spawn at 0, 0, 0.
     """
 
     def __init__(self, name: str, light: Light, *, indoor: bool, eyes: Iterable[Vector]) -> None:

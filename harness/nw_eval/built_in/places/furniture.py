@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.built_in.places.parts import Decal, Pair
 
 
 def table(
-    builder: PlaceBuilder, x: Pair, y: Pair, *, top: str = "veneer/beech", height: float = 0.74
+    builder: SceneBuilder, x: Pair, y: Pair, *, top: str = "veneer/beech", height: float = 0.74
 ) -> None:
     """Put a table with four legs between two corners."""
     builder.box(x, y, (height - 0.035, height), top, faces=("-x", "+x", "-y", "+y", "+z", "-z"))
@@ -25,7 +25,7 @@ def table(
 
 
 def chair(
-    builder: PlaceBuilder, x: float, y: float, *, facing: float, seat: str = "plastic/navy"
+    builder: SceneBuilder, x: float, y: float, *, facing: float, seat: str = "plastic/navy"
 ) -> None:
     """Put a chair at a point; `facing` is +1 or -1, where along y its sitter would look."""
     builder.box(
@@ -58,7 +58,7 @@ def chair(
 
 
 def bookshelf(
-    builder: PlaceBuilder,
+    builder: SceneBuilder,
     x: Pair,
     y: Pair,
     *,
@@ -82,7 +82,7 @@ def bookshelf(
 
 
 def plant(
-    builder: PlaceBuilder, x: float, y: float, *, height: float = 1.1, pot: str = "clay"
+    builder: SceneBuilder, x: float, y: float, *, height: float = 1.1, pot: str = "clay"
 ) -> None:
     """Stand a leafy plant in a pot on the floor."""
     builder.box((x - 0.13, x + 0.13), (y - 0.13, y + 0.13), (0.0, 0.30), pot, top="soil", fine=0.8)
@@ -90,19 +90,19 @@ def plant(
     builder.crown((x, y, height * 0.68), (0.30, 0.30, height * 0.36), "leaves/house", fine=0.8)
 
 
-def radiator(builder: PlaceBuilder, x: Pair, y: Pair) -> None:
+def radiator(builder: SceneBuilder, x: Pair, y: Pair) -> None:
     """Hang a radiator along a wall."""
     builder.box(x, y, (0.14, 0.68), "radiator/white", fine=0.8)
 
 
 def crate(
-    builder: PlaceBuilder, x: Pair, y: Pair, z: Pair, material: str = "planks/pallet"
+    builder: SceneBuilder, x: Pair, y: Pair, z: Pair, material: str = "planks/pallet"
 ) -> None:
     """Put down a wooden crate or a carton."""
     builder.box(x, y, z, material, fine=0.9)
 
 
-def drum(builder: PlaceBuilder, x: float, y: float, material: str) -> None:
+def drum(builder: SceneBuilder, x: float, y: float, material: str) -> None:
     """Stand an oil drum on the floor; physics touches the box within it."""
     half = 0.205
     builder.box(

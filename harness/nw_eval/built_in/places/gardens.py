@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from nw_eval.built_in.places import scenery as outdoors
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.built_in.places.parts import Decal
 from nw_eval.built_in.places.walls import house
 
@@ -30,7 +30,7 @@ class Garden:
     lit: bool = False
     indoor: bool = False
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the garden."""
         x = (-4.2, length + 6.0)
         y = (-4.4, 4.4)
@@ -80,7 +80,7 @@ class Garden:
             outdoors.lamp_post(builder, -1.5, -2.0, height=2.2, lit=True)
 
     def _plant(
-        self, builder: PlaceBuilder, x: tuple[float, float], y: tuple[float, float], terrace: float
+        self, builder: SceneBuilder, x: tuple[float, float], y: tuple[float, float], terrace: float
     ) -> None:
         count = int((terrace - x[0]) / 0.9)
         for index in range(count):
@@ -124,7 +124,7 @@ class Park:
     lit: bool = False
     indoor: bool = False
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the park."""
         reach = 34.0
         half = self.width / 2
@@ -199,7 +199,7 @@ class Courtyard:
     Attributes:
         ground: material; grass grows blades.
         walls: material of the houses.
-        path: whether paving runs along the trail through a grass yard's edge.
+        path: whether paving runs along the course through a grass yard's edge.
         lit: whether lamps and windows shine.
     """
 
@@ -209,7 +209,7 @@ class Courtyard:
     lit: bool = False
     indoor: bool = False
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the courtyard."""
         x = (-5.0, length + 5.5)
         y = (-5.2, 5.6)
@@ -290,7 +290,7 @@ class Cloister:
     lit: bool = False
     indoor: bool = False
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the cloister."""
         x = (-5.5, length + 6.0)
         half = self.width / 2
@@ -362,8 +362,8 @@ class Field:
     reach: float = 16.0
     indoor: bool = False
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
-        """Build the field; how long the trail is changes nothing."""
+    def build(self, builder: SceneBuilder, length: float) -> None:
+        """Build the field; how long the course is changes nothing."""
         del length
         near, far = self.reach, self.reach + 1.0
         builder.ground(self.ground, (-far - 6.0, far + 6.0), (-far - 6.0, far + 6.0))

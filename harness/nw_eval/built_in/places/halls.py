@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from nw_eval.built_in.places import furniture
-from nw_eval.built_in.places.builder import ALL_FACES, PlaceBuilder
+from nw_eval.built_in.places.builder import ALL_FACES, SceneBuilder
 from nw_eval.built_in.places.parts import Decal
 from nw_eval.built_in.places.walls import room_shell, window_lamp
 
@@ -38,7 +38,7 @@ class Warehouse:
     height: float = 5.2
     indoor: bool = True
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the warehouse."""
         x = (-3.0, length + 4.5)
         y = (-self.width / 2, self.width / 2)
@@ -89,7 +89,7 @@ class Warehouse:
                 (0.14 * level, 0.14 * level + 0.13), "planks/pallet", fine=0.9,
             )  # fmt: skip
 
-    def _racks(self, builder: PlaceBuilder, x: tuple[float, float], side: int) -> None:
+    def _racks(self, builder: SceneBuilder, x: tuple[float, float], side: int) -> None:
         near, far = 1.95, self.width / 2 - 0.1
         y = (side * near, side * far) if side > 0 else (side * far, side * near)
         bays = max(1, round((x[1] - x[0]) / 2.6))
@@ -141,7 +141,7 @@ class Workshop:
     height: float = 3.8
     indoor: bool = True
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the workshop."""
         x = (-2.4, length + 3.0)
         y = (-self.width / 2, self.width / 2)
@@ -219,7 +219,7 @@ class Workshop:
         self._furnish(builder, x, y)
 
     def _furnish(
-        self, builder: PlaceBuilder, x: tuple[float, float], y: tuple[float, float]
+        self, builder: SceneBuilder, x: tuple[float, float], y: tuple[float, float]
     ) -> None:
         start = x[0] + (x[1] - x[0]) * 0.30
         furniture.table(
@@ -290,7 +290,7 @@ class Underpass:
     height: float = 2.9
     indoor: bool = True
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the underpass."""
         x = (-4.0, length + 8.0)
         y = (-self.width / 2, self.width / 2)

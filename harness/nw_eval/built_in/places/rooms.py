@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from nw_eval.built_in.places import furniture
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.built_in.places.parts import Decal
 from nw_eval.built_in.places.walls import room_shell, window_lamp
 
@@ -29,7 +29,7 @@ class Room:
     hall: bool = False
     indoor: bool = True
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the room."""
         x = (-2.4, length + 2.6)
         y = (-self.width / 2, self.width / 2)
@@ -122,7 +122,7 @@ class Room:
 
     def _seminar(
         self,
-        builder: PlaceBuilder,
+        builder: SceneBuilder,
         x: tuple[float, float],
         y: tuple[float, float],
         windows: list[tuple[float, float]],
@@ -144,7 +144,7 @@ class Room:
             builder, (far - 0.5, far - 0.1), (y[0] + 0.1, y[0] + 0.5), (0.0, 0.34), "cardboard"
         )
 
-    def _hall(self, builder: PlaceBuilder, x: tuple[float, float], y: tuple[float, float]) -> None:
+    def _hall(self, builder: SceneBuilder, x: tuple[float, float], y: tuple[float, float]) -> None:
         for start in (x[0] + 1.0, x[1] - 3.2):
             builder.box(
                 (start, start + 2.2), (y[1] - 0.35, y[1] - 0.05), (0.30, 0.36), "planks/pine"
@@ -174,7 +174,7 @@ class Corridor:
     height: float = 2.6
     indoor: bool = True
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the corridor."""
         x = (-3.0, length + 7.0)
         y = (-self.width / 2, self.width / 2)
@@ -249,7 +249,7 @@ class Corridor:
         window_lamp(builder, (x[1] - 0.02, 0.75, 0.05), (0.0, -1.5, 0.0), (0.0, 0.0, 2.1))
         self._furnish(builder, length, y)
 
-    def _furnish(self, builder: PlaceBuilder, length: float, y: tuple[float, float]) -> None:
+    def _furnish(self, builder: SceneBuilder, length: float, y: tuple[float, float]) -> None:
         lockers = length + 1.2
         for index in range(4):
             start = lockers + 0.42 * index
@@ -273,7 +273,7 @@ class Lobby:
         deck: material of the gallery.
         flight: width that the gallery leaves free for the flight, metres.
         width, height: metres.
-        beyond: from the trail's end to the far wall, metres.
+        beyond: from the course's end to the far wall, metres.
     """
 
     gallery: float = 0.0
@@ -287,7 +287,7 @@ class Lobby:
     beyond: float = 1.6
     indoor: bool = True
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the hall."""
         x = (-2.6, length + self.beyond)
         y = (-self.width / 2, self.width / 2)
@@ -357,7 +357,7 @@ class Lobby:
         self._furnish(builder, x, y, length)
 
     def _furnish(
-        self, builder: PlaceBuilder, x: tuple[float, float], y: tuple[float, float], length: float
+        self, builder: SceneBuilder, x: tuple[float, float], y: tuple[float, float], length: float
     ) -> None:
         if self.gallery > 0.0:
             for side in (-1, 1):

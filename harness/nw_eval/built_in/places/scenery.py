@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.built_in.places.parts import Decal, Pair
 
 # Offsets of a crown's clouds from its middle, in parts of its radius, and their own radii.
@@ -18,7 +18,7 @@ _CLOUDS = (
 
 
 def tree(
-    builder: PlaceBuilder,
+    builder: SceneBuilder,
     x: float,
     y: float,
     *,
@@ -73,7 +73,7 @@ def tree(
 
 
 def hedge(
-    builder: PlaceBuilder, x: Pair, y: Pair, height: float, leaves: str = "leaves/hedge"
+    builder: SceneBuilder, x: Pair, y: Pair, height: float, leaves: str = "leaves/hedge"
 ) -> None:
     """Plant a clipped hedge between two corners; physics touches a box within it."""
     builder.box(
@@ -96,7 +96,7 @@ def hedge(
 
 
 def bush(
-    builder: PlaceBuilder, x: float, y: float, radius: float, leaves: str = "leaves/hedge"
+    builder: SceneBuilder, x: float, y: float, radius: float, leaves: str = "leaves/hedge"
 ) -> None:
     """Plant a round bush."""
     builder.box(
@@ -116,7 +116,7 @@ def bush(
 
 
 def bench(
-    builder: PlaceBuilder, x: float, y: float, *, facing: float, wood: str = "planks/teak"
+    builder: SceneBuilder, x: float, y: float, *, facing: float, wood: str = "planks/teak"
 ) -> None:
     """Put a park bench along x; `facing` is +1 or -1, where along y its sitters look."""
     length = 1.7
@@ -162,7 +162,7 @@ def bench(
 
 
 def lamp_post(
-    builder: PlaceBuilder, x: float, y: float, *, height: float = 3.6, lit: bool = False
+    builder: SceneBuilder, x: float, y: float, *, height: float = 3.6, lit: bool = False
 ) -> None:
     """Stand a lantern on a pole."""
     builder.box((x - 0.04, x + 0.04), (y - 0.04, y + 0.04), (0.0, height), "metal/dark", faces=())
@@ -179,7 +179,7 @@ def lamp_post(
         )
 
 
-def wall_lamp(builder: PlaceBuilder, x: float, y: float, side: int, *, height: float = 2.5) -> None:
+def wall_lamp(builder: SceneBuilder, x: float, y: float, side: int, *, height: float = 2.5) -> None:
     """Hang a burning lantern on a wall at `y` that stands to the left (+1) or right (-1)."""
     out = y - side * 0.12
     builder.box(
@@ -197,14 +197,14 @@ def wall_lamp(builder: PlaceBuilder, x: float, y: float, side: int, *, height: f
     )  # fmt: skip
 
 
-def litter_bin(builder: PlaceBuilder, x: float, y: float, material: str = "metal/green") -> None:
+def litter_bin(builder: SceneBuilder, x: float, y: float, material: str = "metal/green") -> None:
     """Stand a litter bin."""
     half = 0.15
     builder.box((x - half, x + half), (y - half, y + half), (0.0, 0.8), material, faces=())
     builder.prism((x, y), (0.05, 0.8), (0.2, 0.21), material, sides=10, cap="metal/black")
 
 
-def dumpster(builder: PlaceBuilder, x: Pair, y: Pair, material: str = "metal/green") -> None:
+def dumpster(builder: SceneBuilder, x: Pair, y: Pair, material: str = "metal/green") -> None:
     """Park a rubbish container with a dark lid."""
     builder.box(x, y, (0.12, 1.15), material, fine=0.9)
     builder.box(
@@ -220,7 +220,7 @@ def dumpster(builder: PlaceBuilder, x: Pair, y: Pair, material: str = "metal/gre
         )
 
 
-def planter(builder: PlaceBuilder, x: Pair, y: Pair, *, height: float = 0.5, stone: str) -> None:
+def planter(builder: SceneBuilder, x: Pair, y: Pair, *, height: float = 0.5, stone: str) -> None:
     """Put down a stone trough with bushes."""
     builder.box(x, y, (0.0, height), stone, top="soil")
     length, across = x[1] - x[0], y[1] - y[0]
@@ -239,7 +239,7 @@ def planter(builder: PlaceBuilder, x: Pair, y: Pair, *, height: float = 0.5, sto
 
 
 def car(
-    builder: PlaceBuilder,
+    builder: SceneBuilder,
     x: float,
     y: float,
     paint: str,
@@ -254,7 +254,7 @@ def car(
         x: metres.
         y: metres.
         paint: material.
-        along_y: whether it stands across the trail's direction.
+        along_y: whether it stands across the course's direction.
         nose: +1 or -1, where along its axis the car looks.
     """
     length, width = 4.2, 1.74

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from nw_eval.built_in.places import furniture
 from nw_eval.built_in.places import scenery as outdoors
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.built_in.places.parts import Decal
 from nw_eval.built_in.places.walls import house
 
@@ -31,7 +31,7 @@ class Alley:
     lit: bool = False
     indoor: bool = False
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the alley."""
         x = (-7.0, length + 9.0)
         half = self.width / 2
@@ -104,7 +104,7 @@ class Plaza:
     lit: bool = False
     indoor: bool = False
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the plaza."""
         far = length + 9.0
         windows = "house_window_lit" if self.lit else "house_window/dark"
@@ -230,7 +230,7 @@ class CarPark:
     lit: bool = False
     indoor: bool = False
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the car park."""
         half = self.aisle / 2
         far = length + 11.0
@@ -332,7 +332,7 @@ class Yard:
     lit: bool = False
     indoor: bool = False
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build the yard."""
         x = (-9.0, length + 12.0)
         half = self.lane / 2
@@ -374,7 +374,7 @@ class Yard:
 
     def _container(
         self,
-        builder: PlaceBuilder,
+        builder: SceneBuilder,
         x: tuple[float, float],
         y: tuple[float, float],
         z: float,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.built_in.places.parts import Decal, Pair
 from nw_eval.scenes.scene import Vector
 
@@ -12,7 +12,7 @@ _THICKNESS = 0.12
 
 
 def room_shell(
-    builder: PlaceBuilder,
+    builder: SceneBuilder,
     x: Pair,
     y: Pair,
     height: float,
@@ -64,7 +64,7 @@ def room_shell(
 
 
 def window_lamp(
-    builder: PlaceBuilder, corner: Vector, u: Vector, v: Vector, brightness: float = 0.75
+    builder: SceneBuilder, corner: Vector, u: Vector, v: Vector, brightness: float = 0.75
 ) -> None:
     """Let daylight in through a window: `u` x `v` points into the room."""
     sky = builder.light.horizon
@@ -72,7 +72,7 @@ def window_lamp(
 
 
 def house(
-    builder: PlaceBuilder,
+    builder: SceneBuilder,
     x: Pair,
     y: Pair,
     height: float,
@@ -92,7 +92,7 @@ def house(
     roof: str = "concrete/dark",
     fine: float = 1.0,
 ) -> None:
-    """Build a house as one box whose `face` looks at the trail, with a grid of windows.
+    """Build a house as one box whose `face` looks at the course, with a grid of windows.
 
     Args:
         builder: of the scene that it is part of.

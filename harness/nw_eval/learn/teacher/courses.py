@@ -14,7 +14,7 @@ import numpy as np
 from nw_eval.built_in.entry import Course, Entry
 from nw_eval.built_in.gaps import Gaps
 from nw_eval.built_in.hurdles import Hurdles
-from nw_eval.built_in.places.builder import PlaceBuilder
+from nw_eval.built_in.places.builder import SceneBuilder
 from nw_eval.built_in.ramps import Boards, Humps
 from nw_eval.built_in.stairs import Stairs
 from nw_eval.learn.teacher.config import Ground
@@ -149,7 +149,7 @@ class _Bare:
         """Nothing keeps the sky out."""
         return False
 
-    def build(self, builder: PlaceBuilder, length: float) -> None:
+    def build(self, builder: SceneBuilder, length: float) -> None:
         """Build nothing."""
 
 
@@ -172,7 +172,7 @@ class _Zigzag:
         """Return the waypoints."""
         return tuple((x, y, 0.0) for x, y in self.points)
 
-    def build(self, builder: PlaceBuilder) -> None:
+    def build(self, builder: SceneBuilder) -> None:
         """Build nothing."""
 
 

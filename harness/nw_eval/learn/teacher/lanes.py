@@ -35,7 +35,7 @@ SOLIDS = 28
 """Boxes of every lane, so that all of them make models of one size."""
 WAYPOINTS = 8
 _REACH = 1.0
-"""Metres from the trail within which solids can be touched; a robot further away is lost."""
+"""Metres from the course within which solids can be touched; a robot further away is lost."""
 _EDGE = 0.05
 """Metres: that a step is high at least, and that a foot is near it at most."""
 _NOWHERE = -50.0
@@ -136,7 +136,7 @@ class Lane:
     Attributes:
         model: robot and solids; every lane's has the same sizes.
         heights: (X, Y) float32 of the ground in the world, m, at the middles of the cells.
-        edges: (X, Y) uint8, 1 within 5 cm of an edge across the trail.
+        edges: (X, Y) uint8, 1 within 5 cm of an edge across the course.
         trail: (K, 2) waypoints, m.
         noise: half widths by which an episode moves them, (2,) m.
         floor: height of the lowest ground, m.
@@ -195,9 +195,9 @@ def lane_of(scene: Scene, robot: RobotSpec) -> Lane:
 
 
 def _is_near(box: Box, points: NDArray[np.float64]) -> bool:
-    """Say whether a box, seen from above, is within reach of any point (P, 2) of the trail."""
+    """Say whether a box, seen from above, is within reach of any point (P, 2) of the course."""
     half = np.abs(rotation_matrix(box.quat)) @ np.array(box.half_size)
-    # Along the trail every few centimetres: how far outside the box's outline each point is.
+    # Along the course every few centimetres: how far outside the box's outline each point is.
     outside = np.maximum(np.abs(points - np.array(box.center[:2])) - half[:2], 0.0)
     return bool((np.hypot(*outside.T) < _REACH).any())
 

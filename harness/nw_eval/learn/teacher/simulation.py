@@ -107,7 +107,7 @@ class Trails:
         return to_target + np.where(ahead, onward, 0.0).sum(axis=1)
 
     def aside(self, positions: Array) -> Array:
-        """Return the distance of positions (N, 2) from the trails, (N,) m."""
+        """Return the distance of positions (N, 2) from the courses, (N,) m."""
         corners = np.concatenate([self.starts[:, None], self.points], axis=1)
         starts, spans = corners[:, :-1], np.diff(corners, axis=1)
         squared = np.einsum("nki,nki->nk", spans, spans)

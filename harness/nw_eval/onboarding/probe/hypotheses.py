@@ -448,7 +448,7 @@ def other_velocities(card: Card) -> Iterator[tuple[str, Card]]:
             which = ""
             if names.count(term.term) > 1:
                 which = "the second " if term.term in names[:place] else "the first "
-            words = f"`{other}` in place of {which}`{term.term}` in `{observation}`"
+            words = f"`{other}` instead of {which}`{term.term}` in `{observation}`"
             yield words, _with_terms(card, {observation: terms})
 
 
@@ -468,7 +468,7 @@ def moved_terms(card: Card) -> Iterator[tuple[str, Card]]:
 
 
 def swapped_terms(card: Card, joints: Sequence[str]) -> Iterator[tuple[str, Card]]:
-    """Yield cards in which two terms of equal size are exchanged, neighbours first."""
+    """Yield cards in which two terms of equal size are swapped, neighbours first."""
     for observation, terms in _listed_terms(card):
         pairs = sorted(combinations(range(len(terms)), 2), key=lambda pair: pair[1] - pair[0])
         for i, j in pairs:
@@ -477,7 +477,7 @@ def swapped_terms(card: Card, joints: Sequence[str]) -> Iterator[tuple[str, Card
             if is_change and term_size(one, joints) == term_size(other, joints):
                 swapped = list(terms)
                 swapped[i], swapped[j] = other, one
-                words = f"`{one.term}` and `{other.term}` of `{observation}` exchanged"
+                words = f"`{one.term}` and `{other.term}` of `{observation}` swapped"
                 yield words, _with_terms(card, {observation: swapped})
 
 

@@ -87,7 +87,7 @@ class Form:
 
 
 def _fields(places: Sequence[int], sizes: Sequence[int], *, length: int) -> np.dtype[Any]:
-    """Return records of some bytes, of which those at the places are fields."""
+    """Return records of some bytes, of which those at the positions are fields."""
     names, formats = [str(i) for i in range(len(sizes))], [f"V{size}" for size in sizes]
     layout: Any = {"names": names, "formats": formats, "offsets": places, "itemsize": length}
     return np.dtype(layout)

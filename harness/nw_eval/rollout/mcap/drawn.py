@@ -276,7 +276,7 @@ def robot_clouds(bodies: tuple[str, ...], visuals: tuple[Shape, ...]) -> dict[st
     return found
 
 
-class TrailClouds:
+class CourseClouds:
     """The course as dots and its waypoints as rings: green as far as they are reached.
 
     Args:

@@ -66,7 +66,7 @@ _LEVEL = 1
 
 _MAGIC = b"\x89MCAP0\r\n"
 _INDEX = struct.Struct("<BQHI")  # opcode, length; channel, bytes of the pairs that follow
-_PAIR = 16  # bytes of a time and a place
+_PAIR = 16  # bytes of a time and a position
 _FOOTER = struct.Struct("<BQQQ")  # what the summary's checksum covers of the footer
 _MOST_WAITING = 4 * CHUNK_BYTES
 """Bytes of messages that wait for each other where there are no images."""

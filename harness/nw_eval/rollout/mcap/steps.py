@@ -354,7 +354,7 @@ class BodyForms:
 
 
 def rounded(numbers: NDArray[Any]) -> Array:
-    """Return numbers of single precision in the places of double ones.
+    """Return numbers of single precision instead of double ones.
 
     They are for viewing, the exact ones are in `/nw/state`; the zero bits that this leaves compress
     well.

@@ -20,8 +20,8 @@ from nw_eval.clean import clean
 from nw_eval.lens import Intrinsics
 from nw_eval.robots import RobotSpec
 from nw_eval.rollout.mcap.drawn import (
+    CourseClouds,
     Discs,
-    TrailClouds,
     place_cloud,
     place_update,
     props_update,
@@ -82,7 +82,7 @@ class TrialLog:
         self._is_summary = record == "summary"
         self._states = States()
         self._steps: Steps | None = None
-        self._place: tuple[Discs, TrailClouds] | None = None
+        self._place: tuple[Discs, CourseClouds] | None = None
         self._file: McapFile | None = None
         if path is not None:
             try:
@@ -158,7 +158,7 @@ class TrialLog:
             self._out.add_metadata(name, dict(values))
         for name, text in attachments:
             self._out.attach(name, "text/plain", text.encode())
-        self._place = Discs(trail), TrailClouds(start, trail)
+        self._place = Discs(trail), CourseClouds(start, trail)
         parts = robot.bodies, robot.visuals
         scene = robot_update(*parts) + trail_update(start, trail) + props_update(props)
         if not self._is_summary:

@@ -125,7 +125,7 @@ def read_robot_log(path: Path, *, robot: str, topics: Mapping[str, str]) -> Robo
     """
     spec = get_robot(robot)
     if unknown := [name for name in topics if name not in _SOURCES]:
-        raise UsageError(f"--topic {unknown[0]}=...", fix=nearest(unknown[0], SOURCES))
+        raise UsageError(f"--topic {unknown[0]}=... is unknown", fix=nearest(unknown[0], SOURCES))
     try:
         kinds = _kinds(path)
         chosen = _chosen(path, kinds, topics)

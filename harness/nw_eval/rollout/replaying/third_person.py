@@ -1,4 +1,4 @@
-"""The view of somebody who stands beside: the place, with robot and cones in it.
+"""The view of somebody who stands beside: the scene, with robot and cones in it.
 
 Under the robot lies its soft shadow on what it stands on: ambient occlusion by its underside.
 """

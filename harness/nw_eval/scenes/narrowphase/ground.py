@@ -1,4 +1,4 @@
-"""The ground as MuJoCo keeps it: heights and triangles near a place.
+"""The ground as MuJoCo keeps it: heights and triangles near a point.
 
 Coordinates of a height field are those of its own frame, metres: x along the columns, y along the
 rows, the origin in the middle. A cell is two triangles, divided from its lower left to its upper
@@ -19,7 +19,7 @@ from nw_eval.scenes.narrowphase.triangles import CORNERS
 
 @kernel
 def field_height(heights: Any, half: Any, x: Any, y: Any) -> Any:
-    """Return the height at a place and the unit normal there; -inf and upwards beyond the rim.
+    """Return the height at a point and the unit normal there; -inf and upwards beyond the rim.
 
     Args:
         heights: (R, C) float32 shares of `half[2]`.

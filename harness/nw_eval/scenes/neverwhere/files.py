@@ -76,7 +76,7 @@ class Places:
 
 
 def find_places(reference: Path, robot: str = "go1") -> Places:
-    """Return the places of a scene.
+    """Return the files of a scene.
 
     Args:
         reference: the scene folder, with the XML in it or two folders up (beside `real_scenes`), or
@@ -151,7 +151,7 @@ def read_xml(path: Path) -> Element:
     try:
         size = regular(path).stat().st_size
         if size > _BYTES:
-            raise SceneError(f"{path}: {size} bytes", fix=f"a scene XML has less than {_BYTES}")
+            raise SceneError(f"{path} has {size} bytes", fix=f"a scene XML has less than {_BYTES}")
         text = path.read_bytes()
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror or error}") from None

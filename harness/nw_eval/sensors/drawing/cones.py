@@ -83,7 +83,7 @@ def shade(upwards: NDArray[np.float64]) -> NDArray[np.float64]:
     return _AMBIENT + (1.0 - _AMBIENT) * (0.5 + 0.5 * upwards)
 
 
-class TrailCones:
+class CourseCones:
     """The cones of a course that may be another one in the next trial."""
 
     def __init__(self) -> None:

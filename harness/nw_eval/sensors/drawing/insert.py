@@ -1,4 +1,4 @@
-"""Puts drawn objects into a picture of the place: hidden as it hides, lit as it is lit.
+"""Puts drawn objects into a picture of the scene: hidden as it hides, lit as it is lit.
 
 The light on drawn objects, told from the picture that they are put into: gray world.
 

@@ -177,7 +177,7 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
         px = load_group(geometry, g)
         py = load_group(geometry, g + GROUP)
         pz = load_group(geometry, g + 2 * GROUP)
-        # From the eye first: the rounding then is that of the distance, not of the place.
+        # From the eye first: the rounding then is that of the distance, not of the position.
         dx, dy, dz = px - eye_x, py - eye_y, pz - eye_z
         z = fma(dx, r6, fma(dy, r7, dz * r8))
         x = fma(dx, r0, fma(dy, r1, dz * r2))

@@ -32,7 +32,7 @@ from nw_eval.stats.power import SceneCounts, chances_at, likely_chances, seeded
 
 Against = Literal["fresh", "panel", "control"]
 """What a gate speaks of, and what it compares with. fresh: fresh starts, M is infinite; panel: the
-bank's own starts alone; control: the baseline's policy, run beside the candidate."""
+baseline's own starts alone; control: the baseline's policy, run beside the candidate."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -203,7 +203,7 @@ def operating_curve(
 
     Args:
         seen: the baseline's trials, waypoints reached in each scene. Without `starts` they are the
-            bank itself, with as many in each scene.
+            baseline itself, with as many in each scene.
         rules: of the gate.
         budget: most trials, no more than the baseline has pairs of a scene and a start.
         starts: M of a baseline that is not there yet. Baselines are then drawn, one a repetition,

@@ -40,7 +40,7 @@ z_max the least and the most that it can be:
     REGRESSED  "the drop is at most tolerate"        y = z_max - z   n = z_max - (B - tolerate)
     scene s    "its drop is at most scene_drop"      y = 1 - c       n = 1 - (B_s - scene_drop)
 
-(beside a concurrent control, where b is no part of a bank: y = 1 - c + b, n = 1 + scene_drop),
+(beside a concurrent control, where b is no part of a baseline: y = 1 - c + b, n = 1 + scene_drop),
 so that a factor is 1 + k (z - m_r) / (m_r - z_min), or 1 + k (m_r - z) / (z_max - m_r), where m_r
 is the mean of z that the null leaves for the rest. The first two are means over beta in {0, 1/2}
 and bet on the trials of all scenes; a scene's bets are on its own trials. A mean of such processes
@@ -77,8 +77,8 @@ class Bank:
     """M; infinite for a claim about fresh starts, so that no draw leaves less for the rest."""
     paired: bool = False
     """Whether b is what the baseline's policy scored beside the candidate, from the same start and
-    on the same machine (a concurrent control). Then c - b alone counts, and no mean of a bank: z =
-    c - b + B, which is 1 + c - b above its least, whatever B is."""
+    on the same machine (a concurrent control). Then c - b alone counts, and no mean of a baseline:
+    z = c - b + B, which is 1 + c - b above its least, whatever B is."""
 
     def __post_init__(self) -> None:
         if self.means.ndim < 1 or not self.means.shape[-1]:

@@ -72,8 +72,9 @@ def scene_drop_intervals(
 ) -> tuple[Interval, ...]:
     """Return for each scene the drops in it that its own trials do not rule out.
 
-    Each is the interval of `drop_interval_after` for a baseline of that scene alone, to 1e-4: of
-    many, some miss. How many trials a scene has may depend on what came of those before.
+    Each is the interval of `drop_interval_after` for a baseline of that scene alone, to 1e-4: not
+    corrected for the number of scenes. How many trials a scene has may depend on the results of
+    those before.
 
     Args:
         bank: as for `drop_interval_after`.

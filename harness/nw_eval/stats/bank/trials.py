@@ -42,7 +42,7 @@ to go on with more trials after it: it is not used.
 Source: I. Waudby-Smith and A. Ramdas, arXiv 2006.04347; W. Hoeffding, "Probability inequalities for
 sums of bounded random variables", JASA 58 (1963).
 
-In which order starts are drawn from the bank: in each scene, and of all scenes together.
+In which order starts are drawn from the baseline: in each scene, and of all scenes together.
 """
 
 from __future__ import annotations
@@ -533,7 +533,7 @@ def order_of_trials(
         suite_digest: of the suite.
 
     Returns:
-        Pairs of the place of a scene among `scenes` and the index of a start, shape (S M, 2).
+        Pairs of the index of a scene among `scenes` and the index of a start, shape (S M, 2).
     """
     drawn = [
         (rank, place, start)

@@ -159,7 +159,7 @@ def gps_positions(photographs: Mapping[str, Path]) -> dict[str, Vector]:
 
     Args:
         photographs: files as the camera left them, by the names of their shots. Those without a
-            place, or damaged, are left out.
+            position, or damaged, are left out.
     """
     found = {name: _geodetic(path) for name, path in photographs.items()}
     return east_north_up({name: place for name, place in found.items() if place is not None})

@@ -27,7 +27,7 @@ from nw_eval.scenes.limits import name_of
 from nw_eval.suite.load import load_suite
 from nw_eval.suite.written import check_has_policy
 from nw_eval.survey import Survey, footing_lines, survey_lines
-from nw_eval.survey.trail import stance_of
+from nw_eval.survey.course import stance_of
 from nw_eval.twin.align.ahead import (
     check_points,
     facts_of_source,
@@ -54,12 +54,12 @@ from nw_eval.twin.calibrate.calibrate import calibrate
 from nw_eval.twin.calibrate.footage import Footage
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import Capture, read_capture
+from nw_eval.twin.course import FLOOR, CourseProposal, propose_course, propose_free_course
 from nw_eval.twin.moved import moved_capture, moved_mesh
 from nw_eval.twin.place import SUITE, Route, check_scene_name, write_place
 from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh, write_mesh
 from nw_eval.twin.reconstruct.options import ReconstructOptions
 from nw_eval.twin.reconstruct.reconstruct import reconstruct
-from nw_eval.twin.trail import FLOOR, TrailProposal, propose_free_trail, propose_trail
 
 Say = Callable[[str], None]
 
@@ -407,7 +407,7 @@ class Build:
         robot: str,
         *,
         silent: bool = False,
-    ) -> TrailProposal:
+    ) -> CourseProposal:
         """Return the course of the walk, or else of the longest level ground, for the robot.
 
         Raises:
@@ -422,14 +422,14 @@ class Build:
         say = (lambda _: None) if silent else self._say
         walked = None
         try:
-            walked = propose_trail(moved, centres, length=length, shown=shown)
+            walked = propose_course(moved, centres, length=length, shown=shown)
             if walked.features or walked.whole:
                 return walked
             say("place: where the cameras went the ground has holes")
         except SceneError as error:
             say(f"place: no course where the cameras went: {error}")
         try:
-            free = propose_free_trail(moved, centres, length=length, shown=shown)
+            free = propose_free_course(moved, centres, length=length, shown=shown)
         except SceneError:
             if walked is None:
                 raise
@@ -437,7 +437,7 @@ class Build:
         say("place: the course is on the longest straight strip of level ground")
         return free
 
-    def _route(self, proposal: TrailProposal) -> Route:
+    def _route(self, proposal: CourseProposal) -> Route:
         """Return the course that the scene suggests, and say what lies on it."""
         for line in (*proposal.reasons, *proposal.warnings):
             self._say(f"place: {line}")

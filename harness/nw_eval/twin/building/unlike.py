@@ -21,10 +21,10 @@ from nw_eval.scenes.grid import to_trail
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.twin.capture import Capture
+from nw_eval.twin.course_profile import Shown
 from nw_eval.twin.moved import moved_points
 from nw_eval.twin.packages import package
 from nw_eval.twin.reconstruct.depth import read_depth
-from nw_eval.twin.trail_profile import Shown
 
 F64 = NDArray[np.float64]
 Cells = NDArray[np.bool_]

@@ -8,7 +8,7 @@ Like gsplat, we leave out the paper's limit on screen size, which its code never
 
 `McmcDensity` is 3D Gaussian Splatting as Markov Chain Monte Carlo (Kheradmand et al. 2024). The
 number of Gaussians is given, and where they are is sampled: noise moves faint ones about, dead ones
-move to where living ones are, and new ones come there too. N Gaussians in the place of one of
+move to where living ones are, and new ones come there too. N Gaussians instead of one of
 opacity o have opacity 1 - (1 - o)^(1/N) each and another size, so that the picture stays what it
 was (equation 9 of the paper; its double sum is one, since sum_i C(i - 1, k) = C(N, k + 1)).
 
@@ -317,7 +317,7 @@ class McmcDensity(Density):
 def relocated(
     opacity: NDArray[np.float64], number: NDArray[np.integer[Any]]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return opacity and factor on the size of each of `number` Gaussians in the place of one.
+    """Return opacity and factor on the size of each of `number` Gaussians instead of one.
 
     Args:
         opacity: (n,) of the one.

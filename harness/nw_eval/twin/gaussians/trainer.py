@@ -283,8 +283,8 @@ def resume_training(
     about, began = arrays.pop("about", np.zeros(0, dtype=np.uint8)).tobytes(), digest(start)
     if about != _about(photos, began, config):
         raise StoreError(
-            f"{path}: a training of other photographs or another mesh, or asked for other things",
-            fix="go on with what it began with, or begin anew",
+            f"{path} is of a training with other photographs, another mesh or other options",
+            fix="continue it with the same inputs, or start a new one",
         )
     try:
         trainer = _restored(arrays, photos, config, threads)

@@ -37,7 +37,7 @@ def own_folder(reference: str, out: Path | None, *, robot: str = "go1") -> Path:
         StoreError: the copy cannot be written.
     """
     if out is not None:
-        copy_place(reference, out, robot=robot)
+        copy_scene(reference, out, robot=robot)
         return out
     path = Path(reference)
     folder = path.parent if path.name == SCENE_FILE else path
@@ -60,7 +60,7 @@ def own_folder(reference: str, out: Path | None, *, robot: str = "go1") -> Path:
     )
 
 
-def copy_place(reference: str, out: Path, *, robot: str = "go1") -> None:
+def copy_scene(reference: str, out: Path, *, robot: str = "go1") -> None:
     """Write a scene folder of any place, with a suite that runs it; whole or not at all.
 
     A folder's files are copied. Of built-in and published scenes the boxes are written, or the mesh

@@ -39,7 +39,7 @@ from nw_eval.twin.place import Route, rounded, write_collision
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class OpenedPlace:
+class OpenedScene:
     """A scene folder as it was opened.
 
     Attributes:
@@ -72,7 +72,7 @@ class OpenedPlace:
         return np.array([position for position, _ in self.cameras], dtype=float).reshape(-1, 3)
 
 
-def open_place(folder: Path) -> OpenedPlace:
+def open_place(folder: Path) -> OpenedScene:
     """Read a scene folder.
 
     Raises:
@@ -87,7 +87,7 @@ def open_place(folder: Path) -> OpenedPlace:
     splat, captures = text.get("splat"), text.get("captures")
     is_scan = files[collision].suffix.lower() in MESH_SUFFIXES
     spawn = text.get("spawn", {})
-    return OpenedPlace(
+    return OpenedScene(
         folder=folder,
         name=str(text["name"]),
         collision=collision,
@@ -117,7 +117,7 @@ be taken back."""
 
 
 def save_label(
-    place: OpenedPlace,
+    place: OpenedScene,
     *,
     course: Route,
     mesh: TriangleMesh | None,
@@ -213,7 +213,7 @@ def _write_mesh(staged: Path, mesh: TriangleMesh) -> str:
     return _named_by_content(path, "collision")
 
 
-def _write_cameras(staged: Path, place: OpenedPlace, T: NDArray[np.float64]) -> str:
+def _write_cameras(staged: Path, place: OpenedScene, T: NDArray[np.float64]) -> str:
     rotation = T[:3, :3] / check_similarity(T, "the scene")
     path = staged / "cameras.json"
     moved = [

@@ -1,9 +1,9 @@
 """The model of the label page: every decision is a new state, and every state can be gone back to.
 
-Whoever works on the page works on `Labelling`; it needs no browser. `PlaceEdits` has the line of
-states and the edits of the place: moving, levelling, scaling, cropping and measuring it.
+Whoever works on the page works on `Labelling`; it needs no browser. `SceneEdits` has the line of
+states and the edits of the scene: moving, levelling, scaling, cropping and measuring it.
 `Labelling` adds waypoints, start, task, proposals, and the files. What follows from a state, the
-place as it lies now and the ground along the course, is built once somebody wants it.
+scene as it lies now and the ground along the course, is built when it is needed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.plural import plural
 from nw_eval.scenes.mesh import TriangleMesh
-from nw_eval.twin.label.files import OpenedPlace, open_place, save_label
+from nw_eval.twin.course import CourseProposal, propose_course
+from nw_eval.twin.label.files import OpenedScene, open_place, save_label
 from nw_eval.twin.label.ground import (
     Ground,
     HeightProfile,
@@ -49,12 +50,11 @@ from nw_eval.twin.label.state import (
     turn,
 )
 from nw_eval.twin.place import Route
-from nw_eval.twin.trail import TrailProposal, propose_trail
 from nw_eval.words import Task
 
 
-class PlaceEdits:
-    """A place: where it lies, what is kept of it, and every state that can be gone back to.
+class SceneEdits:
+    """A scene: where it lies, what is kept of it, and every state that can be gone back to.
 
     Trail, start and markers move along with the scene.
 
@@ -65,11 +65,11 @@ class PlaceEdits:
         place: as above.
     """
 
-    def __init__(self, place: OpenedPlace) -> None:
+    def __init__(self, place: OpenedScene) -> None:
         self.place = place
         self._past: list[LabelState] = []
         self._future: list[LabelState] = []
-        self._shown = ShownPlace(place.mesh, place.state)
+        self._shown = ShownScene(place.mesh, place.state)
 
     @property
     def state(self) -> LabelState:
@@ -160,7 +160,7 @@ class PlaceEdits:
         """Keep what is in a box (world, m); None = all."""
         self._check_scan()
         after = replace(self.state, crop=box)
-        shown = ShownPlace(self.place.mesh, after)
+        shown = ShownScene(self.place.mesh, after)
         if len(shown.mesh.faces) == 0:
             raise UsageError("the crop leaves nothing of the scene", fix="make it larger")
         self._do(after)
@@ -209,7 +209,7 @@ class PlaceEdits:
     def _show(self, state: LabelState) -> None:
         same = (state.placement, state.crop) == (self.state.placement, self.state.crop)
         ground = self._shown.ground if same and self._shown.is_built else None
-        self._shown = ShownPlace(self.place.mesh, state, ground)
+        self._shown = ShownScene(self.place.mesh, state, ground)
 
     @staticmethod
     def _check_number(what: str, number: float) -> None:
@@ -217,7 +217,7 @@ class PlaceEdits:
             raise UsageError(f"{what} of {number}", fix="give a finite number")
 
 
-class ShownPlace:
+class ShownScene:
     """A state, and what follows from it once somebody wants it.
 
     Args:
@@ -266,7 +266,7 @@ class ShownPlace:
         return self._profile
 
 
-Propose = Callable[[TriangleMesh, NDArray[np.float64]], TrailProposal]
+Propose = Callable[[TriangleMesh, NDArray[np.float64]], CourseProposal]
 """Proposes a course on a mesh (world, m) along places where somebody walked, (N, 3)."""
 
 NEEDS_SCALE = (
@@ -287,7 +287,7 @@ def open_labelling(folder: Path) -> Labelling:
     return Labelling(open_place(folder))
 
 
-class Labelling(PlaceEdits):
+class Labelling(SceneEdits):
     """The states of one labelling, and what can be done next. For one thread at a time.
 
     Every change raises UsageError for what cannot be, and then nothing has changed.
@@ -297,7 +297,7 @@ class Labelling(PlaceEdits):
         propose: finds a course along steps and edges.
     """
 
-    def __init__(self, place: OpenedPlace, *, propose: Propose = propose_trail) -> None:
+    def __init__(self, place: OpenedScene, *, propose: Propose = propose_course) -> None:
         super().__init__(place)
         self._propose = propose
         self._saved = self.state
@@ -507,7 +507,7 @@ class Labelling(PlaceEdits):
             T_world_splat=self.T_world_splat,
         )
 
-    def _take_over(self, proposal: TrailProposal) -> str:
+    def _take_over(self, proposal: CourseProposal) -> str:
         spawn = proposal.spawn
         self._do(
             replace(

@@ -134,7 +134,7 @@ def as_point(values: NDArray[np.float64]) -> Point:
 
 @dataclass(frozen=True, kw_only=True)
 class CropBox:
-    """What is kept of a place: a box with its sides along the world's axes.
+    """What is kept of a scene: a box with its sides along the world's axes.
 
     Attributes:
         low: smallest x, y, z; world, m.
@@ -266,7 +266,9 @@ class LabelState:
 
     def __post_init__(self) -> None:
         if len(self.waypoints) > WAYPOINTS:
-            raise UsageError(f"{len(self.waypoints)} waypoints", fix=f"give {WAYPOINTS} at most")
+            raise UsageError(
+                f"there are {len(self.waypoints)} waypoints", fix=f"give {WAYPOINTS} at most"
+            )
         points = [*self.waypoints, *self.markers, *self.floor]
         if self.start is not None:
             points.append(self.start.position)

@@ -16,7 +16,7 @@ from nw_eval.files.new_folder import new_folder
 from nw_eval.scenes.folder import folder_files, load_folder
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.suite.written import write_ready_suite
-from nw_eval.twin.label.files import OpenedPlace, open_place, save_label
+from nw_eval.twin.label.files import OpenedScene, open_place, save_label
 from nw_eval.twin.moved import moved_points
 from nw_eval.twin.place import SUITE, Route
 from nw_eval.twin.scans.scan import UNITS, Unit, WrittenScan, lay_course, shifted, turn_to_z
@@ -59,7 +59,7 @@ def level_scene(
     if not (len(floor) or flip or unit != "m" or trail is not None or propose):
         raise UsageError("nothing to do", fix="give --floor, --flip, --unit, --trail or --propose")
     if trail is not None and propose:
-        raise UsageError("--trail and --propose", fix="give one of them")
+        raise UsageError("--trail and --propose exclude each other", fix="give one of them")
     files = folder_files(folder)
     if out is None:
         place = open_place(folder)
@@ -74,7 +74,7 @@ def level_scene(
 
 
 def _levelled(
-    place: OpenedPlace,
+    place: OpenedScene,
     floor: Sequence[tuple[float, ...]],
     flip: bool,
     unit: Unit,
@@ -178,7 +178,7 @@ def _levelling(
     return level, lines
 
 
-def _moved_course(place: OpenedPlace, T: Values, scale: float) -> tuple[Route, str]:
+def _moved_course(place: OpenedScene, T: Values, scale: float) -> tuple[Route, str]:
     """Return the scene's own course, moved with the mesh."""
     state = place.state.moved(T)
     words = "waypoints, start, splat and cameras moved with the mesh"

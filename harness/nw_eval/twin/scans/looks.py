@@ -128,7 +128,7 @@ def painted_gaussians(
         UsageError: `most` is too small.
     """
     if not 1000 <= most <= 5_000_000:
-        raise UsageError(f"--gaussians {most}", fix="give 1,000 to 5,000,000")
+        raise UsageError(f"--gaussians {most} is out of range", fix="give 1,000 to 5,000,000")
     corners = painted.vertices[painted.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     twice = np.linalg.norm(normal, axis=1)

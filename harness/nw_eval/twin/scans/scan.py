@@ -239,7 +239,7 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
         lines += found.findings
         vertices, faces = elevation_mesh(found)
         if len(faces) == 0:
-            raise SceneError(f"{source}: nothing but holes", fix="check --no-data")
+            raise SceneError(f"{source} has only holes", fix="check --no-data")
         painted = PaintedMesh(
             vertices=vertices,
             faces=faces,

@@ -33,7 +33,7 @@ PLANE = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlaceScreen:
+class SceneScreen:
     """Where everything stands, and what of it a view follows."""
 
     root: str
@@ -57,7 +57,7 @@ def save_layout(shown: Shown, path: Path) -> None:
     rerun_sdk()
     plots = [_plot_of_messages(plot) for plot in shown.plots]
     whole = blueprint(
-        place=PlaceScreen(
+        place=SceneScreen(
             root="/",
             follows=f"/points/robot/{shown.trunk}",
             start=shown.start,
@@ -71,7 +71,7 @@ def save_layout(shown: Shown, path: Path) -> None:
 
 
 def blueprint(
-    *, place: PlaceScreen, pictures: Mapping[str, str], plots: Sequence[Any], timeline: str
+    *, place: SceneScreen, pictures: Mapping[str, str], plots: Sequence[Any], timeline: str
 ) -> Any:
     """Return a layout.
 
@@ -105,14 +105,14 @@ def blueprint(
     )
 
 
-def _overrides(place: PlaceScreen) -> dict[str, Any]:
+def _overrides(place: SceneScreen) -> dict[str, Any]:
     rr = rerun_sdk()
     hidden = rr.blueprint.EntityBehavior(visible=False)
     close = rr.Pinhole.from_fields(image_plane_distance=PLANE)
     return {**dict.fromkeys(place.hides, hidden), **dict.fromkeys(place.cameras, close)}
 
 
-def _eye(place: PlaceScreen) -> Any:
+def _eye(place: SceneScreen) -> Any:
     """Return an eye that looks at the robot from behind and follows it."""
     x, y, z = place.start or (0.0, 0.0, 0.0)
     dx, dy, dz = _EYE

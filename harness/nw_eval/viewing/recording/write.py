@@ -13,7 +13,7 @@ from nw_eval.files.cache import atomic_path, followed
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.replaying.logged import read_logged_trial
 from nw_eval.viewing.recording.blueprint import (
-    PlaceScreen,
+    SceneScreen,
     blueprint,
     plot_of_entities,
     save_layout,
@@ -121,7 +121,7 @@ def _layout(
         entities = term_entities(track, seen, names)[:_MOST_TERMS]
         plots.append(plot_of_entities("What the policy was given", entities))
     return blueprint(
-        place=PlaceScreen(
+        place=SceneScreen(
             root=f"/{WORLD}",
             follows=track.entity(WORLD, "robot", trunk),
             start=start,

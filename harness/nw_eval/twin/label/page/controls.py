@@ -101,7 +101,7 @@ class Controls:
         self.status = gui.add_markdown("")
         self.chart = gui.add_html("")
         self.hints = gui.add_markdown("")
-        self.place = PlaceControls(
+        self.place = SceneControls(
             panel,
             labelling,
             has_splat=has_splat,
@@ -204,7 +204,7 @@ class Controls:
         return action(self.chosen)
 
 
-class PlaceControls:
+class SceneControls:
     """Three tabs: scale, place and view.
 
     Args:

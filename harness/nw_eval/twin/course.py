@@ -1,7 +1,7 @@
 """A course through a scene that was photographed on a walk, proposed for a person to agree with.
 
 It is as the shipped scenes have them: waypoints on top of things, a spawn, and a task. What the
-trail leads over is told from the profile of the ground: hurdles, gaps, slopes, leaning boards and
+course leads over is told from the profile of the ground: hurdles, gaps, slopes, leaning boards and
 stairs, each with its size.
 """
 
@@ -21,7 +21,7 @@ from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Spawn, Vector
 from nw_eval.tasks.course import REACH_RADIUS
-from nw_eval.twin.trail_profile import (
+from nw_eval.twin.course_profile import (
     STEP,
     GroundProfile,
     Shown,
@@ -79,7 +79,7 @@ _LEAST_BOARD = 0.4
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrailProposal:
+class CourseProposal:
     """What somebody may take for a scene's course, or change.
 
     Attributes:
@@ -96,14 +96,14 @@ class TrailProposal:
     reasons: tuple[str, ...]
     spawn: Spawn
     trail: tuple[Vector, ...]
-    features: tuple[TrailFeature, ...]
+    features: tuple[CourseFeature, ...]
     warnings: tuple[str, ...]
     whole: bool
 
 
-def propose_trail(
+def propose_course(
     mesh: TriangleMesh, centres: Values, *, length: float = LENGTH, shown: Shown | None = None
-) -> TrailProposal:
+) -> CourseProposal:
     """Return a course along the way that the cameras went, over what lies there.
 
     It is as long as the robot at least, `_LONGEST` at most, and ends a robot's length before the
@@ -124,13 +124,13 @@ def propose_trail(
     return _proposed(mesh, profile, below, length)
 
 
-def propose_free_trail(
+def propose_free_course(
     mesh: TriangleMesh, centres: Values, *, length: float = LENGTH, shown: Shown | None = None
-) -> TrailProposal:
+) -> CourseProposal:
     """Return a course on the longest straight strip of level ground, wherever the cameras went.
 
     It leads the way that the cameras went, as far as they went anywhere. Arguments as
-    `propose_trail`.
+    `propose_course`.
 
     Raises:
         SceneError: no such strip is long enough.
@@ -147,7 +147,7 @@ def _proposed(
     length: float,
     *,
     from_start: bool = False,
-) -> TrailProposal:
+) -> CourseProposal:
     """Return the course along a way, from before its first feature or from the way's start."""
     features = features_of(profile, stretches_of(profile))
     if features and features[0].start > _APPROACH and not from_start:
@@ -160,7 +160,7 @@ def _proposed(
     is_cut = end > _LONGEST and (stands[-1] > _LONGEST - STEP or len(reached) < len(features))
     features = reached
     task, reasons = guess_task(features)
-    return TrailProposal(
+    return CourseProposal(
         task=task,
         reasons=reasons,
         spawn=_spawn(profile),
@@ -171,7 +171,7 @@ def _proposed(
     )
 
 
-def guess_task(features: Sequence[TrailFeature]) -> tuple[Task, tuple[str, ...]]:
+def guess_task(features: Sequence[CourseFeature]) -> tuple[Task, tuple[str, ...]]:
     """Return the task of the most features, and why; a flat course is one of hurdles without bars.
 
     Of tasks with as many features the one whose features are longer along the way wins.
@@ -233,7 +233,7 @@ def _last(profile: GroundProfile, along: Values, whole: NDArray[np.bool_], arriv
 
 
 def _stands(
-    profile: GroundProfile, features: Sequence[TrailFeature], end: float, length: float
+    profile: GroundProfile, features: Sequence[CourseFeature], end: float, length: float
 ) -> list[float]:
     """Return where along the way waypoints stand: on each feature, behind the last, in bends.
 
@@ -300,7 +300,7 @@ def _point(profile: GroundProfile, along: float) -> Vector:
 
 
 def _warnings(
-    profile: GroundProfile, features: Sequence[TrailFeature], further: float | None
+    profile: GroundProfile, features: Sequence[CourseFeature], further: float | None
 ) -> tuple[str, ...]:
     """Return what somebody should look at.
 
@@ -341,7 +341,7 @@ def _warnings(
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrailFeature:
+class CourseFeature:
     """One thing that a course leads over. Lengths in metres along the way.
 
     Attributes:
@@ -361,7 +361,7 @@ class TrailFeature:
     words: str
 
 
-def features_of(profile: GroundProfile, stretches: Sequence[Stretch]) -> list[TrailFeature]:
+def features_of(profile: GroundProfile, stretches: Sequence[Stretch]) -> list[CourseFeature]:
     """Return what a profile leads over, in order.
 
     A flight of stairs is three edges one way or more with treads between them; a hurdle goes up and
@@ -383,7 +383,7 @@ def features_of(profile: GroundProfile, stretches: Sequence[Stretch]) -> list[Tr
     return sorted(found, key=lambda feature: feature.start)
 
 
-def _flights(stretches: Sequence[Stretch]) -> list[TrailFeature]:
+def _flights(stretches: Sequence[Stretch]) -> list[CourseFeature]:
     edges = [s for s in stretches if s.kind == "edge"]
     groups: list[list[Stretch]] = []
     for edge in edges:
@@ -401,11 +401,11 @@ def _flights(stretches: Sequence[Stretch]) -> list[TrailFeature]:
     return [_flight(group) for group in groups if len(group) >= _STEPS]
 
 
-def _flight(edges: Sequence[Stretch]) -> TrailFeature:
+def _flight(edges: Sequence[Stretch]) -> CourseFeature:
     rises = [abs(edge.rise) for edge in edges]
     treads = tuple((a.end + b.start) / 2 for a, b in pairwise(edges))
     way = "up" if edges[0].rise > 0 else "down"
-    return TrailFeature(
+    return CourseFeature(
         task="stairs",
         start=edges[0].start,
         end=edges[-1].end,
@@ -415,11 +415,11 @@ def _flight(edges: Sequence[Stretch]) -> TrailFeature:
     )
 
 
-def _bars_and_gaps(stretches: Sequence[Stretch]) -> list[TrailFeature]:
+def _bars_and_gaps(stretches: Sequence[Stretch]) -> list[CourseFeature]:
     levels = [s for s in stretches if s.kind == "level"]
     ground = levels[0].before if levels else 0.0
     edges = [s for s in stretches if s.kind == "edge"]
-    found: list[TrailFeature] = []
+    found: list[CourseFeature] = []
     for first, second in pairwise(edges):
         alike = abs(first.before - second.after) <= max(_ALIKE, 0.3 * abs(first.rise))
         apart = second.start - first.end
@@ -434,9 +434,9 @@ def _bars_and_gaps(stretches: Sequence[Stretch]) -> list[TrailFeature]:
     return found
 
 
-def _bar(up: Stretch, down: Stretch) -> TrailFeature:
+def _bar(up: Stretch, down: Stretch) -> CourseFeature:
     height = max(up.rise, -down.rise)
-    return TrailFeature(
+    return CourseFeature(
         task="hurdles",
         start=up.start,
         end=down.end,
@@ -446,11 +446,11 @@ def _bar(up: Stretch, down: Stretch) -> TrailFeature:
     )
 
 
-def _gap(down: Stretch, up: Stretch, behind: Stretch | None) -> TrailFeature:
+def _gap(down: Stretch, up: Stretch, behind: Stretch | None) -> CourseFeature:
     width = up.end - down.start
     # On the middle of a platform, or where a long one has been gained.
     stand = up.end + 0.5 if behind is None else min(behind.middle, behind.start + 1.2)
-    return TrailFeature(
+    return CourseFeature(
         task="gaps",
         start=down.start,
         end=up.end,
@@ -460,9 +460,9 @@ def _gap(down: Stretch, up: Stretch, behind: Stretch | None) -> TrailFeature:
     )
 
 
-def _slopes(stretches: Sequence[Stretch]) -> list[TrailFeature]:
+def _slopes(stretches: Sequence[Stretch]) -> list[CourseFeature]:
     """Return slopes along the way; one that leads up is stood on behind its crest."""
-    found: list[TrailFeature] = []
+    found: list[CourseFeature] = []
     for number, stretch in enumerate(stretches):
         if stretch.kind != "slope":
             continue
@@ -472,7 +472,7 @@ def _slopes(stretches: Sequence[Stretch]) -> list[TrailFeature]:
         if following is not None and following.kind == "level":
             crest = min(following.middle, following.start + 0.6)
         found.append(
-            TrailFeature(
+            CourseFeature(
                 task="ramps",
                 start=stretch.start,
                 end=stretch.end,
@@ -485,11 +485,11 @@ def _slopes(stretches: Sequence[Stretch]) -> list[TrailFeature]:
     return found
 
 
-def _boards(profile: GroundProfile) -> list[TrailFeature]:
+def _boards(profile: GroundProfile) -> list[CourseFeature]:
     """Return what leans to a side."""
     leans = np.where(np.abs(profile.lean) >= _LEAN, np.sign(profile.lean), 0.0)
     breaks = np.flatnonzero(np.diff(leans, prepend=0.0, append=0.0)).tolist()
-    found: list[TrailFeature] = []
+    found: list[CourseFeature] = []
     for first, last in pairwise(breaks):
         length = STEP * (last - 1 - first)
         if leans[first] == 0 or length < _LEAST_BOARD:
@@ -497,7 +497,7 @@ def _boards(profile: GroundProfile) -> list[TrailFeature]:
         degrees = math.degrees(math.atan(abs(float(np.median(profile.lean[first:last])))))
         side = "right" if leans[first] > 0 else "left"
         found.append(
-            TrailFeature(
+            CourseFeature(
                 task="ramps",
                 start=STEP * first,
                 end=STEP * (last - 1),

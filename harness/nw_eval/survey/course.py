@@ -1,7 +1,7 @@
 """A course: points along it, how a robot stands there, and what is wrong with the course itself.
 
-Points are evenly spaced, with the way ahead at each. A robot that stands there has its camera in a
-place that follows. What is wrong: waypoints at the start, too short a way, no room to arrive.
+Points are evenly spaced, with the way ahead at each. A robot that stands there has its camera at a
+point that follows. What is wrong: waypoints at the start, too short a way, no room to arrive.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _DEEP = 0.1  # m below the last waypoint: what only physics has there carries no
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TrailSamples:
+class CourseSamples:
     """Points on the line from the start through the waypoints.
 
     Attributes:
@@ -60,7 +60,7 @@ class TrailSamples:
         points: (S, 3) m, world, on that line.
         ahead: (S, 2) unit vectors along it, seen from above.
         above: (S,) z from where the ground there is looked for, m: over every obstacle of the
-            trail, and under ceilings.
+            course, and under ceilings.
     """
 
     along: Values
@@ -74,14 +74,14 @@ class TrailSamples:
         return np.column_stack([-self.ahead[:, 1], self.ahead[:, 0]])
 
 
-def trail_samples(
+def course_samples(
     scene: Scene,
     spacing: float,
     *,
     behind: float = 0.0,
     beyond: float = 0.0,
     most: int = 100_000,
-) -> TrailSamples:
+) -> CourseSamples:
     """Return points on a scene's course, its start and its last waypoint included.
 
     Args:
@@ -117,7 +117,7 @@ def trail_samples(
         rows.append(np.column_stack([gone + stations, points, ways, above]))
         gone += across
     table = np.concatenate(rows)
-    return TrailSamples(
+    return CourseSamples(
         along=table[:, 0], points=table[:, 1:4], ahead=table[:, 4:6], above=table[:, 6]
     )
 
@@ -191,7 +191,7 @@ def _fore_and_hind(along: Values, widths: Values) -> tuple[float, float]:
     return float((along + widths).max()), float((along - widths).min())
 
 
-def camera_poses(samples: TrailSamples, rays: RayScene, stance: Stance) -> Values:
+def camera_poses(samples: CourseSamples, rays: RayScene, stance: Stance) -> Values:
     """Return where a robot's camera is as it stands at each sample and looks along the course.
 
     It stands on the highest ground round its fore and hind feet, and pitches with it.
@@ -214,7 +214,7 @@ def camera_poses(samples: TrailSamples, rays: RayScene, stance: Stance) -> Value
     return under @ stance.T_ground_camera
 
 
-def _ground_at(samples: TrailSamples, rays: RayScene, x: float, half_width: float) -> Values:
+def _ground_at(samples: CourseSamples, rays: RayScene, x: float, half_width: float) -> Values:
     """Return the height of what carries the feet at `x` in the trunk's frame, (S,) m."""
     sides = np.array([-half_width, 0.0, half_width])
     offsets = np.stack(np.meshgrid(x + _FOOTHOLD, sides, indexing="ij"), -1).reshape(-1, 2)
@@ -266,7 +266,7 @@ def start_finding(scene: Scene) -> SceneFinding | None:
     )
 
 
-def trail_findings(scene: Scene, robot: str) -> list[SceneFinding]:
+def course_findings(scene: Scene, robot: str) -> list[SceneFinding]:
     """Return what is wrong with a course, apart from the ground and the views along it.
 
     Args:
