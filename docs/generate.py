@@ -383,6 +383,10 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Any) -> st
 
 
 def on_post_page(output: str, *, page: Any, config: Any) -> str:  # noqa: ARG001
-    """Mend what the theme leaves out for those who read with the keyboard or the ear."""
-    output = output.replace('data-md-component="search" role="dialog"', _SEARCH)
-    return output.replace("<pre><span></span><code>", '<pre><span></span><code tabindex="0">')
+    """Name the dialog of the search, which the theme leaves without a name."""
+    return output.replace('data-md-component="search" role="dialog"', _SEARCH)
+
+
+def on_post_template(output: str, *, template_name: str, config: Any) -> str:  # noqa: ARG001
+    """Do the same for the page of an address that is none."""
+    return output.replace('data-md-component="search" role="dialog"', _SEARCH)
