@@ -72,7 +72,13 @@ def verbs() -> str:
         # The parser of argparse's kind is deprecated for parsing; it is read here.
         warnings.simplefilter("ignore", DeprecationWarning)
         parsers = list(command_line.parsers())
-    return "\n\n".join(section for name, parser in parsers for section in _verb(name, parser, 2))
+    sections: list[str] = []
+    for name, parser in parsers:
+        family, _, part = name.partition(" ")
+        if part and f"## {family}" not in sections:
+            sections.append(f"## {family}")
+        sections += _verb(name, parser, 3 if part else 2)
+    return "\n\n".join(sections)
 
 
 def _verb(name: str, parser: ArgumentParser, level: int) -> Iterator[str]:
@@ -81,8 +87,10 @@ def _verb(name: str, parser: ArgumentParser, level: int) -> Iterator[str]:
     actions = [action for action in parser._actions if action.dest != "help"]  # noqa: SLF001
     inner = [action for action in actions if isinstance(action.choices, dict)]
     rows = [_option(action) for action in actions if action not in inner]
-    if rows:
+    if any(default for _, default, _ in rows):
         yield _table(("option", "default", "meaning"), rows)
+    elif rows:
+        yield _table(("option", "meaning"), [(option, told) for option, _, told in rows])
     for action in inner:
         for each, sub in action.choices.items():
             yield from _verb(f"{name} {each}", sub, level + 1)
