@@ -85,7 +85,11 @@ def _verb(name: str, form: type, level: int) -> Iterator[str]:
     yield f"{'#' * level} {name}"
     yield _prose(inspect.cleandoc(form.__doc__ or ""))
     if options := options_of(form):
-        yield _table(("option", "default", "meaning"), map(_option, options))
+        rows = [_option(option) for option in options]
+        if any(default for _, default, _ in rows):
+            yield _table(("option", "default", "meaning"), rows)
+        else:
+            yield _table(("option", "meaning"), [(option, told) for option, _, told in rows])
 
 
 def _option(option: Option) -> tuple[str, str, str]:
@@ -374,6 +378,10 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, files: Any) -> st
 
 
 def on_post_page(output: str, *, page: Any, config: Any) -> str:  # noqa: ARG001
-    """Mend what the theme leaves out for those who read with the keyboard or the ear."""
-    output = output.replace('data-md-component="search" role="dialog"', _SEARCH)
-    return output.replace("<pre><span></span><code>", '<pre><span></span><code tabindex="0">')
+    """Name the dialog of the search, which the theme leaves without a name."""
+    return output.replace('data-md-component="search" role="dialog"', _SEARCH)
+
+
+def on_post_template(output: str, *, template_name: str, config: Any) -> str:  # noqa: ARG001
+    """Do the same for the page of an address that is none."""
+    return output.replace('data-md-component="search" role="dialog"', _SEARCH)

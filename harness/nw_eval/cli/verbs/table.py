@@ -71,7 +71,7 @@ Look:
   replay Replay how-to/replay.md run a recorded trial again, film it, or show its log
     $ trial.mcap
     $ trial.mcap --video trial.mp4
-  attribute Attribute how-to/attribute.md find from when on failed trials were lost, and why
+  attribute Attribute how-to/failures.md find from when on failed trials were lost, and why
     $ reports/my-run --baseline go1-parkour
   scores Scores reference/scores.md compute scores from the log of a trial or of a robot
     $ trial.mcap
