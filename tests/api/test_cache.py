@@ -1,5 +1,6 @@
 """Real runs that take over what earlier ones have: what runs, what is compared, what is said."""
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,8 @@ from nw_eval.engine.known import known_trials
 from nw_eval.engine.listener import Silence
 from nw_eval.engine.plan import plan_jobs
 from nw_eval.errors import TrialError, UsageError
+from nw_eval.results.evidence import run_leaf
+from nw_eval.results.parquet import read_rows
 from nw_eval.results.row import from_dict, rows_digest, to_dict
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.view.sources import kind_of, open_shelf
@@ -82,6 +85,18 @@ def test_a_run_of_more_trials_runs_those_and_one_of_the_others(filled, place):
         api.replay(named.with_stem("nosuch"))
     gated = api.judge(more.folder)
     assert rows_digest(gated.rows) == rows_digest(more.rows)
+
+
+def test_labels_name_a_run_and_change_none_of_its_results(filled, place):
+    labelled = api.run("tiny.yaml", out=place / "labelled", workers=1, labels={"team": "legs"})
+    assert labelled.info.labels["team"] == "legs"
+    assert rows_digest(labelled.rows) == rows_digest(filled.rows)
+    assert run_leaf(labelled.info) == run_leaf(filled.info)
+    kept = read_rows(RunFolder(path=labelled.folder).trials)[1]
+    assert json.loads(kept["labels"])["team"] == "legs"
+    assert api.verify(labelled.folder, offline=True).exit_code == 0
+    with pytest.raises(UsageError, match="no key"):
+        api.run("tiny.yaml", out=place / "no-label", labels={"Team": "legs"})
 
 
 @pytest.fixture

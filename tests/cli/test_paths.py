@@ -209,7 +209,7 @@ WORDS = {
     "ledger head",
     *("scenes", "robot", "memory_limit", "shard", "address", "track", "json", "name", "note"),
     *("axis", "trial", "sample", "share", "root", "layout", "host", "to", "takeover", "suite"),
-    *("score", "topic", "length"),
+    *("score", "topic", "length", "label"),
     *("licence", "held_out", "pattern", "floor", "trail"),
     *("policies fetch policy", "robots fetch robot", "scenes fetch scenes"),
 }

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from nw_eval.results.machine import code_info, machine_info
+from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo
 from nw_eval.results.row import Row
 
 if TYPE_CHECKING:
@@ -52,6 +54,22 @@ def make_row() -> Callable[..., Row]:
 def mutated() -> Callable[[bytes, random.Random], bytes]:
     """Damage as disks, networks and editors do it: flipped bits, cuts, exchanged parts."""
     return _mutated
+
+
+@pytest.fixture
+def run_json() -> RunInfo:
+    """What a run of one scene says of itself."""
+    return RunInfo(
+        id="r",
+        started="2026-11-21T11:00:05Z",
+        suite_file="suites/hurdles.yaml",
+        suite={"nw-eval": 1, "name": "hurdles"},
+        suite_digest="aa" * 32,
+        policy=PolicyInfo(name="p", checkpoint_digest="bb" * 32),
+        scenes={"hurdles/one": SceneInfo(digest="cc" * 32, task="hurdles", trials=10)},
+        code=code_info(),
+        machine=machine_info(),
+    )
 
 
 def _mutated(data: bytes, rng: random.Random) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from collections.abc import Callable, Mapping
@@ -41,6 +42,7 @@ def run(
     all_rounds: bool = False,
     engine: Engine = "local",
     address: str | None = None,
+    labels: Mapping[str, str] | None = None,
     listener: Listener | None = None,
     **changes: Any,
 ) -> RunReport:
@@ -63,6 +65,8 @@ def run(
             the baseline itself and the rest would be taken over.
         engine: where trials run; rows are the same, and a run that is resumed may use another.
         address: of the Ray cluster; one of this machine is started if None.
+        labels: what you call the run, such as `{"training_run": "may-3", "step": "1500"}`, beside
+            what CI's variables say of the job (docs/results.md). Names alone: no result has them.
         listener: hears of progress.
         changes: fields of `Request` by name.
 
@@ -92,6 +96,7 @@ def run(
             cache=cache,
             all_rounds=all_rounds,
             cluster=cluster,
+            labels=labels,
             listener=listener,
         )
     )
@@ -108,6 +113,7 @@ def roll_out(
     cache: bool = True,
     all_rounds: bool = False,
     cluster: str | None = None,
+    labels: Mapping[str, str] | None = None,
 ) -> RunFolder:
     """Run what is planned: against a bank, trial by trial, until bar and baseline are settled.
 
@@ -125,8 +131,10 @@ def roll_out(
         cache: whether results of earlier runs are taken over.
         all_rounds: whether to go on when bar and baseline are settled.
         cluster: the address of a Ray cluster; None = this machine.
+        labels: of the run, beside those of CI's variables, before which they go.
 
     Raises:
+        UsageError: a label is none.
         IncomparableError, StoreError, SceneError, TrialError, PrerequisiteError: as `run`.
     """
     from nw_eval.api.contest import Contest
@@ -135,8 +143,10 @@ def roll_out(
     from nw_eval.engine import session
     from nw_eval.engine.listener import Silence
     from nw_eval.gate.baseline.combine import unjudged
+    from nw_eval.results.labels import ci_labels, usable
     from nw_eval.results.provenance import read_run_info
 
+    named = usable({**ci_labels(os.environ), **(labels or {})})
     ears, command = listener or Silence(), tuple(sys.argv)
     # Scores are judged once, of all trials: only success alone may settle a run early.
     all_rounds = all_rounds or bool(plan.suite.gate.scores)
@@ -169,6 +179,7 @@ def roll_out(
         out=out,
         resume=resume,
         command=command,
+        labels=named,
         listener=ears,
         in_process=in_process,
         cluster=cluster,
@@ -340,6 +351,7 @@ def evaluate(
     card: Card | Mapping[str, Any] | None = None,
     version: str = UNNAMED,
     out: str | Path | None = None,
+    labels: Mapping[str, str] | None = None,
     listener: Listener | None = None,
     **changes: Any,
 ) -> RunReport:
@@ -357,6 +369,7 @@ def evaluate(
             for one that looks. A mapping gets robot and name from the suite and the object.
         version: which policy an object is, such as its step or the hash of its weights.
         out: the run's folder; a new one in `reports/` if None.
+        labels: what you call the run, as for `run`.
         listener: hears of progress.
         changes: fields of `Request` by name, such as trials, scenes, record and seed; for a policy
             by name whatever `run` takes. The suite's own baseline counts for the suite's own policy
@@ -378,7 +391,8 @@ def evaluate(
                 f"policy {str(policy)!r} has a card and a digest of its own",
                 fix="leave `card` and `version` out, or pass the policy as an object",
             )
-        return run(suite, policy=str(policy), out=out, listener=listener, **changes)
+        named = {"policy": str(policy), "labels": labels}
+        return run(suite, out=out, listener=listener, **named, **changes)
     if card is None:
         raise UsageError(
             f"a policy that is an object ({type(policy).__name__}) needs a card",
@@ -391,6 +405,7 @@ def evaluate(
         plan_of(request, draft_suite(suite), bundle=bundle),
         workers=1,
         out=out,
+        labels=labels,
         listener=listener,
         in_process=True,
     )

@@ -345,7 +345,7 @@ class _Watch:
         key = copy.stem
         made = WatchedCheckpoint(name=found.name, step=found.step, sha256=digest, run="")
         try:
-            judged = self._judged(copy, self.folder / "runs" / key)
+            judged = self._judged(copy, self.folder / "runs" / key, found.step)
         except PolicyError as error:
             made = replace(made, problem=str(error))
             copy.unlink(missing_ok=True)
@@ -387,22 +387,26 @@ class _Watch:
             temporary.write_bytes(content)
         return copy, digest
 
-    def _judged(self, checkpoint: Path, folder: Path) -> RunReport:
+    def _judged(self, checkpoint: Path, folder: Path, step: int) -> RunReport:
         """Run all trials of a checkpoint, or those that are missing, and judge them."""
         from nw_eval.api.reports import judge
         from nw_eval.api.runs import run
         from nw_eval.results.journal import has_begun
+        from nw_eval.results.labels import fitting
         from nw_eval.results.run_folder import RunFolder
 
         begun = has_begun(folder / "journal.jsonl")
         request = replace(self.request, checkpoint=checkpoint, baseline="none")
         own = replace(request, suite=None) if begun else request
+        training = _printable(Path(self.training.resolve().name))
+        labels = fitting({"training_run": training, "step": str(step)})
         made = run(
             own,
             workers=self.workers,
             out=None if begun else folder,
             resume=folder if begun else None,
             cache=self.cache,
+            labels=labels,
             listener=self.listener,
         )
         bank = self._bank()

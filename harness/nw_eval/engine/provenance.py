@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -60,6 +60,7 @@ def run_info(
     workers: int | None,
     in_process: bool,
     command: tuple[str, ...],
+    labels: Mapping[str, str] | None = None,
 ) -> RunInfo:
     """Return a run's provenance as it starts.
 
@@ -69,6 +70,7 @@ def run_info(
         workers: processes; one for each core if None.
         in_process: whether trials run in this one.
         command: what was typed.
+        labels: what its user calls it.
     """
     suite = plan.suite
     return RunInfo(
@@ -100,6 +102,7 @@ def run_info(
             in_process=in_process,
         ),
         command=command,
+        labels=dict(labels or {}),
         code=code_info(),
         machine=machine_info(),
         versions=library_versions(),

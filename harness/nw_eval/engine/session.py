@@ -31,7 +31,7 @@ from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.access import why_off
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from nw_eval.engine.rounds import Enough, RunStanding
     from nw_eval.engine.workers import Hire, Workers
@@ -51,6 +51,7 @@ def carry_out(
     out: Path | None,
     resume: Path | None,
     command: tuple[str, ...],
+    labels: Mapping[str, str] | None = None,
     listener: Listener | None,
     in_process: bool = False,
     cluster: str | None = None,
@@ -70,6 +71,7 @@ def carry_out(
         out: the run's folder; a new one in `reports/` if None.
         resume: the folder of an interrupted run, whose finished trials are kept.
         command: what was typed.
+        labels: what its user calls it; a run that is resumed keeps those that it has besides.
         listener: hears of progress.
         in_process: whether trials run in this very process: see `engine.in_process`.
         cluster: the address of the Ray cluster on whose nodes trials run: see
@@ -118,7 +120,14 @@ def carry_out(
         listener.message(f"run folder: {folder.path}")
         # Workers and rows need a path that means the same everywhere.
         folder = RunFolder(path=folder.path.resolve())
-        info = run_info(plan, folder, workers=place.workers, in_process=in_process, command=command)
+        info = run_info(
+            plan,
+            folder,
+            workers=place.workers,
+            in_process=in_process,
+            command=command,
+            labels=labels,
+        )
         with TracebackIn(folder.path), _journal(plan, folder, info) as journal:
             if journal.dropped:
                 listener.message(journal.dropped)
@@ -231,7 +240,7 @@ def _with_earlier_sessions(info: RunInfo, folder: RunFolder) -> RunInfo:
         # What the baseline showed on this machine holds until it has been looked at again.
         info = info.model_copy(update={"baseline": earlier.baseline})
     since = {"started": earlier.started, "wall_s": earlier.wall_s, "cache": earlier.cache}
-    info = info.model_copy(update=since)
+    info = info.model_copy(update={**since, "labels": {**earlier.labels, **info.labels}})
     write_run_info(folder.run_json, info)
     return info
 

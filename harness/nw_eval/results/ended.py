@@ -8,6 +8,7 @@ the trials which the run planned, if they are what they say.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from hashlib import file_digest
@@ -79,6 +80,7 @@ def _write_table(
         "engine": f"mujoco {ended.versions.get('mujoco', 'unknown')}",
         "renderer": ended.renderer,
         "rows_digest": ended.rows_digest,
+        **({"labels": json.dumps(ended.labels)} if ended.labels else {}),
     }
     write_rows(folder.trials, rows, metadata, is_sorted=is_sorted)
     return ended.model_copy(update={"trials_sha256": _sha256(folder)})

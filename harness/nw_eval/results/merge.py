@@ -337,6 +337,11 @@ def merged_info(
             },
             "shard": None,
             "parts": tuple(parts),
+            "labels": dict(
+                label
+                for label in first.labels.items()
+                if all(label in source.info.labels.items() for source in sources)
+            ),
             "cache": _taken_over(parts),
             "workers": max(part.workers for part in parts),
             "command": command,

@@ -5,13 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import bounded_bytes
 from nw_eval.request import Request
+from nw_eval.results.labels import check_labels
 from nw_eval.results.seal import seal, unseal
 from nw_eval.scores import ScoreSpec
 from nw_eval.words import PanelKind, Projection, RasterizeMode
@@ -229,6 +237,8 @@ class RunInfo(_Saved):
     workers: int = 1
     renderer: str = ""  # Backend and preset, such as "cpu gsplat-1.5".
     cache: CacheInfo | None = None  # None: of an older nw-eval, which had none.
+    # What its user calls it: `labels.KNOWN` from CI's variables, and what was typed. Names alone.
+    labels: dict[str, str] = {}
     fence: str = ""  # The operating system's round workers: "landlock 7, seccomp", or why none.
     command: tuple[str, ...] = ()
     code: CodeInfo
@@ -241,6 +251,11 @@ class RunInfo(_Saved):
     trials_sha256: str = ""  # Hex, of trials.parquet; likewise.
     journal_sum: str = ""  # Of the journal that these rows were taken from; likewise.
     merkle_root: str = ""  # Hex, of these rows, their logs and what they are of; likewise.
+
+    @field_validator("labels")
+    @classmethod
+    def _are_labels(cls, labels: dict[str, str]) -> dict[str, str]:
+        return check_labels(labels)
 
     @property
     def drawn_by(self) -> str:

@@ -6,7 +6,9 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
+
+import tyro
 
 from nw_eval.cli.terminal.last_words import tell
 from nw_eval.cli.verbs.options import Options, Publishing
@@ -29,6 +31,12 @@ class Run(Publishing, Options):
     Other trials, scenes, record, time or memory limit may be given with it.
     A robot, policy, checkpoint, seed, renderer or collision that makes other trials is refused."""
 
+    label: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY=VALUE")
+    ] = ()
+    """What you call the run, such as training_run=may-3, in its pages and in an index of runs;
+    beside what CI's variables say of repository, commit, branch, pull_request, job and job_url.
+    May be given again."""
     ledger: Path | None = None
     """Add the verdict to this ledger of verdicts (`nw-eval ledger` sums it up)."""
     in_process: bool = False
@@ -54,6 +62,7 @@ class Run(Publishing, Options):
         from nw_eval.cli.terminal.progress import RunProgress
         from nw_eval.cli.verbs.options import summary
         from nw_eval.errors import UsageError
+        from nw_eval.results.labels import typed_labels
 
         with self.publishing(str(self.suite or self.resume or "suite")) as judged:
             if self.ledger is not None and self.shard is not None:
@@ -75,6 +84,7 @@ class Run(Publishing, Options):
                     all_rounds=self.all_rounds,
                     engine=self.engine,
                     address=self.address,
+                    labels=typed_labels(self.label),
                     listener=progress,
                 )
             judged.code = outcome.exit_code
