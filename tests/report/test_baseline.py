@@ -17,6 +17,8 @@ from nw_eval.gate.verdict import Comparison, Recheck, SceneDrop
 from nw_eval.reporting.console import draw, print_summary
 from nw_eval.reporting.markdown import render_markdown
 from nw_eval.reporting.tables.scenes import scenes_table
+from nw_eval.reporting.tables.trials import parting, worst_table
+from nw_eval.results.bank import Start
 from nw_eval.stats.interval import Interval
 from nw_eval.suite import Gate
 
@@ -210,6 +212,40 @@ def test_a_scene_that_met_no_trial_beside_a_control_shows_no_baseline(
     text = page(replace(found, basis="control", scenes=(fell, unmet)))
     line = next(line for line in table(text) if line[0] == "unmet")
     assert line == ["unmet", "supporting", "0", "none", "", "none", "", ""]
+
+
+def test_a_worst_trial_says_what_the_baseline_s_policy_did_from_the_same_start(
+    make_row: Make,
+) -> None:
+    fell = make_row("a", 0, 1, trial_id="t")
+    times = {"waypoint_times": (1.0, 3.14, 4.0, 5.0), "sim_s": 6.26}
+    completed = make_row("a", 0, 4, **times)
+    passed = "The baseline's policy passed waypoint 2"
+    assert parting(fell, completed) == f"{passed} at 3.1 s and completed at 6.3 s."
+    bank = Start(
+        scene="a", task="hurdles", seed_index=0, success=0.5, completed=False,
+        waypoints_reached=2, waypoints_total=4, outcome="fell", end_reason="roll", trajectory="",
+    )  # fmt: skip
+    # A bank does not say when.
+    assert parting(fell, bank) == f"{passed} and ended as fell."
+    either = replace(bank, waypoints_reached=1)
+    assert parting(fell, either).startswith("The baseline's policy did not pass waypoint 2 either")
+    less = replace(bank, waypoints_reached=0)
+    assert parting(fell, less).startswith("The baseline's policy reached 0 of 4 waypoints")
+    assert parting(fell, None) == ""
+    named = worst_table([fell], Path("x"), rivals={"t": completed})
+    assert named.columns[4:] == ("baseline", "replay")
+    assert "baseline" not in worst_table([fell], Path("x")).columns
+
+
+def test_a_scene_of_which_some_trials_were_compared_says_of_how_many_the_change_is(
+    make_row: Make, found: Comparison
+) -> None:
+    rows = [make_row("hurdles/three_low", index, 2) for index in range(8)]
+    verdict = judge(rows, Gate(), {"hurdles/three_low": 8}, against=found)
+    shown = scenes_table(replace(verdict, against=found))
+    line = dict(zip(shown.columns, shown.rows[0], strict=True))
+    assert (line["trials"], line["success"], line["change"]) == ("8", "0.500", "-0.550 (5 trials)")
 
 
 def test_short_words_of_a_table_stay_whole_in_a_terminal_of_120_columns(found: Comparison) -> None:

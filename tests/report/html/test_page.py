@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from nw_eval.reporting.html.evidence import Clip, LogEvidence, PlaceView, WalkedPath
+from nw_eval.reporting.html.evidence import Clip, Film, LogEvidence, PlaceView, WalkedPath
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:
@@ -179,6 +179,63 @@ def test_a_clip_stands_still_until_somebody_plays_it(
     assert moving in card.one("details").all("img")
     assert "open" not in card.one("details").attributes
     assert "One log is cut short." in worst.text
+
+
+def test_the_three_worst_trials_are_shown_before_others_from_outside_and_as_the_policy_saw(
+    make_page: Make, read: Make, rows: list[Any]
+) -> None:
+    film = Film(data=b"outside", still=b"standing outside", width=256, height=144)
+    failed = [row for row in rows if not row.completed][:5]
+    clips = tuple(replace(CLIP, trial_id=row.trial_id, outside=film) for row in failed)
+    completed = next(row for row in rows if row.completed)
+    rivals = {failed[0].trial_id: completed}
+    page = read(make_page(rows, LogEvidence(clips=clips), rivals=rivals))
+    first, more = page.one("section", id="worst").all("ul", class_="worst")
+    assert [len(first.all("li")), len(more.all("li"))] == [3, 5]
+    card = first.all("li")[0]
+    assert "The baseline's policy passed waypoint 3 and completed at" in card.text
+    assert [each.attributes["alt"] for each in card.one("details").all("img")] == [
+        "from outside", CLIP.caption,
+    ]  # fmt: skip
+    assert [each.tag for each in page.one("main").all() if each.tag == "section"]
+    assert page.one("main").all("section")[0].attributes["id"] == "worst"
+    assert page.one("main").all("section")[-1].attributes["id"] == "trials"
+
+
+def test_scenes_have_their_picture_from_above_in_colours_once(
+    make_page: Make, read: Make, rows: list[Any], full_evidence: Make
+) -> None:
+    evidence = full_evidence(rows)
+    coloured = [
+        replace(place, picture=replace(place.picture, is_coloured=True))
+        for place in evidence.places
+    ]
+    page = read(make_page(rows, replace(evidence, places=tuple(coloured), clips=())))
+    pictures = page.all("image")
+    assert {each.attributes["class"] for each in pictures} == {"colours"}
+    used = [each.one("use").attributes["href"] for each in page.all("a", class_="thumb")]
+    assert sorted(used) == sorted(f"#{each.attributes['id']}" for each in pictures)
+
+
+def test_labels_of_a_run_lead_its_provenance_and_link_the_job_s_server_alone(
+    make_page: Make, read: Make, rows: list[Any]
+) -> None:
+    labels = {
+        "repository": "legs/walker", "commit": "a1" * 20, "branch": 'x"><script>',
+        "job_url": "https://ci.example/legs/walker/actions/runs/7", "note": "<b>bold</b>",
+    }  # fmt: skip
+    page = read(make_page(rows, labels=labels))
+    table = page.one("section", id="provenance").one("table")
+    assert [line[0] for line in table.cells[1:6]] == [
+        "repository", "commit", "branch", "job's page", "label note",
+    ]  # fmt: skip
+    assert table.cells[5][1] == "<b>bold</b>"
+    links = {each.text: each.attributes["href"] for each in table.all("a")}
+    base = "https://ci.example/legs/walker"
+    assert links["legs/walker"] == base
+    assert links["a1" * 20] == f"{base}/commit/{'a1' * 20}"
+    assert all(each.startswith(f"{base}") and '"' not in each for each in links.values())
+    assert not page.all("b")
 
 
 def test_what_the_page_has_no_room_for_is_left_out_and_said(

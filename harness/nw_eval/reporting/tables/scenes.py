@@ -36,17 +36,30 @@ class _Line:
     @property
     def trials(self) -> str:
         """Those that success is of, and of how many where some are missing."""
-        if self.drop is not None and (self.drop.trials or self.score is None):
+        if self.drop is not None and self.is_all_compared:
             return str(self.drop.trials)
         n, planned = self._scored.n, self._scored.planned
         return str(n) if n == planned else f"{n} of {planned}"
 
     @property
     def success(self) -> float | None:
-        """Mean success: against a baseline of the trials that were compared."""
-        if self.drop is not None and self.drop.candidate is not None:
+        """Mean success of these."""
+        if self.drop is not None and self.is_all_compared:
             return self.drop.candidate
         return None if self.score is None else self.score.mean
+
+    @property
+    def is_all_compared(self) -> bool:
+        """Whether its trials are those that were compared with the baseline."""
+        return self.score is None or (self.drop is not None and self.drop.trials == self.score.n)
+
+    @property
+    def change(self) -> str:
+        """Of the trials that were compared, and how many these were of more."""
+        if self.drop is None or self.drop.drop is None:
+            return ""
+        of = "" if self.is_all_compared else f" ({plural(self.drop.trials, 'trial')})"
+        return f"{-self.drop.drop:+z.3f}{of}"
 
     @property
     def order(self) -> tuple[bool, bool, float, float, float, str]:
@@ -98,7 +111,7 @@ def scenes_table(verdict: Verdict, rows: Sequence[Row] = (), *, brief: bool = Fa
                 "none" if line.success is None else f"{line.success:.3f}",
                 span(line.score.interval) if line.score and is_own else "",
                 f"{line.score.completed} of {line.score.n}" if line.score and line.score.n else "",
-                *_compared(line.drop, brief=brief),
+                *_compared(line, brief=brief),
             )
             for line, is_own in zip(lines, owned, strict=True)
         ),
@@ -136,18 +149,18 @@ def _lines(verdict: Verdict) -> list[_Line]:
     ]
 
 
-def _compared(item: SceneDrop | None, *, brief: bool) -> tuple[str, str, str, str]:
+def _compared(line: _Line, *, brief: bool) -> tuple[str, str, str, str]:
     """Return the cells of what changed: baseline, change, its interval, whether it regressed."""
+    item = line.drop
     if item is None:
         return "", "", "", ""
     baseline = "none" if item.baseline is None else f"{item.baseline:.3f}"
-    change = "" if item.drop is None else f"{-item.drop:+z.3f}"
     interval = ""
     if not brief and item.interval is not None and item.trials:
         interval = span(Interval(-item.interval.high, -item.interval.low))
     from_there = "" if item.waypoint is None else f"from waypoint {item.waypoint}"
     regressed = ", ".join(filter(None, ("yes" if item.named else "", from_there)))
-    return baseline, change, interval, regressed
+    return baseline, line.change, interval, regressed
 
 
 def _has_own_interval(line: _Line, verdict: Verdict) -> bool:
