@@ -16,7 +16,9 @@ from nw_eval.gate.baseline.combine import combined
 from nw_eval.gate.verdict import Comparison, Recheck, SceneDrop
 from nw_eval.reporting.console import draw, print_summary
 from nw_eval.reporting.markdown import render_markdown
-from nw_eval.reporting.tables.against import baseline_table
+from nw_eval.reporting.tables.scenes import scenes_table
+from nw_eval.reporting.tables.trials import parting, worst_table
+from nw_eval.results.bank import Start
 from nw_eval.stats.interval import Interval
 from nw_eval.suite import Gate
 
@@ -68,7 +70,7 @@ def page(make_row: Make, make_run: Make) -> Callable[..., str]:
 
 
 def table(text: str) -> list[list[str]]:
-    (section,) = re.findall(r"## Against the baseline\n\n(.*?)\n## ", text, re.DOTALL)
+    (section,) = re.findall(r"## Success by scene\n\n(.*?)\n## ", text, re.DOTALL)
     lines = [line for line in section.splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[:1] + lines[2:]]
 
@@ -94,16 +96,14 @@ def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_l
 ) -> None:
     text = page(found)
     assert table(text) == [
-        ["scene", "tier", "trials", "baseline", "candidate", "drop", "evidence", "regressed",
-         "from waypoint"],
-        ["hurdles/three_low", "critical", "5", "0.950", "0.400", "0.550", "over `1000000`", "yes",
-         "2"],
-        ["a friction 0.6", "supporting", "5", "0.900", "0.950", "-0.050", "0.3", "", ""],
-        ["toy", "informational", "5", "0.500", "0.000", "0.500", "", "", ""],
+        ["scene", "tier", "trials", "success", "baseline", "change", "regressed"],
+        ["hurdles/three_low", "critical", "5", "0.400", "0.950", "-0.550", "yes, from waypoint 2"],
+        ["a friction 0.6", "supporting", "5", "0.950", "0.900", "+0.050", ""],
+        ["toy", "informational", "5", "0.000", "0.500", "-0.500", ""],
     ]  # fmt: skip
     # Two scenes count: each shares half of 1 %.
-    assert "200: reported as regressed (2 scenes share an error of 1 %)." in text
-    assert "4: PASS is held back." in text
+    assert "200 is reported as regressed (2 scenes share an error of 1 %)" in text
+    assert "4 holds PASS back." in text
 
 
 @pytest.mark.parametrize(
@@ -182,8 +182,7 @@ def test_the_terminal_shows_the_same_table_and_the_verdict_last(
     console = Console(file=stream, width=140)
     print_summary(console, make_run({"a": 3}), rows, verdict, Path("x"))
     text = stream.getvalue()
-    assert text.index("Against the baseline") < text.index("Success by scene")
-    assert re.search(r"three_low +critical +5 +0.950 +0.400 +0.550 +over 1000000 +yes +2", text)
+    assert re.search(r"three_low +critical +5 +0.400 +0.950 +-0.550 +yes", text)
     assert text.rstrip().endswith("* 3 trials ran and no bar was judged: the suite sets no "
                                   "gate.success_rate")  # fmt: skip
 
@@ -194,14 +193,14 @@ def test_a_scene_that_is_compared_has_the_interval_of_its_drop_and_no_other(
     scenes = tuple(replace(item, interval=Interval(-0.1, 0.3)) for item in found.scenes)
     text = page(replace(found, scenes=scenes))
     header, *lines = table(text)
-    assert header[6] == "99 % lower, 95 % upper"
-    note = "Per-scene interval (99 % lower, 95 % upper), not corrected for the number of scenes."
+    # A change is the drop turned round, and so are its ends.
+    assert header[6] == "change, 95 % lower, 99 % upper"
+    note = "Per-scene interval (95 % lower, 99 % upper), not corrected for the number of scenes."
     assert text.count(note) == 1
-    assert {line[6] for line in lines} == {"-0.10 to 0.30"}
-    (of_scenes,) = re.findall(r"## Success by scene\n\n(.*?)\n## ", text, re.DOTALL)
-    assert " to " not in of_scenes
+    assert {line[6] for line in lines} == {"-0.30 to 0.10"}
+    assert [sum(" to " in cell for cell in line) for line in lines] == [1, 1, 1]
     strict = page(replace(found, scenes=scenes, alpha_regr=0.005, alpha_pass=0.1))
-    assert table(strict)[0][6] == "99.5 % lower, 90 % upper"
+    assert table(strict)[0][6] == "change, 90 % lower, 99.5 % upper"
 
 
 def test_a_scene_that_met_no_trial_beside_a_control_shows_no_baseline(
@@ -212,12 +211,48 @@ def test_a_scene_that_met_no_trial_beside_a_control_shows_no_baseline(
     unmet = replace(TOY, scene="unmet", tier="supporting", **none)
     text = page(replace(found, basis="control", scenes=(fell, unmet)))
     line = next(line for line in table(text) if line[0] == "unmet")
-    assert line == ["unmet", "supporting", "0", "none", "none", "", "", "", ""]
+    assert line == ["unmet", "supporting", "0", "none", "", "none", "", ""]
+
+
+def test_a_worst_trial_says_what_the_baseline_s_policy_did_from_the_same_start(
+    make_row: Make,
+) -> None:
+    fell = make_row("a", 0, 1, trial_id="t")
+    times = {"waypoint_times": (1.0, 3.14, 4.0, 5.0), "sim_s": 6.26}
+    completed = make_row("a", 0, 4, **times)
+    passed = "The baseline's policy passed waypoint 2"
+    assert parting(fell, completed) == f"{passed} at 3.1 s and completed at 6.3 s."
+    bank = Start(
+        scene="a", task="hurdles", seed_index=0, success=0.5, completed=False,
+        waypoints_reached=2, waypoints_total=4, outcome="fell", end_reason="roll", trajectory="",
+    )  # fmt: skip
+    # A bank does not say when.
+    assert parting(fell, bank) == f"{passed} and ended as fell."
+    either = replace(bank, waypoints_reached=1)
+    assert parting(fell, either).startswith("The baseline's policy did not pass waypoint 2 either")
+    less = replace(bank, waypoints_reached=0)
+    assert parting(fell, less).startswith("The baseline's policy reached 0 of 4 waypoints")
+    assert parting(fell, None) == ""
+    named = worst_table([fell], Path("x"), rivals={"t": completed})
+    assert named.columns[4:] == ("baseline", "replay")
+    assert "baseline" not in worst_table([fell], Path("x")).columns
+
+
+def test_a_scene_of_which_some_trials_were_compared_says_of_how_many_the_change_is(
+    make_row: Make, found: Comparison
+) -> None:
+    rows = [make_row("hurdles/three_low", index, 2) for index in range(8)]
+    verdict = judge(rows, Gate(), {"hurdles/three_low": 8}, against=found)
+    shown = scenes_table(replace(verdict, against=found))
+    line = dict(zip(shown.columns, shown.rows[0], strict=True))
+    assert (line["trials"], line["success"], line["change"]) == ("8", "0.500", "-0.550 (5 trials)")
 
 
 def test_short_words_of_a_table_stay_whole_in_a_terminal_of_120_columns(found: Comparison) -> None:
     fell = found.scenes[1]
     named = replace(fell, scene="hurdles/three_grassy_courtyard", tier="supporting")
     stream = StringIO()
-    draw(Console(file=stream, width=120), baseline_table(replace(found, scenes=(named, fell))))
+    against = replace(found, scenes=(named, fell))
+    verdict = replace(judge([], Gate(), {}), against=against)
+    draw(Console(file=stream, width=120), scenes_table(verdict))
     assert re.search(r"three_grassy_courtyard +supporting +5 ", stream.getvalue())

@@ -125,7 +125,7 @@ def test_scenes_are_listed_worst_first_with_intervals_around_their_means(
 ) -> None:
     rows = [make_row("good", k, 4) for k in range(4)] + [make_row("bad", k, k) for k in range(4)]
     header, bad, good = section(render(rows, {"good": 4, "bad": 4}), "Success by scene")
-    assert header[:3] == ["scene", "trials", "success"]
+    assert header == ["scene", "trials", "success", "95 % two-sided", "completed"]
     assert bad[:3] == ["bad", "4", "0.375"]
     assert good[:3] == ["good", "4", "1.000"]
     low, high = (float(end) for end in bad[3].split(" to "))

@@ -271,25 +271,34 @@ class KeptEvidence:
 
     def find(self, key: str) -> tuple[ReadLog, ...] | None:
         """Return what is kept under a key, in the order of its logs; None if nothing is."""
+        content = self.find_text(key)
+        try:
+            return None if content is None else ReadLogs.model_validate_json(content).logs
+        except ValidationError:
+            return None
+
+    def find_text(self, key: str) -> bytes | None:
+        """Return the text that is kept under a key; None if nothing is."""
         path = self.folder / key
         try:
             facts = path.lstat()
             if not stat.S_ISREG(facts.st_mode) or facts.st_size > _MOST_FILE:
                 return None
             name, _, content = bytes(read_sealed(path)).partition(b"\n")
-            logs = ReadLogs.model_validate_json(content).logs
             path.touch()
-        except (OSError, DamagedError, ValidationError):
+        except (OSError, DamagedError):
             return None
-        return logs if name == key.encode() else None
+        return content if name == key.encode() else None
 
     def keep(self, key: str, logs: Sequence[ReadLog]) -> None:
         """Keep what logs show, but not what kept one from being read: that may not last."""
-        if not key or any(log.fault or log.unseen for log in logs):
+        if not any(log.fault or log.unseen for log in logs):
+            self.keep_text(key, ReadLogs(logs=tuple(logs)).model_dump_json())
+
+    def keep_text(self, key: str, content: str) -> None:
+        """Keep a text under a key, a hex digest; nothing under an empty one."""
+        if not key or (self.folder / key).is_fifo():  # Nobody may ever read from it.
             return
-        if (self.folder / key).is_fifo():  # It may never be read.
-            return
-        content = ReadLogs(logs=tuple(logs)).model_dump_json()
         with suppress(StoreError), sealed_path(self.folder / key) as path:
             path.write_text(f"{key}\n{content}", encoding="utf-8")
         self._prune()
@@ -371,7 +380,7 @@ def _clip(row: Row, clip: ReadClip) -> Clip:
     eyes = (
         f"what the policy saw ({clip.topic})"
         if is_seen
-        else "the robot's camera, for people: this policy sees no pictures"
+        else "the robot's camera (this policy sees no pictures)"
     )
     way = ""
     if row.waypoints_total:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import re
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +20,7 @@ if TYPE_CHECKING:
     from nw_eval.api.evidence import KeptEvidence
     from nw_eval.gate.verdict import ScoreFinding, Verdict
     from nw_eval.reporting.html.evidence import LogEvidence
-    from nw_eval.results.bank import Against
+    from nw_eval.results.bank import Against, Start
     from nw_eval.results.ended import RunRows
     from nw_eval.results.provenance import BaselineInfo, RunInfo
     from nw_eval.results.row import Row
@@ -50,6 +54,8 @@ class RunReport:
     """What its logs showed on that page; None if none was written."""
     bank: BaselineInfo | None = None
     """The baseline that it was compared with."""
+    rivals: Mapping[str, Row | Start] = field(default_factory=dict[str, "Row | Start"])
+    """What the baseline's policy did from the starts of its trials, by their names."""
     training: TrainingStep | None = None
     """Of a watched training: trackers show its scores at this step of a curve."""
 
@@ -285,6 +291,7 @@ def judged_rows(
 
     verdict = judge_run(found.rows, info, suite.gate, against)
     remarks = (*found.remarks, *lost_logs(found.rows))
+    is_fresh = verdict.against is None or verdict.against.basis == "fresh"
     verdict = replace(verdict, reasons=(*verdict.reasons, *remarks))
     return RunReport(
         folder=folder.path,
@@ -293,6 +300,7 @@ def judged_rows(
         rows=found.rows,
         page=None,
         bank=None if against is None else against.info,
+        rivals={} if against is None or is_fresh else against.rivals(found.rows, info),
     )
 
 
@@ -309,11 +317,13 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     Raises:
         StoreError: they cannot be written.
     """
-    from nw_eval.api.evidence import gather_evidence
+    from nw_eval.api.evidence import KeptEvidence, gather_evidence
+    from nw_eval.api.evidence_drawn import with_drawn
     from nw_eval.files.cache import followed, is_stream
     from nw_eval.gate.cause import read_cause_file
     from nw_eval.reporting.html.page import render_html
     from nw_eval.reporting.markdown import render_markdown, write_report
+    from nw_eval.results.evidence_check import present_logs
     from nw_eval.results.run_folder import RunFolder
 
     page, html = _pages(out)
@@ -322,11 +332,19 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     # Links in a run's folder may be untrusted.
     is_own = out == folder.report_md
     only = None if is_own or not is_stream(out) else out
-    evidence = gather_evidence(folder, judged.rows, kept)
+    evidence = with_drawn(
+        gather_evidence(folder, judged.rows, kept),
+        folder,
+        judged.rows,
+        present_logs(folder, judged.rows),
+        digests={name: scene.digest for name, scene in judged.info.scenes.items()},
+        kept=KeptEvidence.of_run(judged.info),
+        is_own=kept is not None,
+    )
     cause = read_cause_file(folder.cause)
     texts = {
-        html: render_html(*facts, evidence, cause),
-        page: render_markdown(*facts, cause),
+        html: render_html(*facts, evidence, cause, judged.rivals),
+        page: render_markdown(*facts, cause, judged.rivals),
     }
     for path, text in texts.items():
         if only in {None, path}:
@@ -368,7 +386,7 @@ def write_anew(judged: RunReport, path: Path, *, logs: bool) -> None:
         evidence = gather_evidence(folder, known)
     cause = read_cause_file(folder.cause)
     facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
-    write_report(path, render_html(*facts, evidence, cause))
+    write_report(path, render_html(*facts, evidence, cause, judged.rivals))
 
 
 def fault_of(error: Exception) -> str:

@@ -27,26 +27,21 @@ _WIDTH = 10_000
 
 def verdict_text(judged: RunReport) -> str:
     """Return the verdict with its reasons, every scene, the worst trials, and where the page is."""
-    from nw_eval.reporting.tables.against import baseline_table
-    from nw_eval.reporting.tables.success import scenes_table
+    from nw_eval.reporting.tables.scenes import scenes_table
 
-    verdict = judged.verdict
-    tables = (baseline_table(verdict.against, brief=True), scenes_table(verdict))
-    return _text(judged, tables, judged.rows)
+    return _text(judged, [scenes_table(judged.verdict, brief=True)], judged.rows)
 
 
 def scene_text(judged: RunReport, state: SceneState) -> str:
     """Return what became of one scene, the verdict, and the scene's lines of its tables."""
     from nw_eval.clean import clean
-    from nw_eval.reporting.tables.against import baseline_table
-    from nw_eval.reporting.tables.success import scenes_table
+    from nw_eval.reporting.tables.scenes import scenes_table
 
-    verdict = judged.verdict
-    tables = [scenes_table(replace(verdict, per_scene=(state.score,)))]
+    verdict = replace(judged.verdict, per_scene=(state.score,))
     if verdict.against is not None:
-        tables.insert(0, baseline_table(replace(verdict.against, scenes=state.drops), brief=True))
-    # The notes speak of all scenes.
-    alone = [replace(table, note="") for table in tables]
+        verdict = replace(verdict, against=replace(verdict.against, scenes=state.drops))
+    # The note speaks of all scenes.
+    alone = [replace(scenes_table(verdict, brief=True), note="")]
     rows = [row for row in judged.rows if row.scene == state.scene]
     return f"{clean(state.scene)}: {clean(state.sentence)}\n{_text(judged, alone, rows)}"
 

@@ -192,7 +192,7 @@ def _few_reasons(verdict: Verdict) -> Verdict:
 _BUDGET = 60_000
 """Bytes, hence characters at most; GitHub takes 65,536, and whoever posts it adds some lines."""
 
-_COMMENT_ROWS, _TABLES = 20, 1
+_COMMENT_ROWS, _TABLES = 20, 2
 """Rows of a table, and tables that are not behind a line to click on."""
 
 

@@ -14,8 +14,8 @@ from nw_eval.files.cache import atomic_path
 from nw_eval.gate.cause import Cause
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.headline import blind_spot, headline, how_sure
-from nw_eval.reporting.tables import all_tables
-from nw_eval.reporting.tables.against import cause_table
+from nw_eval.reporting.tables import NO_RIVALS, Rivals, all_tables
+from nw_eval.reporting.tables.cause import cause_table
 from nw_eval.reporting.tables.table import Table
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
@@ -29,6 +29,7 @@ def render_markdown(
     verdict: Verdict,
     folder: Path,
     cause: Cause | None = None,
+    rivals: Rivals = NO_RIVALS,
 ) -> str:
     """Return the report.
 
@@ -38,8 +39,10 @@ def render_markdown(
         verdict: what the gate says of them.
         folder: the run's folder as a reader would type it; replay commands start with it.
         cause: what its drop is due to, where that was asked.
+        rivals: trials of the baseline's policy from the same starts, by the run's trials.
     """
-    return render_page(run, verdict, all_tables(run, rows, verdict, folder, cause=cause))
+    tables = all_tables(run, rows, verdict, folder, cause=cause, rivals=rivals)
+    return render_page(run, verdict, tables)
 
 
 def render_page(

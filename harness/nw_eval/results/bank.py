@@ -7,7 +7,7 @@ manifest: who made it, when, why, and what must match for it to hold.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
@@ -213,6 +213,26 @@ class Against:
     """Of its file, of which the run's folder gets a copy."""
     control: ControlArm | None = None
     """None where the baseline says what its policy does on the machine of the run."""
+
+    def rivals(self, rows: Iterable[Row], run: RunInfo) -> dict[str, Row | Start]:
+        """Return what the baseline's policy did from the starts of trials, by their names.
+
+        Trials that ran beside them say when; a bank says how far alone.
+
+        Args:
+            rows: of the candidate, from starts of the bank's panel.
+            run: its run.json.
+        """
+        panel = self.bank.panel_of(machine_of(run)) or self.bank.panels[0]
+        known: dict[tuple[Stratum, int], Row | Start] = {
+            (start.stratum, start.seed_index): start for start in panel.starts
+        }
+        for row in () if self.control is None else self.control.rows:
+            known[(row.scene, row.perturbation), row.seed_index] = row
+        found = {
+            row.trial_id: known.get(((row.scene, row.perturbation), row.seed_index)) for row in rows
+        }
+        return {trial: rival for trial, rival in found.items() if rival is not None}
 
     def of_run(self, info: BaselineInfo) -> Against:
         """Return the baseline as a run knows it, that was begun with it somewhere else."""

@@ -285,5 +285,7 @@ def test_a_report_shows_what_is_left_and_judges_as_before(run, recorded):
     page = judged.html.read_text(encoding="utf-8")
     assert judged.verdict == recorded.verdict
     assert f"The log of {rows[0].trial_id} shows nothing: " in page
-    assert page.count("data:image/webp") == 3  # A place, a clip and its last picture.
+    # A place; the trial as the robot saw it and from outside, moving and standing.
+    assert page.count("data:image/webp") == 5
+    assert 'alt="from outside"' in page
     assert page.count(f"<title>{rows[1].trial_id}: ") == 2  # A walk and its end.

@@ -11,7 +11,9 @@ import pytest
 from nw_eval import api
 from nw_eval.api import evidence
 from nw_eval.api.evidence import KeptEvidence, WantedLog, gather_evidence
+from nw_eval.api.evidence_drawn import with_drawn
 from nw_eval.api.reports import as_begun, written
+from nw_eval.results.evidence_check import present_logs
 from nw_eval.results.provenance import CacheInfo
 from nw_eval.results.run_folder import RunFolder
 
@@ -168,3 +170,49 @@ def test_a_folder_that_cannot_be_written_costs_nothing(store, recorded):
     store.folder.rmdir()
     store.folder.write_text("a file")
     assert len(gathered(recorded.folder, recorded.rows, store).paths) == len(recorded.rows)
+
+
+def test_scenes_and_worst_trials_are_drawn_in_their_colours_and_once(store, recorded, monkeypatch):
+    folder = RunFolder(path=recorded.folder)
+
+    def drawn():
+        return with_drawn(
+            recorded.evidence,
+            folder,
+            recorded.rows,
+            present_logs(folder, recorded.rows),
+            digests={name: scene.digest for name, scene in recorded.info.scenes.items()},
+            kept=store,
+            is_own=False,
+        )
+
+    def drawn_again(*_, **__):
+        raise AssertionError("they are kept")
+
+    first = drawn()
+    assert len(first.clips) == len(recorded.rows)
+    for clip in first.clips:
+        assert clip.outside is not None
+        assert clip.outside.data != clip.data
+    (place,) = first.places
+    assert place.picture.is_coloured
+    assert first.remarks == recorded.evidence.remarks
+    monkeypatch.setattr("nw_eval.api.evidence_drawn._drawn_apart", drawn_again)
+    again = drawn()
+    assert [clip.outside for clip in again.clips] == [clip.outside for clip in first.clips]
+    assert again.places[0].picture == place.picture
+
+
+def test_of_a_run_of_another_scene_nothing_is_drawn(store, recorded, monkeypatch):
+    """A name alone does not say which scene it was."""
+    folder = RunFolder(path=recorded.folder)
+    monkeypatch.setattr("nw_eval.api.evidence_drawn._drawn_apart", None)
+    bare = replace(
+        recorded.evidence,
+        clips=tuple(replace(clip, outside=None) for clip in recorded.evidence.clips),
+    )
+    logs = present_logs(folder, recorded.rows)
+    other = dict.fromkeys(recorded.info.scenes, "00" * 32)
+    found = with_drawn(bare, folder, recorded.rows, logs, digests=other, kept=store, is_own=False)
+    assert (found.clips, found.remarks) == (bare.clips, bare.remarks)
+    assert found.places[0].picture == bare.places[0].picture

@@ -10,9 +10,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.judge import compare, setup_of
 from nw_eval.gate.baseline.known import contradictions
-from nw_eval.reporting.tables.against import baseline_table
+from nw_eval.reporting.tables.scenes import scenes_table
 from nw_eval.results.bank import trajectory
 from nw_eval.suite import Gate
 from nw_eval.suite.model import Validity
@@ -108,7 +109,10 @@ def test_what_was_compared_with_what_is_said(run: RunInfo, beside: Make, drawn_r
         "beside the candidate from the same starts (80 trials), and is what it is compared with; a "
         "baseline saved here saves these trials"
     )
-    assert "80 trials that ran beside the candidate" in baseline_table(found).note
+    assert (
+        "80 trials that ran beside the candidate"
+        in scenes_table(replace(judge([], Gate(), {}), against=found)).note
+    )
 
 
 @settings(

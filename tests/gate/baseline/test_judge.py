@@ -9,9 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.judge import compare
 from nw_eval.gate.baseline.match import draw_trials, drawn_order
-from nw_eval.reporting.tables.against import baseline_table
+from nw_eval.reporting.tables.scenes import scenes_table
 from nw_eval.request import Request
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.stats.bank.trials import CRITICAL_TRIALS
@@ -225,13 +226,14 @@ def test_a_report_has_the_drops_that_each_scene_s_own_trials_leave_possible(
     assert held.interval.low == 0.0
     assert 0.1 < held.interval.high < 1.0
     assert seen.interval is None
-    page = baseline_table(found)
+    verdict = replace(judge([], Gate(), {}), against=found)
+    page = scenes_table(verdict)
     cells = [dict(zip(page.columns, row, strict=True)) for row in page.rows]
-    own = f"{fell.interval.low:.2f} to {fell.interval.high:.2f}"
+    own = f"{-fell.interval.high:z.2f} to {-fell.interval.low:z.2f}"
     (header,) = [name for name, cell in cells[0].items() if cell == own]
     assert "99 %" in header
-    assert "(99 % lower, 95 % upper), not corrected for the number of scenes" in page.note
-    assert header not in baseline_table(found, brief=True).columns
+    assert "(95 % lower, 99 % upper), not corrected for the number of scenes" in page.note
+    assert header not in scenes_table(verdict, brief=True).columns
 
 
 def test_informational_scenes_are_in_the_order_and_in_the_table_and_in_no_evidence(
@@ -439,15 +441,10 @@ def test_scenes_that_no_trial_has_met_are_told_and_shown_as_such(
     assert all(item.ends == ([0, 0, 0, 0, 60], [0, 0, 0, 0, 0]) for item in unmet)
     assert found.reasons[1].startswith("no single scene regressed significantly; largest drops: ")
     assert unmet[0].scene not in " ".join(found.reasons)
-    page = baseline_table(found)
+    page = scenes_table(replace(judge([], Gate(), {}), against=found))
     lines = [dict(zip(page.columns, row, strict=True)) for row in page.rows]
     (line,) = [line for line in lines if line["scene"] == unmet[0].scene]
-    assert (line["trials"], line["candidate"], line["drop"], line["evidence"]) == (
-        "0",
-        "none",
-        "",
-        "",
-    )
+    assert (line["trials"], line["success"], line["change"]) == ("0", "none", "")
     assert page.bars[lines.index(line)] is None
 
 

@@ -21,6 +21,7 @@ from nw_eval.reporting.html.evidence import (
     WalkedPath,
 )
 from nw_eval.reporting.html.page import render_html
+from nw_eval.reporting.tables import NO_RIVALS, Rivals
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.provenance import write_run_info
@@ -121,13 +122,19 @@ def make_page(make_run: Callable[..., Any]) -> Callable[..., str]:
         *,
         gate: Gate | None = None,
         against: Comparison | None = None,
+        rivals: Rivals = NO_RIVALS,
         **facts: Any,
     ) -> str:
         planned = {scene: sum(row.scene == scene for row in rows) for scene in _scenes(rows)}
         verdict = judge(rows, gate or Gate(success_rate=0.75), planned, against=against)
         verdict = verdict if against is None else combined(verdict, against)
         return render_html(
-            make_run(planned, **facts), rows, verdict, Path("reports/run one"), evidence
+            make_run(planned, **facts),
+            rows,
+            verdict,
+            Path("reports/run one"),
+            evidence,
+            rivals=rivals,
         )
 
     return make

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from nw_eval.reporting.html.evidence import Clip, LogEvidence, PlaceView, WalkedPath
+from nw_eval.reporting.html.evidence import Clip, Film, LogEvidence, PlaceView, WalkedPath
 from nw_eval.suite import Gate
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def test_the_verdict_comes_first_with_what_it_rests_on(
     assert page.one("head").one("title").text == "INCONCLUSIVE · hurdles · go1-parkour"
     facts = [each.text for each in page.one("ul", class_="facts").all("li")]
     assert facts[0] == "success 0.800 (bar 0.75)"
-    drawing = page.one("header").one("svg", role="img")
+    drawing = page.one("section", id="numbers").one("svg", role="img")
     assert drawing.attributes["aria-label"].startswith("Mean success is 0.800, for fresh starts")
 
 
@@ -90,7 +90,8 @@ def test_every_trial_has_a_line_with_the_command_that_replays_it(
 ) -> None:
     header, *lines = read(make_page(rows)).one("table", id="all").cells
     assert header[:2] == ["trial", "scene"]
-    assert [line[0] for line in lines] == sorted(row.trial_id for row in rows)
+    worst_first = sorted(rows, key=lambda row: (row.completed, row.success, row.trial_id))
+    assert [line[0] for line in lines] == [row.trial_id for row in worst_first]
     assert lines[0][-1] == (
         "nw-eval replay 'reports/run one/mcap/hurdles/high/hurdles-high-000.mcap' view"
     )
@@ -118,8 +119,7 @@ def test_of_many_trials_those_that_failed_are_listed_first(
     listed = [line[0] for line in section.one("table").cells[1:]]
     failed = [row.trial_id for row in rows if not row.completed]
     assert len(listed) == 10 > len(failed) > 0
-    assert set(failed) < set(listed)
-    assert listed == sorted(listed)
+    assert listed[: len(failed)] == sorted(failed)
     assert f"10 of {len(rows)} trials, those that failed before" in section.text
 
 
@@ -132,10 +132,10 @@ def test_a_page_without_logs_is_whole_and_claims_none(
     assert "replay" not in page.one("section", id="worst").text
     titles = [each.text for each in page.one("main").all("h2")]
     assert titles == [
-        "Tasks",
+        "Worst trials",
+        "Numbers of the verdict",
         "Scenes",
         "Where on the course it fails",
-        "Worst trials",
         "Outcomes",
         "Where the time went",
         "Provenance",
@@ -181,12 +181,69 @@ def test_a_clip_stands_still_until_somebody_plays_it(
     assert "One log is cut short." in worst.text
 
 
+def test_the_three_worst_trials_are_shown_before_others_from_outside_and_as_the_policy_saw(
+    make_page: Make, read: Make, rows: list[Any]
+) -> None:
+    film = Film(data=b"outside", still=b"standing outside", width=256, height=144)
+    failed = [row for row in rows if not row.completed][:5]
+    clips = tuple(replace(CLIP, trial_id=row.trial_id, outside=film) for row in failed)
+    completed = next(row for row in rows if row.completed)
+    rivals = {failed[0].trial_id: completed}
+    page = read(make_page(rows, LogEvidence(clips=clips), rivals=rivals))
+    first, more = page.one("section", id="worst").all("ul", class_="worst")
+    assert [len(first.all("li")), len(more.all("li"))] == [3, 5]
+    card = first.all("li")[0]
+    assert "The baseline's policy passed waypoint 3 and completed at" in card.text
+    assert [each.attributes["alt"] for each in card.one("details").all("img")] == [
+        "from outside", CLIP.caption,
+    ]  # fmt: skip
+    assert [each.tag for each in page.one("main").all() if each.tag == "section"]
+    assert page.one("main").all("section")[0].attributes["id"] == "worst"
+    assert page.one("main").all("section")[-1].attributes["id"] == "trials"
+
+
+def test_scenes_have_their_picture_from_above_in_colours_once(
+    make_page: Make, read: Make, rows: list[Any], full_evidence: Make
+) -> None:
+    evidence = full_evidence(rows)
+    coloured = [
+        replace(place, picture=replace(place.picture, is_coloured=True))
+        for place in evidence.places
+    ]
+    page = read(make_page(rows, replace(evidence, places=tuple(coloured), clips=())))
+    pictures = page.all("image")
+    assert {each.attributes["class"] for each in pictures} == {"colours"}
+    used = [each.one("use").attributes["href"] for each in page.all("a", class_="thumb")]
+    assert sorted(used) == sorted(f"#{each.attributes['id']}" for each in pictures)
+
+
+def test_labels_of_a_run_lead_its_provenance_and_link_the_job_s_server_alone(
+    make_page: Make, read: Make, rows: list[Any]
+) -> None:
+    labels = {
+        "repository": "legs/walker", "commit": "a1" * 20, "branch": 'x"><script>',
+        "job_url": "https://ci.example/legs/walker/actions/runs/7", "note": "<b>bold</b>",
+    }  # fmt: skip
+    page = read(make_page(rows, labels=labels))
+    table = page.one("section", id="provenance").one("table")
+    assert [line[0] for line in table.cells[1:6]] == [
+        "repository", "commit", "branch", "job's page", "label note",
+    ]  # fmt: skip
+    assert table.cells[5][1] == "<b>bold</b>"
+    links = {each.text: each.attributes["href"] for each in table.all("a")}
+    base = "https://ci.example/legs/walker"
+    assert links["legs/walker"] == base
+    assert links["a1" * 20] == f"{base}/commit/{'a1' * 20}"
+    assert all(each.startswith(f"{base}") and '"' not in each for each in links.values())
+    assert not page.all("b")
+
+
 def test_what_the_page_has_no_room_for_is_left_out_and_said(
     make_page: Make, read: Make, rows: list[Any]
 ) -> None:
     large = [replace(CLIP, trial_id=row.trial_id, data=bytes(900_000)) for row in rows[10:13]]
     page = read(make_page(rows, LogEvidence(clips=tuple(large))))
-    assert len(page.one("section", id="worst").all("details")) == 2
+    assert len(page.one("section", id="worst").all("details", class_="clip")) == 2
     assert "1 clip left out: the page is full." in page.one("section", id="worst").text
 
 
@@ -217,9 +274,11 @@ def test_scenes_that_do_not_count_are_in_no_task(
     make_page: Make, read: Make, rows: list[Any]
 ) -> None:
     gate = Gate(success_rate=0.75, tiers={"hurdles/high": "informational"})
-    tasks = read(make_page(rows, gate=gate)).one("section", id="tasks").one("table").cells
-    assert tasks[1][0] == "hurdles"
-    assert tasks[1][2:5] == ["1", "10", "1.000"]
+    more = [replace(row, task="gaps") for row in rows if row.scene == "hurdles/low"]
+    more = [replace(row, scene="gaps/one", trial_id=f"gaps-{row.trial_id}") for row in more]
+    tasks = read(make_page([*rows, *more], gate=gate)).one("section", id="numbers").one("table")
+    assert [line[0] for line in tasks.cells[1:]] == ["gaps", "hurdles"]
+    assert tasks.cells[2][2:5] == ["1", "10", "1.000"]
 
 
 @pytest.mark.parametrize(("trials", "scenes", "most"), [(160, 16, 5e6), (3200, 64, 15e6)])

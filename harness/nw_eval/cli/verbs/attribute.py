@@ -63,7 +63,7 @@ class Attribute:
         from nw_eval import api
         from nw_eval.cli.terminal.lines import aligned
         from nw_eval.cli.terminal.progress import RunProgress
-        from nw_eval.reporting.tables.against import answer_words, cause_table
+        from nw_eval.reporting.tables.cause import answer_words, cause_table
 
         with RunProgress() as progress:
             found = api.find_cause(

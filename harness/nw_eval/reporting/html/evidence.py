@@ -40,7 +40,7 @@ class WalkedPath:
 class PlacePicture:
     """A picture of a place from straight above: x to the right, y up.
 
-    It is in greys on a light ground: a dark page shows it inverted.
+    One in greys is on a light ground: a dark page shows it inverted.
     """
 
     mime: PictureType
@@ -51,6 +51,7 @@ class PlacePicture:
     south: float
     """Of its edges, metres in the world frame: the least y; `north` is the greatest."""
     north: float
+    is_coloured: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,6 +66,20 @@ class PlaceView:
     outlines: tuple[NDArray[np.floating], ...] = ()
     """Closed polygons of what stands or is missing there, each of shape (n, 2), metres."""
     picture: PlacePicture | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Film:
+    """The last seconds of a trial from outside, as pictures that move, and the last one."""
+
+    data: bytes
+    """An animated WebP."""
+    still: bytes
+    """A WebP."""
+    width: int
+    """Pixels."""
+    height: int
+    """Pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +100,8 @@ class Clip:
     """That it shows, simulated."""
     caption: str
     """One sentence on what is seen; may be a stranger's text."""
+    outside: Film | None = None
+    """The same seconds from behind the robot."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +125,9 @@ def clips_that_fit(evidence: LogEvidence) -> tuple[dict[str, Clip], tuple[str, .
     kept: dict[str, Clip] = {}
     room = CLIP_BYTES
     for clip in evidence.clips:
+        outside = clip.outside
         room -= len(clip.data) + len(clip.still or b"")
+        room -= 0 if outside is None else len(outside.data) + len(outside.still)
         if room < 0:
             break
         kept[clip.trial_id] = clip

@@ -1,6 +1,7 @@
-"""report.html: verdict and success first, then the evidence, in one file that needs no other.
+"""report.html: the verdict and what failed first, all trials last, in one file without others.
 
-Of single trials it shows the worst ones with what they saw, and all of them in a table.
+The three worst trials are shown from outside beside what their policy saw, with what the
+baseline's policy did from the same start.
 """
 
 from __future__ import annotations
@@ -25,10 +26,17 @@ from nw_eval.reporting.html.evidence import (
     clips_that_fit,
     pictures_that_fit,
 )
-from nw_eval.reporting.tables import named_tables
-from nw_eval.reporting.tables.run import throughput
+from nw_eval.reporting.tables import NO_RIVALS, Rivals, named_tables
+from nw_eval.reporting.tables.run import label_name, throughput
 from nw_eval.reporting.tables.table import WORST, judged
-from nw_eval.reporting.tables.trials import how_ended, replay_command, view_link, worst_trials
+from nw_eval.reporting.tables.trials import (
+    how_ended,
+    parting,
+    replay_command,
+    view_link,
+    worst_trials,
+)
+from nw_eval.results.labels import links_of
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.words import FAULTS, OUTCOMES
@@ -41,6 +49,7 @@ def render_html(
     folder: Path,
     evidence: LogEvidence = NO_EVIDENCE,
     cause: Cause | None = None,
+    rivals: Rivals = NO_RIVALS,
 ) -> str:
     """Return the page; the same values give the same text.
 
@@ -51,6 +60,7 @@ def render_html(
         folder: the run's folder as a reader would type it; replay commands start with it.
         evidence: what the logs of its trials show.
         cause: what its drop is due to, where that was asked.
+        rivals: trials of the baseline's policy from the same starts, by the run's trials.
     """
     rows = sorted(rows, key=attrgetter("trial_id"))
     clips, clips_left_out = clips_that_fit(evidence)
@@ -73,7 +83,9 @@ def render_html(
         # Where most was lost first, as in the table above them.
         views=[views[name] for name in dict.fromkeys((*failing.order, *views)) if name in views],
         outcomes=_outcomes(rows),
-        worst=worst_cards(judged(rows, verdict), clips, run, folder),
+        worst=worst_cards(judged(rows, verdict), clips, run, folder, rivals),
+        places={name: number for number, name in enumerate(views, 1)},
+        links={label_name(key): url for key, url in links_of(run.labels).items()},
         remarks=(*evidence.remarks, *clips_left_out, *pictures_left_out),
         spent=throughput(rows, run),
         trials=trial_lines(listed_trials(rows), run, folder),
@@ -96,6 +108,8 @@ class WorstTrial:
 
     row: Row
     ended: str
+    parting: str
+    """Where it parts from the baseline's trial; empty without one."""
     clip: Clip | None
     command: str
     """That replays it; empty without a log."""
@@ -120,7 +134,11 @@ class TrialLine(NamedTuple):
 
 
 def worst_cards(
-    rows: Sequence[Row], clips: Mapping[str, Clip], run: RunInfo, folder: Path
+    rows: Sequence[Row],
+    clips: Mapping[str, Clip],
+    run: RunInfo,
+    folder: Path,
+    rivals: Rivals = NO_RIVALS,
 ) -> tuple[WorstTrial, ...]:
     """Return the trials that went worst, and the others of which there is a clip.
 
@@ -133,6 +151,7 @@ def worst_cards(
         WorstTrial(
             row=row,
             ended=how_ended(row),
+            parting=parting(row, rivals.get(row.trial_id)),
             clip=clips.get(row.trial_id),
             command=replay_command(row, folder),
             link=view_link(row, run.id),
@@ -146,15 +165,12 @@ MOST_LINES = 5000
 
 
 def listed_trials(rows: Sequence[Row]) -> Sequence[Row]:
-    """Return the trials that the table of all of them has: those that failed before the others.
+    """Return the trials that the table of all of them has, as many as it may: failures first.
 
     Args:
-        rows: in the order of their names, in which they stay.
+        rows: in the order of their names, in which those stay that did equally well.
     """
-    if len(rows) <= MOST_LINES:
-        return rows
-    chosen = sorted(range(len(rows)), key=lambda place: rows[place].completed)[:MOST_LINES]
-    return [rows[place] for place in sorted(chosen)]
+    return sorted(rows, key=lambda row: (row.completed, row.success or 0.0))[:MOST_LINES]
 
 
 def trial_lines(rows: Sequence[Row], run: RunInfo, folder: Path) -> tuple[TrialLine, ...]:

@@ -8,19 +8,21 @@ from pathlib import Path
 
 from nw_eval.gate.cause import Cause
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.tables.against import baseline_table, cause_table
+from nw_eval.reporting.tables.cause import cause_table
 from nw_eval.reporting.tables.run import provenance_table, throughput_table
+from nw_eval.reporting.tables.scenes import scenes_table
 from nw_eval.reporting.tables.success import (
     expectations_table,
     outcomes_table,
     perturbations_table,
-    scenes_table,
     scores_by_scene_table,
     scores_table,
     tasks_table,
 )
 from nw_eval.reporting.tables.table import WORST, Table, judged
 from nw_eval.reporting.tables.trials import (
+    NO_RIVALS,
+    Rivals,
     contacts_table,
     coverage_table,
     errors_table,
@@ -31,7 +33,7 @@ from nw_eval.reporting.tables.trials import (
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 
-__all__ = ["Table", "all_tables", "named_tables"]
+__all__ = ["NO_RIVALS", "Rivals", "Table", "all_tables", "named_tables"]
 
 
 def all_tables(
@@ -42,6 +44,7 @@ def all_tables(
     *,
     brief: bool = False,
     cause: Cause | None = None,
+    rivals: Rivals = NO_RIVALS,
 ) -> tuple[Table, ...]:
     """Return every table that has rows, in the order of a report.
 
@@ -52,25 +55,26 @@ def all_tables(
         folder: the run's folder as a reader would type it; replay commands start with it.
         brief: for a terminal: fewer of the worst trials, no perturbations and no provenance.
         cause: what its drop is due to, where that was asked.
+        rivals: trials of the baseline's policy from the same starts, by the run's trials.
     """
     ordered = sorted(rows, key=attrgetter("trial_id"))
+    worst = worst_table(judged(ordered, verdict), folder, most=3 if brief else WORST, rivals=rivals)
     tables = (
-        baseline_table(verdict.against, brief=brief),
-        cause_table(cause),
-        scenes_table(verdict, ordered),
+        *(() if brief else (worst,)),  # On a terminal the last lines are read first.
+        scenes_table(verdict, ordered, brief=brief),
         scores_table(verdict),
         expectations_table(verdict),
+        cause_table(cause),
         *(() if brief else (scores_by_scene_table(verdict),)),
         *(() if brief else (perturbations_table(ordered, verdict),)),
         outcomes_table(ordered),
         contacts_table(ordered, run),
         failures_table(ordered, compared=verdict.against is not None),
         errors_table(ordered),
-        worst_table(judged(ordered, verdict), folder, most=3 if brief else WORST),
-        throughput_table(ordered, run),
         left_table(ordered, verdict),
         coverage_table(ordered, verdict),
-        *(() if brief else (provenance_table(run),)),
+        throughput_table(ordered, run),
+        *((worst,) if brief else (provenance_table(run),)),
     )
     return tuple(table for table in tables if table.rows)
 
@@ -89,7 +93,6 @@ def named_tables(
     return {
         "cause": cause_table(cause),
         "tasks": tasks_table(rows, verdict),
-        "against": baseline_table(verdict.against),
         "scenes": scenes_table(verdict, rows),
         "scores": scores_table(verdict),
         "expectations": expectations_table(verdict),

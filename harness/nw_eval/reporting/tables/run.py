@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Table
+from nw_eval.results.labels import KNOWN
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row, by_column
 from nw_eval.suite.digest import digest_of
@@ -116,6 +117,7 @@ def provenance_table(run: RunInfo) -> Table:
     weights = f"checkpoint {run.policy.checkpoint_digest[:12]}"
     commit = f", commit {run.code.commit[:12]}{' with changes' if run.code.dirty else ''}"
     facts = {
+        **{label_name(key): value for key, value in run.labels.items()},
         "run": run.id,
         "started": run.started,
         "suite": f"{run.suite_file}, {digest_of(run.suite)[:12]}",
@@ -145,6 +147,11 @@ def provenance_table(run: RunInfo) -> Table:
         columns=("what", "value"),
         rows=tuple((name, value) for name, value in facts.items() if value),
     )
+
+
+def label_name(key: str) -> str:
+    """Return what pages call a label; one of a user's own is told from our words."""
+    return KNOWN.get(key, f"label {key}")
 
 
 def _fetched(run: RunInfo) -> list[str]:

@@ -1,4 +1,4 @@
-"""Tables of what was reached: by scene, by task, by outcome, by perturbation."""
+"""Tables of what was reached: by task, by outcome, by perturbation, by score."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.gate.verdict import SceneScore, ScoreFinding, Verdict
+from nw_eval.gate.verdict import ScoreFinding, Verdict
 from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import (
     Bar,
@@ -24,103 +24,6 @@ from nw_eval.scores.own import EXPECT
 from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.stats.interval import Interval
 from nw_eval.words import OUTCOMES
-
-_LEFT = "left capture"
-"""Trials that left the captured volume, and are counted apart."""
-
-
-def _what_counts(rows: Sequence[Row]) -> str:
-    results = [row for row in rows if row.status == "ok" and not row.waypoints_total]
-    kinds = sorted({row.task_kind for row in results})
-    if kinds:
-        return f"Success is what the task {' and '.join(kinds)} counts: 1 of a completed trial."
-    return (
-        "Success is the share of the trail's waypoints reached, completed the share of trials that "
-        "reached all."
-    )
-
-
-def scenes_table(verdict: Verdict, rows: Sequence[Row] = ()) -> Table:
-    """Return success by scene, the lowest first; `rows` tell whether trials have waypoints."""
-    scores = sorted(verdict.per_scene, key=lambda item: (item.mean is not None, item.mean))
-    splits = any(item.split for item in scores)
-    tiers = any(item.tier != "supporting" for item in scores)
-    outside = any(item.outside for item in scores)
-    alone = f"{100 * verdict.confidence:.4g} % two-sided"
-    shown = [_has_own_interval(item, verdict) for item in scores]
-    return Table(
-        title="Success by scene",
-        columns=(
-            "scene",
-            *(("split",) if splits else ()),
-            *(("tier",) if tiers else ()),
-            "trials",
-            *((_LEFT,) if outside else ()),
-            "success",
-            *((alone,) if any(shown) else ()),
-            "completed",
-        ),
-        rows=tuple(
-            (
-                item.scene,
-                *((item.split or "-",) if splits else ()),
-                *((item.tier,) if tiers else ()),
-                str(item.n) if item.n == item.planned else f"{item.n} of {item.planned}",
-                *((str(item.outside),) if outside else ()),
-                "none" if item.mean is None else f"{item.mean:.3f}",
-                *((span(item.interval) if own else "",) if any(shown) else ()),
-                f"{item.completed} of {item.n}",
-            )
-            for item, own in zip(scores, shown, strict=True)
-        ),
-        numbers=frozenset({"trials", _LEFT, "success", alone}),
-        foot=_of_splits(scores),
-        note=_what_counts(rows)
-        + (
-            f" {uncorrected('scene', alone)} It is a Bayesian bootstrap of the scene's trials; the "
-            "verdict uses bounds that hold for any distribution."
-            if any(shown)
-            else ""
-        ),
-        marked="" if verdict.bar is None else "the bar",
-        bars=tuple(
-            None
-            if item.mean is None
-            else Bar(value=item.mean, interval=item.interval if own else None, mark=verdict.bar)
-            for item, own in zip(scores, shown, strict=True)
-        ),
-    )
-
-
-def _has_own_interval(item: SceneScore, verdict: Verdict) -> bool:
-    """Return whether a scene's success is to have an interval here.
-
-    One that is all that counts has that of the verdict, and one that is compared with a baseline
-    has that of its drop, on which the verdict rests.
-    """
-    if item.mean is None:
-        return False
-    if verdict.against is not None and any(each.interval for each in verdict.against.scenes):
-        return False
-    return item.tier == "informational" or item.n < verdict.n
-
-
-def _of_splits(scores: Sequence[SceneScore]) -> str:
-    """Return the means of the scenes that a policy was trained in, and of the others; or nothing.
-
-    Scenes weigh equally, as in the verdict, and informational ones do not count.
-    """
-    parts: list[str] = []
-    for split, words in (("train", "it was trained in"), ("eval", "it was not trained in")):
-        known = [
-            item.mean
-            for item in scores
-            if item.split == split and item.mean is not None and item.tier != "informational"
-        ]
-        if known:
-            average = float(np.mean(known))
-            parts.append(f"{average:.3f} in {plural(len(known), 'scene')} that {words} ({split})")
-    return f"Mean success: {', '.join(parts)}." if parts else ""
 
 
 def expectations_table(verdict: Verdict) -> Table:

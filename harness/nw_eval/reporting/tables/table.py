@@ -53,6 +53,24 @@ class Table:
         )
         object.__setattr__(self, "rows", rows)
 
+    def without_empty(self) -> Self:
+        """Return the table without the columns in which no row has anything; the first one stays.
+
+        Bars stay with their rows.
+        """
+        kept = [
+            place
+            for place in range(len(self.columns))
+            if not place or any(row[place] for row in self.rows)
+        ]
+        shorter = copy(self)
+        for name, value in (
+            ("columns", tuple(self.columns[place] for place in kept)),
+            ("rows", tuple(tuple(row[place] for place in kept) for row in self.rows)),
+        ):
+            object.__setattr__(shorter, name, value)
+        return shorter
+
     def first(self, most: int, where: str) -> Self:
         """Return the table with its first rows only; its note says how many more are elsewhere.
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
 
 from nw_eval.files.inside import OutsideError, checked
 from nw_eval.gate.verdict import Verdict
 from nw_eval.reporting.tables.table import WORST, Table, judged, mean, more, share
+from nw_eval.results.bank import Start
 from nw_eval.results.moment_link import MomentLink
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
@@ -84,18 +85,52 @@ def worst_trials(rows: Sequence[Row]) -> list[Row]:
     return sorted(failed, key=lambda row: (row.success, row.sim_s, row.trial_id))
 
 
-def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
+Rivals = Mapping[str, Row | Start]
+"""Of a baseline's policy, by the trial of the candidate that began at the same start."""
+
+NO_RIVALS: Rivals = {}
+"""Where there is no baseline, or its trials began elsewhere."""
+
+
+def parting(row: Row, rival: Row | Start | None) -> str:
+    """Return how the baseline's policy fared from the start of a trial that did not complete.
+
+    Args:
+        row: of the candidate.
+        rival: of the baseline's policy; a bank's start has no times. None gives no words.
+    """
+    if rival is None:
+        return ""
+    times = rival.waypoint_times if isinstance(rival, Row) else ()
+    at_end = f" at {rival.sim_s:.1f} s" if isinstance(rival, Row) else ""
+    end = f"completed{at_end}" if rival.completed else f"ended as {rival.outcome}{at_end}"
+    point = row.waypoints_reached + 1
+    if not row.waypoints_total or point > row.waypoints_total:
+        return f"The baseline's policy {end} from the same start."
+    if rival.waypoints_reached >= point:
+        passed = f" at {times[point - 1]:.1f} s" if times else ""
+        return f"The baseline's policy passed waypoint {point}{passed} and {end}."
+    if rival.waypoints_reached == row.waypoints_reached:
+        return f"The baseline's policy did not pass waypoint {point} either: it {end}."
+    reached = f"{rival.waypoints_reached} of {rival.waypoints_total} waypoints"
+    return f"The baseline's policy reached {reached} and {end}."
+
+
+def worst_table(
+    rows: Sequence[Row], folder: Path, most: int = WORST, rivals: Rivals = NO_RIVALS
+) -> Table:
     """Return the trials that went worst, each with the command that shows it again."""
     failed = worst_trials(rows)
     return Table(
         title="Worst trials",
-        columns=("trial", "success", "outcome", "at", "replay"),
+        columns=("trial", "success", "outcome", "at", "baseline", "replay"),
         rows=tuple(
             (
                 row.trial_id,
                 row.standing,
                 how_ended(row),
                 f"{row.sim_s:.2f} s",
+                parting(row, rivals.get(row.trial_id)),
                 replay_command(row, folder),
             )
             for row in failed[:most]
@@ -103,7 +138,7 @@ def worst_table(rows: Sequence[Row], folder: Path, most: int = WORST) -> Table:
         numbers=frozenset({"at"}),
         code=frozenset({"replay"}),
         note=more(len(failed), most),
-    )
+    ).without_empty()
 
 
 def how_ended(row: Row) -> str:

@@ -1,7 +1,8 @@
 "use strict";
 // Sorting, filtering and copying: all else, and every word, is there without this script.
 (() => {
-  const FIRST = 200; // Rows of a long table that are shown until somebody asks for all.
+  const NARROW = matchMedia("(max-width: 40rem)"); // As in the style sheet.
+  const FIRST = NARROW.matches ? 25 : 200; // Rows of a long table that are shown at first.
 
   const number = (text) => Number.parseFloat(text.replace("over ", ""));
 
@@ -61,6 +62,21 @@
     }
   }
 
+  // On a phone a row is one line, and its name a button that shows the rest.
+  function foldable(row) {
+    const head = row.cells[0];
+    if (!NARROW.matches || head.querySelector("button")) return;
+    const button = document.createElement("button");
+    button.type = "button";
+    button.className = "plain";
+    button.setAttribute("aria-expanded", "false");
+    button.append(...head.childNodes);
+    head.append(button);
+    button.addEventListener("click", () => {
+      button.setAttribute("aria-expanded", String(row.classList.toggle("whole")));
+    });
+  }
+
   function filters(table) {
     const form = document.querySelector("form.filter");
     const more = document.querySelector(".more");
@@ -81,11 +97,17 @@
           sought.every((word) => words.get(row).includes(word));
         found += fits;
         row.hidden = !fits || found > most;
-        if (!row.hidden) copyable(row);
+        if (!row.hidden) {
+          foldable(row);
+          copyable(row);
+        }
       }
       const shown = Math.min(found, most);
       count.textContent = `${found} of ${words.size} ${noun}${shown < found ? `, ${shown} shown` : ""}`;
-      if (more) more.hidden = shown === found;
+      if (more) {
+        more.hidden = shown === found;
+        more.firstElementChild.textContent = NARROW.matches ? `Show ${FIRST} more` : "Show all";
+      }
     }
 
     form.hidden = false;
@@ -94,7 +116,7 @@
     table.addEventListener("sorted", show);
     if (more) {
       more.firstElementChild.addEventListener("click", () => {
-        most = Number.POSITIVE_INFINITY;
+        most = NARROW.matches ? most + FIRST : Number.POSITIVE_INFINITY;
         show();
       });
       // Paper has room for all rows that were not filtered away.

@@ -110,6 +110,20 @@ def running_rules(
     )
 
 
+def drawing_rules(*, scenes: Iterable[str], also: Sequence[Path]) -> Rules:
+    """Return the rules of a process that draws scenes and recorded trials, and asks no policy.
+
+    Args:
+        scenes: what `get_scene` understands of those that it opens.
+        also: further files and folders that it reads.
+    """
+    places = tuple(dict.fromkeys(scenes))
+    return Rules(
+        reads=(*(folder for scene in places for folder in scene_paths(scene)), *also, *_cache()),
+        memory=memory_to_run(0, scenes=len(places)),
+    )
+
+
 def fence_in_server(bundle: Bundle) -> None:
     """Fence this process in, which serves a policy, before it opens it.
 

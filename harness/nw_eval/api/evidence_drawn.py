@@ -1,0 +1,380 @@
+"""Pictures that no log has: worst trials from outside, and scenes from above in their colours.
+
+The robot is put where the states of a trial's log say that it was, and no policy is asked. One
+confined process draws all that the user's cache does not hold. Of a run that somebody else may have
+made only built-in scenes are opened: nothing that its files name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from nw_eval.api.evidence import KeptEvidence, WantedLog
+from nw_eval.api.evidence_log import SECONDS, Box, ReadClip, box_round, clip_of, sized
+from nw_eval.errors import NwEvalError
+from nw_eval.reporting.html.evidence import Film, LogEvidence, PlacePicture, PlaceView
+from nw_eval.results.machine import code_info
+from nw_eval.suite.digest import digest_of
+
+if TYPE_CHECKING:
+    from nw_eval.results.row import Row
+    from nw_eval.results.run_folder import RunFolder
+    from nw_eval.rollout.library import Library
+    from nw_eval.scenes import Scene
+
+MOST_FILMS = 3
+"""Trials that are shown from outside; each takes a second or two of processor time."""
+_FILM_BYTES = 160_000
+_VIEW = (256, 144)
+"""Pixels of a picture from outside."""
+_TOP_BYTES = 30_000
+"""Of a scene from above: sixteen of them have half a megabyte."""
+_TOP_SIDE = 560
+"""Pixels of its longer side."""
+_EYE = 200.0
+"""Metres over the ground at which the camera looks down, along rays as good as parallel."""
+_OVER = 1.2
+"""Metres over the highest waypoint from which on nothing is drawn: lamps, ceilings, crowns."""
+_TIME_LIMIT = 240.0
+
+
+class _Drawn(BaseModel):
+    """What the confined process answers."""
+
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", ser_json_bytes="base64", val_json_bytes="base64"
+    )
+
+    films: tuple[ReadClip | None, ...] = ()
+    tops: tuple[bytes, ...] = ()
+    """WebP; empty where there is no room for one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Top:
+    """A scene that is to be drawn from above."""
+
+    name: str
+    reference: str
+    scene: Scene
+    box: Box
+
+    @classmethod
+    def of(cls, place: PlaceView, reference: str, scene: Scene) -> Self:
+        if len(scene.trail) or place.picture is None:
+            # Of the scene, and not of a trial, whose waypoints may be moved: runs share it.
+            box = box_round(np.vstack([scene.trail[:, :2], [scene.spawn.position[:2]]]))
+        else:
+            known = place.picture
+            box = known.west, known.south, known.east, known.north
+        return cls(name=place.scene, reference=reference, scene=scene, box=box)
+
+    @property
+    def key(self) -> str:
+        """Hex digest of all that the picture depends on."""
+        splat = None if self.scene.splat is None else self.scene.splat.key
+        return digest_of([code_info().digest, self.scene.digest, splat, list(self.box), _TOP_SIDE])
+
+
+def with_drawn(
+    evidence: LogEvidence,
+    folder: RunFolder,
+    rows: Sequence[Row],
+    logs: Mapping[str, Path],
+    *,
+    digests: Mapping[str, str],
+    kept: KeptEvidence | None,
+    is_own: bool,
+) -> LogEvidence:
+    """Return evidence with pictures of the worst trials and of the scenes, as far as they can be.
+
+    Args:
+        evidence: of the logs; trials without a clip of what was seen are not drawn either.
+        folder: of the run.
+        rows: its trials.
+        logs: where logs lie, by trial.
+        digests: of the scenes, by name, as run.json has them.
+        kept: where to keep what was drawn; None = nowhere.
+        is_own: whether this machine has just made the run: its logs may name scenes.
+    """
+    filmed = [each for each in evidence.clips if each.trial_id in logs][:MOST_FILMS]
+    if not evidence.places and not filmed:
+        return evidence  # Without the simulator, which knows scenes.
+    from nw_eval.rollout.replaying.logged import read_logged_trial
+
+    known = {row.trial_id: row for row in rows}
+    try:
+        scenes = _scenes(evidence, known, logs, digests, is_own=is_own)
+        jobs = {each.trial_id: read_logged_trial(logs[each.trial_id]).job for each in filmed}
+        ready = [
+            each
+            for each in filmed
+            if (row := known[each.trial_id]).scene in scenes
+            and jobs[each.trial_id].scene == scenes[row.scene][0]
+            and (is_own or jobs[each.trial_id].robot_folder is None)
+        ]
+        robots = [jobs[each.trial_id].robot_folder for each in ready]
+        wanted = [
+            WantedLog(path=logs[each.trial_id], scene=known[each.trial_id].scene, clip=True)
+            for each in ready
+        ]
+        tops = [
+            _Top.of(place, *scenes[place.scene])
+            for place in evidence.places
+            if place.scene in scenes and _is_ready(scenes[place.scene][1], rows, place.scene)
+        ]
+        also = [folder.path.resolve(), *(robot for robot in robots if robot is not None)]
+        films, pictures = _found_or_drawn(wanted, tops, scenes, kept, also)
+    except (NwEvalError, OSError) as error:
+        remark = f"Scenes and trials could not be drawn from outside: {error}."
+        return replace(evidence, remarks=(*evidence.remarks, remark))
+    by_trial = {each.trial_id: film for each, film in zip(ready, films, strict=True) if film}
+    return replace(
+        evidence,
+        clips=tuple(
+            replace(each, outside=_film(by_trial[each.trial_id]))
+            if each.trial_id in by_trial
+            else each
+            for each in evidence.clips
+        ),
+        places=tuple(
+            replace(place, picture=pictures.get(place.scene, place.picture))
+            for place in evidence.places
+        ),
+    )
+
+
+def _scenes(
+    evidence: LogEvidence,
+    rows: Mapping[str, Row],
+    logs: Mapping[str, Path],
+    digests: Mapping[str, str],
+    *,
+    is_own: bool,
+) -> dict[str, tuple[str, Scene]]:
+    """Return scenes that may be opened, with what opens them, by their names in the run."""
+    from nw_eval.catalogue import is_built_in, open_scene
+    from nw_eval.rollout.replaying.logged import read_logged_trial
+
+    names = {place.scene for place in evidence.places}
+    found: dict[str, tuple[str, Scene]] = {}
+    for trial, row in rows.items():
+        if row.scene not in names or row.scene in found:
+            continue
+        if is_built_in(row.scene):
+            reference, scene = row.scene, open_scene(row.scene)
+        elif is_own and trial in logs:
+            job = read_logged_trial(logs[trial]).job
+            reference, scene = job.scene, open_scene(job.scene, job.collision)
+        else:
+            continue
+        if scene.digest == digests.get(row.scene):
+            found[row.scene] = (reference, scene)
+    return found
+
+
+def _is_ready(scene: Scene, rows: Sequence[Row], name: str) -> bool:
+    """Whether a scene can be drawn without a splat being made first, which may take minutes."""
+    from nw_eval.built_in.entry import BuiltInSplat
+
+    if isinstance(scene.splat, BuiltInSplat):
+        return scene.splat.path.is_file()
+    is_seen = any(row.scene == name and row.coverage_mean is not None for row in rows)
+    return scene.splat is None or is_seen
+
+
+def _found_or_drawn(
+    wanted: Sequence[WantedLog],
+    tops: Sequence[_Top],
+    scenes: Mapping[str, tuple[str, Scene]],
+    kept: KeptEvidence | None,
+    also: Sequence[Path],
+) -> tuple[tuple[ReadClip | None, ...], dict[str, PlacePicture]]:
+    """Return films of logs and pictures of scenes, drawn where they are not kept."""
+    key = "" if kept is None or not wanted else kept.key(wanted, {"film": _FILM_BYTES})
+    old = _read(kept, key)
+    films = None if old is None or len(old.films) != len(wanted) else old.films
+    pictures: dict[str, bytes] = {}
+    missing: list[_Top] = []
+    for top in tops:
+        one = _read(kept, top.key)
+        if one is None or len(one.tops) != 1:
+            missing.append(top)
+        else:
+            pictures[top.name] = one.tops[0]
+    if missing or (films is None and wanted):
+        drawn = _drawn_apart([] if films is not None else wanted, missing, scenes, also)
+        if films is None:
+            films = drawn.films
+            _keep(kept, key, _Drawn(films=films))
+        for top, picture in zip(missing, drawn.tops, strict=True):
+            pictures[top.name] = picture
+            _keep(kept, top.key, _Drawn(tops=(picture,)))
+    boxes = {top.name: top.box for top in tops}
+    return films or (), {
+        name: _picture(data, boxes[name]) for name, data in pictures.items() if data
+    }
+
+
+def _read(kept: KeptEvidence | None, key: str) -> _Drawn | None:
+    content = None if kept is None or not key else kept.find_text(key)
+    try:
+        return None if content is None else _Drawn.model_validate_json(content)
+    except ValidationError:
+        return None
+
+
+def _keep(kept: KeptEvidence | None, key: str, drawn: _Drawn) -> None:
+    if kept is not None and key:
+        kept.keep_text(key, drawn.model_dump_json())
+
+
+def _drawn_apart(
+    wanted: Sequence[WantedLog],
+    tops: Sequence[_Top],
+    scenes: Mapping[str, tuple[str, Scene]],
+    also: Sequence[Path],
+) -> _Drawn:
+    from nw_eval.errors import StoreError
+    from nw_eval.rollout.confined.access import drawing_rules
+    from nw_eval.rollout.confined.isolated import call_isolated
+
+    used = {scenes[log.scene] for log in wanted} | {(top.reference, top.scene) for top in tops}
+    for _, scene in used:
+        scene.splat_stores()  # Their cache is out of reach there.
+    answer = call_isolated(
+        _draw,
+        subject="the pictures of scenes",
+        rules=drawing_rules(scenes=[reference for reference, _ in used], also=also),
+        time_limit=_TIME_LIMIT,
+        renders=any(scene.splat is not None for _, scene in used),
+        logs=[str(log.path.resolve()) for log in wanted],
+        tops=[(top.reference, list(top.box)) for top in tops],
+    )
+    try:
+        drawn = _Drawn.model_validate_json(str(answer))
+    except ValidationError:
+        raise StoreError("the process that draws them gave no pictures") from None
+    if (len(drawn.films), len(drawn.tops)) != (len(wanted), len(tops)):
+        raise StoreError("the process that draws them gave other pictures")
+    return drawn
+
+
+def _film(clip: ReadClip) -> Film:
+    return Film(data=clip.data, still=clip.still, width=clip.width, height=clip.height)
+
+
+def _picture(data: bytes, box: Box) -> PlacePicture:
+    west, south, east, north = box
+    return PlacePicture(
+        mime="image/webp",
+        data=data,
+        west=west,
+        east=east,
+        south=south,
+        north=north,
+        is_coloured=True,
+    )
+
+
+def _draw(*, logs: Sequence[str], tops: Sequence[tuple[str, Sequence[float]]]) -> str:
+    """Return JSON of `_Drawn`; in a confined process."""
+    from nw_eval.rollout.library import Library
+
+    library = Library()
+    drawn = _Drawn(
+        films=tuple(_film_or_none(Path(log), library) for log in logs),
+        tops=tuple(_from_above(library.scene(reference), box) for reference, box in tops),
+    )
+    return drawn.model_dump_json()
+
+
+def _film_or_none(path: Path, library: Library) -> ReadClip | None:
+    try:
+        return _film_of(path, library)
+    except Exception:  # noqa: BLE001 - A log that cannot be drawn costs its own film alone.
+        return None
+
+
+def _film_of(path: Path, library: Library) -> ReadClip | None:
+    """Return the last seconds of a trial from behind the robot's shoulder; None without states."""
+    from PIL import Image
+
+    from nw_eval.robots import know_robot
+    from nw_eval.rollout.replaying.led import open_puppet
+    from nw_eval.rollout.replaying.logged import read_logged_trial
+    from nw_eval.rollout.replaying.third_person import Spectator
+
+    logged = read_logged_trial(path)
+    know_robot(logged.job.robot, logged.job.robot_folder)
+    width, height = _VIEW
+    frames: list[tuple[float, Image.Image]] = []
+    with open_puppet(logged, library) as trial:
+        world, trail = trial.episode.world, trial.episode.task.goal.waypoints
+        states = logged.log.states()
+        if not states:
+            return None
+        spectator = Spectator(trial.scene, None if trial.scene.splat is None else trial.shown())
+        first = states[-1].step - SECONDS * logged.control_rate
+        for state in states:
+            time = state.step / logged.control_rate
+            # The last states of a trial lie closer together than pictures need.
+            is_new = not frames or time - frames[-1][0] > 0.1 or state is states[-1]
+            if state.step >= first and is_new:
+                world.restore(state.world)
+                view = spectator.beside(world, trail, width=width, height=height)
+                frames.append((time, sized(Image.fromarray(view))))
+    return clip_of(frames, topic="", most_bytes=_FILM_BYTES)
+
+
+def _from_above(scene: Scene, box: Sequence[float]) -> bytes:
+    """Return a WebP of a scene from straight above; empty if it has no room."""
+    from PIL import Image
+
+    from nw_eval.scenes.rays import RayScene
+    from nw_eval.sensors.drawing.mesh_picture import MeshPicture
+    from nw_eval.splat.camera import Camera
+    from nw_eval.splat.render import open_renderer
+    from nw_eval.splat.store import open_store
+
+    west, south, east, north = box
+    scale = _TOP_SIDE / max(east - west, north - south)
+    width, height = max(1, round((east - west) * scale)), max(1, round((north - south) * scale))
+    ground = float(scene.spawn.position[2])
+    T_world_camera = np.diag([1.0, -1.0, -1.0, 1.0])  # x to the right, y up, looking down.
+    T_world_camera[:3, 3] = (west + east) / 2, (south + north) / 2, ground + _EYE
+    top = max(ground, float(scene.trail[:, 2].max(initial=ground))) + _OVER
+    T_splat_camera = np.linalg.inv(scene.T_world_splat) @ T_world_camera
+    if scene.splat is None:
+        mesh = scene.mesh()
+        below = mesh.triangles[:, :, 2].min(axis=1) < top
+        mesh = replace(mesh, faces=mesh.faces[below], kinds=mesh.kinds[below])
+        renderer = MeshPicture(RayScene(mesh), scene.T_world_splat)
+    else:
+        renderer = open_renderer(open_store(scene.splat_store()), projection="ray")
+    image = renderer.render(
+        Camera(
+            width=width,
+            height=height,
+            fx=scale * _EYE,
+            fy=scale * _EYE,
+            cx=width / 2,
+            cy=height / 2,
+            T_world_camera=T_splat_camera,
+            near=ground + _EYE - top,
+        )
+    )
+    picture = Image.fromarray(image.bytes())
+    for quality in (70, 45, 20):
+        file = BytesIO()
+        picture.save(file, "WEBP", quality=quality)
+        if file.tell() <= _TOP_BYTES:
+            return file.getvalue()
+    return b""

@@ -1,0 +1,74 @@
+"""What a drop is due to, perception or control: the answer of `nw-eval blame`, and its table."""
+
+from __future__ import annotations
+
+from nw_eval.gate.cause import Cause, Effect
+from nw_eval.plural import plural
+from nw_eval.reporting.tables.table import Table
+
+_ANSWERS = {
+    "no drop": "nothing to blame",
+    "perception": "perception",
+    "control": "control",
+    "both": "perception and control",
+    "cannot tell": "cannot tell",
+}
+
+
+def answer_words(cause: Cause) -> str:
+    """Return the answer in a sentence."""
+    head = _ANSWERS[cause.answer]
+    parts = [
+        f"{cause.new} loses {cause.drop.size:.3f} against {cause.old} in "
+        + plural(cause.trials, "trial"),
+        f"{cause.sight.size:+.3f} by sight {_chance(cause.sight)}",
+        f"{cause.control.size:+.3f} by control {_chance(cause.control)}",
+    ]
+    words = f"{head}: {parts[0]}: {parts[1]}, {parts[2]}"
+    return f"{words}; {cause.why}" if cause.why else words
+
+
+def differences_words(cause: Cause) -> str:
+    """Return in what the two policies differ."""
+    found = [
+        name
+        for name, differs in (
+            ("the sensors of the world around", cause.apart.sight),
+            ("gains, actions or other lines of the card", cause.apart.rest),
+            ("the checkpoint", cause.apart.weights),
+        )
+        if differs
+    ]
+    return f"They differ in {', '.join(found)}." if found else "They are the same policy."
+
+
+def cause_table(cause: Cause | None) -> Table:
+    """Return the two-by-two; without rows where nothing was blamed."""
+    columns = ("control", "sight", "success", "completed", "of those that regressed")
+    numbers = frozenset(columns[2:])
+    if cause is None:
+        return Table(title="Perception or control", columns=columns, rows=(), numbers=numbers)
+    names = {"old": f"{cause.old} (old)", "new": f"{cause.new} (new)"}
+    return Table(
+        title="Perception or control",
+        columns=columns,
+        rows=tuple(
+            (
+                names[arm.whose_control],
+                names[arm.whose_sight],
+                f"{arm.success:.3f}",
+                f"{arm.completed} of {cause.trials}",
+                f"{arm.regressed} of {cause.regressed}",
+            )
+            for arm in cause.arms
+        ),
+        numbers=numbers,
+        note=f"{answer_words(cause)}. {differences_words(cause)} Sight is the sensors of the world "
+        "around and where cameras sit, control is all the rest; each row is a policy that ran in "
+        "the same trials. An effect that is none is named in fewer than "
+        f"{cause.error * 100:.0f} % of such comparisons.",
+    )
+
+
+def _chance(effect: Effect) -> str:
+    return f"(p {effect.p:.3f})" if effect.p >= 0.001 else "(p < 0.001)"
