@@ -297,7 +297,7 @@ class KeptEvidence:
 
     def keep_text(self, key: str, content: str) -> None:
         """Keep a text under a key, a hex digest; nothing under an empty one."""
-        if not key or (self.folder / key).is_fifo():  # Nobody may ever read from it.
+        if not key or (self.folder / key).is_fifo():  # It may never be read.
             return
         with suppress(StoreError), sealed_path(self.folder / key) as path:
             path.write_text(f"{key}\n{content}", encoding="utf-8")
