@@ -8,11 +8,14 @@ from types import SimpleNamespace
 
 import pytest
 
+from nw_eval import api
 from nw_eval.built_in.entry import BuiltInSplat
 from nw_eval.catalogue import open_scene
 from nw_eval.engine.building import SplatBuilders
 from nw_eval.engine.local import LocalWorkers
 from nw_eval.errors import SceneError
+from nw_eval.results.journal import read_journal
+from nw_eval.results.row import rows_digest
 from nw_eval.suite.trials import Trial
 
 NAMES = ("hurdles/one_low_carpet", "hurdles/three_low", "hurdles/two_logs_park")
@@ -278,3 +281,40 @@ def test_a_trial_that_waits_for_its_scene_lends_its_core_to_the_build():
     ]
     workers._build()
     assert (builders.wanted, builders.allowed) == (["b"], 1)
+
+
+SUITE = """\
+nw-eval: 1
+name: quick
+robot: go1
+policy: stand
+trials: 2
+seed: 5
+episode: {duration: 0.2}
+scenes: [hurdles/one_low_carpet, hurdles/three_low]
+record: RECORD
+gate: {success_rate: 0.3}
+"""
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("record", ["all", "failures"])
+def test_a_first_run_has_the_rows_and_the_logs_of_a_later_one(tmp_path, record):
+    suite = tmp_path / "quick.yaml"
+    suite.write_text(SUITE.replace("RECORD", record))
+    runs = [tmp_path / name for name in ("first", "later")]
+    for out in runs:
+        api.run(str(suite), out=out, cache=False)
+    rows, logs = zip(
+        *(
+            (
+                rows_digest(read_journal(run / "journal.jsonl").rows),
+                {log.name: log.read_bytes() for log in run.glob("mcap/**/*.mcap")},
+            )
+            for run in runs
+        ),
+        strict=True,
+    )
+    assert rows[0] == rows[1]
+    assert logs[0] == logs[1]
+    assert len(logs[0]) == 4
