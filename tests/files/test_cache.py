@@ -187,7 +187,7 @@ def test_another_users_folder_is_refused(monkeypatch):
 def test_a_folder_that_everybody_may_exchange_is_refused(own):
     private_dir("kernels")
     own.chmod(0o777)
-    with pytest.raises(StoreError, match="where everybody may exchange it"):
+    with pytest.raises(StoreError, match="where any user may replace it"):
         private_dir("kernels")
     own.chmod(0o1777)  # As /tmp: everybody may add, nobody may exchange.
     assert private_dir("kernels") == own / "kernels"

@@ -71,7 +71,7 @@ def test_other_photographs_another_beginning_and_other_wishes_are_noticed(saved)
     wishes.append((photos(2), whole, replace(BUSY, projection="ewa")))
     wishes.append((photos(2), replace(whole, means=whole.means + np.float32(0.01)), BUSY))
     for taken, start, config in wishes:
-        with pytest.raises(StoreError, match="other photographs or another mesh, or asked"):
+        with pytest.raises(StoreError, match="other photographs, another mesh or other"):
             resume_training(saved, taken, start, config)
 
 

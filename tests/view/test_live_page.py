@@ -107,8 +107,8 @@ def test_what_a_word_names_is_found_out(tmp_path, monkeypatch):
     (tmp_path / "run.json").touch()
     assert kind_of(".", **nothing) == "log"
     for source, words, others in (
-        (None, "nothing to look at", nothing),
-        ("no-such-thing", "no log, run, place or policy", nothing),
+        (None, "nothing to view", nothing),
+        ("no-such-thing", "no log, run, scene or policy", nothing),
         ("hub:org/name", "place or a policy", nothing),
         (".", "what was logged", nothing | {"policy": "stand"}),
         ("go1-act-rgb", "name the same kind of thing", nothing | {"policy": "stand"}),

@@ -51,7 +51,7 @@ def test_where_reports_lead_is_taken_unless_somebody_is_there():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["nowhere"], "no log, run, place or policy at 'nowhere'"),
+        (["nowhere"], "no log, run, scene or policy at 'nowhere'"),
         (["RUN", "--trial", "hurdles-one_low_carpet-0000"], FIRST),
         (["RUN", "--port", "99999"], "another --port"),
     ],

@@ -267,8 +267,7 @@ class LocalWorkers:
             if self._failed_starts > _MOST_FAILED_STARTS * self._count:
                 raise TrialError(
                     f"{self._failed_starts} worker processes in a row died before they could "
-                    "take a "
-                    "trial",
+                    "take a trial",
                     fix="check the system log for the out-of-memory killer, or use fewer --workers",
                 ) from None
             return None

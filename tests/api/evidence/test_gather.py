@@ -69,7 +69,7 @@ def test_a_place_has_the_mean_waypoints_of_its_trials_inside_its_picture(whole):
     with Image.open(BytesIO(picture.data)) as image:
         across, up = picture.east - picture.west, picture.north - picture.south
         assert image.width / image.height == pytest.approx(across / up, rel=0.02)
-    assert any("drawn is the mean" in remark for remark in evidence.remarks)
+    assert any("shows their mean" in remark for remark in evidence.remarks)
 
 
 def test_a_clip_ends_with_the_last_picture_of_the_log_and_says_whose_eyes_they_are(whole):

@@ -92,7 +92,7 @@ def a_folder_of_something_else(path, _):
         (two_photographs, "2 photographs can be read, of 3 needed; give twenty or more"),
         pytest.param(
             all_from_one_spot,
-            "as if the camera had turned on one spot",
+            "suggest that the camera turned on one spot",
             marks=pytest.mark.nightly,
         ),
         (raw, "DNG is not read here: export as JPEG"),
