@@ -254,7 +254,7 @@ def _drawn_apart(
         subject="the pictures of scenes",
         rules=drawing_rules(scenes=[reference for reference, _ in used], also=also),
         time_limit=_TIME_LIMIT,
-        renders=any(scene.splat is not None for _, scene in used),
+        renders=("ray",) if any(scene.splat is not None for _, scene in used) else (),
         logs=[str(log.path.resolve()) for log in wanted],
         tops=[(top.reference, list(top.box)) for top in tops],
     )
@@ -308,7 +308,7 @@ def _film_of(path: Path, library: Library) -> ReadClip | None:
     from PIL import Image
 
     from nw_eval.robots import know_robot
-    from nw_eval.rollout.replaying.led import open_puppet
+    from nw_eval.rollout.replaying.policy_switch import open_replayed
     from nw_eval.rollout.replaying.logged import read_logged_trial
     from nw_eval.rollout.replaying.third_person import Spectator
 
@@ -316,7 +316,7 @@ def _film_of(path: Path, library: Library) -> ReadClip | None:
     know_robot(logged.job.robot, logged.job.robot_folder)
     width, height = _VIEW
     frames: list[tuple[float, Image.Image]] = []
-    with open_puppet(logged, library) as trial:
+    with open_replayed(logged, library) as trial:
         world, trail = trial.episode.world, trial.episode.task.goal.waypoints
         states = logged.log.states()
         if not states:

@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Self
 
 from nw_eval.engine.building import SplatBuilders
-from nw_eval.engine.cache import limit_bytes, told_of_cache
+from nw_eval.engine.cache import told_of_cache
 from nw_eval.engine.known import known_trials
 from nw_eval.engine.listener import Listener, NullListener
 from nw_eval.engine.machine import worker_count
@@ -98,7 +98,9 @@ def carry_out(
             meanwhile()
 
     listener = listener or NullListener()
-    limit_bytes()  # Before anything is written, if it is none.
+    told = told_of_cache()  # Before anything is written, if a size is none.
+    if told and not _uncached(cache=cache, in_process=in_process):
+        listener.message(told)
     with (
         worker_pool(workers=workers, in_process=in_process, cluster=cluster) as place,
         SplatBuilders(
@@ -112,8 +114,6 @@ def carry_out(
             _open_backend(plan, listener, builders, in_process=in_process)
         folder = _folder(plan, out, resume)
         listener.message(f"run folder: {folder.path}")
-        if not _uncached(cache=cache, in_process=in_process) and (told := told_of_cache()):
-            listener.message(told)
         # Workers and rows need a path that means the same everywhere.
         folder = RunFolder(path=folder.path.resolve())
         info = run_info(

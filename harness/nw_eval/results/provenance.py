@@ -257,11 +257,6 @@ class RunInfo(_Saved):
     def _are_labels(cls, labels: dict[str, str]) -> dict[str, str]:
         return check_labels(labels)
 
-    @field_validator("labels")
-    @classmethod
-    def _are_labels(cls, labels: dict[str, str]) -> dict[str, str]:
-        return check_labels(labels)
-
     @property
     def drawn_by(self) -> str:
         """By what the order of its starts is drawn, where a baseline draws it."""

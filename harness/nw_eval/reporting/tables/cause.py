@@ -1,4 +1,4 @@
-"""What a drop is due to, perception or control: the answer of `nw-eval attribute`, and its table."""
+"""What a drop is due to, perception or control: what `nw-eval attribute` says, and its table."""
 
 from __future__ import annotations
 
