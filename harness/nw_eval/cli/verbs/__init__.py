@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from argparse import ArgumentParser
 from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
 from operator import or_
@@ -93,10 +92,9 @@ def _verb(name: str) -> Any:
     return resolve_name(f"{__name__}.{name}:{_VERBS[name]}")
 
 
-def parsers() -> Iterator[tuple[str, ArgumentParser]]:
-    """Yield every verb, in the order of the help text, with the parser that says its options."""
-    from tyro.extras import get_parser
-
+def parsers() -> Iterator[tuple[str, Any]]:
+    """Yield each verb, in the order of the help text, with argparse's parser of its options."""
+    get_parser = resolve_name("tyro.extras:get_parser")  # Deprecated for parsing, not for reading.
     for name in _VERBS:
         yield name, get_parser(_verb(name), prog=f"nw-eval {name}", config=_config())
 
