@@ -351,7 +351,7 @@ def _from_above(scene: Scene, box: Sequence[float]) -> bytes:
     T_world_camera = np.diag([1.0, -1.0, -1.0, 1.0])  # x to the right, y up, looking down.
     T_world_camera[:3, 3] = (west + east) / 2, (south + north) / 2, ground + _EYE
     top = max(ground, float(scene.trail[:, 2].max(initial=ground))) + _OVER
-    T_splat_camera = np.linalg.inv(scene.T_world_splat) @ T_world_camera
+    T_splat_camera = (np.linalg.inv(scene.T_world_splat) @ T_world_camera).astype(np.float64)
     if scene.splat is None:
         mesh = scene.mesh()
         below = mesh.triangles[:, :, 2].min(axis=1) < top

@@ -71,10 +71,11 @@ def all_tables(
         contacts_table(ordered, run),
         failures_table(ordered, compared=verdict.against is not None),
         errors_table(ordered),
+        *((worst,) if brief else ()),
+        throughput_table(ordered, run),
         left_table(ordered, verdict),
         coverage_table(ordered, verdict),
-        throughput_table(ordered, run),
-        *((worst,) if brief else (provenance_table(run),)),
+        *(() if brief else (provenance_table(run),)),
     )
     return tuple(table for table in tables if table.rows)
 
