@@ -55,12 +55,12 @@ def _fits(words: str, parts: tuple[str | None, ...]) -> bool:
 
 
 def is_printed(message: str) -> bool:
-    """Whether the code says this: what happened and, behind a semicolon, what to do."""
-    parts = message.split("; ")  # Either may have semicolons of its own.
-    cuts = range(1, len(parts) + 1)
+    """Whether texts of the code make this message, joined by semicolons."""
+    parts = message.split("; ")
     return any(
-        is_said("; ".join(parts[:cut])) and (cut == len(parts) or is_said("; ".join(parts[cut:])))
-        for cut in cuts
+        is_said("; ".join(parts[:cut]))
+        and (cut == len(parts) or is_printed("; ".join(parts[cut:])))
+        for cut in range(len(parts), 0, -1)
     )
 
 

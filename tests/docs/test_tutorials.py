@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -147,3 +148,19 @@ def test_a_checkpoint_becomes_a_required_check(training: Path) -> None:
     assert "reports/baselines/walk/shipped.parquet" in kept.stdout
     assert not re.search(r"^(reports/(?!baselines)|logs/)", kept.stdout, re.MULTILINE)
     assert (training / "gate.xml").exists()
+
+
+@pytest.mark.nightly
+def test_your_own_robot_walks(tmp_path: Path) -> None:
+    page = "your-own-robot.md"
+    policy = ASSETS / "policies" / "b2-robot-lab" / "policy.pt"
+    if not (B2.exists() and policy.exists()):
+        pytest.skip("needs the published B2 and its policy")
+    shutil.copytree(B2, tmp_path / "model")
+    (tmp_path / "checkpoint").mkdir()
+    shutil.copy(policy, tmp_path / "checkpoint" / "policy.pt")
+    followed = follow(page, tmp_path)
+    assert followed.returncode == 0, followed.stdout + followed.stderr
+    printed = timeless(followed.stdout)
+    for line in outputs_of(page):
+        assert timeless(line) in printed, line
