@@ -87,20 +87,28 @@ NOT_RUN = MappingProxyType(
         **dict.fromkeys(
             [
                 "nw-eval report reports/smoke-go1-parkour-* --open",
-                "nw-eval replay reports/smoke-go1-parkour-*/mcap/hurdles/three_low/"
-                "hurdles-three_low-000.mcap --picture trial.png",
+                (
+                    "nw-eval replay reports/smoke-go1-parkour-*/mcap/hurdles/three_low/"
+                    "hurdles-three_low-000.mcap --picture trial.png"
+                ),
             ],
             "a shell's star; tests/reporting and tests/rollout/replaying do",
         ),
         **dict.fromkeys(
             [
-                "nw-eval watch checkpoints --suite suites/walk.yaml "
-                "--card policies/walk/policy.yaml --trials 20 --once --out reports/ten",
+                (
+                    "nw-eval watch checkpoints --suite suites/walk.yaml "
+                    "--card policies/walk/policy.yaml --trials 20 --once --out reports/ten"
+                ),
                 "nw-eval compare reports/ten/runs/*",
-                "nw-eval run suites/walk.yaml --policy policies/walk --checkpoint "
-                "checkpoints/model_900.onnx --seed 2 --trials 20 --out reports/held-out",
-                "nw-eval bisect suites/walk.yaml checkpoints --policy policies/walk/policy.yaml "
-                "--good checkpoints/model_900.onnx --bad checkpoints/model_1000.onnx",
+                (
+                    "nw-eval run suites/walk.yaml --policy policies/walk --checkpoint "
+                    "checkpoints/model_900.onnx --seed 2 --trials 20 --out reports/held-out"
+                ),
+                (
+                    "nw-eval bisect suites/walk.yaml checkpoints --policy policies/walk/policy.yaml "
+                    "--good checkpoints/model_900.onnx --bad checkpoints/model_1000.onnx"
+                ),
             ],
             "ten checkpoints, minutes; tests/api watch, compare and search smaller series",
         ),
