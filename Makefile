@@ -17,7 +17,8 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
-	$(BIN)/nw-eval run suites/hurdles.yaml --all-rounds --trials 10
+	@$(BIN)/nw-eval run suites/hurdles.yaml --all-rounds --trials 10; code=$$?; \
+	echo "nw-eval is installed in $(VENV): \`source $(BIN)/activate\`, then \`nw-eval --help\`"; exit $$code
 
 # Types are checked by one core while the other compiles the kernels: those of the splats by `warmup`, those of
 # reconstruction and calibration, which few users need, by a test of each kind. Files of tests keep their order: xdist

@@ -26,6 +26,8 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 _EXTENDING = ("robots", "tasks", "scores", "axes", "splat-formats", "reporters", "testing")
 OWN_TESTS = {
     "docs/how-to/extending/sensors.md": "tests/sensors/test_wrappers_page.py",
+    "docs/tutorials/checkpoint-to-check.md": "tests/docs/test_tutorials.py",
+    "docs/tutorials/your-own-robot.md": "tests/docs/test_tutorials.py",
     **{
         f"docs/how-to/extending/{name}.md": "tests/extending/test_extending_page.py"
         for name in _EXTENDING
@@ -42,6 +44,7 @@ REDUCED = MappingProxyType(
         "nw-eval run smoke --policy policies/mine": _ONE_TRIAL,
         "nw-eval run smoke --policy go1-parkour --out board/parkour": _ONE_TRIAL,
         "nw-eval run smoke --out looked-at": _ONE_TRIAL,
+        "nw-eval run smoke": _ONE_TRIAL,
         "nw-eval run smoke --policy stand --baseline none --out board/stand": _ONE_TRIAL,
         "nw-eval sweep smoke --axis friction=0.2,1.25 --trials 2 --out my-sweep": (
             "--trials 1 --scenes hurdles/one_low_carpet"
@@ -62,11 +65,9 @@ NOT_RUN = MappingProxyType(
         "--good logs/go2/model_1500.pt --bad logs/go2/model_3000.pt": (
             "of a training of one's own; test_series.py searches some checkpoints"
         ),
-        'nw-eval baseline save hurdles-state --policy go1-parkour --note "ships since May"': (
-            "a thousand trials; test_baselines.py saves smaller banks"
+        "nw-eval baseline save hurdles-state --policy go1-parkour": (
+            "a thousand trials; test_baselines.py saves smaller ones"
         ),
-        "nw-eval baseline save hurdles-state --policy go1-parkour": "likewise; it adds a panel",
-        "nw-eval run hurdles-state --policy my-policy --baseline go1-parkour": "against that bank",
         "nw-eval run hurdles --policy my-policy --track wandb": (
             "test_trackers.py and tests/report/trackers track runs"
         ),
@@ -82,6 +83,35 @@ NOT_RUN = MappingProxyType(
         "nw-eval report --site site runs/*": "in a workflow; the page does it with two runs",
         "nw-eval scores walk.mcap --robot go1": "a robot's log; tests/scores/test_logs.py has one",
         "make run": "minutes; CI does it on a fresh machine",
+        "make build": "minutes; CI does it, and runs the wheel",
+        **dict.fromkeys(
+            [
+                "nw-eval report reports/smoke-go1-parkour-* --open",
+                (
+                    "nw-eval replay reports/smoke-go1-parkour-*/mcap/hurdles/three_low/"
+                    "hurdles-three_low-000.mcap --picture trial.png"
+                ),
+            ],
+            "a shell's star; tests/reporting and tests/rollout/replaying do",
+        ),
+        **dict.fromkeys(
+            [
+                (
+                    "nw-eval watch checkpoints --suite suites/walk.yaml "
+                    "--card policies/walk/policy.yaml --trials 20 --once --out reports/ten"
+                ),
+                "nw-eval compare reports/ten/runs/*",
+                (
+                    "nw-eval run suites/walk.yaml --policy policies/walk --checkpoint "
+                    "checkpoints/model_900.onnx --seed 2 --trials 20 --out reports/held-out"
+                ),
+                (
+                    "nw-eval bisect suites/walk.yaml checkpoints --policy policies/walk/policy.yaml "
+                    "--good checkpoints/model_900.onnx --bad checkpoints/model_1000.onnx"
+                ),
+            ],
+            "ten checkpoints, minutes; tests/api watch, compare and search smaller series",
+        ),
         "make test": "this is part of it",
         "nw-eval policies check ./my-policy": "test_readme.py does, with the card of the README",
         "nw-eval run hurdles --policy ./my-policy": "as `run smoke` of the same page, with a bar",
@@ -136,7 +166,16 @@ NOT_RUN = MappingProxyType(
         "nw-eval twin build photographs/ --out corridor --tag-edge 0.16": (
             "minutes; tests/twin/building builds a room by night"
         ),
-        "nw-eval scenes check ./corridor": "of that place",
+        **dict.fromkeys(
+            [
+                "nw-eval scenes check ./corridor",
+                "nw-eval scenes render ./corridor --out corridor.png",
+                "nw-eval run corridor/suite.yaml --policy go1-act-rgb",
+                "nw-eval view ./corridor",
+                "nw-eval check my-places.yaml",
+            ],
+            "of that scene",
+        ),
         "nw-eval twin label corridor": "till Ctrl-C; tests/twin/label does, and uses its page",
         **dict.fromkeys(
             [
@@ -260,7 +299,7 @@ def test_the_program_takes_every_command_of_a_page(
 ) -> None:
     for command in commands_of(page):
         if command.startswith("nw-eval "):
-            parse(shlex.split(command)[1:], description="")
+            parse(shlex.split(command.split(" || ")[0])[1:], description="")
     for command in named_in_prose(page):
         with pytest.raises(SystemExit) as left:  # Most name no file: their help is enough.
             parse([*shlex.split(command.split(" ||")[0]), "--help"], description="")

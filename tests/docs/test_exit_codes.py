@@ -1,4 +1,4 @@
-"""The README's table of exit codes is what happens: each of its rows, for real."""
+"""The table of exit codes in Get started is what happens: each of its rows, for real."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nw_eval.results.bank import Panel
 from nw_eval.results.bank_build import bank_of_run
 from nw_eval.results.bank_file import write_bank
 
-README = Path(__file__).parents[2] / "README.md"
+START = Path(__file__).parents[2] / "docs" / "index.md"
 
 SUITE = """\
 nw-eval: 1
@@ -32,7 +32,7 @@ record: none
 
 def promised() -> list[tuple[int, str]]:
     """Code and verdict of every row of the table."""
-    table = README.read_text(encoding="utf-8").split("| code | verdict |")[1].split("\n\n")[0]
+    table = START.read_text(encoding="utf-8").split("| code | verdict |")[1].split("\n\n")[0]
     return [
         (int(code), word.strip())
         for code, word in re.findall(r"^\| (\d+) \|([^|]*)\|", table, re.MULTILINE)

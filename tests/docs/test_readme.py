@@ -1,29 +1,35 @@
-"""What the README tells a newcomer to type and to write is what the program takes."""
+"""What README and Get started tell a newcomer to type and to write is what the program takes."""
 
 import re
+import subprocess
 import tomllib
 from pathlib import Path
 
 import onnx
 import pytest
 from onnx import TensorProto, helper
+from PIL import Image
 
 from nw_eval import api, cli
 from nw_eval.cards import load_card
+from nw_eval.catalogue import names
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.confined.vetting import check_bundle
 from nw_eval.sensors import check_card
 
-README = Path(__file__).parents[2] / "README.md"
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+START = ROOT / "docs" / "index.md"
+FILM = ROOT / "docs" / "images" / "film.webp"
 
 
 def text():
     return README.read_text(encoding="utf-8")
 
 
-def five_minutes():
-    return text().split("## Your own checkpoint in five minutes")[1].split("\n## ")[0]
+def own_checkpoint():
+    return START.read_text(encoding="utf-8").split("## Your own checkpoint")[1].split("\n## ")[0]
 
 
 def save_network(path, **inputs):
@@ -39,7 +45,7 @@ def save_network(path, **inputs):
 
 @pytest.fixture
 def checkpoint(tmp_path):
-    """A graph that takes 48 numbers and an image, where the README copies its checkpoint to."""
+    """A graph that takes 48 numbers and an image, where the page copies its checkpoint to."""
     (tmp_path / "my-policy").mkdir()
     path = tmp_path / "my-policy" / "policy.onnx"
     save_network(path, obs=[1, 48], image=[1, 3, 45, 80])
@@ -47,14 +53,14 @@ def checkpoint(tmp_path):
 
 
 def paste_card(folder):
-    """Write the README's card as it stands there."""
-    (block,) = re.findall(r"```yaml\n(.*?)```", text(), re.DOTALL)
-    lines = [line.removeprefix("   ") for line in block.splitlines()]
+    """Write the card of Get started as it stands there."""
+    (block,) = re.findall(r"```yaml\n(.*?)```", own_checkpoint(), re.DOTALL)
+    lines = block.splitlines()
     assert lines[0] == f"# {folder.name}/policy.yaml"
     (folder / "policy.yaml").write_text("\n".join(lines) + "\n")
 
 
-def test_the_card_of_the_five_minutes_is_valid(tmp_path):
+def test_the_card_of_get_started_is_valid(tmp_path):
     folder = tmp_path / "my-policy"
     folder.mkdir()
     paste_card(folder)
@@ -64,7 +70,7 @@ def test_the_card_of_the_five_minutes_is_valid(tmp_path):
 
 
 def test_the_first_command_writes_a_card_with_the_digest_and_with_what_to_check(checkpoint):
-    commands = re.findall(r"nw-eval (?:policies )?(\w+)", five_minutes())
+    commands = re.findall(r"nw-eval (?:policies )?(\w+)", own_checkpoint())
     assert list(dict.fromkeys(commands))[:3] == ["init", "check", "run"]
     told = api.init_policy(checkpoint, robot="go1")
     below = [line for line in told.text.splitlines() if "# CHECK: " in line]
@@ -78,7 +84,7 @@ def test_the_card_works_as_it_stands_with_a_checkpoint_that_fits_it(tmp_path, mo
     folder.mkdir()
     paste_card(folder)
     save_network(folder / "policy.onnx", obs=[1, 225], image=[1, 3, 45, 80])
-    command = re.findall(r"`nw-eval (policies check my-policy)`", five_minutes())
+    command = re.findall(r"`nw-eval (policies check my-policy)`", own_checkpoint())
     with pytest.raises(SystemExit) as left:
         cli.main(command[0].split())
     out, err = capsys.readouterr()
@@ -89,10 +95,10 @@ def test_the_card_works_as_it_stands_with_a_checkpoint_that_fits_it(tmp_path, mo
     assert "fault: the action is the same at every step" in out
 
 
-def test_what_does_not_fit_is_told_as_the_readme_shows_it(checkpoint):
+def test_what_does_not_fit_is_told_as_the_page_shows_it(checkpoint):
     folder = checkpoint.parent
     paste_card(folder)
-    (said,) = re.findall(r"error: my-policy/policy.yaml: (.*)", five_minutes())
+    (said,) = re.findall(r"error: my-policy/policy.yaml: (.*)", own_checkpoint())
     with pytest.raises(PolicyError) as told:
         check_bundle(load_bundle(folder))
     assert str(told.value) == f"{folder / 'policy.yaml'}: {said}"
@@ -119,3 +125,61 @@ def test_it_leads_to_the_paper_its_page_and_its_data():
         "https://huggingface.co/datasets/ziyc/neverwhere",
     ):
         assert f"]({place})" in text()
+
+
+def test_it_is_read_in_two_minutes():
+    lines = text().splitlines()
+    assert len(lines) <= 120
+    assert max(map(len, lines)) <= 120
+    first = " ".join(text().split("\n\n")[1].split())
+    assert first.count(".") == 1, "one sentence says what nw-eval is"
+    assert len(START.read_text(encoding="utf-8").splitlines()) <= 200
+
+
+def test_its_film_is_of_ten_seconds_and_loads_fast():
+    assert f"]({FILM.relative_to(ROOT).as_posix()})" in text()
+    assert FILM.stat().st_size < 3e6
+    lasted = 0
+    with Image.open(FILM, formats=["WEBP"]) as film:
+        assert film.is_animated
+        for frame in range(film.n_frames):
+            film.seek(frame)
+            film.load()
+            lasted += film.info["duration"]
+    assert 9_000 <= lasted <= 11_000, "ms"
+
+
+def test_what_it_says_of_versions_and_scenes_is_so():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["requires-python"] == ">=3.11,<3.14"
+    for page in (README, START):
+        assert "Python 3.11, 3.12 or 3.13" in page.read_text(encoding="utf-8")
+    kinds = [name.split("/")[0] for name in names()]
+    counted = {kind: kinds.count(kind) for kind in set(kinds)}
+    assert counted == {"hurdles": 16, "gaps": 16, "ramps": 16, "stairs": 16, "flat": 1, "open": 3}
+    trained = [name for name in names("train") if name.split("/")[0] not in {"flat", "open"}]
+    assert f"{len(trained)} of the 64" in START.read_text(encoding="utf-8")
+
+
+def test_make_run_ends_by_saying_how_to_go_on_and_with_the_code_of_the_run(tmp_path):
+    (tmp_path / "bin").mkdir()
+    (tmp_path / ".installed").touch()
+    (tmp_path / "bin" / "python").touch()
+    program = tmp_path / "bin" / "nw-eval"
+    program.write_text("#!/bin/sh\necho ran: $*\nexit 3\n")
+    program.chmod(0o755)
+    ended = subprocess.run(
+        # Nothing is installed: what the set-up leaves is there, and newer than its files.
+        ["make", "--no-print-directory", "-C", str(ROOT), "run", f"VENV={tmp_path}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "ran: run suites/hurdles.yaml --all-rounds --trials 10\n" in ended.stdout
+    assert (
+        ended.stdout.split("ran: ")[1]
+        .splitlines()[-1]
+        .startswith(f"nw-eval is installed in {tmp_path}: `source {tmp_path}/bin/activate`")
+    )
+    assert "Error 3" in ended.stderr, "make says the code of the run, and fails"
+    assert ended.returncode == 2

@@ -67,7 +67,7 @@ def test_its_exit_codes_are_the_readmes_and_the_gates():
     said = {int(code): words for code, words, _ in rows("Exit codes")}
     interrupted = 128 + signal.SIGINT  # As shells have it.
     assert list(said) == sorted({*EXIT_CODES.values(), UsageError.exit_code, interrupted})
-    table = (ROOT / "README.md").read_text(encoding="utf-8").split("| code | verdict |")[1]
+    table = (ROOT / "docs" / "index.md").read_text(encoding="utf-8").split("| code | verdict |")[1]
     assert list(said) == sorted(
         {int(code) for code in re.findall(r"^\| (\d+) \|", table, re.MULTILINE)}
     )

@@ -1,0 +1,166 @@
+"""The tutorials' commands do, as they stand, what the pages say."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+TUTORIALS = ROOT / "docs" / "tutorials"
+ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", ROOT.parent / "shared" / "assets"))
+GO1 = ASSETS / "policies" / "playground-go1" / "go1_policy.onnx"
+B2 = ASSETS / "robots" / "b2"
+
+_BLOCK = re.compile(r"^```([\w-]*)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+TRAINING = "logs/rsl_rl/go1_velocity/2026-11-20_14-03-11"
+"""The folder of the training in `checkpoint-to-check.md`."""
+
+DEPLOY = """\
+joint_ids_map: [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]
+step_dt: 0.02
+stiffness: [35, 35, 35, 35, 35, 35, 35, 35, 35, 35, 35, 35]
+damping: [.5, .5, .5, .5, .5, .5, .5, .5, .5, .5, .5, .5]
+default_joint_pos: [.1, .9, -1.8, -.1, .9, -1.8, .1, .9, -1.8, -.1, .9, -1.8]
+commands:
+  base_velocity:
+    ranges: {lin_vel_x: [-1.5, 1.5], lin_vel_y: [-0.8, 0.8], ang_vel_z: [-1.2, 1.2], heading: null}
+actions:
+  JointPositionAction:
+    clip: null
+    joint_names: [.*]
+    scale: [.5, .5, .5, .5, .5, .5, .5, .5, .5, .5, .5, .5]
+    offset: [.1, .9, -1.8, -.1, .9, -1.8, .1, .9, -1.8, -.1, .9, -1.8]
+    joint_ids: null
+observations:
+  base_lin_vel: {params: {}, clip: null, scale: [1, 1, 1], history_length: 1}
+  base_ang_vel: {params: {}, clip: null, scale: [1, 1, 1], history_length: 1}
+  projected_gravity: {params: {}, clip: null, scale: [1, 1, 1], history_length: 1}
+  joint_pos_rel: {scale: [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1], history_length: 1}
+  joint_vel_rel: {scale: [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1], history_length: 1}
+  last_action: {scale: [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1], history_length: 1}
+  velocity_commands: {params: {}, clip: null, scale: [1, 1, 1], history_length: 1}
+"""
+"""What unitree_rl_mjlab would write beside Playground's policy, by its publisher's code."""
+
+ENVIRONMENT = """\
+decimation: 4
+sim: {dt: 0.005}
+scene:
+  robot:
+    init_state:
+      joint_pos: {.*_thigh_joint: 0.9, .*_calf_joint: -1.8, .*R_hip_joint: 0.1, .*L_hip_joint: -0.1}
+    actuators:
+      legs:
+        joint_names_expr: [.*_hip_joint, .*_thigh_joint, .*_calf_joint]
+        effort_limit: {.*_hip_joint: 23.7, .*_thigh_joint: 23.7, .*_calf_joint: 35.55}
+        stiffness: 35.0
+        damping: 0.5
+        armature: 0.005
+observations:
+  policy:
+    velocity: {func: "isaaclab.envs.mdp.observations:generated_commands", clip: null, scale: null}
+actions: {}
+"""
+
+
+def script_of(page: str) -> str:
+    """A page as one script: its files are written where their names say, its commands run."""
+    parts: list[str] = []
+    for kind, name, body in _BLOCK.findall((TUTORIALS / page).read_text(encoding="utf-8")):
+        if name:
+            parts.append(f"mkdir -p {Path(name).parent}\ncat > {name} <<'EOF'\n{body}EOF\n")
+        elif kind == "bash":
+            parts.append(body)
+    return "set -eo pipefail\n" + "\n".join(parts)
+
+
+def follow(page: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Follow a page in a folder, word for word, as a reader whose shell has nw-eval does."""
+    identity = {
+        f"GIT_{who}_{what}": "reader@example.com"
+        for who in ("AUTHOR", "COMMITTER")
+        for what in ("NAME", "EMAIL")
+    }
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    return subprocess.run(
+        ["bash", "-c", script_of(page)],
+        cwd=folder,
+        env={**os.environ, **identity, "PATH": path, "COLUMNS": "120"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=1500,
+    )
+
+
+def outputs_of(page: str) -> list[str]:
+    """What a page says that its commands print, line by line."""
+    blocks = _BLOCK.findall((TUTORIALS / page).read_text(encoding="utf-8"))
+    return [line.rstrip() for kind, _, body in blocks if not kind for line in body.splitlines()]
+
+
+def timeless(text: str) -> str:
+    """Text without what another machine measures, in one line."""
+    return re.sub(r"· [\d.]+ (s|min) on \d+ workers", "", " ".join(text.split()))
+
+
+@pytest.fixture
+def training(tmp_path: Path) -> Path:
+    """The folder of a training beside which the reader begins."""
+    if not GO1.exists():
+        pytest.skip("needs the published Go1 policy")
+    (tmp_path / TRAINING / "exported").mkdir(parents=True)
+    (tmp_path / TRAINING / "params").mkdir()
+    (tmp_path / TRAINING / "exported" / "policy.onnx").write_bytes(GO1.read_bytes())
+    (tmp_path / TRAINING / "params" / "deploy.yaml").write_text(DEPLOY)
+    (tmp_path / TRAINING / "params" / "env.yaml").write_text(ENVIRONMENT)
+    return tmp_path
+
+
+@pytest.mark.nightly
+def test_a_checkpoint_becomes_a_required_check(training: Path) -> None:
+    page = "checkpoint-to-check.md"
+    followed = follow(page, training)
+    said = followed.stdout + followed.stderr
+    assert followed.returncode == 0, said
+    last = next(line for line in followed.stdout.splitlines()[::-1] if " · baseline " in line)
+    assert last.startswith("PASS · baseline shipped is the same policy"), "the check's own word"
+    # The gate failed, too, where the page says so.
+    assert "exit code 1\n" in followed.stdout
+    printed = timeless(followed.stdout)
+    for line in outputs_of(page):
+        assert timeless(line) in printed, line
+    card = (training / "policies/walk/policy.yaml").read_text()
+    shown = _BLOCK.findall((TUTORIALS / page).read_text())
+    (lines,) = [body for kind, name, body in shown if kind == "yaml" and not name]
+    assert all(line in card for line in lines.splitlines())
+    assert card.count("# CHECK: ") == 3, "as many as the page counts"
+    kept = subprocess.run(
+        ["git", "ls-files"], cwd=training, capture_output=True, text=True, check=True
+    )
+    assert "reports/baselines/walk/shipped.parquet" in kept.stdout
+    assert not re.search(r"^(reports/(?!baselines)|logs/)", kept.stdout, re.MULTILINE)
+    assert (training / "gate.xml").exists()
+
+
+@pytest.mark.nightly
+def test_your_own_robot_walks(tmp_path: Path) -> None:
+    page = "your-own-robot.md"
+    policy = ASSETS / "policies" / "b2-robot-lab" / "policy.pt"
+    if not (B2.exists() and policy.exists()):
+        pytest.skip("needs the published B2 and its policy")
+    shutil.copytree(B2, tmp_path / "model")
+    (tmp_path / "checkpoint").mkdir()
+    shutil.copy(policy, tmp_path / "checkpoint" / "policy.pt")
+    followed = follow(page, tmp_path)
+    assert followed.returncode == 0, followed.stdout + followed.stderr
+    printed = timeless(followed.stdout)
+    for line in outputs_of(page):
+        assert timeless(line) in printed, line
