@@ -308,8 +308,8 @@ def _film_of(path: Path, library: Library) -> ReadClip | None:
     from PIL import Image
 
     from nw_eval.robots import know_robot
-    from nw_eval.rollout.replaying.policy_switch import open_replayed
     from nw_eval.rollout.replaying.logged import read_logged_trial
+    from nw_eval.rollout.replaying.policy_switch import open_replayed
     from nw_eval.rollout.replaying.third_person import Spectator
 
     logged = read_logged_trial(path)
