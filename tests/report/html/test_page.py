@@ -193,7 +193,7 @@ def test_the_three_worst_trials_are_shown_before_others_from_outside_and_as_the_
     first, more = page.one("section", id="worst").all("ul", class_="worst")
     assert [len(first.all("li")), len(more.all("li"))] == [3, 5]
     card = first.all("li")[0]
-    assert "The baseline's policy passed waypoint 3 and completed at" in card.text
+    assert "The baseline's policy passed waypoint 3 at 2.0 s and completed at 4.0 s." in card.text
     assert [each.attributes["alt"] for each in card.one("details").all("img")] == [
         "from outside", CLIP.caption,
     ]  # fmt: skip
