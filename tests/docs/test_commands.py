@@ -107,7 +107,8 @@ NOT_RUN = MappingProxyType(
                 ),
                 (
                     "nw-eval bisect suites/walk.yaml checkpoints --policy "
-                    "policies/walk/policy.yaml --good checkpoints/model_900.onnx --bad checkpoints/model_1000.onnx"
+                    "policies/walk/policy.yaml --good checkpoints/model_900.onnx "
+                    "--bad checkpoints/model_1000.onnx"
                 ),
             ],
             "ten checkpoints, minutes; tests/api watch, compare and search smaller series",
