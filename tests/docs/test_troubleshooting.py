@@ -36,8 +36,9 @@ def templates() -> frozenset[tuple[str | None, ...]]:
 
 
 def _text(part: ast.AST) -> str | None:
-    is_text = isinstance(part, ast.Constant) and isinstance(part.value, str)
-    return part.value if is_text else None  # pyright: ignore[reportAttributeAccessIssue]
+    if isinstance(part, ast.Constant) and isinstance(part.value, str):
+        return part.value
+    return None
 
 
 def is_said(words: str) -> bool:
