@@ -106,8 +106,9 @@ NOT_RUN = MappingProxyType(
                     "checkpoints/model_900.onnx --seed 2 --trials 20 --out reports/held-out"
                 ),
                 (
-                    "nw-eval bisect suites/walk.yaml checkpoints "
-                    "--policy policies/walk/policy.yaml --good checkpoints/model_900.onnx --bad checkpoints/model_1000.onnx"
+                    "nw-eval bisect suites/walk.yaml checkpoints --policy "
+                    "policies/walk/policy.yaml --good checkpoints/model_900.onnx "
+                    "--bad checkpoints/model_1000.onnx"
                 ),
             ],
             "ten checkpoints, minutes; tests/api watch, compare and search smaller series",

@@ -29,10 +29,16 @@ def templates() -> frozenset[tuple[str | None, ...]]:
     for file in sorted((ROOT / "harness").rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             parts = node.values if isinstance(node, ast.JoinedStr) else [node]
-            said = tuple(part.value if isinstance(part, ast.Constant) else None for part in parts)
-            if all(part is None or isinstance(part, str) for part in said) and any(said):
+            said = tuple(_text(part) for part in parts)
+            if any(said):
                 found.add(said)
     return frozenset(found)
+
+
+def _text(part: ast.AST) -> str | None:
+    if isinstance(part, ast.Constant) and isinstance(part.value, str):
+        return part.value
+    return None
 
 
 def is_said(words: str) -> bool:
