@@ -569,7 +569,8 @@ def _muwanx_term(words: Data) -> ExportedTerm:
 
 def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
     """Read the environment of a training in Isaac Lab, or in mjlab, where patterns name joints."""
-    asset = _dict(_dict(data.get("scene")).get("robot"))
+    scene = _dict(data.get("scene"))
+    asset = _dict(scene.get("robot") or _dict(scene.get("entities")).get("robot"))
     action = next(
         (_dict(term) for term in _dict(data["actions"]).values() if "scale" in _dict(term)), {}
     )
@@ -585,7 +586,11 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
             terms.append(_manager_term(name, own, function=function))
     names, is_guess = _joint_order(action, robot)
     patterns = _Patterns(names)
-    groups_of_motors = [_dict(motor) for motor in _dict(asset.get("actuators")).values()]
+    # Isaac Lab names groups of motors; mjlab lists them.
+    listed = _dict(asset.get("articulation")).get("actuators", asset.get("actuators"))
+    groups_of_motors = [
+        _dict(motor) for motor in (listed if isinstance(listed, list) else _dict(listed).values())
+    ]
     simulation = _dict(data["sim"])
     step = _number(simulation.get("dt", _dict(simulation.get("mujoco")).get("timestep")))
     every = _number(data.get("decimation"))

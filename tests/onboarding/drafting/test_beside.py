@@ -145,6 +145,25 @@ commands:
 """
 
 
+def test_mjlab_keeps_its_robot_among_entities_and_lists_its_motors(card_of):
+    isaac = ENVIRONMENT.partition("    actuators:")
+    motors = isaac[2].partition("observations:")
+    listed = """    articulation:
+      actuators:
+      - target_names_expr: [.*_hip_joint, .*_thigh_joint]
+        effort_limit: 23.7
+        stiffness: 25.0
+        damping: 0.5
+      - {target_names_expr: [.*_calf_joint], effort_limit: 45.4, stiffness: 40.0, damping: 1.0}
+"""
+    scene = isaac[0].replace("  robot:\n", "  entities:\n   robot:\n")
+    text, card = card_of(45, {"../params/env.yaml": scene + listed + "observations:" + motors[2]})
+    assert card.control.kp == [25] * 8 + [40] * 4
+    assert card.control.kd == [0.5] * 8 + [1] * 4
+    assert card.control.default_pose == [0.1, -0.1] * 2 + [0.8] * 2 + [1] * 2 + [-1.5] * 4
+    assert "torque_limits: [23.7" in text
+
+
 def test_env_yaml_says_what_its_patterns_say_of_each_joint(card_of):
     text, card = card_of(45, {"../params/env.yaml": ENVIRONMENT})
     control = card.control

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.api import check_scenes
-from nw_eval.errors import SceneError, StoreError, SuiteError, UsageError
+from nw_eval.errors import SceneError, SuiteError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.new_folder import check_place
 from nw_eval.robots import get_robot
@@ -157,7 +157,7 @@ class Build:
         for place in (self.folder.scene, self.folder.capture / "pictures"):
             check_place(place)
         if not photographs.exists():
-            raise StoreError(f"there is nothing at {photographs}", fix="check the path")
+            raise UsageError(f"there is nothing at {photographs}", fix="check the path")
         if not self.folder.carry_out(
             "calibrate",
             [facts_of(options), digest_of_files(photographs)],
