@@ -57,16 +57,12 @@ INSTEAD = {
 
 LEFT: dict[str, dict[str, int]] = {
     "code": {
-        "nobody": 11, "likewise": 1, "beyond doubt": 4, "what came of it": 3,
-        "nothing wrong": 1, "stranger": 6, "convict": 6, "charged to": 1, "foresee": 2,
-        "two-by-two": 2, "take-over": 1, "panel of starts": 4, "a trail": 1, "the trail": 8,
-        "the bank": 1, "a place": 11, "the place": 12,
+        "nothing wrong": 1, "the bank": 1,
     },
     "pages": {
-        "nobody": 16, "likewise": 21, "beyond doubt": 2, "what came of it": 2,
-        "nothing wrong": 3, "stranger": 12, "convict": 13, "charged to": 3, "foresee": 1,
-        "take-over": 4, "panel of starts": 5, "a trail": 12, "the trail": 40, "a bank": 2,
-        "the bank": 1, "a place": 19, "the place": 25,
+        "nobody": 13, "likewise": 14, "what came of it": 1, "nothing wrong": 3, "stranger": 5,
+        "convict": 5, "charged to": 1, "foresee": 1, "take-over": 1, "a trail": 3,
+        "the trail": 7, "the bank": 1, "a place": 4, "the place": 11,
     },
 }  # fmt: skip
 """Uses that are left, at most: lower a number when a word goes, and never raise one."""
@@ -78,7 +74,8 @@ def texts(surface: str) -> tuple[tuple[str, str], ...]:
     files = [file for kind in SURFACES[surface] for file in sorted(ROOT.glob(kind))]
     found = {str(file.relative_to(ROOT)): file.read_text("utf-8") for file in files}
     if log := found.get("CHANGELOG.md"):
-        found["CHANGELOG.md"] = "".join(re.findall(r"(?ms)^## Unreleased$.*?(?=^## |\Z)", log))
+        unreleased = r"(?ms)^## \S+ \(unreleased\)$.*?(?=^## |\Z)"
+        found["CHANGELOG.md"] = "".join(re.findall(unreleased, log))
     return tuple(found.items())
 
 

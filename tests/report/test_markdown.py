@@ -95,7 +95,7 @@ def test_how_sure_one_may_be_is_told_as_far_as_it_applies(
     critical = Gate(success_rate=0.75, tiers={"*": "critical"})
     told = render(rows, planned, critical, suite={"protocol": "neverwhere-2026"})
     told = told.split("## How sure")[1]
-    assert "2 critical scenes can convict alone" in told
+    assert "2 critical scenes can flag a regression alone" in told
     assert "a probability of at most 10 %" in told
     assert "scenes are not independent of each other" in told
     assert "How sure" not in render([], {"a": 3})
@@ -110,8 +110,8 @@ def test_two_suites_of_one_panel_are_told_apart_and_the_panel_explains_itself(
         for name in ("hurdles", "smoke")
     ]
     assert facts[0]["suite"] != facts[1]["suite"]
-    assert facts[0]["panel of starts"] == facts[1]["panel of starts"]
-    assert facts[0]["panel of starts"].startswith("`aaaaaaaaaaaa` (same robot, protocol, seed")
+    assert facts[0]["seed set"] == facts[1]["seed set"]
+    assert facts[0]["seed set"].startswith("`aaaaaaaaaaaa` (same robot, protocol, seed")
 
 
 def test_a_run_without_results_says_that_it_saw_nothing(render: Callable[..., str]) -> None:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval import __version__
 from nw_eval.errors import NwEvalError, StoreError
+from nw_eval.words import KERNELS
 
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
@@ -61,8 +62,8 @@ class Checkup:
     """Bytes: `installed`, `available`, and the `limit` of the control group, None = no limit."""
     cache: Mapping[str, str | int]
     """`folder`, `bytes` in it and `free` bytes of its disk."""
-    kernels: bool
-    """Whether the renderer's kernels are compiled for this processor."""
+    kernels: tuple[str, ...]
+    """Which of the renderer's kernels are compiled for this processor: `ewa`, `ray`, `lens`."""
     gpus: tuple[str, ...]
     """Names that NVIDIA's driver gives."""
     extras: Mapping[str, tuple[str, ...]]
@@ -95,8 +96,8 @@ def check_up() -> Checkup:
         )
     if "free" in cache and int(cache["free"]) < _LEAST_FREE:
         warnings.append(f"the disk of the cache {cache['folder']} is nearly full")
-    is_compiled = not problems and _is_compiled()
-    if not is_compiled:
+    compiled = () if problems else _compiled()
+    if not compiled:
         warnings.append("kernels are not compiled: `nw-eval warmup` does it ahead of the first run")
     return Checkup(
         versions=_versions(),
@@ -104,7 +105,7 @@ def check_up() -> Checkup:
         processor={} if problems else _processor(),
         memory=_memory(),
         cache=cache,
-        kernels=is_compiled,
+        kernels=compiled,
         gpus=tuple(_gpus()),
         extras=unmet,
         warnings=tuple(warnings),
@@ -212,8 +213,8 @@ def _cache() -> tuple[dict[str, str | int], list[str]]:
     return {"folder": str(folder), "bytes": size, "free": free}, []
 
 
-def _is_compiled() -> bool:
-    """Return what `splat.warmup.is_warm` does, without a second for importing numba."""
+def _compiled() -> tuple[str, ...]:
+    """Return what `splat.warmup.warm_kernels` does, without a second for importing numba."""
     from llvmlite import binding
 
     from nw_eval.files.cache import cache_dir
@@ -222,8 +223,9 @@ def _is_compiled() -> bool:
     digest = hashlib.sha256(" ".join(versions).encode())
     for path in sorted((Path(__file__).parents[1] / "splat" / "kernels").glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    name = f"splat.{digest.hexdigest()[:16]}.{binding.get_host_cpu_name()}.compiled"
-    return (cache_dir() / "kernels" / name).is_file()
+    known = f"{digest.hexdigest()[:16]}.{binding.get_host_cpu_name()}.compiled"
+    folder = cache_dir() / "kernels"
+    return tuple(kind for kind in KERNELS if (folder / f"splat-{kind}.{known}").is_file())
 
 
 def _gpus() -> Iterator[str]:

@@ -424,7 +424,7 @@ class _Pictures:
 def _picture(name: str, digest: str) -> bytes | None:
     from nw_eval.catalogue import get_scene, is_built_in
 
-    if not is_built_in(name):  # Nothing that a stranger's run names is opened or fetched.
+    if not is_built_in(name):  # Nothing that an untrusted run names is opened or fetched.
         return None
     kept = _kept(name, digest)
     with suppress(OSError, DamagedError):

@@ -4,7 +4,7 @@ However a verb ends, its exit code is true, and it says one line.
 
 * An error that nw-eval raises on purpose ends with its own code.
 * Ctrl-C and SIGTERM end with 130.
-* Whatever nobody foresaw ends with 4, and its traceback is in a file: SystemExit out of a verb, a
+* An unforeseen error ends with 4, and its traceback is in a file: SystemExit out of a verb, a
   full disk, no memory. It never ends with 0 or 1, which are words of a written verdict.
 
 A verdict is in a file before it is printed. Trouble with standard output and error is remembered,

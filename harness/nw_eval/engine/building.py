@@ -6,7 +6,7 @@ which trials need them. What they write is what one process would have written, 
 
 A policy that sees no splat has one only in the log of a trial that failed. For it nothing is built
 ahead, but for what an idle core can build while kernels are compiled; a trial that has failed waits
-for its scene, and what nobody waits for is not built.
+for its scene, and a scene that no trial waits for is not built.
 
 What a process cannot build, for whatever reason, is built by `repair` in this one, which says what
 is wrong with it.
@@ -94,7 +94,7 @@ class SplatBuilders:
             process.wait()
             for pipe in (process.stdin, process.stdout):
                 if pipe is not None:
-                    with suppress(OSError):  # It may hold a name that nobody reads any more.
+                    with suppress(OSError):  # It may hold a name that is not read any more.
                         pipe.close()
 
     @property

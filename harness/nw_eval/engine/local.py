@@ -213,7 +213,7 @@ class LocalWorkers:
             ) from error
 
     def _next(self, each: WorkerProcess | None) -> int:
-        """Return the place in the queue of a worker's next job; -1 if it has to wait.
+        """Return the position in the queue of a worker's next job; -1 if it has to wait.
 
         A job of a scene that is not built yet waits for it. The worker's core builds one, if there
         is one to build, rather than run ahead in the order.
@@ -235,7 +235,7 @@ class LocalWorkers:
         return place
 
     def _give(self, each: WorkerProcess, place: int) -> None:
-        """Give a worker the job at a place in the queue."""
+        """Give a worker the job at a position in the queue."""
         each.give(self._queue[place])
         del self._queue[place]
 

@@ -65,7 +65,7 @@ def next_place(
         held: scenes whose trials cannot begin yet.
 
     Returns:
-        The place; -1 if those among which it may choose are all held.
+        The position; -1 if those among which it may choose are all held.
     """
     trials = iter(waiting)
     first = next(trials)

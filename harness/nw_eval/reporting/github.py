@@ -62,7 +62,7 @@ def error_annotations(error: NwEvalError, root: Path) -> tuple[str, ...]:
 
     Args:
         error: what happened.
-        root: the repository's folder, to which the places of faults are relative.
+        root: the repository's folder, to which the paths of faults are relative.
     """
     if not error.problems:
         return (command("error", str(error), title="nw-eval"),)

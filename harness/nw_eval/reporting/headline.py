@@ -122,7 +122,7 @@ def _against(found: Comparison | None, *, intervals: bool) -> list[str]:
 
 
 def _again(again: Recheck | None) -> list[str]:
-    """Return how many trials of the baseline's own policy ran again, and what came of it."""
+    """Return how many trials of the baseline's own policy ran again, and the result."""
     if again is None:
         return []
     over = "taken over from the baseline, " if again.taken_over else ""
@@ -151,12 +151,12 @@ def _duration(seconds: float) -> str:
 
 
 _PINNED = (
-    "The panel of starts is pinned, the suite's own. On it success is known, not estimated: the "
+    "The seed set is pinned, the suite's own. On it success is known, not estimated: the "
     "same trial gives the same bits. Whoever picks the best of many checkpoints on one panel of "
     "starts picks luck too: --panel fresh draws the checkpoint's own, to confirm the choice on."
 )
 _FRESH = (
-    "The panel of starts is fresh: it follows from what the checkpoint computes: nobody chose "
+    "The seed set is fresh: it follows from what the checkpoint computes: no one chose "
     "the checkpoint by these starts, nor the starts for it."
 )
 _CHANCES = (
@@ -198,9 +198,9 @@ def _bounds(verdict: Verdict) -> str:
 
 def _alone(verdict: Verdict, critical: int) -> str:
     return (
-        f"{plural(critical, 'critical scene')} can convict alone, by an upper bound below the bar; "
-        "few trials show that only of a scene far below it. So a REGRESSED is wrong with a "
-        f"probability of at most {200 * (1 - verdict.confidence):.3g} %: half of it for the mean, "
+        f"{plural(critical, 'critical scene')} can flag a regression alone, by an upper bound "
+        "below the bar; few trials show that only of a scene far below it. So a REGRESSED is wrong "
+        f"with a probability of at most {200 * (1 - verdict.confidence):.3g} %: half of it for the mean, "
         "half for the critical scenes together."
     )
 
@@ -234,7 +234,7 @@ def _errors(found: Comparison) -> str:
     false_pass, false_alarm = _percent(found.alpha_pass), _percent(found.alpha_regr)
     return (
         f"A drop of {found.max_drop:g} or more against the baseline passes with probability at "
-        f"most {false_pass}, and a drop of {found.tolerate:g} or less is convicted by the mean "
+        f"most {false_pass}, and a drop of {found.tolerate:g} or less is flagged by the mean "
         f"with probability at most {false_alarm}. Both hold at any stopping time, and so does the "
         f"interval (lower end {false_alarm}, upper end {false_pass}). All tests of this gate "
         f"together report REGRESSED of a policy that is good enough (above the bar, dropped by "

@@ -180,7 +180,7 @@ _WORDS = (
 
 
 def draw_curve(points: Sequence[CurvePoint], path: Path, *, margins: Margins, title: str) -> None:
-    """Draw which share of policies of each drop is convicted, passed and left open, and the trials.
+    """Draw which share of policies of each drop is flagged, passed and left open, and the trials.
 
     Args:
         points: of the curve, drops rising.

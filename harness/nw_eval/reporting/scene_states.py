@@ -24,8 +24,8 @@ from nw_eval.suite.load import folder_names
 State = Literal[
     "failed", "error", "unjudged", "unseen", "weak", "undecided", "informational", "fine"
 ]
-"""failed: the scene fell beyond doubt and the run does not pass, or the run is REGRESSED and the
-scene lies below the bar. error: trials of it are missing or ended in errors, and the run is
+"""failed: the scene regressed significantly and the run does not pass, or the run is REGRESSED and
+the scene lies below the bar. error: trials of it are missing or ended in errors, and the run is
 INFRASTRUCTURE. unjudged: the run is INVALID. unseen: too many of its trials left the captured
 volume to say anything of it. weak: it fell or lies below the bar, and the verdict does not rest on
 it. undecided: the gate has shown nothing of it. informational: it counts for no verdict. fine: the
@@ -137,7 +137,7 @@ def _standing(verdict: Verdict) -> list[str]:
 
 
 def _faults(score: SceneScore, drops: Sequence[SceneDrop], verdict: Verdict) -> list[str]:
-    """Return what speaks against a scene by itself: beyond doubt, or its own interval."""
+    """Return what speaks against a scene alone: a significant drop, or its own interval."""
     faults = [_fell(item) for item in drops if item.named]
     if score.flagged:
         faults.append(f"critical, and below the bar {verdict.bar:g} by its upper bound")

@@ -18,7 +18,7 @@ def aligned(rows: Sequence[Sequence[str]], *, right: Collection[int] = ()) -> li
 
     Args:
         rows: of equally many cells; a heading is one of them.
-        right: the places of the columns that end where the others begin: numbers.
+        right: the positions of the columns that end where the others begin: numbers.
     """
     if not rows:
         return []

@@ -88,7 +88,7 @@ class RunProgress:
 
     @_harmless
     def message(self, text: str) -> None:
-        """Say one line above the bars, whatever words of strangers are in it."""
+        """Say one line above the bars, whatever untrusted words are in it."""
         self._console.print(clean(text), highlight=False, markup=False, soft_wrap=True)
 
     @_harmless

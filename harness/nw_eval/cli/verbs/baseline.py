@@ -154,7 +154,7 @@ class Check:
 class Verify:
     """Run starts of a baseline again by its own policy, and name each row that differs.
 
-    Which starts is drawn by a seed that nobody can foresee. Exit code 5 if a row differs, 4 if a
+    Which starts is drawn by an unpredictable seed. Exit code 5 if a row differs, 4 if a
     trial comes to no result. Nothing is written into the project.
     """
 
@@ -355,8 +355,8 @@ def whose_doing(change: BankChange) -> str:
     if not others:
         return "Only the policy differs: what moved is its doing."
     return (
-        f"The policy differs, and so does the {' and '.join(others)}: what moved can be charged to "
-        "none of them alone. Renew the baseline with the earlier policy first, and compare that."
+        f"The policy differs, and so does the {' and '.join(others)}: what moved can be attributed "
+        "to none of them alone. Renew the baseline with the earlier policy first, and compare that."
     )
 
 

@@ -55,7 +55,8 @@ def checkup_page(found: Checkup) -> str:
     if "bytes" in (cache := found.cache):
         space = f"{in_words(int(cache['bytes']))}, {in_words(int(cache['free']))} free on its disk"
         rows.append(("cache", f"{cache['folder']}: {space}"))
-    rows.append(("kernels", "compiled" if found.kernels else "not compiled"))
+    compiled = f"compiled: {', '.join(found.kernels)}" if found.kernels else "not compiled"
+    rows.append(("kernels", compiled))
     rows.append(("GPU", ", ".join(found.gpus) or "none seen; only `run --render cuda` uses one"))
     installed = [extra for extra, unmet in found.extras.items() if not unmet]
     rows.append(("extras", ", ".join(installed) or "none"))

@@ -72,16 +72,16 @@ def _wrong(report: LedgerReport) -> Iterator[str]:
     if (alarms := report.against_baselines).tests:
         yield ""
         yield f"{plural(alarms.tests, 'test')} against a baseline; on average at most"
-        yield f"  {_convicted(alarms, report)} if no candidate is worse than is tolerated"
+        yield f"  {_flagged(alarms, report)} if no candidate is worse than is tolerated"
         yield f"  {_number(alarms.passed)} false PASS if every candidate is worse by max_drop"
     if (alarms := report.against_bars).tests:
         yield ""
         yield f"{plural(alarms.tests, 'test')} by a bar; on average at most"
-        yield f"  {_convicted(alarms, report)} if every candidate is at the bar, or better"
+        yield f"  {_flagged(alarms, report)} if every candidate is at the bar, or better"
         yield f"  {_number(alarms.passed)} false PASS if every candidate is at the bar, or worse"
 
 
-def _convicted(alarms: Alarms, report: LedgerReport) -> str:
+def _flagged(alarms: Alarms, report: LedgerReport) -> str:
     words = f"{_number(alarms.regressed)} false REGRESSED"
     if report.per_year is None:
         return words

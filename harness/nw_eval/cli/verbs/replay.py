@@ -84,7 +84,7 @@ class Replay:
                 "--layout": self.layout,
                 "--rrd": self.rrd,
             },
-            "is not for a take-over, which --from is",
+            "is not for a policy switch, which --from is",
         )
         taken = api.take_over(
             self.log,

@@ -58,7 +58,7 @@ class Show:
 class Check:
     """Find what is wrong with scenes: files, start, trail, splat. Exit code 2 if any is.
 
-    Along the trail: ground that does not carry the robot's feet, steps and gaps that its legs are
+    Along the course: ground that does not carry the robot's feet, steps and gaps that its legs are
     too short for, and a splat that does not show its camera what the mesh has there.
     """
 
@@ -195,7 +195,7 @@ class ImportScan:
     trail: tuple[str, ...] = ()
     """The start, then waypoints, X,Y or X,Y,Z in m of the scene; proposed when absent."""
     task: Literal["hurdles", "gaps", "ramps", "stairs", "open"] | None = None
-    """What the trail asks of the robot; `open` when absent."""
+    """What the course asks of the robot; `open` when absent."""
     name: str | None = None
     """The scene's name; that of its folder when absent."""
     licence: str = "not stated"
@@ -246,7 +246,7 @@ class LevelScene:
     """The start, then waypoints, X,Y or X,Y,Z in m, as the mesh lies afterwards; those that the
     scene has go with the mesh when absent."""
     propose: bool = False
-    """Lay the trail straight over even ground, as `scenes import` does."""
+    """Lay the course straight over even ground, as `scenes import` does."""
     out: Path | None = None
     """Write a copy to this folder, which must not be there, and leave the scene as it is."""
 

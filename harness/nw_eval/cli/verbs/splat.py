@@ -52,7 +52,7 @@ class Convert:
 class Render:
     """Draw a splat: a PNG from a pose, or a turn around it as GIF or MP4.
 
-    In a built-in scene the camera goes round the trail, within the walls.
+    In a built-in scene the camera goes round the course, within the walls.
     """
 
     source: tyro.conf.Positional[str]

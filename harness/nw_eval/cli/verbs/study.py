@@ -1,4 +1,4 @@
-"""`nw-eval study`: train students of several kinds, evaluate them, and draw what came of it."""
+"""`nw-eval study`: train students of several kinds, evaluate them, and draw the results."""
 
 from __future__ import annotations
 

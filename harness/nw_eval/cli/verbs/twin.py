@@ -1,4 +1,4 @@
-"""`nw-eval twin`: photographs to a place, all at once or stage by stage."""
+"""`nw-eval twin`: photographs to a scene, all at once or stage by stage."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class CalibrateFlags:
     lens: Literal[
         "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE"
     ] = "SIMPLE_RADIAL"
-    """COLMAP's name of the camera model, where nobody knows the cameras."""
+    """COLMAP's name of the camera model, where the cameras are not known."""
     share: float = 0.7
     """Of the photographs that must be placed, 0 to 1."""
     features: int = 8192
@@ -113,10 +113,10 @@ class AllFlags(CalibrateFlags, ReconstructFlags, AlignFlags, SplatFlags, PlaceFl
 
 @dataclass(frozen=True, kw_only=True)
 class BuildTwin(AllFlags):
-    """Photographs to a place, all stages one after another; what is done stays, and goes on.
+    """Photographs to a scene, all stages one after another; what is done stays, and goes on.
 
     A folder of photographs, a video, or cameras that COLMAP, nerfstudio or an app knows. Ends with
-    what `scenes check` says of the place, and with 2 where that is an error; the place stays.
+    what `scenes check` says of the scene, and with 2 where that is an error; the scene stays.
     """
 
     photographs: tyro.conf.Positional[Path]
@@ -201,7 +201,7 @@ class TrainSplat(SplatFlags):
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceScene(PlaceFlags, AlignFlags):
-    """Write the scene: mesh and splat in metres, and the trail that the place suggests.
+    """Write the scene: mesh and splat in metres, and the course that the scene suggests.
 
     An option of `align` aligns it again first; nothing else is built again.
     """
@@ -245,10 +245,10 @@ class AblateSplat(SplatFlags):
 
 @dataclass(frozen=True, kw_only=True)
 class LabelScene:
-    """Lay the trail through a place in the browser, till Ctrl-C: start, waypoints, task.
+    """Lay the course through a scene in the browser, till Ctrl-C: start, waypoints, task.
 
-    The page scales, levels, flips and crops the place too, shows heights along the trail and what
-    go1-parkour, a policy of a go1, can reach, and proposes a trail. Saving writes scene.yaml.
+    The page scales, levels, flips and crops the scene too, shows heights along the course and what
+    go1-parkour, a policy of a go1, can reach, and proposes a course. Saving writes scene.yaml.
     """
 
     scene: tyro.conf.Positional[str]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class Verify:
     """Say whether rows and logs of a run are as they were when it ended, and name what is not.
 
-    Then run some of its trials again, drawn by a seed that nobody can foresee, and compare states,
+    Then run some of its trials again, drawn by an unpredictable seed, and compare states,
     actions and images bit for bit. Nothing is written into the run's folder.
     """
 

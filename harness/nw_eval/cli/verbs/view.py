@@ -1,4 +1,4 @@
-"""`nw-eval view`: look at trials in the browser, or play with a policy in a place."""
+"""`nw-eval view`: look at trials in the browser, or play with a policy in a scene."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class ViewTrials:
     """Show a trial, or a policy live, in the browser, till Ctrl-C.
 
     A log or a run is shown as it was logged: play, step and scrub, jump to waypoints and to where
-    two trials part. A place or a policy is played with: push the robot, load it, change friction,
+    two trials part. A scene or a policy is played with: push the robot, load it, change friction,
     latency and light, move its goal, drop a box in its way, and save that as a suite.
     """
 
     source: tyro.conf.Positional[str | None] = None
-    """A trial's log, a run's folder, a place or a policy. Without it, --policy and --scene."""
+    """A trial's log, a run's folder, a scene or a policy. Without it, --policy and --scene."""
     baseline: Path | None = None
     """Another log, or another run's folder: its trials of the same names walk along as ghosts."""
     trial: str = ""
@@ -37,7 +37,7 @@ class ViewTrials:
     at: float = 0.0
     """Second of the trial that is shown first."""
     policy: str | None = None
-    """Policy that is played with; go1-parkour if only a place is named."""
+    """Policy that is played with; go1-parkour if only a scene is named."""
     scene: str | None = None
     """Place in which it runs; hurdles/one_low_carpet if only a policy is named."""
     checkpoint: Checkpoint = None

@@ -1,4 +1,4 @@
-"""What a page shows of trials' logs: where the robot walked, the place from above, short clips.
+"""What a page shows of trials' logs: where the robot walked, the scene from above, short clips.
 
 Rows say what a trial came to, and the page is whole with them alone; logs may be deleted, were not
 recorded, or cannot be read. Whoever reads logs hands what they hold over in these values. The page
@@ -38,7 +38,7 @@ class WalkedPath:
 
 @dataclass(frozen=True, kw_only=True)
 class PlacePicture:
-    """A picture of a place from straight above: x to the right, y up.
+    """A picture of a scene from straight above: x to the right, y up.
 
     One in greys is on a light ground: a dark page shows it inverted.
     """
@@ -56,7 +56,7 @@ class PlacePicture:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceView:
-    """A place from above, as far as its logs show it."""
+    """A scene from above, as far as its logs show it."""
 
     scene: str
     waypoints: NDArray[np.floating]
@@ -99,7 +99,7 @@ class Clip:
     seconds: float
     """That it shows, simulated."""
     caption: str
-    """One sentence on what is seen; may be a stranger's text."""
+    """One sentence on what is seen; may be untrusted text."""
     outside: Film | None = None
     """The same seconds from behind the robot."""
 
@@ -113,7 +113,7 @@ class LogEvidence:
     clips: tuple[Clip, ...] = ()
     """The worst trial first; what exceeds `CLIP_BYTES` is left out from the end."""
     remarks: tuple[str, ...] = ()
-    """Sentences on what could not be shown and why; may hold a stranger's text."""
+    """Sentences on what could not be shown and why; may hold untrusted text."""
 
 
 NO_EVIDENCE = LogEvidence()
@@ -143,7 +143,7 @@ def pictures_that_fit(evidence: LogEvidence) -> tuple[Mapping[str, PlacePicture]
         room -= len(picture.data)
         if room >= 0:
             kept[scene] = picture
-    return kept, _left_out(len(pictured) - len(kept), "picture of a place", "pictures of places")
+    return kept, _left_out(len(pictured) - len(kept), "picture of a scene", "pictures of scenes")
 
 
 def _left_out(count: int, noun: str, several: str | None = None) -> tuple[str, ...]:

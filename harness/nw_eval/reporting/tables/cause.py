@@ -43,7 +43,7 @@ def differences_words(cause: Cause) -> str:
 
 
 def cause_table(cause: Cause | None) -> Table:
-    """Return the two-by-two; without rows where nothing was blamed."""
+    """Return the ablation; without rows where nothing was attributed."""
     columns = ("control", "sight", "success", "completed", "of those that regressed")
     numbers = frozenset(columns[2:])
     if cause is None:

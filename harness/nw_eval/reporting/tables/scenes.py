@@ -207,8 +207,8 @@ def _what_counts(rows: Sequence[Row]) -> str:
     if kinds:
         return f"Success is what the task {' and '.join(kinds)} counts: 1 of a completed trial."
     return (
-        "Success is the share of the trail's waypoints reached, completed the share of trials that "
-        "reached all."
+        "Success is the share of the course's waypoints reached, completed the share of trials "
+        "that reached all."
     )
 
 
