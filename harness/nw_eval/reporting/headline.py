@@ -200,8 +200,8 @@ def _alone(verdict: Verdict, critical: int) -> str:
     return (
         f"{plural(critical, 'critical scene')} can flag a regression alone, by an upper bound "
         "below the bar; few trials show that only of a scene far below it. So a REGRESSED is wrong "
-        f"with a probability of at most {200 * (1 - verdict.confidence):.3g} %: half of it for the mean, "
-        "half for the critical scenes together."
+        f"with a probability of at most {200 * (1 - verdict.confidence):.3g} %: half of it for the "
+        "mean, half for the critical scenes together."
     )
 
 
