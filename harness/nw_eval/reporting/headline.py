@@ -190,7 +190,7 @@ def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
 
 def _bounds(verdict: Verdict) -> str:
     return (
-        f"The bounds hold for fresh starts in these scenes, {confidence(verdict)} each, whatever "
+        f"The bounds hold for new starts in these scenes, {confidence(verdict)} each, whatever "
         "the distribution of success, and however often trials are added and judged again. They "
         "say nothing of other scenes."
     )

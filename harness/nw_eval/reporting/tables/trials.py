@@ -103,7 +103,8 @@ def parting(row: Row, rival: Row | Start | None) -> str:
         return ""
     times = rival.waypoint_times if isinstance(rival, Row) else ()
     at_end = f" at {rival.sim_s:.1f} s" if isinstance(rival, Row) else ""
-    end = f"completed{at_end}" if rival.completed else f"ended as {rival.outcome}{at_end}"
+    ended = "" if rival.outcome in ("fell", "collided") else "ended as "
+    end = f"completed{at_end}" if rival.completed else f"{ended}{rival.outcome}{at_end}"
     point = row.waypoints_reached + 1
     if not row.waypoints_total or point > row.waypoints_total:
         return f"The baseline's policy {end} from the same start."
