@@ -147,7 +147,7 @@ class Intrinsics(_Part, frozen=True):
     width: Annotated[int, Field(ge=1, le=16384)]
     """Pixels of the image that the numbers are of. Images of another size are the same view."""
     height: Annotated[int, Field(ge=1, le=16384)]
-    """Likewise."""
+    """The same."""
     fx: Annotated[float, Field(ge=1e-3, le=1e6)]
     """Focal length across, pixels."""
     fy: Annotated[float, Field(ge=1e-3, le=1e6)]

@@ -94,7 +94,7 @@ def test_options_have_their_defaults_and_words(verbs: str, sections: dict[str, s
     assert "(default" not in verbs
     (port,) = re.findall(r"^\| `--port`.*$", sections["policies serve"], re.MULTILINE)
     assert re.search(r"\| `8765` \| Port to listen on", port)
-    assert "| `[SUITE]` |" in sections["run"]
+    assert "| `SUITE` |" in sections["run"]
     assert re.search(r"^\| `CHECKPOINT` \| required \|", sections["policies init"], re.MULTILINE)
 
 

@@ -66,7 +66,8 @@ def run(
         engine: where trials run; rows are the same, and a run that is resumed may use another.
         address: of the Ray cluster; one of this machine is started if None.
         labels: what you call the run, such as `{"training_run": "may-3", "step": "1500"}`, beside
-            what CI's variables say of the job (docs/results.md). Names alone: no result has them.
+            what CI's variables say of the job (docs/reference/run-folder.md). Names alone: no
+            result has them.
         listener: hears of progress.
         changes: fields of `Request` by name.
 

@@ -199,7 +199,7 @@ RENAMED_FLAGS = {
     "scenes check": {"--suite": "--out"},
     **{f"twin {part}": _WORKERS for part in VERBS["twin"].parts},
 }
-"""Likewise, options of verbs."""
+"""Options of verbs that have other names now."""
 OUT_WAS_POSITIONAL = {"train export", "splat convert"}
 """Verbs that took what --out names as their last argument."""
 

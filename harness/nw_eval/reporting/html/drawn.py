@@ -134,7 +134,7 @@ class Missed:
 
     @property
     def level(self) -> int:
-        """How strongly to draw it, from 0, nobody missed it, to 5."""
+        """How strongly to draw it, from 0, no trial missed it, to 5."""
         return sum((self.candidate.share or 0.0) > least for least in _LEVELS)
 
 
@@ -306,7 +306,7 @@ class DrawnPath:
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnPicture:
-    """A picture of the place and where it lies."""
+    """A picture of the scene and where it lies."""
 
     picture: PlacePicture
     x: int
@@ -332,7 +332,7 @@ class PlanView:
 
     @property
     def unit(self) -> float:
-        """Of what must keep its size whatever the place's: a hundredth of the larger side."""
+        """Of what must keep its size whatever the scene's: a hundredth of the larger side."""
         return max(self.box[2:]) / 100
 
 

@@ -1,4 +1,4 @@
-"""What a page shows of trials' logs: where the robot walked, the place from above, short clips.
+"""What a page shows of trials' logs: where the robot walked, the scene from above, short clips.
 
 Rows say what a trial came to, and the page is whole with them alone; logs may be deleted, were not
 recorded, or cannot be read. Whoever reads logs hands what they hold over in these values. The page
@@ -99,7 +99,7 @@ class Clip:
     seconds: float
     """That it shows, simulated."""
     caption: str
-    """One sentence on what is seen; may be a stranger's text."""
+    """One sentence on what is seen; may be a third party's text."""
     outside: Film | None = None
     """The same seconds from behind the robot."""
 
@@ -113,7 +113,7 @@ class LogEvidence:
     clips: tuple[Clip, ...] = ()
     """The worst trial first; what exceeds `CLIP_BYTES` is left out from the end."""
     remarks: tuple[str, ...] = ()
-    """Sentences on what could not be shown and why; may hold a stranger's text."""
+    """Sentences on what could not be shown and why; may hold a third party's text."""
 
 
 NO_EVIDENCE = LogEvidence()

@@ -32,7 +32,7 @@ class Bar:
 class Table:
     """A titled table. `code` names the columns that hold something to type.
 
-    Rows and run.json may be a stranger's: what they say is cleaned here, for every page.
+    Rows and run.json may be a third party's: what they say is cleaned here, for every page.
     """
 
     title: str
@@ -97,7 +97,7 @@ def bounds_header(low: float, high: float) -> str:
 
     Args:
         low: probability with which the low end errs, one-sided.
-        high: likewise, of the high end.
+        high: the same of the high end.
     """
     return f"{100 * (1 - low):.4g} % lower, {100 * (1 - high):.4g} % upper"
 

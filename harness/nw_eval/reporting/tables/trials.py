@@ -97,7 +97,7 @@ def parting(row: Row, rival: Row | Start | None) -> str:
 
     Args:
         row: of the candidate.
-        rival: of the baseline's policy; a bank's start has no times. None gives no words.
+        rival: of the baseline's policy; a start of a baseline has no times. None gives no words.
     """
     if rival is None:
         return ""
@@ -187,7 +187,7 @@ def left_table(rows: Sequence[Row], verdict: Verdict) -> Table:
         ),
         numbers=frozenset({"farthest", "widest angle", "least coverage"}),
         note=more(len(left)) + "For longer than the suite's gate.validity allows, the policy saw "
-        "what nobody photographed from there. These trials count neither for it nor against it.",
+        "what no photograph shows from there. These trials count neither for it nor against it.",
     )
 
 
@@ -208,5 +208,5 @@ def coverage_table(rows: Sequence[Row], verdict: Verdict) -> Table:
         ),
         numbers=frozenset({"least coverage", "mean coverage"}),
         note=more(len(low)) + f"In some frame less than {COVERED:g} of the image was covered by "
-        "the splat; such images do not show the place: doubt the result.",
+        "the splat; such images do not show the scene: doubt the result.",
     )

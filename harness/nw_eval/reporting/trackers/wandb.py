@@ -19,14 +19,14 @@ def track(run: TrackedRun) -> None:
     """Show a run; `WANDB_MODE`, `WANDB_PROJECT`, `WANDB_ENTITY` and the like are W&B's own.
 
     Raises:
-        PrerequisiteError: nobody is logged in. It is not asked for: nobody may be there to answer.
+        PrerequisiteError: no user is logged in. The key is not asked for: a CI job cannot answer.
         wandb.Error: W&B cannot be reached, or refuses.
     """
     wandb: Any = import_module("wandb")
     mode = wandb.setup().settings.mode
     if mode in {"online", "shared"} and not wandb.login(prompt=False):
         raise PrerequisiteError(
-            "nobody is logged in to W&B",
+            "no user is logged in to W&B",
             fix="set WANDB_API_KEY, run `wandb login`, or set WANDB_MODE=offline",
         )
     with wandb.init(**_own(run), settings=_quiet(wandb)) as session:
