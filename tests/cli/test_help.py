@@ -266,7 +266,8 @@ def test_a_shell_reads_its_script(shell, tmp_path, capsys):
 
 
 def test_doctor_says_what_there_is_as_text_and_as_json(capsys):
-    from nw_eval.splat.warmup import is_warm
+    from nw_eval.splat.warmup import warm_kernels
+    from nw_eval.words import KERNELS
 
     assert end_of("doctor") == 0
     text = capsys.readouterr().out
@@ -275,7 +276,7 @@ def test_doctor_says_what_there_is_as_text_and_as_json(capsys):
     assert end_of("doctor --json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["problems"] == []
-    assert found["kernels"] == is_warm()
+    assert found["kernels"] == (warm_kernels() == KERNELS)
     assert found["processor"]["usable"] <= found["processor"]["affinity"]
     assert {"numpy", "torch", "openblas"} <= set(found["versions"])
 

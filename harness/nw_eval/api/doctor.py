@@ -213,17 +213,19 @@ def _cache() -> tuple[dict[str, str | int], list[str]]:
 
 
 def _is_compiled() -> bool:
-    """Return what `splat.warmup.is_warm` does, without a second for importing numba."""
+    """Return whether `warm_kernels` names all, without a second for importing numba."""
     from llvmlite import binding
 
     from nw_eval.files.cache import cache_dir
+    from nw_eval.words import KERNELS
 
     versions = (platform.python_version(), *map(metadata.version, ("numba", "llvmlite", "numpy")))
     digest = hashlib.sha256(" ".join(versions).encode())
     for path in sorted((Path(__file__).parents[1] / "splat" / "kernels").glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    name = f"splat.{digest.hexdigest()[:16]}.{binding.get_host_cpu_name()}.compiled"
-    return (cache_dir() / "kernels" / name).is_file()
+    known = f"{digest.hexdigest()[:16]}.{binding.get_host_cpu_name()}.compiled"
+    marks = cache_dir() / "kernels"
+    return all((marks / f"splat-{kind}.{known}").is_file() for kind in KERNELS)
 
 
 def _gpus() -> Iterator[str]:
