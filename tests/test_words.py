@@ -59,7 +59,7 @@ LEFT: dict[str, dict[str, int]] = {
     "code": {
         "nobody": 11, "likewise": 1, "beyond doubt": 4, "what came of it": 3,
         "nothing wrong": 1, "stranger": 6, "convict": 6, "charged to": 1, "foresee": 2,
-        "two-by-two": 2, "take-over": 1, "panel of starts": 4, "a trail": 1, "the trail": 8,
+        "two-by-two": 2, "take-over": 1, "a trail": 1, "the trail": 8,
         "the bank": 1, "a place": 11, "the place": 12,
     },
     "pages": {

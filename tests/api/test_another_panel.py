@@ -1,4 +1,4 @@
-"""`--seed` draws another panel of starts, and a run keeps to its own."""
+"""`--seed` draws another seed set, and a run keeps to its own."""
 
 from __future__ import annotations
 

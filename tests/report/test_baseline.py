@@ -130,9 +130,9 @@ def test_every_report_says_of_which_starts_it_speaks(
 
 def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make, found: Comparison) -> None:
     pinned, fresh = page(found), page(found, panel="fresh")
-    assert "The panel of starts is pinned, the suite's own." in pinned
+    assert "The seed set is pinned, the suite's own." in pinned
     assert "--panel fresh draws the checkpoint's own" in pinned
-    assert "The panel of starts is fresh: it follows from what the checkpoint computes" in fresh
+    assert "The seed set is fresh: it follows from what the checkpoint computes" in fresh
     assert "on the starts of this fresh panel (seed 7) it is known" in fresh
     assert "same starts), fresh |" in " ".join(fresh.split())
 

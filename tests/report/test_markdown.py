@@ -110,8 +110,8 @@ def test_two_suites_of_one_panel_are_told_apart_and_the_panel_explains_itself(
         for name in ("hurdles", "smoke")
     ]
     assert facts[0]["suite"] != facts[1]["suite"]
-    assert facts[0]["panel of starts"] == facts[1]["panel of starts"]
-    assert facts[0]["panel of starts"].startswith("`aaaaaaaaaaaa` (same robot, protocol, seed")
+    assert facts[0]["seed set"] == facts[1]["seed set"]
+    assert facts[0]["seed set"].startswith("`aaaaaaaaaaaa` (same robot, protocol, seed")
 
 
 def test_a_run_without_results_says_that_it_saw_nothing(render: Callable[..., str]) -> None:

@@ -151,12 +151,12 @@ def _duration(seconds: float) -> str:
 
 
 _PINNED = (
-    "The panel of starts is pinned, the suite's own. On it success is known, not estimated: the "
-    "same trial gives the same bits. Whoever picks the best of many checkpoints on one panel of "
-    "starts picks luck too: --panel fresh draws the checkpoint's own, to confirm the choice on."
+    "The seed set is pinned, the suite's own. On it success is known, not estimated: the "
+    "same trial gives the same bits. Whoever picks the best of many checkpoints on one seed "
+    "set picks luck too: --panel fresh draws the checkpoint's own, to confirm the choice on."
 )
 _FRESH = (
-    "The panel of starts is fresh: it follows from what the checkpoint computes: nobody chose "
+    "The seed set is fresh: it follows from what the checkpoint computes: no user chose "
     "the checkpoint by these starts, nor the starts for it."
 )
 _CHANCES = (

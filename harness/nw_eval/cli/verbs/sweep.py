@@ -38,7 +38,7 @@ class SweepAxes:
     """Trials of each value in each scene; the suite's own number when absent."""
     scenes: Scenes = None
     seed: int | None = None
-    """Another panel of starts than the suite's own."""
+    """Another seed set than the suite's own."""
     out: Path | None = None
     """A new folder; `reports/<suite>-sweep-<number>` when absent."""
     workers: Workers = None

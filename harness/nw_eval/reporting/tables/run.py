@@ -121,7 +121,7 @@ def provenance_table(run: RunInfo) -> Table:
         "run": run.id,
         "started": run.started,
         "suite": f"{run.suite_file}, {digest_of(run.suite)[:12]}",
-        "panel of starts": f"{run.suite_digest[:12]} (same robot, protocol, seed, episode and "
+        "seed set": f"{run.suite_digest[:12]} (same robot, protocol, seed, episode and "
         f"perturbations: same starts), {run.panel}",
         "policy": f"{run.policy.name}, {run.policy.origin or weights}",
         "scenes": f"{_scenes(run)}, {plural(sum(run.planned.values()), 'trial')} planned"
