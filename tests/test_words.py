@@ -61,8 +61,8 @@ LEFT: dict[str, dict[str, int]] = {
     },
     "pages": {
         "nobody": 13, "likewise": 14, "what came of it": 1, "nothing wrong": 3, "stranger": 5,
-        "convict": 5, "charged to": 1, "foresee": 1, "take-over": 1, "a trail": 3,
-        "the trail": 7, "the bank": 1, "a place": 4, "the place": 11,
+        "convict": 5, "charged to": 1, "foresee": 1, "take-over": 1, "panel of starts": 1,
+        "a trail": 3, "the trail": 7, "a place": 4, "the place": 11,
     },
 }  # fmt: skip
 """Uses that are left, at most: lower a number when a word goes, and never raise one."""

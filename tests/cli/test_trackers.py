@@ -67,7 +67,7 @@ def test_trackers_can_be_repeated_and_joined_and_load_no_simulation(run):
         "print(sorted({'torch', 'mujoco', 'numba', 'tensorflow'} & set(sys.modules)))"
     )
     typed = ["report", str(run), "--track", "tensorboard,mlflow", "--track", "wandb"]
-    # Nowhere to go: no store of that kind, and nobody is logged in.
+    # Nowhere to go: no store of that kind, and no user is logged in.
     nowhere = {"MLFLOW_TRACKING_URI": "nowhere://", "WANDB_MODE": "online", "WANDB_API_KEY": ""}
     home = {"HOME": str(run), "NETRC": str(run / "netrc"), "WANDB_BASE_URL": "http://127.0.0.1:9"}
     quiet = {"MLFLOW_DISABLE_TELEMETRY": "true", "WANDB_ERROR_REPORTING": "false"}

@@ -98,7 +98,7 @@ NOT_RUN = MappingProxyType(
             [
                 (
                     "nw-eval watch checkpoints --suite suites/walk.yaml "
-                    "--card policies/walk/policy.yaml --trials 20 --once --out reports/ten"
+                    "--policy policies/walk/policy.yaml --trials 20 --once --out reports/ten"
                 ),
                 "nw-eval compare reports/ten/runs/*",
                 (

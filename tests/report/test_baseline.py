@@ -227,7 +227,7 @@ def test_a_worst_trial_says_what_the_baseline_s_policy_did_from_the_same_start(
         waypoints_reached=2, waypoints_total=4, outcome="fell", end_reason="roll", trajectory="",
     )  # fmt: skip
     # A bank does not say when.
-    assert parting(fell, bank) == f"{passed} and ended as fell."
+    assert parting(fell, bank) == f"{passed} and fell."
     either = replace(bank, waypoints_reached=1)
     assert parting(fell, either).startswith("The baseline's policy did not pass waypoint 2 either")
     less = replace(bank, waypoints_reached=0)

@@ -88,7 +88,7 @@ def test_how_sure_one_may_be_is_told_as_far_as_it_applies(
     rows = [make_row(scene, k, 4) for scene in ("a", "b") for k in range(20)]
     planned = {"a": 20, "b": 20}
     plain = render(rows, planned).split("## How sure")[1]
-    assert "fresh starts in these scenes" in plain
+    assert "new starts in these scenes" in plain
     assert "picks luck too: --panel fresh draws the checkpoint's own" in plain
     for absent in ("critical", "neverwhere", "worse"):
         assert absent not in plain

@@ -403,7 +403,7 @@ def _left_out(rows: Sequence[Row], drawn: Sequence[Row]) -> str:
     failed = sum(not row.completed for row in rows)
     drawn_failed = sum(not row.completed for row in drawn)
     return (
-        f"Walks of {len(drawn)} of {plural(len(rows), 'trial')} are drawn: of {drawn_failed} of "
+        f"Paths of {len(drawn)} of {plural(len(rows), 'trial')} are drawn: of {drawn_failed} of "
         f"the {failed} that did not complete, and of {len(drawn) - drawn_failed} of the "
         f"{len(rows) - failed} that did."
     )
@@ -412,15 +412,17 @@ def _left_out(rows: Sequence[Row], drawn: Sequence[Row]) -> str:
 def _faults(sentence: str, faults: Sequence[tuple[Row, str]]) -> list[str]:
     found = [sentence.format(row.trial_id, fault) for row, fault in faults if fault]
     more = len(found) - _NAMED
-    return found[:_NAMED] + ([f"So it is with {plural(more, 'more log')}."] if more > 0 else [])
+    return found[:_NAMED] + (
+        [f"The same is true of {plural(more, 'more log')}."] if more > 0 else []
+    )
 
 
 def _moved(spread: float) -> str:
     if spread < _SAME:
         return ""
     return (
-        "The waypoints of this scene differ between trials; the picture shows their mean, from "
-        f"which they are up to {100 * spread:.0f} cm away."
+        "Waypoints of a scene differ between trials; its picture from above shows their mean, "
+        f"from which they are up to {100 * spread:.0f} cm away."
     )
 
 

@@ -152,11 +152,11 @@ def _duration(seconds: float) -> str:
 
 _PINNED = (
     "The seed set is pinned, the suite's own. On it success is known, not estimated: the "
-    "same trial gives the same bits. Whoever picks the best of many checkpoints on one panel of "
-    "starts picks luck too: --panel fresh draws the checkpoint's own, to confirm the choice on."
+    "same trial gives the same bits. Whoever picks the best of many checkpoints on one seed "
+    "set picks luck too: --panel fresh draws the checkpoint's own, to confirm the choice on."
 )
 _FRESH = (
-    "The seed set is fresh: it follows from what the checkpoint computes: no one chose "
+    "The seed set is fresh: it follows from what the checkpoint computes: no user chose "
     "the checkpoint by these starts, nor the starts for it."
 )
 _CHANCES = (
@@ -190,7 +190,7 @@ def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
 
 def _bounds(verdict: Verdict) -> str:
     return (
-        f"The bounds hold for fresh starts in these scenes, {confidence(verdict)} each, whatever "
+        f"The bounds hold for new starts in these scenes, {confidence(verdict)} each, whatever "
         "the distribution of success, and however often trials are added and judged again. They "
         "say nothing of other scenes."
     )

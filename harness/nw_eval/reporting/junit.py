@@ -32,7 +32,7 @@ _REPLAYED = 3  # trials of a scene whose replay a failure names
 
 
 class _Case(TestCase):
-    """A test case with the line that it comes from, which servers link to."""
+    """A test case with the file and line that it comes from, which servers link to."""
 
     file = Attr()
     line = IntAttr()
@@ -52,7 +52,7 @@ def junit_xml(
         rows: one for each trial, in any order.
         verdict: what the gate says of them.
         folder: the run's folder as a reader would type it; replay commands start with it.
-        lines: where the suite's file speaks of its scenes; None without such a file.
+        lines: where the suite's file speaks of its scenes; None if no reader can look there.
     """
     by_scene: dict[str, list[Row]] = {}
     for row in sorted(rows, key=lambda row: row.trial_id):

@@ -57,7 +57,7 @@ def _policies(found: PolicyComparison) -> Table:
         ),
         numbers=frozenset({"success"}),
         note=f"Success is the mean over scenes of the share of waypoints reached, {_met(found)}. "
-        "On these starts it is known; intervals and ranks are what fresh starts in the same scenes "
+        "On these starts it is known; intervals and ranks are what new starts in the same scenes "
         "may give (a Bayesian bootstrap, and bets on the differences of trials). A range of ranks "
         f"is not decided yet; with {percent} confidence no policy's true rank is outside its own "
         "(Mogstad, Romano, Shaikh and Wilhelm, 2024, with Holm's procedure).",
@@ -88,7 +88,7 @@ def _tasks(found: PolicyComparison) -> Table:
             for each in found.tasks
         ),
         numbers=frozenset({"scenes"}),
-        note=f"In brackets what fresh starts in these scenes may give, {percent} each alone.",
+        note=f"In brackets what new starts in these scenes may give, {percent} each alone.",
     )
 
 
@@ -123,7 +123,7 @@ def _scores(found: PolicyComparison) -> Table:
             )
             for each in found.scores
         ),
-        note="Means over the same starts as success. In brackets what fresh starts in these scenes "
+        note="Means over the same starts as success. In brackets what new starts in these scenes "
         f"may give, {percent} each alone. A trial in which a score is undefined counts as its "
         "declaration says.",
     )

@@ -217,10 +217,10 @@ class Against:
     def rivals(self, rows: Iterable[Row], run: RunInfo) -> dict[str, Row | Start]:
         """Return what the baseline's policy did from the starts of trials, by their names.
 
-        Trials that ran beside them say when; a baseline says how far alone.
+        Trials that ran beside them say when; a baseline says only how far.
 
         Args:
-            rows: of the candidate, from the baseline's initial states.
+            rows: of the candidate, from starts of the baseline's panel.
             run: its run.json.
         """
         panel = self.bank.panel_of(machine_of(run)) or self.bank.panels[0]

@@ -74,7 +74,7 @@ def test_a_page_says_how_many_walks_it_draws_of_how_many(trials):
     whole = ReadLog(walked=((0.0, 0.0), (1.0, 0.0)), waypoints=((1.0, 0.0),))
     evidence = composed(rows, {row.trial_id: whole for row in rows[1:5]})
     assert evidence.remarks[0] == (
-        "Walks of 4 of 8 trials are drawn: of 2 of the 3 that did not complete, and of 2 of the "
+        "Paths of 4 of 8 trials are drawn: of 2 of the 3 that did not complete, and of 2 of the "
         "5 that did."
     )
     assert not composed(rows[3:], {row.trial_id: whole for row in rows[3:]}).remarks
@@ -85,4 +85,4 @@ def test_many_logs_that_cannot_be_read_are_counted_and_a_few_named(trials):
     evidence = composed(rows, {row.trial_id: ReadLog(fault="torn") for row in rows})
     named = [remark for remark in evidence.remarks if "torn" in remark]
     assert len(named) == 3
-    assert "So it is with 6 more logs." in evidence.remarks
+    assert "The same is true of 6 more logs." in evidence.remarks

@@ -148,11 +148,11 @@ def test_a_damaged_log_costs_its_own_part_and_a_remark(run):
     assert [clip.trial_id for clip in evidence.clips] == [rows[1].trial_id]
     assert evidence.places[0].picture is not None
     count, *faults, more = evidence.remarks
-    assert count.startswith("Walks of 1 of 6 trials are drawn")
+    assert count.startswith("Paths of 1 of 6 trials are drawn")
     assert [fault.split(" shows nothing: ")[0] for fault in faults] == [
         f"The log of {kind}" for kind in sorted(DAMAGE)[:3]
     ]
-    assert more == "So it is with 2 more logs."
+    assert more == "The same is true of 2 more logs."
 
 
 DEADLY = """\
@@ -195,7 +195,7 @@ def test_without_logs_there_is_a_sentence_and_nothing_to_read(run):
         log.unlink()
     evidence = gathered(run)
     assert not evidence.paths + evidence.places + evidence.clips
-    assert evidence.remarks[0].startswith("Walks of 0 of 2 trials are drawn")
+    assert evidence.remarks[0].startswith("Paths of 0 of 2 trials are drawn")
 
 
 def rewritten(path, topic, change):

@@ -65,7 +65,7 @@ def test_the_course_shows_whom_each_waypoint_stopped_and_where_they_part(page: A
     assert together[2][1:3] == ["70 %", "3 of 10"]
     assert together[2][4:6] == ["92 %", "1 of 38"]
     high, low = section.one("table", class_="heat").cells[1:]
-    assert high[:3] == ["hurdles/high", "0 of 5baseline 0 %", "3 of 5 partsbaseline 5 %"]
+    assert high[:3] == ["hurdles/high", "0 of 5baseline 0 %", "3 of 5 worsebaseline 5 %"]
     assert low[0] == "hurdles/low"
     assert "the baseline all starts of the baseline." in section.text
     assert "Baseline: 95 %, 92 %" in section.one("figure").one("svg").attributes["aria-label"]

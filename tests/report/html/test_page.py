@@ -55,7 +55,7 @@ def test_the_verdict_comes_first_with_what_it_rests_on(
     facts = [each.text for each in page.one("ul", class_="facts").all("li")]
     assert facts[0] == "success 0.800 (bar 0.75)"
     drawing = page.one("section", id="numbers").one("svg", role="img")
-    assert drawing.attributes["aria-label"].startswith("Mean success is 0.800, for fresh starts")
+    assert drawing.attributes["aria-label"].startswith("Mean success is 0.800, for new starts")
 
 
 def test_a_reader_without_eyes_finds_a_way_through(

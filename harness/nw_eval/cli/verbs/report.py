@@ -36,8 +36,8 @@ class Report(Publishing):
     title: str | None = None
     """Of the page over several runs, or of the leaderboard."""
     pictures: bool = True
-    """Draw the built-in scenes on a page over several runs, about a second each; they are kept in
-    the cache."""
+    """Without drawings of the built-in scenes on a page over several runs. A drawing takes about a
+    second, and is kept in the cache."""
 
     def __call__(self) -> int:
         if self.site is not None:

@@ -55,7 +55,7 @@ Judge:
     diff Diff old.parquet new.parquet
   report Report how-to/leaderboard.md write the report of a run, or a page over many runs
     $ reports/my-run --open
-    $ reports/* --site site
+    $ reports/hurdles-* --site site
   compare Compare how-to/compare.md put policies side by side, scene by scene
     $ reports/my-run reports/another-run --out compared.md
   sim2real SimToReal how-to/compare.md say how well runs agree with results on the robot

@@ -106,9 +106,9 @@ def _success(verdict: Verdict) -> Gauge | None:
     bar = () if verdict.bar is None else (Tick(value=verdict.bar, label=f"bar {verdict.bar:g}"),)
     against = "no bar" if verdict.bar is None else f"the bar is {verdict.bar:g}"
     return Gauge(
-        title=f"Mean success, fresh starts ({confidence(verdict)} lower, {confidence(verdict)} "
+        title=f"Mean success, new starts ({confidence(verdict)} lower, {confidence(verdict)} "
         "upper)",
-        sentence=f"Mean success is {verdict.success:.3f}, for fresh starts from "
+        sentence=f"Mean success is {verdict.success:.3f}, for new starts from "
         f"{verdict.interval.low:.3f} to {verdict.interval.high:.3f} ({confidence(verdict)} each "
         f"side); {against}.",
         axis=Interval(0.0, 1.0),

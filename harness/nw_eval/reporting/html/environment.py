@@ -2,7 +2,7 @@
 
 The page asks no network for anything, and a policy of its own (a `Content-Security-Policy`) says
 so to the browser: it runs the one script and draws by the one style sheet whose hashes stand there,
-and shows pictures that are in the file. Untrusted text is made visible (`clean`) and escaped
+and shows pictures that are in the file. Text of third parties is made visible (`clean`) and escaped
 wherever a template prints it; none of them could load or run anything even if that failed.
 """
 

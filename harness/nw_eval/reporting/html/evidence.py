@@ -99,7 +99,7 @@ class Clip:
     seconds: float
     """That it shows, simulated."""
     caption: str
-    """One sentence on what is seen; may be untrusted text."""
+    """One sentence on what is seen; may be a third party's text."""
     outside: Film | None = None
     """The same seconds from behind the robot."""
 
@@ -113,7 +113,7 @@ class LogEvidence:
     clips: tuple[Clip, ...] = ()
     """The worst trial first; what exceeds `CLIP_BYTES` is left out from the end."""
     remarks: tuple[str, ...] = ()
-    """Sentences on what could not be shown and why; may hold untrusted text."""
+    """Sentences on what could not be shown and why; may hold a third party's text."""
 
 
 NO_EVIDENCE = LogEvidence()

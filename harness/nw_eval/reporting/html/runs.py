@@ -33,7 +33,7 @@ _KNOWN_SERVERS = frozenset({"", "github.com", "gitlab.com"})
 _LABELS = (("commit", "commit"), ("branch", "branch"), ("pull_request", "pull"), ("job", "job"))
 """Columns of the page, where runs have such a label."""
 _GIVEN = re.compile(r".*-[0-9]{8}T[0-9]{6}Z-[0-9a-f]{8}(?:-[0-9]+)?(?:-[0-9]+of[0-9]+)?", re.DOTALL)
-"""A folder's name that was not chosen: `results.run_folder`."""
+"""A folder's name that no user chose: `results.run_folder`."""
 _NO_PICTURES: Mapping[tuple[str, str], bytes] = MappingProxyType({})
 
 
@@ -42,7 +42,7 @@ class LabelLink:
     """What a label says, and where it leads.
 
     Attributes:
-        text: to show; it may be untrusted.
+        text: to show; it may be a third party's.
         href: an https address of the job's own server; empty where there is none.
         host: that server, where readers may not expect it.
     """

@@ -32,7 +32,7 @@ class Bar:
 class Table:
     """A titled table. `code` names the columns that hold something to type.
 
-    Rows and run.json may be untrusted: what they say is cleaned here, for every page.
+    Rows and run.json may be a third party's: what they say is cleaned here, for every page.
     """
 
     title: str

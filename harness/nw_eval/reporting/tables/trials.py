@@ -97,13 +97,14 @@ def parting(row: Row, rival: Row | Start | None) -> str:
 
     Args:
         row: of the candidate.
-        rival: of the baseline's policy; a baseline file has no times. None gives no words.
+        rival: of the baseline's policy; a start of a baseline has no times. None gives no words.
     """
     if rival is None:
         return ""
     times = rival.waypoint_times if isinstance(rival, Row) else ()
     at_end = f" at {rival.sim_s:.1f} s" if isinstance(rival, Row) else ""
-    end = f"completed{at_end}" if rival.completed else f"ended as {rival.outcome}{at_end}"
+    ended = "" if rival.outcome in ("fell", "collided") else "ended as "
+    end = f"completed{at_end}" if rival.completed else f"{ended}{rival.outcome}{at_end}"
     point = row.waypoints_reached + 1
     if not row.waypoints_total or point > row.waypoints_total:
         return f"The baseline's policy {end} from the same start."
@@ -186,7 +187,7 @@ def left_table(rows: Sequence[Row], verdict: Verdict) -> Table:
         ),
         numbers=frozenset({"farthest", "widest angle", "least coverage"}),
         note=more(len(left)) + "For longer than the suite's gate.validity allows, the policy saw "
-        "what was not photographed from there. These trials count neither for it nor against it.",
+        "what no photograph shows from there. These trials count neither for it nor against it.",
     )
 
 

@@ -62,10 +62,10 @@
     }
   }
 
-  // On a phone a row is one line, and its name a button that shows the rest.
+  // On a phone a row is one line, and its name a button that shows the rest; a name that is a link stays one.
   function foldable(row) {
     const head = row.cells[0];
-    if (!NARROW.matches || head.querySelector("button")) return;
+    if (!NARROW.matches || head.querySelector("a, button")) return;
     const button = document.createElement("button");
     button.type = "button";
     button.className = "plain";

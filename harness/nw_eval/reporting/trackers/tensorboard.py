@@ -73,7 +73,7 @@ def _literal(run: TrackedRun) -> Iterator[tuple[str, str]]:
 
 
 def _code(words: str) -> str:
-    """Return words as code: TensorBoard draws Markdown, and they may be untrusted."""
+    """Return words as code: TensorBoard draws Markdown, and they may be a third party's."""
     quoted = words.replace("`", "'")
     return f"`{quoted}`" if quoted else ""
 

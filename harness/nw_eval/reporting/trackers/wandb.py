@@ -19,7 +19,7 @@ def track(run: TrackedRun) -> None:
     """Show a run; `WANDB_MODE`, `WANDB_PROJECT`, `WANDB_ENTITY` and the like are W&B's own.
 
     Raises:
-        PrerequisiteError: no user is logged in. It does not ask: there may be no one to answer.
+        PrerequisiteError: no user is logged in. The key is not asked for: a CI job cannot answer.
         wandb.Error: W&B cannot be reached, or refuses.
     """
     wandb: Any = import_module("wandb")
