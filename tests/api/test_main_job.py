@@ -149,7 +149,7 @@ def test_a_renderer_that_is_not_installed_is_told_before_anything_runs(suite, tm
     ],
 )
 def test_what_one_process_cannot_do_is_refused(suite, tmp_path, option, said):
-    with pytest.raises(UsageError, match=f"{said} with --in-process"):
+    with pytest.raises(UsageError, match=f"{said} cannot be enforced with --in-process"):
         api.run(suite(), in_process=True, **option)
     assert not (tmp_path / "reports").exists()
 

@@ -150,11 +150,11 @@ def test_workers_get_the_memory_limit_that_was_given_last(project, monkeypatch):
     limits = []
     start_workers = worker_pool.LocalProcesses
 
-    def hired(*words, memory_limit):
+    def started(*words, memory_limit, builders):
         limits.append(memory_limit)
-        return start_workers(*words, memory_limit=memory_limit)
+        return start_workers(*words, memory_limit=memory_limit, builders=builders)
 
-    monkeypatch.setattr(worker_pool, "LocalProcesses", hired)
+    monkeypatch.setattr(worker_pool, "LocalProcesses", started)
     begin(suite=suite(), out=project / "run", memory_limit="3GB")
     begin(suite=None, resume=project / "run")
     begin(suite=None, resume=project / "run", memory_limit="1.5 GiB")

@@ -74,7 +74,8 @@ def test_another_file_is_not_taken_and_nothing_is_kept_of_it(published):
     fetched_scan("real:one", scan, address=f"{address}/map.png")
 
 
-def test_a_name_that_is_none_and_a_file_of_another_place_are_usage(tmp_path, capsys):
+def test_a_name_that_is_none_and_a_file_of_another_place_are_usage(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
     with pytest.raises(SceneError, match=r"no real scene is called 'stars'; did you mean.*stairs"):
         get_scene("real:stars")
     (tmp_path / "other.png").write_bytes(b"x")

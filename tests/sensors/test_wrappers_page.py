@@ -84,6 +84,6 @@ def test_the_page_names_every_built_in_wrapper_and_sensor():
     from nw_eval.cards.observations import BUILT_IN_SENSORS
     from nw_eval.cards.wrappers import BUILT_IN_WRAPPERS
 
-    page = PAGE.read_text(encoding="utf-8")
+    page = (PAGE.parents[2] / "reference" / "sensors.md").read_text(encoding="utf-8")
     for name in (*BUILT_IN_WRAPPERS, *BUILT_IN_SENSORS):
         assert f"| `{name}` |" in page

@@ -77,7 +77,7 @@ def test_other_photographs_another_beginning_and_other_wishes_are_noticed(saved)
 
 def test_a_training_of_another_version_is_begun_anew(saved, monkeypatch):
     monkeypatch.setattr(training, "FORMAT", training.FORMAT + 1)
-    with pytest.raises(StoreError, match="begin anew"):
+    with pytest.raises(StoreError, match="start a new one"):
         resume_training(saved, photos(2), beginning(), BUSY)
 
 

@@ -109,7 +109,7 @@ def test_what_a_word_names_is_found_out(tmp_path, monkeypatch):
     for source, words, others in (
         (None, "nothing to view", nothing),
         ("no-such-thing", "no log, run, scene or policy", nothing),
-        ("hub:org/name", "place or a policy", nothing),
+        ("hub:org/name", "scene or a policy", nothing),
         (".", "what was logged", nothing | {"policy": "stand"}),
         ("go1-act-rgb", "name the same kind of thing", nothing | {"policy": "stand"}),
     ):

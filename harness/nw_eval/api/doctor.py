@@ -165,17 +165,15 @@ def _is_met(need: Requirement) -> bool:
 
 def _processor() -> dict[str, str | int]:
     from nw_eval.engine.machine import cpu_kind
-    from nw_eval.results.machine import machine_info
+    from nw_eval.results.machine import machine_info, processors
 
-    machine = machine_info()
-    has_affinity = hasattr(os, "sched_getaffinity")
-    affinity = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+    machine, (affinity, installed) = machine_info(), processors()
     return {
         "name": machine.cpu,
         "kind": cpu_kind(),
         "usable": machine.cores,
         "affinity": affinity,
-        "installed": os.cpu_count() or 1,
+        "installed": installed,
     }
 
 

@@ -76,6 +76,13 @@ def machine_info() -> MachineInfo:
     )
 
 
+def processors() -> tuple[int, int]:
+    """Return how many processors this process may run on, and how many there are."""
+    installed = os.cpu_count() or 1
+    has_affinity = hasattr(os, "sched_getaffinity")
+    return len(os.sched_getaffinity(0)) if has_affinity else installed, installed
+
+
 def usable_cores(root: Path = Path("/")) -> int:
     """Return the number of cores that this process may use; everything that counts cores asks here.
 
@@ -87,8 +94,7 @@ def usable_cores(root: Path = Path("/")) -> int:
     Args:
         root: of the file system, which says the control groups.
     """
-    has_affinity = hasattr(os, "sched_getaffinity")
-    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
+    cores, _ = processors()
     try:
         quotas = [_quota(folder, is_v2=is_v2) for folder, is_v2 in _cgroups(root)]
     except (OSError, ValueError):  # No Linux, or no control groups.

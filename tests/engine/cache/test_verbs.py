@@ -77,7 +77,10 @@ def test_it_is_pruned_to_a_size_and_to_nothing(call, tmp_path):
 @pytest.mark.parametrize("size", ["-1", "nan", "inf"])
 def test_a_size_that_is_none_is_refused(call, size):
     code, _, err = call("prune", "--limit", size)
-    assert (code, err) == (2, f"error: --limit {size}; give a size in GB, 0 or more\n")
+    assert (code, err) == (
+        2,
+        f"error: --limit {size} is not a size; give a size in GB, 0 or more\n",
+    )
 
 
 def test_a_folder_that_cannot_be_used_is_told_with_the_fix(call, tmp_path):

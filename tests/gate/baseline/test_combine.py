@@ -231,7 +231,7 @@ def test_of_another_candidate_a_bank_that_its_own_policy_contradicted_makes_the_
     assert (verdict.verdict, verdict.exit_code) == ("INVALID", 5)
     assert verdict.reasons[:-1] == moved
     own = against.bank.manifest
-    assert f"`nw-eval baseline verify {own.suite}/{own.name} --share 100%`" in verdict.reasons[-1]
+    assert f"`nw-eval baseline verify {own.suite}/{own.name} --trials 100%`" in verdict.reasons[-1]
     renew = f"--policy {own.policy.name} --name {own.name} --renew` saves it again"
     assert verdict.reasons[-1].endswith(renew)
 

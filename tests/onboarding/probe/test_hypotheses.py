@@ -93,7 +93,7 @@ def test_only_terms_of_equal_size_are_exchanged_with_their_scales(commanded):
     card = with_terms(
         commanded, {"term": "command", "scale": 2.0}, "joint_pos", "gravity", "last_output"
     )
-    exchanged = {words: lines for words, lines in tried(card).items() if "exchanged" in words}
+    exchanged = {words: lines for words, lines in tried(card).items() if "swapped" in words}
     place, command = "observations.obs.terms:", "{term: command, scale: 2}"
     joints, past, gravity = "{term: joint_pos}", "{term: last_output}", "{term: gravity}"
     assert exchanged == {

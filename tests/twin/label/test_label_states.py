@@ -230,7 +230,7 @@ def test_the_walk_turns_and_scales_with_the_place(tmp_path):
 
 def test_without_cameras_a_trail_is_proposed_along_two_clicks(tmp_path):
     labelling = opened(tmp_path, floor(), block(2.0, 0.2, 0.2))
-    with pytest.raises(UsageError, match="from where it was photographed"):
+    with pytest.raises(UsageError, match="this scene has no camera positions"):
         labelling.propose_along_walk()
     while labelling.state.waypoints:
         labelling.remove_waypoint(0)
