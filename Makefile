@@ -70,7 +70,7 @@ leaderboard: $(VENV)/.installed
 # A warning is an error (`strict` of mkdocs.yml). The variable silences the theme's note on its successor, Zensical.
 docs docs-serve: export NO_MKDOCS_2_WARNING = 1
 docs: $(VENV)/.installed-docs
-	$(BIN)/mkdocs build --quiet
+	$(BIN)/mkdocs build
 
 docs-serve: $(VENV)/.installed-docs
 	$(BIN)/mkdocs serve --livereload --no-strict

@@ -60,7 +60,9 @@ def main(dist: Path) -> None:
 def wheel_of(archive: Path, place: Path) -> Path:
     """Return the wheel that the archive's own files make."""
     with tarfile.open(archive) as packed:
-        packed.extractall(place, filter="data")
+        # Python 3.11.2 has no filters yet; the archive is our own.
+        safe = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
+        packed.extractall(place, **safe)
     (source,) = place.iterdir()
     build = [sys.executable, "-m", "build", "--wheel", "--outdir", str(place), str(source)]
     subprocess.run(build, check=True, stdout=subprocess.DEVNULL)

@@ -162,7 +162,8 @@ def test_the_docs_have_suites_of_which_each_with_a_bar_can_pass(tmp_path, monkey
     assert "suite.md my-suite.yaml" in IN_DOCS
     monkeypatch.chdir(tmp_path)
     for name, text in IN_DOCS.items():
-        if "gate:" in text:
+        # Some have scenes or robots of the reader.
+        if "gate:" in text and not re.search(r"\./(?!policies)", text):
             (tmp_path / "suite.yaml").write_text(text)
             assert api.check(tmp_path / "suite.yaml", policy="go1-parkour").obstacles == (), name
 

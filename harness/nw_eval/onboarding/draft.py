@@ -550,7 +550,7 @@ def other_layouts(parts: Sequence[ObservationDraft], robot: RobotSpec) -> list[s
     lines = [
         "",
         f"# This card is of {' and '.join(sorted(drafted))}. Other published layouts of its sizes:",
-        f"# {', '.join(others)}. To write a card for one of the robots below:",
+        f"# {', '.join(others)}. To write a card of one of these layouts:",
         f"#     {command}",
         "# `nw-eval policies check` tells which of them walks.",
     ]

@@ -457,7 +457,9 @@ def _read(path: Path, folder: Path, source: str | None = None, *, is_own: bool =
         origin = f" (from {source})" if source else ""
         raise PolicyError(
             f"{path}: the checkpoint is missing",
-            fix=f"put it{origin} at {folder}" + (", or give --checkpoint FILE" * is_own),
+            fix=f"put it{origin} at {folder}" + (", or give --checkpoint FILE" * is_own)
+            if path.is_relative_to(folder)
+            else "check the path",
         ) from None
     except (OSError, ValueError) as error:  # A path with a zero byte is a ValueError.
         raise PolicyError(

@@ -262,7 +262,7 @@ def find_any(reference: str | Path, *, suite: str | None = None, root: Path = BA
         raise UsageError(f"several suites have a baseline {name!r}", fix=f"name one: {listed}")
     if not suites:
         known = [f"{path.parent.name}/{path.stem}" for path in banks]
-        raise UsageError(f"no baseline {text!r}", fix=nearest(text, known))
+        raise UsageError(f"no baseline {text!r}", fix=nearest(text, sorted(set(known))))
     return find_bank(name, suite=suites[0], root=root)
 
 

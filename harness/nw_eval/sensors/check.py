@@ -66,7 +66,7 @@ def check_card(
     if robot is not None and robot.name != card.robot:
         raise PolicyError(
             f"policy {card.name!r} drives the robot {card.robot!r}, the suite runs {robot.name!r}",
-            fix="choose a policy for that robot, or another suite",
+            fix=f"give --robot {card.robot}, or choose a policy for {robot.name}",
         )
     problems: list[str] = []
     can_move = True

@@ -53,6 +53,8 @@ class Save:
     """The folder of a finished run to save as a baseline; nothing is run."""
     renew: bool = False
     """Replace the baseline that is there, with its panels of all classes of machine."""
+    robot: str | None = None
+    """Robot in place of the suite's: a name or a folder, as for `run`."""
     render: Backend | None = None
     """The splat renderer; cpu when absent."""
     time_limit: float | None = None
@@ -81,6 +83,7 @@ class Save:
                 cache=not self.no_cache,
                 listener=progress,
                 checkpoint=self.checkpoint,
+                robot=self.robot,
                 render=self.render,
                 time_limit=self.time_limit,
                 memory_limit=self.memory_limit,
