@@ -114,7 +114,7 @@ def test_a_change_of_the_simulator_is_never_charged_to_a_checkpoint(
     assert "Only the policy differs" in whose_doing(
         bank_change(make_bank(), with_checkpoint(moved))
     )
-    assert "can be charged to none of them alone" in whose_doing(
+    assert "can be attributed to none of them alone" in whose_doing(
         bank_change(make_bank(), with_checkpoint(simulator))
     )
 

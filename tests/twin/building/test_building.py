@@ -113,7 +113,7 @@ def test_a_digest_of_files_changes_with_a_byte_and_with_a_name(tmp_path):
 def test_photographs_that_are_not_there_are_an_error_and_no_traceback(tmp_path, capsys):
     with pytest.raises(SystemExit) as caught:
         cli.main(["twin", "build", str(tmp_path / "gone"), "--out", str(tmp_path / "scene")])
-    assert caught.value.code == 4
+    assert caught.value.code == 2
     assert "error: there is nothing at" in capsys.readouterr().err
 
 
