@@ -136,7 +136,11 @@ def test_lengths_that_a_place_can_have_are_taken(tmp_path):
     ends = ("IMG_1.jpg:1,2", "IMG_2.jpg:5,6", "IMG_3.jpg:5,6")
     sides = ((0, 1, 1.0), (1, 0, 1.02), (1, 2, 1.0), (0, 2, 1.9))
     lengths = tuple(KnownLength.of_words(ends[a], ends[b], metres) for a, b, metres in sides)
-    facts_of_source(taken(tmp_path / "four"), AlignOptions(lengths=lengths))
+    options = AlignOptions(lengths=lengths)
+    lines = scale_lines(facts_of_source(taken(tmp_path / "four"), options), options, tmp_path)
+    told = " | ".join(lines)
+    for metres in ("1 m", "1.02 m", "1.9 m"):
+        assert f"--length: {metres} between" in told, told
 
 
 @pytest.mark.parametrize(("turn", "fits"), [(1, False), (6, True)])
