@@ -2,7 +2,6 @@
 
 import os
 import signal
-import threading
 import time
 from pathlib import Path
 
@@ -12,36 +11,21 @@ from nw_eval.errors import TrialError
 from nw_eval.results.row import rows_digest
 
 
-def kill_the_first_busy_worker(folder, workers, killed):
-    """Wait until a trial writes its log, then kill whoever writes it."""
-    deadline = time.monotonic() + 60.0
-    while time.monotonic() < deadline and not killed:
-        logs = list(folder.path.glob("mcap/**/*.partial"))
-        for worker in workers():
-            try:
-                opened = [fd.readlink() for fd in Path(f"/proc/{worker}/fd").iterdir()]
-            except OSError:
-                continue
-            if any(log in opened for log in logs):
-                os.kill(worker, signal.SIGKILL)
-                killed.append(worker)
-                return
-        time.sleep(0.005)
-
-
-def test_a_killed_worker_costs_one_trial_which_is_then_run_again(tiny_run, workers):
-    run = tiny_run("slow", name="disturbed", trials=4)
-    killed = []
-    killer = threading.Thread(target=kill_the_first_busy_worker, args=(run.folder, workers, killed))
-    killer.start()
+def test_a_killed_worker_costs_one_trial_which_is_then_run_again(tiny_run, tmp_path):
+    # Who removes the token is killed: one worker, in the middle of its trial, however fast it is.
+    token = tmp_path / "token"
+    token.touch()
+    removed = f"subprocess.run(['rm', {str(token)!r}], stderr=subprocess.DEVNULL).returncode == 0"
+    deed = f"{removed} and os.kill(os.getpid(), 9)"
+    run = tiny_run("victim", name="disturbed", deed=deed, by="sensor", trials=4)
     outcome = run.go(workers=2)
-    killer.join()
-    assert len(killed) == 1
+    assert not token.exists()
     assert [row.status for row in outcome.rows] == ["ok"] * 4
     assert sorted(row.attempt for row in outcome.rows) == [1, 1, 1, 2]
     [said] = [text for text in run.ears.messages if "crashed" in text]
     assert "SIGKILL" in said
-    undisturbed = tiny_run("slow", name="undisturbed", trials=4).go(workers=2)
+    code = tmp_path / "policies" / "victim"
+    undisturbed = tiny_run("victim", name="undisturbed", trials=4, code=code).go(workers=2)
     assert rows_digest(outcome.rows) == rows_digest(undisturbed.rows)
 
 
