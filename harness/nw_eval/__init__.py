@@ -125,8 +125,7 @@ _ROOMS = MappingProxyType(
         ),
         "cards.card": ("Card",),
         "cards.load": ("ListedPolicy",),
-        "engine.forecast": ("Forecast",),
-        "engine.plan": ("Plan",),
+        "engine.plan": ("Forecast", "Plan"),
         "errors": (
             "CodeError",
             "FetchError",

@@ -110,8 +110,7 @@ from nw_eval.api import (
 )
 from nw_eval.cards.card import Card
 from nw_eval.cards.load import ListedPolicy
-from nw_eval.engine.forecast import Forecast
-from nw_eval.engine.plan import Plan
+from nw_eval.engine.plan import Forecast, Plan
 from nw_eval.errors import (
     CodeError,
     FetchError,

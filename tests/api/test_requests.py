@@ -15,7 +15,7 @@ import trimesh
 
 from nw_eval import api, catalogue
 from nw_eval.cli.verbs import parse
-from nw_eval.engine import session, worker_pool
+from nw_eval.engine import local, session
 from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.policies import load_bundle
 from nw_eval.request import Request
@@ -148,13 +148,13 @@ def test_a_run_goes_on_with_its_own_renderer_and_limit(project, jobs):
 @pytest.mark.usefixtures("jobs")
 def test_workers_get_the_memory_limit_that_was_given_last(project, monkeypatch):
     limits = []
-    start_workers = worker_pool.LocalProcesses
+    start_workers = local.LocalProcesses
 
     def started(*words, memory_limit, builders):
         limits.append(memory_limit)
         return start_workers(*words, memory_limit=memory_limit, builders=builders)
 
-    monkeypatch.setattr(worker_pool, "LocalProcesses", started)
+    monkeypatch.setattr(local, "LocalProcesses", started)
     begin(suite=suite(), out=project / "run", memory_limit="3GB")
     begin(suite=None, resume=project / "run")
     begin(suite=None, resume=project / "run", memory_limit="1.5 GiB")

@@ -11,8 +11,8 @@ import pytest
 from nw_eval import api
 from nw_eval.built_in.entry import BuiltInSplat
 from nw_eval.catalogue import open_scene
-from nw_eval.engine.building import SplatBuilders
 from nw_eval.engine.local import LocalWorkers
+from nw_eval.engine.prepare import SplatBuilders
 from nw_eval.errors import SceneError
 from nw_eval.results.journal import read_journal
 from nw_eval.results.row import rows_digest

@@ -12,10 +12,10 @@ from nw_eval import api
 from nw_eval.cards.card import Card
 from nw_eval.catalogue import FoundScene
 from nw_eval.engine import session
-from nw_eval.engine.in_process import InProcess
 from nw_eval.engine.local import LocalProcesses
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.rounds import RunStanding, run_trials
+from nw_eval.engine.workers import InProcess
 from nw_eval.errors import PolicyError
 from nw_eval.policies import instance_bundle, load_bundle
 from nw_eval.request import Request

@@ -62,7 +62,7 @@ def test_whatever_makes_rows_makes_another_class_of_machine(digests, name):
 _LOADED = """
 import sys
 import nw_eval.engine.session, nw_eval.engine.worker, nw_eval.rollout.trial
-import nw_eval.rollout.observed, nw_eval.engine.in_process
+import nw_eval.rollout.observed, nw_eval.engine.workers
 print(*sorted({name.split(".")[1] for name in sys.modules if name.startswith("nw_eval.")}))
 """
 

@@ -254,8 +254,8 @@ def _new_results(
 
 def _ahead(place: Here, *, workers: int | None) -> str:
     """Return how many trials a save runs at most, and how long they take at most."""
-    from nw_eval.engine.forecast import minutes_of
     from nw_eval.engine.machine import worker_count
+    from nw_eval.engine.plan import minutes_of
 
     total = len(place.plan.trials)
     left = total - _kept(place)

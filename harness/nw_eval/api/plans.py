@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nw_eval.catalogue import FoundScene
-    from nw_eval.engine.forecast import Forecast
-    from nw_eval.engine.plan import Plan
+    from nw_eval.engine.plan import Forecast, Plan
     from nw_eval.policies import Bundle
     from nw_eval.results.bank import Against, Stratum
     from nw_eval.results.provenance import PolicyInfo
@@ -401,7 +400,7 @@ def check(
     Raises:
         UsageError, SuiteError, PolicyError: as `plan`.
     """
-    from nw_eval.engine.forecast import forecast
+    from nw_eval.engine.plan import forecast
 
     check_workers(workers)
     return forecast(_planned(request, changes, may_fail=False), workers=workers)

@@ -196,7 +196,7 @@ def roll_out(
 
 def _ahead(plan: Plan) -> Iterator[str]:
     """Yield what is said before a run begins."""
-    from nw_eval.engine.forecast import obstacles_of
+    from nw_eval.engine.plan import obstacles_of
     from nw_eval.robots import find_robot
     from nw_eval.rollout.perturbed import unfelt
 

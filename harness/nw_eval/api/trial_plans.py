@@ -11,8 +11,7 @@ from nw_eval.errors import IncomparableError, UsageError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from nw_eval.engine.forecast import Forecast
-    from nw_eval.engine.plan import Plan
+    from nw_eval.engine.plan import Forecast, Plan
     from nw_eval.gate.baseline.power_forecast import Outset
     from nw_eval.gate.baseline.scores import ScoreForecast
     from nw_eval.request import Request
@@ -44,7 +43,7 @@ class TrialPlan:
 
     def minutes(self, trials: float) -> float:
         """Return about how many minutes so many trials take at most."""
-        from nw_eval.engine.forecast import minutes_of
+        from nw_eval.engine.plan import minutes_of
 
         return minutes_of(trials, self.resolved, workers=self.workers)
 
@@ -163,7 +162,7 @@ def _of_bar(resolved: Plan, bar: float) -> BarPlan:
     """Return what the bar of a suite takes and sees; courses are as long as its scenes' trails."""
     import numpy as np
 
-    from nw_eval.engine.forecast import obstacles_of
+    from nw_eval.engine.plan import obstacles_of
     from nw_eval.gate.absolute import trials_to_pass
     from nw_eval.stats.power import SceneCounts, shares_at
 
@@ -319,8 +318,8 @@ def plan_shards(
         SuiteError, PolicyError: as `plan`.
     """
     from nw_eval.api.plans import check_workers, plan
-    from nw_eval.engine.forecast import forecast
     from nw_eval.engine.order import shards_of
+    from nw_eval.engine.plan import forecast
     from nw_eval.request import Request
 
     check_workers(workers)

@@ -502,7 +502,7 @@ def _obstacles(request: Request) -> tuple[str, ...]:
     What is wrong with the suite or its scenes, the first run tells.
     """
     from nw_eval.api.plans import Faults, chosen_scenes, open_scenes
-    from nw_eval.engine.forecast import obstacles_among_equals
+    from nw_eval.engine.plan import obstacles_among_equals
     from nw_eval.errors import NwEvalError
     from nw_eval.suite import draft_suite
     from nw_eval.suite.model import override

@@ -7,8 +7,6 @@ inherited from the parent but one thread for each library.
 
 from __future__ import annotations
 
-from collections import deque
-from contextlib import ExitStack
 from functools import partial
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
@@ -18,7 +16,7 @@ from nw_eval.engine.machine import WorkerOutput, can_be_listed
 from nw_eval.engine.order import next_place
 from nw_eval.engine.prepare import needs_splats
 from nw_eval.engine.worker import UnstartedError, WorkerProcess, WorkerStart
-from nw_eval.engine.workers import Finished
+from nw_eval.engine.workers import Finished, QueuedWorkers
 from nw_eval.errors import PrerequisiteError, TrialError
 from nw_eval.policies import load_bundle
 from nw_eval.robots import know_robot
@@ -26,9 +24,9 @@ from nw_eval.rollout.confined.access import policy_rules, running_rules
 from nw_eval.rollout.job import kernels_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-    from nw_eval.engine.building import SplatBuilders
+    from nw_eval.engine.prepare import SplatBuilders
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.job import TrialJob
     from nw_eval.rollout.result import TrialResult
@@ -113,7 +111,7 @@ class LocalProcesses:
         )
 
 
-class LocalWorkers:
+class LocalWorkers(QueuedWorkers):
     """Worker processes with a queue; a context manager.
 
     Args:
@@ -138,6 +136,7 @@ class LocalWorkers:
         memory_limit: int | None = None,
         builders: SplatBuilders | None = None,
     ) -> None:
+        super().__init__()
         self._count = workers
         self._start_with = start
         self._run = run
@@ -145,8 +144,6 @@ class LocalWorkers:
         self._recycle_after = recycle_after
         self._memory_limit = memory_limit
         self._builders = builders
-        self._cleanup = ExitStack()
-        self._queue: deque[TrialJob] = deque()
         self._busy: list[WorkerProcess] = []
         self._idle: list[WorkerProcess] = []  # For jobs to come: they have scenes loaded.
         self._failed_starts = 0
@@ -154,13 +151,6 @@ class LocalWorkers:
     def __enter__(self) -> Self:
         self._cleanup.enter_context(self._output)
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def submit(self, jobs: Iterable[TrialJob]) -> None:
-        """Queue jobs, in order."""
-        self._queue.extend(jobs)
 
     def finished(self) -> Iterator[Finished | None]:
         """Yield jobs as they end, and None about ten times a second while none does.
@@ -186,14 +176,13 @@ class LocalWorkers:
 
     def stop(self) -> None:
         """End every worker now, running trials included; calling it again does nothing."""
-        self._queue.clear()
         # A trial holds nothing that needs an orderly end, and one that hangs ignores SIGTERM.
         for each in (*self._busy, *self._idle):
             each.kill()
         for ended in (self._busy, self._idle):
             while ended:
                 ended.pop().close()
-        self._cleanup.close()
+        super().stop()
 
     def _started(self) -> WorkerProcess:
         """Return one more worker."""

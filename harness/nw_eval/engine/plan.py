@@ -1,29 +1,40 @@
-"""From trials to jobs: everything that a worker needs to know, decided before the first starts."""
+"""From trials to jobs: everything that a worker needs to know, decided before the first starts.
+
+And what a run of them would be, and about how long it would take (`Forecast`).
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
+from math import ceil
 from typing import TYPE_CHECKING
 
+from nw_eval.engine.machine import worker_count
 from nw_eval.engine.order import in_order
 from nw_eval.engine.prepare import needs_splats
+from nw_eval.engine.provenance import engine_of
 from nw_eval.plugins import SPLAT_FORMATS, code_named, identity_of, key_of
+from nw_eval.plural import plural
+from nw_eval.results.bank import machine_in
 from nw_eval.rollout.job import TrialJob, kernels_of
 from nw_eval.rollout.record import attachments
 from nw_eval.suite import suite_yaml
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
     from nw_eval.catalogue import FoundScene
     from nw_eval.policies import Bundle
     from nw_eval.request import Request
     from nw_eval.results.bank import Against
+    from nw_eval.results.column import Settings
     from nw_eval.results.provenance import ShardInfo
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.scenes import Scene
     from nw_eval.suite.model import Suite
-    from nw_eval.suite.trials import Trial
+    from nw_eval.suite.trials import DrawnStart, Trial
     from nw_eval.words import Arm, Backend, Kernels, PanelKind
 
 # Wall seconds for each simulated second, and on top for the first compilation of kernels: many
@@ -184,3 +195,252 @@ def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
         )
         for trial in in_order(plan.trials)
     )
+
+
+# Wall seconds for one simulated second of a trial that lasts its whole duration, on one core of the
+# class that the benchmarks name: physics, scandots, policy and log, and a camera's frames on top.
+_BLIND = 0.06
+_SEEING = 0.10
+# Wall seconds until a worker has its libraries and kernels.
+_START = 4.0
+_LEAST = 0.1  # minutes
+# Trials of each scene on a fresh seed set up to which it is asked whether a gate can pass.
+_MOST_FRESH = 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneForecast:
+    """A scene that would be run."""
+
+    name: str
+    digest: str
+    """Hex sha256 of its physics; part of its trials' identity."""
+    trials: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forecast:
+    """A run that has not been run."""
+
+    suite: Suite
+    """With what was asked of it otherwise; it has a digest of its seed set and one of all it
+    says."""
+    policy: Bundle
+    scenes: tuple[SceneForecast, ...]
+    left_out: tuple[str, ...] = ()
+    """Scenes of the suite that are not to be run, by name."""
+    shard: ShardInfo | None = None
+    """Which part of a run it is, in trials and minutes too; None: all of it."""
+    workers: int
+    baseline: str | None = None
+    """The name of the baseline that it would be compared with; it may then end early."""
+    obstacles: tuple[str, ...] = ()
+    """Why no policy can reach PASS in it, a sentence for each reason; none where one can."""
+    warnings: tuple[str, ...] = ()
+    """What makes the verdict another one than its reader expects, a sentence each."""
+    minutes: float
+    """Of wall time; about what it takes at most, on a core of the benchmarks' class."""
+
+    @property
+    def trials(self) -> int:
+        """How many there would be."""
+        return sum(scene.trials for scene in self.scenes)
+
+
+def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
+    """Return what a run of a plan would be.
+
+    Args:
+        plan: what would be run.
+        workers: processes; one for each core if None.
+    """
+    trials = Counter(trial.scene for trial in _expected(plan))
+    return Forecast(
+        suite=plan.suite,
+        policy=plan.bundle,
+        scenes=tuple(
+            SceneForecast(name=scene.name, digest=scene.digest, trials=trials[scene.name])
+            for scene in plan.scenes
+        ),
+        left_out=plan.left_out,
+        shard=plan.shard,
+        workers=worker_count(workers, trials.total()),
+        baseline=None if plan.against is None else plan.against.info.name,
+        obstacles=obstacles_of(plan),
+        warnings=_warnings(plan),
+        minutes=minutes_of(trials.total(), plan, workers=workers),
+    )
+
+
+def _expected(plan: Plan) -> tuple[Trial, ...]:
+    """Return the trials that would run; of the baseline's own policy, those that run again."""
+    machine = machine_in(engine_of(plan.render, plan.suite.plugins))
+    if not plan.is_baseline or plan.against is None or not plan.against.bank.panel_of(machine):
+        return plan.trials
+    again = 1 if plan.request.recheck is None else plan.request.recheck
+    met: Counter[tuple[str, Settings]] = Counter()
+    found: list[Trial] = []
+    for trial in plan.trials:
+        met[trial.scene, trial.perturbation] += 1
+        if met[trial.scene, trial.perturbation] <= again:
+            found.append(trial)
+    return tuple(found)
+
+
+def obstacles_of(plan: Plan) -> tuple[str, ...]:
+    """Return why not even a policy that never fails would pass; nothing where one would.
+
+    A part of a run is asked about as the run that it is a part of.
+
+    Args:
+        plan: what would be run.
+    """
+    from nw_eval.gate.baseline.power_forecast import bar_obstacles
+
+    suite, against = plan.suite, plan.against
+    if suite.gate.success_rate is None and against is None:
+        return ()  # Without a bar or a baseline the verdict is RAN.
+    unknown = () if against is None else _scores_it_lacks(plan, against)
+    # Of the baseline's own policy nothing runs: the scores of its starts are judged.
+    known = None if against is None or not plan.is_baseline else against.bank.manifest.starts
+    found = bar_obstacles(
+        suite.gate,
+        [scene.name for scene in plan.scenes],
+        plan.left_out,
+        trials=suite.trials if known is None else known,
+        cells=len(suite.perturb.cells),
+        against=against is not None,
+    )
+    if against is not None and not found and known is None:
+        found += _against_the_bank(plan, against)
+    return (*unknown, *found)
+
+
+def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
+    """Return which gated scores a baseline was saved without, that holds on this class of machine.
+
+    On another one its policy runs beside the candidate, and is measured, too.
+    """
+    from nw_eval.gate.baseline.scores import lacks_score
+
+    bank = against.bank
+    if bank.panel_of(machine_in(engine_of(plan.render, plan.suite.plugins))) is None:
+        return ()
+    fix = "save it again with this suite: `nw-eval baseline save SUITE --policy POLICY --renew`"
+    return tuple(
+        f"{lacks_score(bank, name)}: {fix}"
+        for name, asked in plan.suite.gate.scores.items()
+        if asked.max_drop is not None and name not in bank.manifest.scores
+    )
+
+
+def _warnings(plan: Plan) -> tuple[str, ...]:
+    """Return that the bar is above what the baseline's own policy scores, if it is."""
+    from nw_eval.results.bank_changes import bank_mean
+
+    bar, against = plan.suite.gate.success_rate, plan.against
+    if bar is None or against is None or (mean := bank_mean(against.bank)) >= bar:
+        return ()
+    sentence = (
+        f"gate.success_rate {bar:g} is above the success of baseline {against.info.name}, "
+        f"{mean:.3f}: a policy that is as good as the baseline does not pass"
+    )
+    return (sentence,)
+
+
+def _against_the_bank(plan: Plan, against: Against) -> list[str]:
+    """Return that the trials of a plan are too few to exclude max_drop, if they are."""
+    from nw_eval.gate.baseline.power_forecast import trials_to_pass_baseline
+
+    suite, manifest, panel = plan.suite, against.bank.manifest, against.bank.panels[0]
+    fresh = plan.drawn_from is None
+    order, scenes = _whole_order(plan, against), len(plan.scenes) * len(suite.perturb.cells)
+    needed = trials_to_pass_baseline(suite.gate, panel, order, fresh=fresh)
+    if needed is not None and needed <= suite.trials * scenes:
+        return []
+    most = len(order) // scenes
+    if needed is None:
+        fix = f"the baseline has no more than {plural(manifest.starts, 'start')} in each scene"
+        if fresh:
+            fix = f"{most} in each scene cannot either"
+    else:
+        least = ceil(needed / scenes)
+        fix = f"--trials {least} (`gate.rounds: {least}`) is the least that can"
+    reason = (
+        f"{plural(suite.trials * scenes, 'trial')} against baseline {against.info.name} cannot "
+        f"exclude a drop of {suite.gate.most_drop:g} even if all are perfect: {fix}"
+    )
+    return [reason]
+
+
+def obstacles_among_equals(
+    suite: Suite, scenes: Sequence[str], left_out: Collection[str]
+) -> tuple[str, ...]:
+    """Return why of two policies that never fail, from the same starts, the second would not pass.
+
+    Args:
+        suite: whose trials both run; the first is the baseline.
+        scenes: that are run, by name.
+        left_out: scenes of the suite that are not, by name.
+    """
+    from nw_eval.gate.baseline.match import draw_trials
+    from nw_eval.gate.baseline.power_forecast import (
+        bar_obstacles,
+        perfect_panel,
+        trials_to_pass_baseline,
+    )
+
+    gate, cells = suite.gate, suite.perturb.cells
+    if gate.success_rate is not None:
+        found = bar_obstacles(gate, scenes, left_out, trials=suite.trials, cells=len(cells))
+        if found:
+            return tuple(found)
+    strata = [(scene, cell) for scene in scenes for cell in cells]
+    if all(gate.tier(scene) == "informational" for scene in scenes):
+        return ()
+
+    def needed(starts: int) -> int | None:
+        order = draw_trials(
+            strata, starts, starts, candidate=suite.digest, suite_digest=suite.digest
+        )
+        return trials_to_pass_baseline(gate, perfect_panel(strata, starts), order, fresh=False)
+
+    if needed(suite.trials) is not None:
+        return ()
+    enough = needed(max(_MOST_FRESH, suite.trials))
+    least = None if enough is None else ceil(enough / len(strata))
+    fix = f"{_MOST_FRESH} in each scene cannot either"
+    if least is not None:
+        fix = f"--trials {least} (`trials: {least}`) is about the least that can"
+    reason = (
+        f"{plural(suite.trials * len(strata), 'trial')} cannot exclude a drop of "
+        f"{gate.most_drop:g} from the best checkpoint even if all of both are perfect: {fix}"
+    )
+    return (reason,)
+
+
+def _whole_order(plan: Plan, against: Against) -> list[DrawnStart]:
+    """Return the order of a plan with as many trials as there can be."""
+    from nw_eval.engine.provenance import policy_info
+    from nw_eval.gate.baseline.match import draw_fresh, draw_trials
+
+    suite, most = plan.suite, against.bank.manifest.starts
+    strata = [(scene.name, cell) for scene in plan.scenes for cell in suite.perturb.cells]
+    drawn_by = {"candidate": policy_info(plan.bundle).key, "suite_digest": suite.digest}
+    if plan.drawn_from is None:
+        return draw_fresh(strata, max(_MOST_FRESH, suite.trials), **drawn_by)
+    return draw_trials(strata, most, most, **drawn_by)
+
+
+def minutes_of(trials: float, plan: Plan, *, workers: int | None = None) -> float:
+    """Return about how many minutes of wall time so many trials of a plan's kind take at most.
+
+    Args:
+        trials: how many, whatever the plan has.
+        plan: whose suite and policy they are of.
+        workers: processes; one for each core if None.
+    """
+    sees = bool(plan.bundle.card.splat_images) or plan.suite.record == "all"
+    each = (_SEEING if sees else _BLIND) * plan.suite.episode.duration
+    count = worker_count(workers, ceil(trials))
+    return max((_START + each * trials / count) / 60.0, _LEAST)

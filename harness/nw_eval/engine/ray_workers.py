@@ -1,9 +1,9 @@
 """Workers on the nodes of a cluster: a queue here, and a node agent on each node that is ready.
 
-ray_connection.py  join a cluster, or start one on this machine
-ray_file_bundles.py     what travels to nodes, by content, and where a node keeps what it got
-ray_node.py        what a node is asked: what it is, to make ready, to tidy up
-ray_node_agent.py     the worker processes of a node, with one of Ray's between them and the cluster
+ray_connection.py    join a cluster, or start one on this machine
+ray_file_bundles.py  what travels to nodes, by content, and where a node keeps what it got
+ray_node.py          what a node is asked, and its worker processes, with one of Ray's between them
+                     and the cluster
 
 Policies never share a process with Ray: a node agent is an actor that owns confined processes,
 those that the local engine starts, so that limits, fences, faults and bits are the same. There is
@@ -17,8 +17,7 @@ from a node are written into the run's folder by the head alone.
 from __future__ import annotations
 
 import os
-from collections import deque
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from secrets import token_hex
 from time import monotonic, sleep
@@ -29,16 +28,15 @@ from nw_eval.engine import ray_node as there
 from nw_eval.engine.machine import WorkerOutput
 from nw_eval.engine.order import next_place
 from nw_eval.engine.ray_file_bundles import Outgoing
-from nw_eval.engine.ray_node import JobSpec
-from nw_eval.engine.ray_node_agent import Answer, NodeAgent
-from nw_eval.engine.workers import Finished
+from nw_eval.engine.ray_node import Answer, JobSpec, NodeAgent
+from nw_eval.engine.workers import Finished, QueuedWorkers
 from nw_eval.errors import NwEvalError, PrerequisiteError, StoreError, TrialError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.policies.bundle import senses_by_code
 from nw_eval.rollout.result import TrialResult
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from nw_eval.engine.listener import Listener
@@ -158,7 +156,7 @@ class _OpenAgent:
         return any(now > deadline for _, deadline in self.jobs.values())
 
 
-class RayWorkers:
+class RayWorkers(QueuedWorkers):
     """Stations on nodes, with a queue; a context manager.
 
     Args:
@@ -178,25 +176,17 @@ class RayWorkers:
         agent: tuple[JobSpec, Sequence[TrialJob], bool],
         output: WorkerOutput,
     ) -> None:
+        super().__init__()
         self._count = workers
         self._joined = joined
         self._nodes = nodes
         self._agent = agent
         self._output = output
-        self._cleanup = ExitStack()
-        self._queue: deque[TrialJob] = deque()
         self._agents: list[_OpenAgent] = []
 
     def __enter__(self) -> Self:
         self._cleanup.enter_context(self._output)
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-    def submit(self, jobs: Iterable[TrialJob]) -> None:
-        """Queue jobs, in order."""
-        self._queue.extend(jobs)
 
     def finished(self) -> Iterator[Finished | None]:
         """Yield jobs as they end, and None about ten times a second while none does.
@@ -215,10 +205,9 @@ class RayWorkers:
 
     def stop(self) -> None:
         """End every node agent now, running trials included; calling it again does nothing."""
-        self._queue.clear()
         while self._agents:
             self._leave(self._agents[-1])
-        self._cleanup.close()
+        super().stop()
 
     def _open(self) -> None:
         """Open node agents on nodes that have none, for as many workers as have something to do."""

@@ -8,17 +8,22 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Self
 
-from nw_eval.engine.building import SplatBuilders
 from nw_eval.engine.cache import told_of_cache
 from nw_eval.engine.known import known_trials
 from nw_eval.engine.listener import Listener, NullListener
 from nw_eval.engine.machine import worker_count
 from nw_eval.engine.order import in_order
 from nw_eval.engine.plan import Plan, plan_jobs
-from nw_eval.engine.prepare import build_splats, needs_splats_first, open_backend, ready_scans
+from nw_eval.engine.prepare import (
+    SplatBuilders,
+    build_splats,
+    needs_splats_first,
+    open_backend,
+    ready_scans,
+)
 from nw_eval.engine.provenance import journal_header, now, run_info
 from nw_eval.engine.rounds import run_trials
-from nw_eval.engine.worker_pool import worker_pool
+from nw_eval.engine.workers import worker_pool
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.traceback_file import TracebackIn
@@ -73,7 +78,7 @@ def carry_out(
         command: what was typed.
         labels: what its user calls it; a run that is resumed keeps those that it has besides.
         listener: hears of progress.
-        in_process: whether trials run in this very process: see `engine.in_process`.
+        in_process: whether trials run in this very process: see `engine.workers`.
         cluster: the address of the Ray cluster on whose nodes trials run: see
             `engine.ray_connection`; None = in processes of this machine.
         prelude: called before the first trial, with the run's folder and run.json, of which it

@@ -503,7 +503,7 @@ def was_instance(reference: str) -> bool:
 def instance_bundle(policy: object, card: Card, *, digest: str = "") -> Bundle:
     """Return the bundle of a policy that the caller has at hand.
 
-    It runs only in this process (`engine.in_process`), all trials with the same object,
+    It runs only in this process (`engine.workers`), all trials with the same object,
     which is never closed. It must have `act(observation) -> 12 numbers`, or be a function that does
     that. Whatever else of `Policy` it has is used, as for a `python:` adapter: a trial depends on
     those before it unless `reset(seed)` forgets them, or there is nothing to forget.

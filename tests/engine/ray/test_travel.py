@@ -9,7 +9,7 @@ from nw_eval.catalogue import FoundScene
 from nw_eval.engine import ray_file_bundles
 from nw_eval.engine.plan import Plan
 from nw_eval.engine.ray_file_bundles import Outgoing
-from nw_eval.engine.ray_node_agent import LibraryHere
+from nw_eval.engine.ray_node import LibraryHere
 from nw_eval.engine.ray_workers import _differences
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.policies import load_bundle

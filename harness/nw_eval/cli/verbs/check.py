@@ -10,7 +10,7 @@ import tyro
 from nw_eval.cli.verbs.options import Options
 
 if TYPE_CHECKING:
-    from nw_eval.engine.forecast import Forecast
+    from nw_eval.engine.plan import Forecast
     from nw_eval.suite import Gate
 
 
