@@ -133,8 +133,7 @@ from nw_eval.onboarding.probe.report import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary
 from nw_eval.onboarding.robot_check import CheckedRobot, RobotSummary
 from nw_eval.request import Request
-from nw_eval.results.bank import SavedBank
-from nw_eval.results.bank_changes import BankChange
+from nw_eval.results.bank import BankChange, SavedBank
 from nw_eval.results.row import Row
 from nw_eval.rollout.replaying.reports import BlameReport, ReplayReport, TakeoverReport
 from nw_eval.rollout.replaying.rescored import LogScores

@@ -28,8 +28,7 @@ from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.files.shipped import shipped
 from nw_eval.reporting.headline import headline
 from nw_eval.results.bank import trajectory
-from nw_eval.results.bank_build import bank_of_run
-from nw_eval.results.bank_file import read_bank, write_bank
+from nw_eval.results.bank_file import bank_of_run, read_bank, write_bank
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import read_journal, write_journal
 from nw_eval.results.provenance import StopInfo, read_run_info

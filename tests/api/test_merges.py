@@ -23,13 +23,14 @@ from nw_eval.errors import IncomparableError, NwEvalError, StoreError, UsageErro
 from nw_eval.request import Request, Shard
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
-from nw_eval.results.machine import code_info, machine_info
 from nw_eval.results.parquet import read_rows
 from nw_eval.results.provenance import (
     CacheInfo,
     PolicyInfo,
     RunInfo,
     SceneInfo,
+    code_info,
+    machine_info,
     write_run_info,
 )
 from nw_eval.results.row import Row, rows_digest

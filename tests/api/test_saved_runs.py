@@ -15,12 +15,13 @@ from nw_eval.cli.verbs.options import summary
 from nw_eval.errors import StoreError
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
-from nw_eval.results.machine import code_info, machine_info
 from nw_eval.results.parquet import SCHEMA
 from nw_eval.results.provenance import (
     PolicyInfo,
     RunInfo,
     SceneInfo,
+    code_info,
+    machine_info,
     read_run_info,
     write_run_info,
 )

@@ -30,8 +30,14 @@ from nw_eval.results.bank import (
 from nw_eval.results.bank_file import write_bank
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.machine import code_info, machine_info
-from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo, write_run_info
+from nw_eval.results.provenance import (
+    PolicyInfo,
+    RunInfo,
+    SceneInfo,
+    code_info,
+    machine_info,
+    write_run_info,
+)
 from nw_eval.results.row import Row
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.suite import new_suite

@@ -11,8 +11,7 @@ import pytest
 from nw_eval import api, cli
 from nw_eval.gate.verdict import EXIT_CODES
 from nw_eval.results.bank import Panel
-from nw_eval.results.bank_build import bank_of_run
-from nw_eval.results.bank_file import write_bank
+from nw_eval.results.bank_file import bank_of_run, write_bank
 
 START = Path(__file__).parents[2] / "docs" / "index.md"
 

@@ -14,7 +14,7 @@ from nw_eval.built_in.splits import split_of
 from nw_eval.catalogue import names
 from nw_eval.gate.baseline.combine import judge_run
 from nw_eval.reporting.console import print_summary
-from nw_eval.results.bank_changes import bank_mean, mean_of
+from nw_eval.results.bank import bank_mean, mean_of
 from nw_eval.results.bank_file import find_bank, read_bank
 from nw_eval.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.results.row import Row

@@ -16,8 +16,7 @@ from nw_eval.cli.verbs.bisect import series_page
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.bisection import Decision, bisect
 from nw_eval.gate.verdict import Comparison
-from nw_eval.results.machine import code_info, machine_info
-from nw_eval.results.provenance import PolicyInfo, RunInfo
+from nw_eval.results.provenance import PolicyInfo, RunInfo, code_info, machine_info
 from nw_eval.stats.interval import Interval
 from nw_eval.suite.model import Gate
 

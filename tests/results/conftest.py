@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.results.machine import code_info, machine_info
-from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo
+from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo, code_info, machine_info
 from nw_eval.results.row import Row
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import nw_eval
-from nw_eval.results import machine
-from nw_eval.results.machine import JUDGING, code_info, rows_code_digest
+from nw_eval.results import provenance
+from nw_eval.results.provenance import JUDGING, code_info, rows_code_digest
 
 PACKAGE = Path(nw_eval.__file__).parent
 
@@ -24,7 +24,7 @@ def digests(tmp_path, monkeypatch):
     """
     copy = tmp_path / "nw_eval"
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__", "*.npz", "assets"))
-    monkeypatch.setattr(machine, "_PACKAGE", copy)
+    monkeypatch.setattr(provenance, "_PACKAGE", copy)
 
     def with_a_line(name=None):
         if name is not None:

@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from nw_eval.errors import StoreError, UsageError
-from nw_eval.results.machine import code_info, library_versions, machine_info
 from nw_eval.results.provenance import (
     PolicyInfo,
     RunInfo,
     SceneInfo,
+    code_info,
+    library_versions,
+    machine_info,
     read_run_info,
     write_run_info,
 )

@@ -14,8 +14,7 @@ from nw_eval.errors import IncomparableError, NwEvalError, PolicyError
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
-    from nw_eval.results.bank import BankKey, BankPolicy, SavedBank
-    from nw_eval.results.bank_changes import BankChange, FieldChange
+    from nw_eval.results.bank import BankChange, BankKey, BankPolicy, FieldChange, SavedBank
 
 _READERS = 4
 """Files that are read at a time: each by a process of its own, which mostly starts."""
@@ -81,14 +80,14 @@ def diff_baselines(then: str | Path, now: str | Path, *, suite: str | None = Non
     Raises:
         UsageError, StoreError, IncomparableError: as `show_baseline`.
     """
-    from nw_eval.results.bank_changes import bank_change
+    from nw_eval.results.bank import bank_change
 
     banks = [show_baseline(each, suite=suite).bank for each in (then, now)]
     return bank_change(*banks)
 
 
 def _listed(file: Path) -> ListedBaseline:
-    from nw_eval.results.bank_changes import bank_mean
+    from nw_eval.results.bank import bank_mean
     from nw_eval.results.bank_file import read_bank
 
     suite, name = file.parent.name, file.stem
@@ -124,7 +123,7 @@ class Here:
 
     def is_in(self, bank: SavedBank, starts: int) -> bool:
         """Whether a baseline has all of it, so that nothing need be run."""
-        from nw_eval.results.bank_changes import key_changes, policy_changes
+        from nw_eval.results.bank import key_changes, policy_changes
 
         return (
             bank.manifest.starts == starts
@@ -254,7 +253,7 @@ def check_baseline(
         StoreError: the baseline is damaged.
         IncomparableError: it is no baseline that anything can be compared with.
     """
-    from nw_eval.results.bank_changes import key_changes, machine_changes, policy_changes
+    from nw_eval.results.bank import key_changes, machine_changes, policy_changes
     from nw_eval.suite import load_suite
 
     named = None if suite is None else load_suite(suite).name

@@ -19,8 +19,7 @@ from nw_eval.plural import plural
 if TYPE_CHECKING:
     from nw_eval.api.baselines import Here
     from nw_eval.engine.listener import Listener
-    from nw_eval.results.bank import SavedBank
-    from nw_eval.results.bank_changes import BankChange
+    from nw_eval.results.bank import BankChange, SavedBank
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
 
@@ -87,7 +86,7 @@ def save_baseline(
         IncomparableError: the run makes no baseline.
     """
     from nw_eval.api.baselines import card_reference, here
-    from nw_eval.results.bank_build import bank_of_run
+    from nw_eval.results.bank_file import bank_of_run
     from nw_eval.suite import load_suite
 
     if starts is not None and starts < 1:
@@ -158,8 +157,7 @@ def _file(root: Path | None, suite: str, name: str) -> Path:
     Raises:
         UsageError: its name is none.
     """
-    from nw_eval.results.bank_build import fault_of_name
-    from nw_eval.results.bank_file import BANKS, SUFFIX
+    from nw_eval.results.bank_file import BANKS, SUFFIX, fault_of_name
 
     if fault := fault_of_name(name):
         raise UsageError(f"a baseline's name: {fault}", fix="give another with --name")
@@ -187,9 +185,8 @@ def _written(
 ) -> SavedBaseline:
     """Write a baseline unless it would silently become another one."""
     from nw_eval.files.cache import followed
-    from nw_eval.results.bank_build import with_panel
-    from nw_eval.results.bank_changes import bank_change
-    from nw_eval.results.bank_file import write_bank
+    from nw_eval.results.bank import bank_change
+    from nw_eval.results.bank_file import with_panel, write_bank
 
     if earlier is None:
         write_bank(followed(file), found)

@@ -131,7 +131,7 @@ def _check(bank: SavedBank, place: Here) -> None:
     Raises:
         IncomparableError: suite, scenes, simulator or policy are others.
     """
-    from nw_eval.results.bank_changes import key_changes, policy_changes
+    from nw_eval.results.bank import key_changes, policy_changes
 
     changes = (
         *key_changes(bank.manifest.key, place.key),

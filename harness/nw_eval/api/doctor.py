@@ -165,7 +165,7 @@ def _is_met(need: Requirement) -> bool:
 
 def _processor() -> dict[str, str | int]:
     from nw_eval.engine.machine import cpu_kind
-    from nw_eval.results.machine import machine_info, processors
+    from nw_eval.results.provenance import machine_info, processors
 
     machine, (affinity, installed) = machine_info(), processors()
     return {

@@ -47,7 +47,7 @@ from nw_eval.reporting.tables.table import WORST
 from nw_eval.reporting.tables.trials import worst_trials
 from nw_eval.results.evidence import log_sha256
 from nw_eval.results.evidence_check import present_logs
-from nw_eval.results.machine import code_info
+from nw_eval.results.provenance import code_info
 from nw_eval.results.row import Row
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.confined.isolated import call_isolated

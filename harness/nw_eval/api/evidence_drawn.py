@@ -20,7 +20,7 @@ from nw_eval.api.evidence import KeptEvidence, WantedLog
 from nw_eval.api.evidence_log import SECONDS, Box, ReadClip, box_round, clip_of, sized
 from nw_eval.errors import NwEvalError
 from nw_eval.reporting.html.evidence import Film, LogEvidence, PlacePicture, PlaceView
-from nw_eval.results.machine import code_info
+from nw_eval.results.provenance import code_info
 from nw_eval.suite.digest import digest_of
 
 if TYPE_CHECKING:

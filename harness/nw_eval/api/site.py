@@ -459,7 +459,7 @@ def _drawn(scene: Scene) -> bytes:
 
 def _kept(name: str, digest: str) -> Path | None:
     """Return where the picture of a scene is kept for the next page; None without a cache."""
-    from nw_eval.results.machine import code_info
+    from nw_eval.results.provenance import code_info
 
     drawn_by = f"{code_info().digest} {_WIDTH} {_QUALITY} {name} {digest}"
     try:

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from nw_eval.clean import clean
 from nw_eval.files.cache import open_own
-from nw_eval.results.machine import usable_cores
+from nw_eval.results.provenance import usable_cores
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -336,7 +336,7 @@ def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
 
 def _warnings(plan: Plan) -> tuple[str, ...]:
     """Return that the bar is above what the baseline's own policy scores, if it is."""
-    from nw_eval.results.bank_changes import bank_mean
+    from nw_eval.results.bank import bank_mean
 
     bar, against = plan.suite.gate.success_rate, plan.against
     if bar is None or against is None or (mean := bank_mean(against.bank)) >= bar:

@@ -19,14 +19,17 @@ from nw_eval.plugins import code_named, version_named
 from nw_eval.plural import plural
 from nw_eval.policies.bundle import senses_by_code
 from nw_eval.results.journal import JournalHeader
-from nw_eval.results.machine import (
+from nw_eval.results.provenance import (
+    FetchedInfo,
+    PolicyInfo,
+    RunInfo,
+    SceneInfo,
     code_info,
     library_versions,
     machine_info,
     rows_code_digest,
     usable_cores,
 )
-from nw_eval.results.provenance import FetchedInfo, PolicyInfo, RunInfo, SceneInfo
 from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.access import why_off
 from nw_eval.scenes.folder import FileSplat

@@ -25,7 +25,7 @@ from warnings import catch_warnings, simplefilter
 
 from nw_eval.clean import clean
 from nw_eval.errors import PrerequisiteError, TrialError, UsageError
-from nw_eval.results.machine import usable_cores
+from nw_eval.results.provenance import usable_cores
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping

@@ -122,7 +122,7 @@ class Runs:
         """Processes for trials: this worker's share of the cores, where it is one of several."""
         if self._settings.workers is not None or not self._sharing:
             return self._settings.workers
-        from nw_eval.results.machine import usable_cores
+        from nw_eval.results.provenance import usable_cores
 
         return max(1, usable_cores() // self._sharing)
 

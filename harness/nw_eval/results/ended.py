@@ -158,7 +158,7 @@ def _from_parquet(
 
 
 def _parquet(folder: RunFolder, info: RunInfo, trials: Sequence[PlannedTrial]) -> list[Row]:
-    from nw_eval.results.parquet_apart import read_rows_apart
+    from nw_eval.results.tables import read_rows_apart
 
     return _checked(read_rows_apart(folder.trials), info, trials, folder.trials.name)[0]
 

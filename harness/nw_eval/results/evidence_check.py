@@ -22,11 +22,11 @@ from nw_eval.files.inside import OutsideError, inside, what_is
 from nw_eval.plural import plural
 from nw_eval.results.evidence import Digests, log_sha256, read_digests, row_leaves, run_leaf
 from nw_eval.results.journal import read_journal
-from nw_eval.results.parquet_apart import rows_apart
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import COLUMNS, Row, rows_digest, texts_of
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.results.stored import stored
+from nw_eval.results.tables import rows_apart
 
 What = Literal["changed", "missing", "extra", "unreadable"]
 

@@ -1,5 +1,7 @@
 """A small table as a file for git, and files read by a process that may neither grow nor stay.
 
+So are the rows of a run: see `parquet`.
+
 A checksum tells damage, not malice: whoever makes a file can seal it. Arrow ends its process on
 some files and asks for gigabytes on others, and who judges a run should not go down with either.
 The process that reads a small table imports little besides Arrow, so that it takes a fraction of a
@@ -12,18 +14,20 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from nw_eval.clean import clean
 from nw_eval.confinement.environment import inherited
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import bounded_bytes
+from nw_eval.results.row import Row, from_dicts, to_dict
+from nw_eval.results.stored import stored
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -85,8 +89,23 @@ def read_small_table(path: Path, *, fix: str) -> PlainTable:
     Raises:
         StoreError: it is missing, too large, damaged, or ended the process.
     """
-    (content,) = chain.from_iterable(values_apart(__name__, path, fix=fix))
+    (content,) = chain.from_iterable(_values_apart("table", path, fix=fix))
     return PlainTable(**content)
+
+
+def read_rows_apart(path: Path) -> Sequence[Row]:
+    """Return the rows of a Parquet file; as `parquet.read_rows`.
+
+    Raises:
+        StoreError: as there; or reading took too long, or ended its process.
+    """
+    return stored(rows_apart(path))
+
+
+def rows_apart(path: Path) -> Iterator[list[Row]]:
+    """Yield the rows of a Parquet file in portions; as `read_rows_apart`."""
+    fix = "restore the run's folder from a copy, or run again"
+    return map(from_dicts, _values_apart("rows", path, fix=fix))
 
 
 def small_table(path: Path) -> PlainTable:
@@ -122,21 +141,21 @@ _MOST_ANSWER = 4 * 2**30  # bytes: of a million rows, as in a journal
 _AT_ONCE = 2000  # lines that are parsed together
 
 
-def values_apart(module: str, path: Path, *, fix: str) -> Iterator[list[Any]]:
-    """Yield the JSON values that a module's `answer` reads from a file, in a process of its own.
+def _values_apart(what: Literal["table", "rows"], path: Path, *, fix: str) -> Iterator[list[Any]]:
+    """Yield the JSON values that `_read` reads from a file, in a process of its own.
 
     They come in portions. Of a process that failed some may come before the error.
 
     Args:
-        module: of ours, which ends with `if __name__ == "__main__": answer(...)`.
+        what: the file holds.
         path: the file.
         fix: what to do where it cannot be read.
 
     Raises:
-        StoreError: as the module's reader; or reading took too long, or ended its process.
+        StoreError: as what reads it; or reading took too long, or ended its process.
     """
     # `-P`: no module comes from the working folder, which may be the run's own.
-    command = [sys.executable, "-P", "-m", "nw_eval.files.lifeline", module, str(path)]
+    command = [sys.executable, "-P", "-m", "nw_eval.files.lifeline", __name__, what, str(path)]
     # The other process ends with this one: its standard input is closed then.
     life, ours = os.pipe()
     with TemporaryFile() as written, os.fdopen(life, "rb"), os.fdopen(ours, "wb"):
@@ -169,15 +188,25 @@ def values_apart(module: str, path: Path, *, fix: str) -> Iterator[list[Any]]:
         raise StoreError(f"{path}: reading it ended with code {done.returncode}", fix=fix)
 
 
-def answer(read: Callable[[Path], Iterable[Any]]) -> None:
+def _read(what: str, path: Path) -> Iterable[dict[str, Any]]:
+    if what == "table":
+        yield vars(small_table(path))
+        return
+    from nw_eval.results.parquet import read_groups
+
+    for rows in read_groups(path):
+        yield from map(to_dict, rows)
+
+
+def _answer() -> None:
     """Write what is read from the file that the process was started with, a line for each value.
 
     A last line says that it is the last.
     """
-    path = Path(sys.argv[2])
+    what, path = sys.argv[2], Path(sys.argv[3])
     _limit_memory(path)
     try:
-        for value in read(path):
+        for value in _read(what, path):
             sys.stdout.write(f"{json.dumps(value)}\n")
     except StoreError as error:
         last = json.dumps({"error": error.message})
@@ -212,4 +241,4 @@ def _limit_memory(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    answer(lambda path: [vars(small_table(path))])
+    _answer()

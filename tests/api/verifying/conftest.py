@@ -9,11 +9,12 @@ import pytest
 
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
-from nw_eval.results.machine import code_info, machine_info
 from nw_eval.results.provenance import (
     PolicyInfo,
     RunInfo,
     SceneInfo,
+    code_info,
+    machine_info,
     read_run_info,
     write_run_info,
 )

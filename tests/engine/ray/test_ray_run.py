@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api
-from nw_eval.results.bank_build import bank_of_run
-from nw_eval.results.bank_file import write_bank
+from nw_eval.results.bank_file import bank_of_run, write_bank
 from nw_eval.results.journal import read_journal
 from nw_eval.results.provenance import read_run_info
 from nw_eval.results.row import rows_digest

@@ -15,8 +15,14 @@ from nw_eval.errors import StoreError
 from nw_eval.gate import ledger as ledger_file
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.ledger import append_entry, append_verdict, read_ledger
-from nw_eval.results.machine import code_info, machine_info
-from nw_eval.results.provenance import BaselineInfo, PolicyInfo, RunInfo, SceneInfo
+from nw_eval.results.provenance import (
+    BaselineInfo,
+    PolicyInfo,
+    RunInfo,
+    SceneInfo,
+    code_info,
+    machine_info,
+)
 from nw_eval.results.seal import seal
 from nw_eval.suite.model import Gate
 

@@ -9,10 +9,8 @@ import pytest
 
 from nw_eval.errors import IncomparableError, TrialError
 from nw_eval.results.bank import trajectory
-from nw_eval.results.bank_build import bank_of_run, with_panel
-from nw_eval.results.bank_file import read_bank, write_bank
-from nw_eval.results.machine import code_info, machine_info
-from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo
+from nw_eval.results.bank_file import bank_of_run, read_bank, with_panel, write_bank
+from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo, code_info, machine_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable

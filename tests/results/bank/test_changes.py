@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from nw_eval.cli.verbs.baseline import change_page, whose_doing
-from nw_eval.results.bank_changes import bank_change, bank_mean
+from nw_eval.results.bank import bank_change, bank_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -25,8 +25,15 @@ if TYPE_CHECKING:
         ShownBaseline,
         VerifiedBaseline,
     )
-    from nw_eval.results.bank import Panel, SavedBank, Start, Stratum
-    from nw_eval.results.bank_changes import BankChange, FieldChange, SceneChange
+    from nw_eval.results.bank import (
+        BankChange,
+        FieldChange,
+        Panel,
+        SavedBank,
+        SceneChange,
+        Start,
+        Stratum,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -277,7 +284,7 @@ def _line(listed: ListedBaseline) -> tuple[str, ...]:
 
 
 def _facts(shown: ShownBaseline) -> Iterator[str]:
-    from nw_eval.results.bank_changes import bank_mean
+    from nw_eval.results.bank import bank_mean
 
     manifest, bank = shown.bank.manifest, shown.bank
     simulator = ", ".join(f"{name} {value}" for name, value in manifest.key.simulator.items())
@@ -307,7 +314,7 @@ def _against_first(panel: Panel, first: Panel) -> str:
 
 
 def _scenes(bank: SavedBank) -> Iterator[tuple[str, ...]]:
-    from nw_eval.results.bank_changes import mean_of
+    from nw_eval.results.bank import mean_of
 
     yield "scene", "mean", "completed", "others"
     for stratum, starts in bank.panels[0].by_stratum.items():
@@ -424,7 +431,7 @@ def _scene(change: SceneChange) -> tuple[str, ...]:
 
 
 def _mean(change: BankChange) -> tuple[str, ...]:
-    from nw_eval.results.bank_changes import bank_mean
+    from nw_eval.results.bank import bank_mean
 
     then, now = bank_mean(change.then), bank_mean(change.now)
     return "mean", _number(then), _number(now), f"{now - then:+.3f}", "", ""
@@ -443,7 +450,7 @@ def _flipped(change: SceneChange) -> str:
 
 
 def _saved(saved: SavedBaseline) -> Iterator[str]:
-    from nw_eval.results.bank_changes import bank_mean
+    from nw_eval.results.bank import bank_mean
 
     manifest = saved.bank.manifest
     size = f"{plural(len(manifest.key.scenes), 'scene')} x {plural(manifest.starts, 'start')}"

@@ -301,7 +301,7 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
     Raises:
         UsageError: a number makes no sense.
     """
-    from nw_eval.results.machine import usable_cores
+    from nw_eval.results.provenance import usable_cores
     from nw_eval.twin.align.alignment import AlignOptions, KnownLength
     from nw_eval.twin.building.appearance import AppearanceOptions
     from nw_eval.twin.building.build import BuildSettings
