@@ -143,7 +143,7 @@ _ROOMS = MappingProxyType(
         "gate.ledger_report": ("LedgerReport",),
         "gate.side_by_side": ("PolicyComparison",),
         "gate.verdict": ("Comparison", "Verdict"),
-        "hub.fetched": ("Fetched",),
+        "hub.reference": ("Fetched",),
         "onboarding.probe.report": ("ProbeReport",),
         "onboarding.probe.summary": ("CardSummary",),
         "onboarding.robot_check": ("CheckedRobot", "RobotSummary"),

@@ -128,7 +128,7 @@ from nw_eval.errors import (
 from nw_eval.gate.ledger_report import LedgerReport
 from nw_eval.gate.side_by_side import PolicyComparison
 from nw_eval.gate.verdict import Comparison, Verdict
-from nw_eval.hub.fetched import Fetched
+from nw_eval.hub.reference import Fetched
 from nw_eval.onboarding.probe.report import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary
 from nw_eval.onboarding.robot_check import CheckedRobot, RobotSummary

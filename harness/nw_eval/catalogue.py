@@ -30,8 +30,7 @@ from nw_eval.scenes.scene import Scene
 from nw_eval.words import Collision
 
 if TYPE_CHECKING:
-    from nw_eval.hub.fetched import Fetched
-    from nw_eval.hub.reference import Reference
+    from nw_eval.hub.reference import Fetched, Reference
     from nw_eval.scenes.finding import SceneFinding
     from nw_eval.survey import Survey
 

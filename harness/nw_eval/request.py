@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from nw_eval.amounts import bytes_of
 from nw_eval.errors import UsageError
+from nw_eval.plural import bytes_of
 from nw_eval.words import Backend, Collision, PanelKind, Record
 
 _T = TypeVar("_T")

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from nw_eval.errors import Problem, SceneError, StoreError, UsageError
-from nw_eval.files.new_folder import new_folder
+from nw_eval.files.cache import new_folder
 
 
 def tree(folder):

@@ -14,8 +14,7 @@ from nw_eval import api, catalogue
 from nw_eval.errors import PolicyError, SceneError
 from nw_eval.hub import heard_by
 from nw_eval.hub.fetch import located
-from nw_eval.hub.fetched import forget_checks
-from nw_eval.hub.reference import parse
+from nw_eval.hub.reference import forget_checks, parse
 from nw_eval.policies import load_bundle
 
 

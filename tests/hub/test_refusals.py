@@ -20,7 +20,7 @@ from nw_eval.errors import (
     UsageError,
 )
 from nw_eval.hub import limits
-from nw_eval.hub.fetched import forget_checks
+from nw_eval.hub.reference import forget_checks
 
 
 def line_of(error):

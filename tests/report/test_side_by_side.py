@@ -18,9 +18,9 @@ from nw_eval.gate.side_by_side import (
 )
 from nw_eval.reporting.pictures import draw_comparison
 from nw_eval.reporting.side_by_side import comparison_page
+from nw_eval.stats.agreement import Ranks
 from nw_eval.stats.hazard import differences
 from nw_eval.stats.interval import Estimate, Interval
-from nw_eval.stats.ranks import Ranks
 
 
 def policy(label, mean, best, worst):

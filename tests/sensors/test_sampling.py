@@ -3,7 +3,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nw_eval.arrays import pack
+from nw_eval.memory import pack
 from nw_eval.sensors import build_sensors
 from nw_eval.sensors.build import Sampled
 

@@ -7,9 +7,9 @@ import pytest
 from small_capture import beginning, photos
 from test_trainer import BUSY
 
-from nw_eval.arrays import pack
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import sealed_path
+from nw_eval.memory import pack
 from nw_eval.splat.gaussians import ARRAYS, concatenate
 from nw_eval.twin.gaussians import trainer as training
 from nw_eval.twin.gaussians.initial import gaussians_at

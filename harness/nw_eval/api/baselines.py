@@ -194,7 +194,7 @@ def card_reference(card: str) -> str:
         Empty for a card that lies elsewhere.
     """
     from nw_eval.files.shipped import shipped
-    from nw_eval.hub.fetched import origin_of
+    from nw_eval.hub.reference import origin_of
 
     folder = Path(card).parent
     fetched = origin_of(folder) if card else None

@@ -186,6 +186,6 @@ def _is_here(reference: str) -> bool:
 
 def _differing(rows: Sequence[Row], bank: SavedBank, machine: dict[str, str]) -> tuple[str, ...]:
     """Return what differs from the results that a run on a class of machine is compared with."""
-    from nw_eval.gate.baseline.known import differences
+    from nw_eval.gate.baseline.match import differences
 
     return differences(rows, bank.panel_of(machine) or bank.panels[0])

@@ -25,8 +25,7 @@ from nw_eval.errors import IncomparableError, PolicyError, TrialError
 from nw_eval.files.inside import what_is
 from nw_eval.gate.absolute import word_of_bar
 from nw_eval.gate.baseline.judge import setup_of
-from nw_eval.gate.baseline.known import contradictions, recheck
-from nw_eval.gate.baseline.match import is_baseline, renewing
+from nw_eval.gate.baseline.match import contradictions, is_baseline, recheck, renewing
 from nw_eval.plural import plural
 from nw_eval.protocol import PROTOCOLS
 from nw_eval.results.bank import ControlArm, machine_of, trajectory

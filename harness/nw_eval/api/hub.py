@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from nw_eval.hub import FetchListener
-    from nw_eval.hub.fetched import Fetched
+    from nw_eval.hub.reference import Fetched
 
 _BESIDE = ("README.md", "LICENSE", "LICENSE.md", "LICENSE.txt", "NOTICE")
 """What is pushed of a scene's folder besides the files that the scene is made of."""

@@ -161,7 +161,7 @@ def check_scenes(
 def _write_suite(path: Path, references: Sequence[str], robot: str, policy: str | None) -> None:
     """Write a suite of scenes; paths in it start from its own folder."""
     from nw_eval.catalogue import from_folder
-    from nw_eval.suite.written import robot_from, write_ready_suite
+    from nw_eval.suite.load import robot_from, write_ready_suite
 
     here, robot = policy, robot_from(path.parent, robot)
     if policy is not None and "/" in policy and Path(policy).exists():

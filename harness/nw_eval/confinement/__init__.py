@@ -1,8 +1,7 @@
 """Processes that open untrusted files: confined before the first of these is opened.
 
-rules.py        what a process may do, its memory and time; `confine` makes it so
-fence.py        Landlock and seccomp together, what libraries read on their own, what it came to
-landlock.py     which files may be opened
+fence.py        what a process may do, its memory and time; `confine` makes it so; Landlock and
+                seccomp together, what libraries read on their own, what it came to
 seccomp.py      which system calls are refused, and their numbers
 kernel.py       calls that Python has no function for
 family.py       parents, children and the terminal
@@ -13,9 +12,18 @@ files.py        what each kind of untrusted file may do
 
 from nw_eval.confinement.environment import child_environment
 from nw_eval.confinement.family import GONE, LEFT, interrupts_blocked, kill_group, without_script
-from nw_eval.confinement.fence import Fence, fence_stands, offered, raise_fence
+from nw_eval.confinement.fence import (
+    Fence,
+    Rules,
+    confine,
+    fence_stands,
+    memory_to_open,
+    memory_to_run,
+    offered,
+    processor_time,
+    raise_fence,
+)
 from nw_eval.confinement.fork_server import Child, ForkServer
-from nw_eval.confinement.rules import Rules, confine, memory_to_open, memory_to_run, processor_time
 
 __all__ = [
     "GONE",

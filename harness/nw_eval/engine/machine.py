@@ -58,7 +58,7 @@ _SHARE_HOLDS = 1.0
 of 700 MB takes the kernel 3 ms, in which the process cannot map memory; `statm` takes 5 us."""
 _BETWEEN_LOOKS = 2**30
 """Bytes by which a process may go beyond its limit until somebody looks. Libraries reserve up to
-280 MB that they never touch (`confinement.rules`)."""
+280 MB that they never touch (`confinement.fence`)."""
 _ENDS_FIRST = b"1000"
 """Of the kernel's scale: whoever has it ends before all others."""
 LARGEST = 2**20

@@ -215,7 +215,7 @@ def _marks(scene: Scene) -> dict[str, Any]:
 
 def _fetched(path: Path) -> FetchedInfo | None:
     """Return what a policy, a scene or a robot was fetched as, if it was."""
-    from nw_eval.hub.fetched import origin_of
+    from nw_eval.hub.reference import origin_of
 
     origin = origin_of(path)
     if origin is None:

@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING, NoReturn
 
 from pydantic import TypeAdapter, ValidationError
 
-from nw_eval.amounts import in_words
 from nw_eval.clean import clean
 from nw_eval.confinement import Rules, confine, kill_group
 from nw_eval.engine.machine import Resident, descendants, kill, left_by
+from nw_eval.plural import in_words
 from nw_eval.policies.apart import use_line
 from nw_eval.rollout.confined.start import parts_of, start_pair
 from nw_eval.rollout.job import TrialJob

@@ -30,6 +30,7 @@ from nw_eval.results.row import Row
 from nw_eval.scores import ScoreSpec
 from nw_eval.scores.registry import BUILT_IN
 from nw_eval.stats.agreement import Measured
+from nw_eval.stats.betting import Ranks, possible_ranks
 from nw_eval.stats.bootstrap import mean_of_scenes
 from nw_eval.stats.hazard import (
     Ends,
@@ -39,7 +40,6 @@ from nw_eval.stats.hazard import (
     first_shown,
 )
 from nw_eval.stats.interval import Estimate, Interval
-from nw_eval.stats.ranks import Ranks, possible_ranks
 
 StartName = tuple[str, Settings, int]
 """Scene, what was changed there, and the start's number: the same for every policy of a suite."""

@@ -18,12 +18,12 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
-from nw_eval.amounts import in_words
 from nw_eval.clean import clean
 from nw_eval.files.inside import OutsideError, checked
 from nw_eval.hub import limits
 from nw_eval.hub.client import Client, Deadline, json_of
 from nw_eval.hub.reference import Reference, is_commit
+from nw_eval.plural import in_words
 
 _DIGITS = re.compile(r"[0-9a-fA-F]{7,40}")
 _IDENTITY = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.model import CardModel
 from nw_eval.errors import PolicyError
-from nw_eval.memory import Arrays
+from nw_eval.memory import Arrays, pack
 from nw_eval.policies.bundle import Bundle, read_options
 from nw_eval.policies.networks.act import Act
 from nw_eval.policies.policy import unpacked

@@ -25,11 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval import errors
-from nw_eval.arrays import pack, unpack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.clean import message_of
 from nw_eval.confinement import GONE, LEFT, Rules, confine, fence_stands, processor_time
 from nw_eval.errors import NwEvalError, ServerError, TrialError
+from nw_eval.memory import pack, unpack
 from nw_eval.policies.policy import Observation, checked_action
 from nw_eval.policies.policy_process import ACT, BOARD, HEADER, MessageLine, Server, layout, views
 

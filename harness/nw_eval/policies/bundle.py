@@ -29,7 +29,7 @@ from nw_eval.policies.computes import computed_digest
 from nw_eval.robots import get_robot
 
 if TYPE_CHECKING:
-    from nw_eval.hub.fetched import Fetched
+    from nw_eval.hub.reference import Fetched
 
 SIZE_LIMIT = 2**30
 """Bytes. The largest policy of this field is some 100 MB."""

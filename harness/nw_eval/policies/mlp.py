@@ -18,9 +18,9 @@ from pydantic import Field, model_validator
 from torch import Tensor, nn
 from torch.nn import functional
 
-from nw_eval.arrays import pack
 from nw_eval.cards.model import CardModel, Limits
 from nw_eval.errors import PolicyError, nearest
+from nw_eval.memory import pack
 from nw_eval.policies.bundle import Bundle, read_options
 from nw_eval.policies.networks.layers import Layer, chain
 from nw_eval.policies.policy import unpacked

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.arrays import pack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError, nearest
-from nw_eval.memory import Arrays
+from nw_eval.memory import Arrays, pack
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.network import ActingNetwork, InputAssembler, Wanted, place_of
 from nw_eval.policies.networks.onnx_graph import open_session, state_pairs

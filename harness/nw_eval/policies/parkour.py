@@ -26,9 +26,9 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from nw_eval.arrays import pack
 from nw_eval.cards.model import CardModel
 from nw_eval.errors import TrialError
+from nw_eval.memory import pack
 from nw_eval.policies.bundle import Bundle, NoOptions, read_options
 from nw_eval.policies.networks.lucidsim import FRAMES, IMAGE, LucidSimTransformer
 from nw_eval.policies.networks.lucidsim import PROPRIO as FRAME_NUMBERS

@@ -8,11 +8,10 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from nw_eval.arrays import unpack
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
 from nw_eval.errors import ActionError, CodeError, NotFiniteError, NwEvalError, TrialError
-from nw_eval.memory import Arrays, Memory
+from nw_eval.memory import Arrays, Memory, unpack
 from nw_eval.policies.policy_process import FaultError, all_finite, as_action
 
 __all__ = ["Observation", "Policy", "all_finite", "checked_action", "raised"]

@@ -326,7 +326,7 @@ LIBRARIES = ("mujoco", "numpy", "torch", "onnxruntime", "numba", "embreex", "pya
 
 
 JUDGING = frozenset(
-    {"__init__", "amounts", "clean", "errors", "plural", "request", "words"}
+    {"__init__", "clean", "errors", "plural", "request", "words"}
     | {
         "api",
         "cli",

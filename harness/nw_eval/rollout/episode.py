@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.arrays import read_only
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.cards.terms import EARLIER_OUTPUTS
 from nw_eval.errors import DivergedError, TrialError
+from nw_eval.memory import read_only
 from nw_eval.policies import ActionDelay
 from nw_eval.policies.policy import all_finite
 from nw_eval.results.row import VIEW_RATE

@@ -21,8 +21,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import FetchError, SceneError, StoreError, nearest
 from nw_eval.files.inside import bounded_bytes
 from nw_eval.hub import listener
-from nw_eval.hub.fetched import Fetched, digest_of, kept, put_in_place
-from nw_eval.hub.reference import Reference
+from nw_eval.hub.reference import Fetched, Reference, digest_of, kept, put_in_place
 from nw_eval.scenes.elevation_file import elevation_mesh, read_elevation
 
 REAL = "real:"

@@ -15,8 +15,8 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.arrays import read_only
 from nw_eval.errors import SceneError
+from nw_eval.memory import read_only
 from nw_eval.scenes.digest import digest
 from nw_eval.scenes.mesh import FaceKind, TriangleMesh
 from nw_eval.scenes.prop import Prop

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.arrays import pack, read_only, unpack
 from nw_eval.cards import Card, JointControl
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.cards.observations import (
@@ -32,7 +31,7 @@ from nw_eval.cards.observations import (
     SemanticsObservation,
     SplatRgbObservation,
 )
-from nw_eval.memory import Arrays
+from nw_eval.memory import Arrays, pack, read_only, unpack
 from nw_eval.protocol import EvaluationProtocol
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes import Scene

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.arrays import read_only
 from nw_eval.cards.command import Command
 from nw_eval.cards.joint_control import JointControl
 from nw_eval.cards.observations import (
@@ -21,7 +20,7 @@ from nw_eval.cards.observations import (
 )
 from nw_eval.cards.terms import AnyTerm, Constant, term_size
 from nw_eval.errors import PolicyError
-from nw_eval.memory import Arrays
+from nw_eval.memory import Arrays, read_only
 from nw_eval.sensors.sensor import Measurement, Plain, Shot, StepContext
 from nw_eval.sensors.terms import Reader, reader
 

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.arrays import read_only
 from nw_eval.cards import Action
-from nw_eval.memory import Arrays, Forgetful, Memory
+from nw_eval.memory import Arrays, Forgetful, Memory, read_only
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Nearness
 from nw_eval.sim import World

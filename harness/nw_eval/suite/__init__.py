@@ -6,10 +6,17 @@ and a seed of its own that nothing else can move.
 
 from __future__ import annotations
 
-from nw_eval.suite.load import Draft, draft_of, draft_suite, find_suite, load_suite, tier_problems
+from nw_eval.suite.load import (
+    Draft,
+    draft_of,
+    draft_suite,
+    find_suite,
+    load_suite,
+    suite_yaml,
+    tier_problems,
+)
 from nw_eval.suite.model import Gate, Suite, json_schema, new_suite, override, with_robot
 from nw_eval.suite.trials import Trial, expand
-from nw_eval.suite.written import suite_yaml
 
 __all__ = [
     "Draft",

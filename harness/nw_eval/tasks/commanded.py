@@ -22,7 +22,7 @@ from pydantic import (
     model_validator,
 )
 
-from nw_eval.arrays import pack, unpack
+from nw_eval.memory import pack, unpack
 from nw_eval.tasks.course import Limits, draw_start, fallen_by, touched_by
 from nw_eval.tasks.task import (
     Array,

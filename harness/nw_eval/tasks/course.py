@@ -17,8 +17,8 @@ from typing import Literal, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from nw_eval.arrays import read_only
 from nw_eval.errors import SceneError
+from nw_eval.memory import read_only
 from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.tasks.task import (
     Goal,

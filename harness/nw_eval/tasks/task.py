@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
-from nw_eval.arrays import read_only
+from nw_eval.memory import read_only
 from nw_eval.plural import plural
 from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.scores import ScoreSpec

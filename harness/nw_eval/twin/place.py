@@ -27,7 +27,7 @@ from nw_eval.scenes.limits import checked_name
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.transform import quaternions
-from nw_eval.suite.written import robot_from, write_ready_suite
+from nw_eval.suite.load import robot_from, write_ready_suite
 from nw_eval.twin.capture import Capture
 from nw_eval.twin.moved import moved_capture, moved_points, similarity_entry
 from nw_eval.words import Task

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from nw_eval.amounts import in_words
 from nw_eval.clean import clean
-from nw_eval.plural import plural
+from nw_eval.plural import in_words, plural
 
 if TYPE_CHECKING:
     from nw_eval.api import CheckedScene, ListedScene, PushedScene

@@ -17,7 +17,7 @@ from shlex import quote
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.finding import by_place
 from nw_eval.gate.baseline.judge import compare, setup_of
-from nw_eval.gate.baseline.known import known_rows
+from nw_eval.gate.baseline.match import known_rows
 from nw_eval.gate.baseline.scores import with_scores
 from nw_eval.gate.verdict import Comparison, Verdict, Word
 from nw_eval.results.bank import Against

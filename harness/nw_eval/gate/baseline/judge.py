@@ -26,8 +26,7 @@ from nw_eval.gate.baseline.finding import (
     scores_of,
     strata_that_count,
 )
-from nw_eval.gate.baseline.known import recheck
-from nw_eval.gate.baseline.match import basis_of, check_match, claim_of, drawn_order
+from nw_eval.gate.baseline.match import basis_of, check_match, claim_of, drawn_order, recheck
 from nw_eval.gate.baseline.power_forecast import Outset, about_more_trials, outset_of_bank
 from nw_eval.gate.validity import over_the_cap, that_left
 from nw_eval.gate.verdict import Basis, Claim, Comparison, SceneDrop, percent_sure

@@ -26,8 +26,8 @@ from nw_eval.plural import plural
 from nw_eval.policies import load_bundle
 from nw_eval.results.journal import has_begun
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.suite.load import suite_yaml
 from nw_eval.suite.model import new_suite
-from nw_eval.suite.written import suite_yaml
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

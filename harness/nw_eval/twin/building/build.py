@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 
 from nw_eval.api import check_scenes
 from nw_eval.errors import SceneError, SuiteError, UsageError
-from nw_eval.files.cache import atomic_path
-from nw_eval.files.new_folder import check_place
+from nw_eval.files.cache import atomic_path, check_place
 from nw_eval.robots import get_robot
 from nw_eval.scenes.finding import SceneFinding, has_errors
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.limits import name_of
-from nw_eval.suite.load import load_suite
-from nw_eval.suite.written import check_has_policy
+from nw_eval.suite.load import check_has_policy, load_suite
 from nw_eval.survey import Survey, footing_lines, survey_lines
 from nw_eval.survey.course import stance_of
 from nw_eval.twin.align.ahead import (

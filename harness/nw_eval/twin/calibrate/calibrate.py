@@ -16,8 +16,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from nw_eval.errors import NwEvalError, SceneError, StoreError, UsageError
+from nw_eval.files.cache import made_folder, unwritable
 from nw_eval.files.inside import what_is
-from nw_eval.files.new_folder import made_folder, unwritable
 from nw_eval.plural import plural
 from nw_eval.twin.calibrate.develop import develop
 from nw_eval.twin.calibrate.features import Matches, match

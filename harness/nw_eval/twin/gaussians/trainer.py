@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.arrays import pack, unpack
 from nw_eval.errors import NwEvalError, SceneError, StoreError, UsageError
 from nw_eval.files.cache import DamagedError, read_sealed, sealed_path
+from nw_eval.memory import pack, unpack
 from nw_eval.splat.gaussians import ARRAYS, Gaussians
 from nw_eval.splat.store import digest
 from nw_eval.twin.gaussians.config import TrainConfig, falling

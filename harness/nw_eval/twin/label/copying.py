@@ -8,14 +8,13 @@ from typing import Any
 
 from nw_eval.catalogue import brought, is_built_in, names, open_scene, scene_files
 from nw_eval.errors import SceneError, UsageError, nearest
-from nw_eval.files.cache import cache_dir
+from nw_eval.files.cache import cache_dir, check_new, new_folder
 from nw_eval.files.inside import what_is
-from nw_eval.files.new_folder import check_new, new_folder
 from nw_eval.scenes.folder import SCENE_FILE, FileSplat, load_folder
 from nw_eval.scenes.limits import name_of
 from nw_eval.scenes.scene import Box, Scene
 from nw_eval.splat.files import read_splat, write_splat
-from nw_eval.suite.written import robot_from, write_ready_suite
+from nw_eval.suite.load import robot_from, write_ready_suite
 from nw_eval.twin.moved import similarity_entry
 from nw_eval.twin.place import COLLISION, SPLAT, SUITE, rounded, write_collision, write_yaml
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError, UsageError
-from nw_eval.files.new_folder import new_folder
+from nw_eval.files.cache import new_folder
 from nw_eval.scenes.folder import folder_files, load_folder
 from nw_eval.scenes.mesh import TriangleMesh
-from nw_eval.suite.written import write_ready_suite
+from nw_eval.suite.load import write_ready_suite
 from nw_eval.twin.label.files import OpenedScene, open_place, save_label
 from nw_eval.twin.moved import moved_points
 from nw_eval.twin.place import SUITE, Route

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError, UsageError
-from nw_eval.files.new_folder import check_new, new_folder
+from nw_eval.files.cache import check_new, new_folder
 from nw_eval.scenes import limits
 from nw_eval.scenes.elevation_file import ELEVATION_SUFFIXES, elevation_mesh, read_elevation
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
@@ -27,7 +27,7 @@ from nw_eval.scenes.mesh_file import MESH_SUFFIXES, PaintedMesh, read_painted
 from nw_eval.scenes.mesh_parts import Material
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.surface import Surface
-from nw_eval.suite.written import check_has_policy, robot_from, write_ready_suite
+from nw_eval.suite.load import check_has_policy, robot_from, write_ready_suite
 from nw_eval.twin.moved import moved_points
 from nw_eval.twin.place import (
     COLLISION,
