@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.confinement import environment
+from nw_eval.confinement import family
 from nw_eval.engine import machine
 from nw_eval.errors import UsageError
 from nw_eval.gate.verdict import EXIT_CODES
@@ -93,7 +93,7 @@ def test_every_variable_that_the_code_looks_at_or_sets_is_told():
     names = set(re.findall(r'environ(?:\.get\(|\[)"(\w+)"', sources))
     assert "NW_EVAL_CACHE" in names
     names |= {*re.findall(r'"(NW_EVAL_\w+)"', sources), *machine._SETTINGS}
-    names |= {*environment._CHILDREN, *environment._FENCED}
+    names |= {*family._CHILDREN, *family._FENCED}
     # One word stands for the numbers of threads.
     wanted = {name for name in names if not name.endswith("_THREADS")} | {"OMP_NUM_THREADS"}
     assert wanted <= set(re.findall(r"[`$]([A-Z_]+)[`/]", section("Environment variables")))

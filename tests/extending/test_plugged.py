@@ -24,8 +24,7 @@ from nw_eval.scenes.folder import load_folder
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.suite import json_schema, load_suite, new_suite
 from nw_eval.suite.axes import AXES as BUILT_IN
-from nw_eval.suite.axes import Axis
-from nw_eval.suite.perturb import SweptAxis
+from nw_eval.suite.axes import Axis, SweptAxis
 
 GAIN = """
 from nw_eval import Axis

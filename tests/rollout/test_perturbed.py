@@ -17,8 +17,7 @@ from nw_eval.rollout.result import StageClock
 from nw_eval.rollout.trial import run_trial
 from nw_eval.sensors.sensor import FOG, Air
 from nw_eval.splat.image import Image
-from nw_eval.suite.axes import AXES
-from nw_eval.suite.perturb import Perturb
+from nw_eval.suite.axes import AXES, Perturb
 
 PUBLISHED = "neverwhere-2026"
 """Under it every cell has the same starts, so that bits can be compared."""

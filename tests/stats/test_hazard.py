@@ -12,7 +12,6 @@ import pytest
 from nw_eval.stats.hazard import (
     differences,
     differences_over,
-    first_parting,
     first_partings,
     hazards,
     holm,
@@ -147,6 +146,11 @@ def test_ends_that_are_none_are_refused(ends):
 def test_scenes_of_different_length_are_not_compared():
     with pytest.raises(ValueError, match="2 waypoints cannot be compared with 1"):
         differences([0, 0, 4], [0, 4])
+
+
+def first_parting(first, second, error=0.05):
+    """Return where two policies part in the only scene that is looked at."""
+    return first_partings({0: (first, second)}, error).get(0)
 
 
 def test_the_first_parting_is_where_the_trouble_is_not_where_fewer_arrive():

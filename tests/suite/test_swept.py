@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nw_eval.errors import UsageError
-from nw_eval.suite.perturb import SweptAxis
+from nw_eval.suite.axes import SweptAxis
 
 
 @pytest.mark.parametrize(

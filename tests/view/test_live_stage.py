@@ -9,8 +9,7 @@ from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.gaussians import SH0
 from nw_eval.suite import load_suite
-from nw_eval.suite.axes import AXES
-from nw_eval.suite.perturb import Perturb
+from nw_eval.suite.axes import AXES, Perturb
 from nw_eval.view.live_page import save_played
 from nw_eval.view.live_stage import open_stage, painted
 

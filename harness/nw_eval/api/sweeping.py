@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
     from nw_eval.gate.sweep import AxisCurve
-    from nw_eval.suite.perturb import SweptAxis
+    from nw_eval.suite.axes import SweptAxis
 
 _MOST_FOLDERS = 1000
 
@@ -115,7 +115,7 @@ def sweep(
 
 
 def _axes(words: Sequence[str]) -> list[SweptAxis]:
-    from nw_eval.suite.perturb import SweptAxis
+    from nw_eval.suite.axes import SweptAxis
 
     swept = [SweptAxis.of(each) for each in words]
     if not swept:

@@ -4,14 +4,19 @@ fence.py        what a process may do, its memory and time; `confine` makes it s
                 seccomp together, what libraries read on their own, what it came to
 seccomp.py      which system calls are refused, and their numbers
 kernel.py       calls that Python has no function for
-family.py       parents, children and the terminal
-environment.py  what children inherit
+family.py       parents, children and the terminal; what children inherit
 fork_server.py  children that need not import anything
 files.py        what each kind of untrusted file may do
 """
 
-from nw_eval.confinement.environment import child_environment
-from nw_eval.confinement.family import GONE, LEFT, interrupts_blocked, kill_group, without_script
+from nw_eval.confinement.family import (
+    GONE,
+    LEFT,
+    child_environment,
+    interrupts_blocked,
+    kill_group,
+    without_script,
+)
 from nw_eval.confinement.fence import (
     Fence,
     Rules,

@@ -28,8 +28,12 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
-from nw_eval.confinement.environment import environment_of_child
-from nw_eval.confinement.family import interrupts_blocked, leave_terminal, set_parent
+from nw_eval.confinement.family import (
+    environment_of_child,
+    interrupts_blocked,
+    leave_terminal,
+    set_parent,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

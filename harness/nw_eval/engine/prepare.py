@@ -26,7 +26,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Self
 
 from nw_eval.built_in.entry import BuiltInSplat
-from nw_eval.confinement.environment import environment_of_child
+from nw_eval.confinement.family import environment_of_child
 from nw_eval.engine.listener import Listener, NullListener
 from nw_eval.errors import NwEvalError, UsageError
 from nw_eval.rollout.confined.start import has_kernels, renew

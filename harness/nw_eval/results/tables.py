@@ -22,7 +22,7 @@ from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any, Literal
 
 from nw_eval.clean import clean
-from nw_eval.confinement.environment import inherited
+from nw_eval.confinement.family import inherited
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import bounded_bytes

@@ -152,20 +152,6 @@ def differences_over(
     return tuple(found)
 
 
-def first_parting(first: Ends, second: Ends, error: float = 0.05) -> Parting | None:
-    """Return the first waypoint at which two policies part; None where none is significant.
-
-    Args:
-        first: ends of one policy's trials in a scene.
-        second: ends of the other's, in the same scene.
-        error: at most this is the probability of naming a waypoint of equal hazards.
-
-    Raises:
-        ValueError: as `differences`.
-    """
-    return first_partings({0: (first, second)}, error).get(0)
-
-
 def first_partings(
     pairs: Mapping[Place, tuple[Ends, Ends]], error: float = 0.05
 ) -> dict[Place, Parting]:

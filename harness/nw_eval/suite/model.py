@@ -52,9 +52,8 @@ from nw_eval.scores.own import (
     source_digest,
 )
 from nw_eval.scores.registry import BUILT_IN as SCORE_CLASSES
-from nw_eval.suite.axes import AXES
+from nw_eval.suite.axes import AXES, Perturb, each_once
 from nw_eval.suite.digest import digest_of
-from nw_eval.suite.perturb import Perturb, each_once
 from nw_eval.tasks import COURSE, AnyTask
 from nw_eval.tasks.registry import BUILT_IN as TASK_CLASSES
 from nw_eval.tasks.registry import declared_by, declared_by_kind

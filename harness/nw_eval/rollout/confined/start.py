@@ -30,7 +30,7 @@ from nw_eval.confinement import (
     interrupts_blocked,
     without_script,
 )
-from nw_eval.confinement.environment import environment_of_child
+from nw_eval.confinement.family import environment_of_child
 from nw_eval.errors import PolicyError, TrialError
 
 if TYPE_CHECKING:
