@@ -242,9 +242,18 @@ def _bounds(value: dict[str, Any]) -> str:
 
 def columns() -> str:
     """Return the columns of `trials.parquet`."""
-    from nw_eval.results.parquet import columns_table
+    import pyarrow as pa
 
-    return columns_table()
+    from nw_eval.results.parquet import SCHEMA
+    from nw_eval.results.row import COLUMNS
+
+    lines = ["| column | type | what |", "|---|---|---|"]
+    for name, column in COLUMNS.items():
+        field = SCHEMA.field(name)
+        kind = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
+        shown = f"{kind} or none" if field.nullable else kind
+        lines.append(f"| `{name}` | {shown} | {column.about} |")
+    return "\n".join(lines) + "\n"
 
 
 def topics() -> str:

@@ -60,18 +60,8 @@ class Distortion(_Part, frozen=True):
             )
         return self
 
-    def bent(self, slopes: Array) -> Array:
-        """Return where rays of slopes x / z, y / z (..., 2) meet the image, for fx = fy = 1."""
-        a, b = slopes[..., 0], slopes[..., 1]
-        if self.model == "fisheye":
-            r = np.hypot(a, b)
-            return (
-                slopes * np.where(r > 0.0, self._polar(np.arctan(r))[0] / _sure(r), 1.0)[..., None]
-            )
-        return self._brown(a, b)[0]
-
     def straight(self, seen: Array) -> Array:
-        """Return the slopes (..., 2) of the rays that `bent` takes to these points.
+        """Return the slopes (..., 2) of rays that meet the image there (..., 2), for fx = fy = 1.
 
         NaN where there is none: where the polynomial turns back, or beyond `WIDEST`.
         """

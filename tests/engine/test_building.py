@@ -235,7 +235,7 @@ def test_a_core_builds_a_scene_before_it_runs_ahead_of_the_round():
     workers = queued(Held("b", "c"), *ROUNDS[1:])
     assert workers._next(None) == -1
     workers._build()
-    assert (workers._builders.wanted, workers._builders.allowed) == (["b", "c"], 2)
+    assert (workers.builders.wanted, workers.builders.allowed) == (["b", "c"], 2)
 
 
 def test_where_there_is_nothing_left_to_begin_a_core_runs_ahead_of_the_round():
@@ -245,7 +245,7 @@ def test_where_there_is_nothing_left_to_begin_a_core_runs_ahead_of_the_round():
 
 def test_while_nothing_can_run_signals_are_heard():
     workers = queued(Held("c"), ("c", 0))
-    workers._builders.repair = lambda: None
+    workers.builders.repair = lambda: None
     finished = workers.finished()
     assert [next(finished) for _ in range(2)] == [None, None]
     assert not workers._busy
@@ -256,7 +256,7 @@ def test_a_scene_that_cannot_be_built_ends_the_run_and_blames_no_trial():
         raise SceneError("c: no such paint")
 
     workers = queued(Held("c"), ("c", 0))
-    workers._builders.repair = repair
+    workers.builders.repair = repair
     with pytest.raises(SceneError, match="no such paint"):
         next(workers.finished())
 

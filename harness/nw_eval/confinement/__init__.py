@@ -6,7 +6,6 @@ seccomp.py      which system calls are refused, and their numbers
 kernel.py       calls that Python has no function for
 family.py       parents, children and the terminal; what children inherit
 fork_server.py  children that need not import anything
-files.py        what each kind of untrusted file may do
 """
 
 from nw_eval.confinement.family import (

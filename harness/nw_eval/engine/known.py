@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import KW_ONLY, dataclass, field
 from hashlib import sha256
 from math import floor
 from random import Random, SystemRandom
@@ -127,47 +128,32 @@ def _unchanged(bundle: Bundle) -> Callable[[], bool]:
     return lambda: digest() == before
 
 
+@dataclass(eq=False)
 class KnownTrials:
-    """The cache as one run uses it.
+    """The cache as one run uses it."""
 
-    Args:
-        store: where entries are.
-        conditions: of the run.
-        still_hold: says whether the policy's card is the one whose digest the conditions have.
-        folder: of the run.
-        policy: the policy's name, for rows.
-        arm: whether it is the one that is judged, for rows.
-        say: hears one line for people.
-        doubted: called whenever a result differs, so that it is written down at once.
-        again: trials that run in any case.
-        chance: draws what runs again.
-    """
+    store: TrialStore
+    conditions: Conditions
+    """Of the run."""
+    _: KW_ONLY
+    still_hold: Callable[[], bool]
+    """Says whether the policy's card is the one whose digest the conditions have."""
+    folder: RunFolder
+    policy: str
+    """The policy's name, for rows."""
+    arm: Arm
+    """Whether it is the one that is judged, for rows."""
+    say: Callable[[str], None]
+    """Hears one line for people."""
+    doubted: Callable[[], None]
+    """Called whenever a result differs, so that it is written down at once."""
+    again: Collection[str] = ()
+    """Trials that run in any case."""
+    chance: Random = field(default_factory=SystemRandom)
+    """Draws what runs again."""
 
-    def __init__(
-        self,
-        store: TrialStore,
-        conditions: Conditions,
-        *,
-        still_hold: Callable[[], bool],
-        folder: RunFolder,
-        policy: str,
-        arm: Arm,
-        say: Callable[[str], None],
-        doubted: Callable[[], None],
-        again: Collection[str] = (),
-        chance: Random | None = None,
-    ) -> None:
+    def __post_init__(self) -> None:
         self.has_added = False
-        self._store = store
-        self._conditions = conditions
-        self._still_hold = still_hold
-        self._folder = folder
-        self._policy = policy
-        self._arm: Arm = arm
-        self._say = say
-        self._doubted = doubted
-        self._again = again
-        self._chance = chance or SystemRandom()
         self._compared = 0
         self._differing: list[str] = []
         self._expected: dict[str, Row] = {}  # By trial: what the cache says of those that run.
@@ -190,7 +176,7 @@ class KnownTrials:
         if self._differing:
             return [*self._in_vain(), *jobs]
         found = {job.trial.id: known for job in jobs if (known := self._find(job)) is not None}
-        wanted = {name for name in found if name in self._again}
+        wanted = {name for name in found if name in self.again}
         again = wanted | self._drawn(sorted(set(found) - wanted), is_enough=bool(wanted))
         self._expected |= {name: found[name][1] for name in again}
         others = [job for job in jobs if job.trial.id in found and job.trial.id not in again]
@@ -248,10 +234,10 @@ class KnownTrials:
 
     def _find(self, job: TrialJob) -> tuple[CacheEntry, Row] | None:
         """Return the entry of a job, and the row that its trial would have in this run."""
-        entry = self._store.find(self._conditions, self._conditions.key(job))
+        entry = self.store.find(self.conditions, self.conditions.key(job))
         if entry is None:
             return None
-        row = taken_over(entry.row, job, policy=self._policy, arm=self._arm, folder=self._folder)
+        row = taken_over(entry.row, job, policy=self.policy, arm=self.arm, folder=self.folder)
         try:
             of_plan([row], [job.trial], checkpoint=job.checkpoint_digest)
         except StoreError:
@@ -262,7 +248,7 @@ class KnownTrials:
         return entry, row
 
     def _log_of(self, job: TrialJob) -> Path:
-        return self._folder.cached_mcap(job.trial.scene, job.trial.id)
+        return self.folder.cached_mcap(job.trial.scene, job.trial.id)
 
     def _row_of(self, job: TrialJob) -> Row | None:
         known = self._find(job)
@@ -273,36 +259,36 @@ class KnownTrials:
         if not names:
             return set()
         mean = SHARE * len(names)
-        count = floor(mean) + (self._chance.random() < mean - floor(mean))
+        count = floor(mean) + (self.chance.random() < mean - floor(mean))
         if not (is_enough or self._compared or self._expected):
             count = max(count, 1)
-        return set(self._chance.sample(names, count))
+        return set(self.chance.sample(names, count))
 
     def _doubt(self, expected: Row, row: Row) -> None:
-        count = self._store.void(self._conditions)
+        count = self.store.void(self.conditions)
         self._differing.append(
             f"trial {row.trial_id} came out otherwise than the cache of trials says "
             f"({row.outcome} after {row.steps} steps, {row.digest[:8]}; in the cache "
             f"{expected.outcome} after {expected.steps}, {expected.digest[:8]}): results that were "
             "used from the cache may be wrong; start a new run, which does not use them"
         )
-        self._say(f"{self._differing[-1]}; {plural(count, 'entry', 'entries')} of the cache voided")
-        self._doubted()
+        self.say(f"{self._differing[-1]}; {plural(count, 'entry', 'entries')} of the cache voided")
+        self.doubted()
 
     def _keep(self, job: TrialJob, row: Row) -> None:
         if job.mcap is None or not _is_worth_keeping(row) or self._is_full:
             return
-        if not self._still_hold():
+        if not self.still_hold():
             return
         try:
-            self._store.put(self._conditions, self._conditions.key(job), row, job.mcap)
+            self.store.put(self.conditions, self.conditions.key(job), row, job.mcap)
         except FileNotFoundError:
             pass  # Another process has just removed what it would have been put into.
         except (OSError, ValueError) as error:
             self._is_full = True
             why = (isinstance(error, OSError) and error.strerror) or error
-            self._say(
-                f"results are not kept for later runs: {self._store.folder} cannot be written: "
+            self.say(
+                f"results are not kept for later runs: {self.store.folder} cannot be written: "
                 f"{clean(why, at_most=200)}"
             )
         else:

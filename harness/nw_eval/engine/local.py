@@ -7,6 +7,7 @@ inherited from the parent but one thread for each library.
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
@@ -111,45 +112,35 @@ class LocalProcesses:
         )
 
 
+@dataclass(eq=False)
 class LocalWorkers(QueuedWorkers):
-    """Worker processes with a queue; a context manager.
+    """Worker processes with a queue; a context manager."""
 
-    Args:
-        workers: number of processes.
-        start: what each of them starts with.
-        run: called there with each job.
-        output: where what they print goes; not entered yet.
-        recycle_after: jobs that a process runs before it is replaced; 1 = each job in a fresh one.
-        memory_limit: bytes that a process may hold with its children.
-        builders: of splats that are not there yet, which take the cores that no trial can use;
-            None = all are there.
-    """
+    workers: int
+    """Number of processes."""
+    _: KW_ONLY
+    start: WorkerStart
+    """What each of them starts with."""
+    run: Run
+    """Called there with each job."""
+    output: WorkerOutput
+    """Where what they print goes; not entered yet."""
+    recycle_after: int = RECYCLE_AFTER
+    """Jobs that a process runs before it is replaced; 1 = each job in a fresh one."""
+    memory_limit: int | None = None
+    """Bytes that a process may hold with its children."""
+    builders: SplatBuilders | None = None
+    """Of splats that are not there yet, which take the cores that no trial can use; None = all are
+    there."""
 
-    def __init__(
-        self,
-        workers: int,
-        *,
-        start: WorkerStart,
-        run: Run,
-        output: WorkerOutput,
-        recycle_after: int = RECYCLE_AFTER,
-        memory_limit: int | None = None,
-        builders: SplatBuilders | None = None,
-    ) -> None:
+    def __post_init__(self) -> None:
         super().__init__()
-        self._count = workers
-        self._start_with = start
-        self._run = run
-        self._output = output
-        self._recycle_after = recycle_after
-        self._memory_limit = memory_limit
-        self._builders = builders
         self._busy: list[WorkerProcess] = []
         self._idle: list[WorkerProcess] = []  # For jobs to come: they have scenes loaded.
         self._failed_starts = 0
 
     def __enter__(self) -> Self:
-        self._cleanup.enter_context(self._output)
+        self._cleanup.enter_context(self.output)
         return self
 
     def finished(self) -> Iterator[Finished | None]:
@@ -160,9 +151,9 @@ class LocalWorkers(QueuedWorkers):
             SceneError, StoreError: a splat cannot be built.
         """
         while self._queue or self._busy:
-            if self._builders is not None:
-                self._builders.repair()
-            while self._queue and len(self._busy) < self._count:
+            if self.builders is not None:
+                self.builders.repair()
+            while self._queue and len(self._busy) < self.workers:
                 each = self._idle[-1] if self._idle else None
                 place = self._next(each)
                 if place < 0:
@@ -188,12 +179,12 @@ class LocalWorkers(QueuedWorkers):
         """Return one more worker."""
         try:
             return WorkerProcess(
-                start=partial(worker.start, self._start_with),
-                run=self._run,
-                rules=self._start_with.rules,
-                policy=self._start_with.policy,
-                output=self._output.end,
-                memory_limit=self._memory_limit,
+                start=partial(worker.start, self.start),
+                run=self.run,
+                rules=self.start.rules,
+                policy=self.start.policy,
+                output=self.output.end,
+                memory_limit=self.memory_limit,
             )
         except OSError as error:
             raise TrialError(
@@ -213,7 +204,7 @@ class LocalWorkers(QueuedWorkers):
         own = set[str]() if each is None else each.scenes
         taken = {scene for other in (*self._busy, *self._idle) for scene in other.scenes}
         trials = [job.trial for job in self._queue]
-        builders = self._builders
+        builders = self.builders
         if builders is None or builders.on_demand or not (held := {*builders.missing}):
             return next_place(trials, own=own, taken=taken)
         place = next_place(trials, own=own, taken=taken, held=held)
@@ -230,7 +221,7 @@ class LocalWorkers(QueuedWorkers):
 
     def _build(self) -> None:
         """Let splats be built on the cores on which no trial runs, those first that trials need."""
-        builders = self._builders
+        builders = self.builders
         if builders is None or not builders.missing:
             return
         if not builders.on_demand:
@@ -240,7 +231,7 @@ class LocalWorkers(QueuedWorkers):
         for each in waiting:
             assert each.job is not None, "a worker without a job is not in the list"
             builders.want(each.job.trial.scene)
-        builders.allow(self._count - len(self._busy) + len(waiting))
+        builders.allow(self.workers - len(self._busy) + len(waiting))
 
     def _look(self, each: WorkerProcess) -> Finished | None:
         """Return what a worker's job came to, if it did, and give the worker another one."""
@@ -248,12 +239,12 @@ class LocalWorkers(QueuedWorkers):
         assert job is not None, "a worker without a job is not in the list"
         count = each.jobs_done
         try:
-            result = each.look(self._builders.missing if self._builders else ())
+            result = each.look(self.builders.missing if self.builders else ())
         except UnstartedError:
             self._end(each)
             self._queue.appendleft(job)
             self._failed_starts += 1
-            if self._failed_starts > _MOST_FAILED_STARTS * self._count:
+            if self._failed_starts > _MOST_FAILED_STARTS * self.workers:
                 raise TrialError(
                     f"{self._failed_starts} worker processes in a row died before they could "
                     "take a trial",
@@ -263,7 +254,7 @@ class LocalWorkers(QueuedWorkers):
         if result is None:
             return None
         self._failed_starts = 0
-        is_well = each.jobs_done > count and each.jobs_done < self._recycle_after
+        is_well = each.jobs_done > count and each.jobs_done < self.recycle_after
         if not is_well:
             self._end(each)
         elif self._queue and (place := self._next(each)) >= 0:

@@ -121,7 +121,7 @@ class RayProcesses:
     def __call__(self, count: int, *, fresh: bool) -> RayWorkers:
         """Return workers: `count` processes, each for many jobs or for one."""
         return RayWorkers(
-            count,
+            workers=count,
             joined=self._joined,
             nodes=self._nodes,
             agent=(self._spec, self._one_each, fresh),
@@ -156,36 +156,26 @@ class _OpenAgent:
         return any(now > deadline for _, deadline in self.jobs.values())
 
 
+@dataclass(kw_only=True, eq=False)
 class RayWorkers(QueuedWorkers):
-    """Stations on nodes, with a queue; a context manager.
+    """Stations on nodes, with a queue; a context manager."""
 
-    Args:
-        workers: number of jobs that run at a time.
-        joined: the cluster.
-        nodes: of the cluster.
-        agent: spec, jobs and `fresh` of `NodeAgent`.
-        output: where what workers print goes; not entered yet.
-    """
+    workers: int
+    """Number of jobs that run at a time."""
+    joined: Joined
+    nodes: Nodes
+    """Of the cluster."""
+    agent: tuple[JobSpec, Sequence[TrialJob], bool]
+    """Spec, jobs and `fresh` of `NodeAgent`."""
+    output: WorkerOutput
+    """Where what workers print goes; not entered yet."""
 
-    def __init__(
-        self,
-        workers: int,
-        *,
-        joined: Joined,
-        nodes: Nodes,
-        agent: tuple[JobSpec, Sequence[TrialJob], bool],
-        output: WorkerOutput,
-    ) -> None:
+    def __post_init__(self) -> None:
         super().__init__()
-        self._count = workers
-        self._joined = joined
-        self._nodes = nodes
-        self._agent = agent
-        self._output = output
         self._agents: list[_OpenAgent] = []
 
     def __enter__(self) -> Self:
-        self._cleanup.enter_context(self._output)
+        self._cleanup.enter_context(self.output)
         return self
 
     def finished(self) -> Iterator[Finished | None]:
@@ -195,7 +185,7 @@ class RayWorkers(QueuedWorkers):
             PrerequisiteError, TrialError: no node can be used, or none is left.
         """
         while self._queue or any(each.jobs for each in self._agents):
-            self._nodes.look()
+            self.nodes.look()
             self._open()
             for each in self._agents:
                 if each.is_open and each.awaited is None:
@@ -212,16 +202,16 @@ class RayWorkers(QueuedWorkers):
     def _open(self) -> None:
         """Open node agents on nodes that have none, for as many workers as have something to do."""
         begun = sum(len(each.jobs) for each in self._agents)
-        wanted = min(self._count, len(self._queue) + begun)
+        wanted = min(self.workers, len(self._queue) + begun)
         wanted -= sum(each.workers for each in self._agents)
         busy = {each.node.id for each in self._agents}
-        for node in [node for node in self._nodes.ready if node.id not in busy]:
+        for node in [node for node in self.nodes.ready if node.id not in busy]:
             workers = min(wanted, node.cores)
-            if workers < 1 or not self._joined.check():
+            if workers < 1 or not self.joined.check():
                 return
             wanted -= workers
-            spec, jobs, fresh = self._agent
-            actor = self._joined.on(node.id, NodeAgent, cores=workers).remote(
+            spec, jobs, fresh = self.agent
+            actor = self.joined.on(node.id, NodeAgent, cores=workers).remote(
                 spec, jobs, workers, fresh=fresh
             )
             self._agents.append(
@@ -259,17 +249,17 @@ class RayWorkers(QueuedWorkers):
         if not pending:
             sleep(POLL)
             return []
-        answered, _ = self._joined.ray.wait(list(pending), timeout=POLL)
+        answered, _ = self.joined.ray.wait(list(pending), timeout=POLL)
         if answered:  # Whatever else is there by now.
-            answered, _ = self._joined.ray.wait(list(pending), num_returns=len(pending), timeout=0)
+            answered, _ = self.joined.ray.wait(list(pending), num_returns=len(pending), timeout=0)
         there = {*answered}
         return [each for each in pending.values() if each.awaited in there or each.is_late]
 
     def _look(self, each: _OpenAgent) -> Iterator[Finished]:
         """Take in what a node agent says, and yield jobs that have ended."""
         try:
-            answer: Answer | None = self._joined.ray.get(each.awaited, timeout=POLL)
-        except self._joined.ray.exceptions.RayError as error:
+            answer: Answer | None = self.joined.ray.get(each.awaited, timeout=POLL)
+        except self.joined.ray.exceptions.RayError as error:
             self._leave(each)
             yield from self._lost(each, error)
             return
@@ -278,7 +268,7 @@ class RayWorkers(QueuedWorkers):
             return
         each.node.strikes = 0
         with suppress(OSError):
-            os.write(self._output.end.fileno(), answer.printed)
+            os.write(self.output.end.fileno(), answer.printed)
         job, _ = each.jobs.pop(answer.trial)
         yield Finished(job=job, result=_keep_log(answer, job), host=answer.host)
 
@@ -288,11 +278,11 @@ class RayWorkers(QueuedWorkers):
         if not each.is_open and each.is_late:
             node.cores = max(1, each.workers // 2)  # Somebody else has the others.
             return
-        self._nodes.strike(node, error)
+        self.nodes.strike(node, error)
         jobs = [job for job, _ in each.jobs.values()]
         if isinstance(getattr(error, "cause", None), TrialError):  # No worker could begin one.
             self._queue.extendleft(reversed(jobs))
-            self._nodes.refuse(node, error)
+            self.nodes.refuse(node, error)
             return
         text = f"node {node.name}, or its workers' supervisor there, was lost"
         result = TrialResult(status="error", error_type="crashed", error_text=text)
@@ -300,9 +290,9 @@ class RayWorkers(QueuedWorkers):
 
     def _leave(self, each: _OpenAgent) -> None:
         self._agents.remove(each)
-        if self._joined.answers:
-            with suppress(self._joined.ray.exceptions.RayError, ValueError):  # It is gone already.
-                self._joined.ray.kill(each.actor, no_restart=True)
+        if self.joined.answers:
+            with suppress(self.joined.ray.exceptions.RayError, ValueError):  # It is gone already.
+                self.joined.ray.kill(each.actor, no_restart=True)
 
 
 @dataclass(kw_only=True)
@@ -320,31 +310,22 @@ class Node:
     rests_until: float = 0.0
 
 
+@dataclass(eq=False)
 class Nodes:
-    """All nodes of the cluster, for one run.
+    """All nodes of the cluster, for one run."""
 
-    Args:
-        joined: the cluster.
-        spec: what nodes make ready.
-        outgoing: the files that they may lack.
-        question: the arguments of `ray_node.facts`.
-        listener: hears of nodes that are refused or lost.
-    """
+    joined: Joined
+    spec: JobSpec
+    """What nodes make ready."""
+    outgoing: Outgoing
+    """The files that they may lack."""
+    question: Mapping[str, Any]
+    """The arguments of `ray_node.facts`."""
+    listener: Listener
+    """Hears of nodes that are refused or lost."""
 
-    def __init__(
-        self,
-        joined: Joined,
-        spec: JobSpec,
-        outgoing: Outgoing,
-        question: Mapping[str, Any],
-        listener: Listener,
-    ) -> None:
-        self._joined = joined
-        self._spec = spec
-        self._outgoing = outgoing
-        self._question = dict(question)
-        self._listener = listener
-        self._facts = there.facts(**self._question)
+    def __post_init__(self) -> None:
+        self._facts = there.facts(**self.question)
         self._nodes: dict[str, Node] = {}
         self._refused: dict[str, str] = {}  # Why, by id.
         self._pieces: dict[str, list[Any]] = {}  # References to them, by sha256 of their file.
@@ -366,12 +347,12 @@ class Nodes:
             TrialError: there has been none for a minute, or the head of the cluster is lost.
         """
         if monotonic() >= self._next_look:
-            if self._joined.check():
+            if self.joined.check():
                 self._count()
             self._next_look = monotonic() + _LOOK
         pending = {each.awaited: each for each in self._nodes.values() if each.awaited is not None}
         if pending:
-            answered, _ = self._joined.ray.wait(list(pending), num_returns=len(pending), timeout=0)
+            answered, _ = self.joined.ray.wait(list(pending), num_returns=len(pending), timeout=0)
             for reference in answered:
                 self._hear(pending[reference])
         if not any(each.stage == "packing" for each in self._nodes.values()):
@@ -391,8 +372,8 @@ class Nodes:
 
     def tidy(self) -> None:
         """Have nodes remove what the run left there; wait some seconds at most."""
-        ray, token = self._joined.ray, self._spec.token
-        if not self._joined.answers:
+        ray, token = self.joined.ray, self.spec.token
+        if not self.joined.answers:
             return
         pending = [self._ask(each, there.tidy, token) for each in self._nodes.values()]
         if pending:
@@ -402,11 +383,11 @@ class Nodes:
         """Ask nodes that are new; forget those that are gone."""
         alive = {
             each["NodeID"]: each
-            for each in self._joined.ray.nodes()
+            for each in self.joined.ray.nodes()
             if each["Alive"] and each["Resources"].get("CPU", 0) >= 1
         }
         for name in [name for name in self._nodes if name not in alive]:
-            self._listener.message(f"node {self._nodes.pop(name).name} is lost")
+            self.listener.message(f"node {self._nodes.pop(name).name} is lost")
         for name, each in alive.items():
             if name not in self._nodes:
                 node = Node(
@@ -418,26 +399,26 @@ class Nodes:
                 self._nodes[name] = node
             node = self._nodes[name]
             if node.stage == "asked" and node.awaited is None and monotonic() >= node.rests_until:
-                node.awaited = self._ask(node, there.facts, **self._question)
+                node.awaited = self._ask(node, there.facts, **self.question)
 
     def _hear(self, node: Node) -> None:
         """Take in an answer, and ask what comes next."""
         reference, node.awaited = node.awaited, None
         try:
-            answer = self._joined.ray.get(reference)
+            answer = self.joined.ray.get(reference)
             if node.stage == "asked":
                 if differences := _differences(answer, self._facts):
                     self._refuse(node, differences)
                     return
                 node.stage = "listing"
-                node.awaited = self._ask(node, there.lacking, self._spec.file_bundles)
+                node.awaited = self._ask(node, there.lacking, self.spec.file_bundles)
             elif node.stage == "listing":
                 node.stage = "packing"
                 pieces = {sha256: self._cut(sha256) for sha256 in answer}
-                node.awaited = self._ask(node, there.make_ready, self._spec, pieces)
+                node.awaited = self._ask(node, there.make_ready, self.spec, pieces)
             else:
                 node.stage = "ready"
-        except self._joined.ray.exceptions.RayError as error:
+        except self.joined.ray.exceptions.RayError as error:
             if getattr(error, "cause", None) is not None:
                 self._refuse(node, _reason_of(error))
                 return
@@ -448,20 +429,20 @@ class Nodes:
     def _ask(self, node: Node, question: Any, *arguments: Any, **options: Any) -> Any:
         # What compiles kernels holds much memory: its process ends with it.
         once = question is there.make_ready
-        return self._joined.on(node.id, question, cores=0, once=once).remote(*arguments, **options)
+        return self.joined.on(node.id, question, cores=0, once=once).remote(*arguments, **options)
 
     def _cut(self, sha256: str) -> list[Any]:
         """Return references to the pieces of a file, which each node fetches once."""
         if sha256 not in self._pieces:
-            with self._outgoing.sources[sha256].open("rb") as file:
+            with self.outgoing.sources[sha256].open("rb") as file:
                 pieces = iter(lambda: file.read(_PIECE), b"")
-                self._pieces[sha256] = [self._joined.ray.put(piece) for piece in pieces]
+                self._pieces[sha256] = [self.joined.ray.put(piece) for piece in pieces]
         return self._pieces[sha256]
 
     def _refuse(self, node: Node, reason: str) -> None:
         node.stage, node.awaited = "refused", None
         self._refused[node.id] = f"{node.name}: {reason}"
-        self._listener.message(f"node {node.name} is refused: {reason}")
+        self.listener.message(f"node {node.name} is refused: {reason}")
 
     def _check_hope(self) -> None:
         present: Sequence[Node] = tuple(self._nodes.values())

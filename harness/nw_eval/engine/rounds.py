@@ -13,7 +13,6 @@ from __future__ import annotations
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING, Self
 
 from nw_eval.clean import clean
@@ -67,12 +66,6 @@ class RunOutcome:
     missing: tuple[str, ...]  # trials that were to be run and have no row, by id
     enough: RunStanding | None  # trials that were; None = no trial of the plan was left out
     interrupted: signal.Signals | None  # which signal stopped it
-    wall_seconds: float
-
-    @property
-    def errors(self) -> tuple[Row, ...]:
-        """Trials that did not run to a result."""
-        return tuple(row for row in self.rows if row.status == "error")
 
 
 def run_trials(
@@ -113,7 +106,6 @@ def run_trials(
         TrialError: workers cannot be kept alive.
         KeyboardInterrupt: a second signal came before the first was obeyed.
     """
-    began = perf_counter()
     told = listener or NullListener()
     attempts = Attempts(
         journal=journal,
@@ -144,7 +136,6 @@ def run_trials(
         missing=tuple(job.trial.id for job in wanted if job.trial.id not in names),
         enough=standing,
         interrupted=interrupts.requested,
-        wall_seconds=perf_counter() - began,
     )
 
 
@@ -204,41 +195,27 @@ def _ahead(
     return now if judged < len(jobs) else None
 
 
+@dataclass(kw_only=True, eq=False)
 class Attempts:
-    """All attempts of one run; a context manager that stops its workers.
+    """All attempts of one run; a context manager that stops its workers."""
 
-    Args:
-        journal: open.
-        folder: of the run.
-        policy: the policy's name, for rows.
-        arm: whether it is the one that is judged, for rows.
-        listener: told of progress.
-        start_workers: gets workers.
-        workers: how many.
-        known: what need not be run, because an earlier run has its result.
-    """
+    journal: Journal
+    """Open."""
+    folder: RunFolder
+    policy: str
+    """The policy's name, for rows."""
+    arm: Arm
+    """Whether it is the one that is judged, for rows."""
+    listener: Listener
+    start_workers: StartWorkers
+    workers: int
+    """How many."""
+    known: KnownTrials | NothingKnown
+    """What need not be run, because an earlier run has its result."""
 
-    def __init__(
-        self,
-        *,
-        journal: Journal,
-        folder: RunFolder,
-        policy: str,
-        arm: Arm,
-        listener: Listener,
-        start_workers: StartWorkers,
-        workers: int,
-        known: KnownTrials | NothingKnown,
-    ) -> None:
+    def __post_init__(self) -> None:
+        journal = self.journal
         self.presence = Presence(journal.path)
-        self._journal = journal
-        self._folder = folder
-        self._policy = policy
-        self._arm: Arm = arm
-        self._listener = listener
-        self._start_workers = start_workers
-        self.workers = workers
-        self._known = known
         self._pool: Workers | None = None  # They make first attempts, one round after the other.
         self._cleanup = ExitStack()
         latest = {row.trial_id: row for row in journal.rows}
@@ -252,7 +229,7 @@ class Attempts:
 
     def __enter__(self) -> Self:
         with suppress(OSError):  # Each trial says that its log cannot be written.
-            self._folder.logs.mkdir(parents=True, exist_ok=True)
+            self.folder.logs.mkdir(parents=True, exist_ok=True)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -288,7 +265,7 @@ class Attempts:
         self._is_held = False
         todo = [job for job in jobs if not self._is_finished(job)]
         # An error deserves to be run again, whatever the cache knows.
-        new = self._known.to_run([job for job in todo if job.trial.id not in self._errors])
+        new = self.known.to_run([job for job in todo if job.trial.id not in self._errors])
         portion = [job for job in todo if job.trial.id in self._errors] + new
         for is_last in (False, True):
             # Where a policy failed before a run was cut, what is missing is the attempt in a fresh
@@ -299,20 +276,20 @@ class Attempts:
             if first and interrupts.requested is None:
                 if self._pool is None:
                     self._pool = self._cleanup.enter_context(
-                        self._start_workers(self.workers, fresh=False)
+                        self.start_workers(self.workers, fresh=False)
                     )
                 again += self._attempt(self._pool, first, interrupts, more, fresh=False)
             while again and interrupts.requested is None and not self._is_enough:
                 self._stop_workers()  # What they hold in memory may be what the others lack.
                 repeated = [_with_evidence(job) for job in again]
-                with self._start_workers(min(self.workers, len(again)), fresh=True) as workers:
+                with self.start_workers(min(self.workers, len(again)), fresh=True) as workers:
                     again = self._attempt(workers, repeated, interrupts, None, fresh=True)
             if self._is_enough:
-                self._known.unconfirmed()
+                self.known.unconfirmed()
             if is_last or self._is_enough or interrupts.requested is not None:
                 return
             self._take_over(at_last=True)
-            portion = self._known.unconfirmed()
+            portion = self.known.unconfirmed()
 
     def _is_finished(self, job: TrialJob) -> bool:
         """Whether a trial had a result when the run began, and the log that it is to have."""
@@ -321,11 +298,11 @@ class Attempts:
 
     def _take_over(self, *, at_last: bool = False) -> None:
         """Write down what the cache knows, unless that has yet to be compared."""
-        if rows := self._known.agreed(at_last=at_last):
-            self._journal.extend(rows)
+        if rows := self.known.agreed(at_last=at_last):
+            self.journal.extend(rows)
         for row in rows:
             self._ended[row.trial_id] = row
-            self._listener.trial(row)
+            self.listener.trial(row)
 
     def _stop_workers(self) -> None:
         self._pool = None
@@ -367,7 +344,7 @@ class Attempts:
                 else:
                     self._announce_failure(row)
                     self._ended[row.trial_id] = row
-                    self._listener.trial(row)
+                    self.listener.trial(row)
                     self._take_over()
                 if more is not None and not self._go_on(workers, more):
                     self._stop_workers()  # What runs was given ahead of what is judged.
@@ -389,7 +366,7 @@ class Attempts:
             if self._is_held:
                 return True
             todo = [job for job in jobs if not self._is_finished(job)]
-            run = self._known.to_run(todo)
+            run = self.known.to_run(todo)
             workers.submit(run)
             self._take_over()
             if all(self.ended_row(job) is None for job in jobs):
@@ -404,41 +381,41 @@ class Attempts:
             ended.job,
             settled(ended.result, before),
             attempt=1 if before is None else before.attempt + 1,
-            policy=self._policy,
-            arm=self._arm,
-            folder=self._folder,
+            policy=self.policy,
+            arm=self.arm,
+            folder=self.folder,
             host=ended.host,
         )
         lost = self._lost.pop(name, None)
         if lost is not None and row.status == "ok" and lost.digest != row.digest:
             return self._as_before(ended.job, lost)
-        self._journal.append(row)
-        self._known.ended(ended.job, row)
+        self.journal.append(row)
+        self.known.ended(ended.job, row)
         if row.status == "error":
             self._errors[name] = row
         if ended.result.mcap_error:
-            self._listener.message(f"trial {name}: the log is lost: {ended.result.mcap_error}")
+            self.listener.message(f"trial {name}: the log is lost: {ended.result.mcap_error}")
         return row
 
     def _as_before(self, job: TrialJob, lost: Row) -> Row:
         """Return the result that a trial had when its log was lost: a later one does not count."""
         if job.mcap is not None:
             job.mcap.unlink(missing_ok=True)  # It is of the other result.
-        self._listener.message(
+        self.listener.message(
             f"trial {lost.trial_id} came out otherwise than before, when its log was lost: its "
             "first result stands, without a log"
         )
         return lost
 
     def _announce_retry(self, row: Row) -> None:
-        self._listener.message(
+        self.listener.message(
             f"trial {row.trial_id}: {row.error_type}: {row.error_text}; it will run again "
-            f"{self._start_workers.again}"
+            f"{self.start_workers.again}"
         )
 
     def _announce_failure(self, row: Row) -> None:
         if row.outcome == "policy_failed":
-            self._listener.message(
+            self.listener.message(
                 f"trial {row.trial_id}: the policy failed again ({row.end_reason}): that is its "
                 "result"
             )

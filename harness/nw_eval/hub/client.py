@@ -121,14 +121,6 @@ class Deadline:
             raise SlowError(f"it takes over {self._seconds:.0f} s")
         return left
 
-    def check(self) -> None:
-        """Go on.
-
-        Raises:
-            SlowError: it has passed.
-        """
-        _ = self.left
-
 
 @contextmanager
 def opened(
@@ -203,7 +195,7 @@ def chunks_of(answer: Any, most: int, deadline: Deadline) -> Iterator[bytes]:
     """
     size = 0
     for chunk in answer.iter_raw():
-        deadline.check()
+        _ = deadline.left
         size += len(chunk)
         if size > most:
             raise ValueError(f"an answer has over {most / 2**20:g} MiB")

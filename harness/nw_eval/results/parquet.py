@@ -50,19 +50,6 @@ SCHEMA = pa.schema(
 """The columns in the order of the file. Its metadata say what each one holds (`about`)."""
 
 
-def columns_table() -> str:
-    """Return the columns as the Markdown table of docs/reference/columns.md."""
-    lines = ["| column | type | what |", "|---|---|---|"]
-    lines += [f"| `{name}` | {_shown(name)} | {column.about} |" for name, column in COLUMNS.items()]
-    return "\n".join(lines) + "\n"
-
-
-def _shown(name: str) -> str:
-    field = SCHEMA.field(name)
-    kind = str(field.type.value_type if pa.types.is_dictionary(field.type) else field.type)
-    return f"{kind} or none" if field.nullable else kind
-
-
 SCHEMA_VERSION = "2"
 """Raised when a column changes its meaning; new columns may be added without."""
 

@@ -10,8 +10,9 @@ from collections.abc import Container, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from math import prod
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Annotated, Any, ClassVar, Literal, Self, cast
 
 from pydantic import (
     AfterValidator,
@@ -91,6 +92,19 @@ class Source:
 
 class _Strict(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _Grown(_Strict):
+    came_later: ClassVar[tuple[str, ...]]
+
+    @model_serializer(mode="wrap")
+    def _without_what_is_not_used(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what came later, while it is not used: a suite keeps its digest."""
+        fields: dict[str, Any] = write(self)
+        for name in self.came_later:
+            if getattr(self, name) == type(self).model_fields[name].default:
+                fields.pop(name, None)
+        return fields
 
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
@@ -249,8 +263,10 @@ class ScoreGate(_Strict):
         return None
 
 
-class Gate(_Strict):
+class Gate(_Grown):
     """What a run must show to pass."""
+
+    came_later = ("validity", "claim", "scores")
 
     success_rate: float | None = Field(
         None,
@@ -331,18 +347,6 @@ class Gate(_Strict):
         "counted separately. Without limits nothing is checked.",
     )
 
-    @model_serializer(mode="wrap")
-    def _without_what_is_not_used(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what came later, while it is not used: a suite keeps its digest."""
-        fields: dict[str, Any] = write(self)
-        if self.validity is None:
-            fields.pop("validity", None)
-        if self.claim == "fresh":
-            fields.pop("claim", None)
-        if not self.scores:
-            fields.pop("scores", None)
-        return fields
-
     @field_validator("scores")
     @classmethod
     def _known_scores(
@@ -382,8 +386,10 @@ class Gate(_Strict):
         return "supporting"
 
 
-class Suite(_Strict):
+class Suite(_Grown):
     """A suite: which robot meets which scenes, how often, and what it must show."""
+
+    came_later = ("task", "render", "scores", "expect", "plugins")
 
     version: Literal[1] = Field(alias="nw-eval", description="Version of this format.")
     name: Name = Field(description="The suite's name: letters, digits, '_', '-', '.'.")
@@ -444,22 +450,6 @@ class Suite(_Strict):
 
     _source: Source = PrivateAttr(default_factory=Source)
 
-    @model_serializer(mode="wrap")
-    def _without_what_is_not_used(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what came later, while it is not used: a suite keeps its digest."""
-        fields: dict[str, Any] = write(self)
-        if self.task == COURSE:
-            fields.pop("task", None)
-        if self.render == PUBLISHED:
-            fields.pop("render", None)
-        if not self.scores:
-            fields.pop("scores", None)
-        if not self.expect:
-            fields.pop("expect", None)
-        if not self.plugins:
-            fields.pop("plugins", None)
-        return fields
-
     @field_validator("render")
     @classmethod
     def _drawn_by_the_protocol(cls, render: Rendering, info: ValidationInfo) -> Rendering:
@@ -503,9 +493,7 @@ class Suite(_Strict):
 
     @model_validator(mode="after")
     def _bounded_grid(self) -> Self:
-        cells = 1
-        for values in self.perturb.axes.values():
-            cells *= len(values)
+        cells = prod(map(len, self.perturb.axes.values()))
         if cells > MAX_CELLS:
             raise ValueError(f"perturb has {cells} cells, over {MAX_CELLS}; name fewer values")
         return self
