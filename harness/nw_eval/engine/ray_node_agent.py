@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING
 from nw_eval.engine import ray_file_bundles, ray_node
 from nw_eval.engine.local import LocalProcesses
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.rollout.job import TrialResult
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.result import TrialResult
 from nw_eval.rollout.trial import run_trial
 
 if TYPE_CHECKING:

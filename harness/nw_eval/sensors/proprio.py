@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.arrays import read_only
-from nw_eval.cards.command import Command
+from nw_eval.cards.card import Command
 from nw_eval.cards.joint_control import JointControl
 from nw_eval.cards.observations import (
     DirectionObservation,

@@ -29,9 +29,8 @@ from nw_eval.rollout.library import Library
 from nw_eval.rollout.replaying.blame import blame
 from nw_eval.rollout.replaying.film import Film
 from nw_eval.rollout.replaying.logged import agreed, check_inside, check_start, read_logged_trial
-from nw_eval.rollout.replaying.replay import replay
 from nw_eval.rollout.replaying.reports import BlameReport, ReplayReport, TakeoverReport
-from nw_eval.rollout.replaying.takeover import OPTION, second_job, take_over
+from nw_eval.rollout.replaying.takeover import OPTION, replay, second_job, take_over
 from nw_eval.suite.model import SHOWN
 
 if TYPE_CHECKING:
@@ -129,7 +128,7 @@ def _replay(
     )
     drawn = None
     if draws:
-        from nw_eval.rollout.replaying.contact_sheet import contact_sheet
+        from nw_eval.rollout.replaying.film import contact_sheet
 
         drawn = b64encode(contact_sheet(replayed.logged)).decode()
     return {"report": asdict(replayed.report), "picture": drawn}
