@@ -266,7 +266,6 @@ class GateSuite:
             suite: a file, or the name of a shipped one.
             changes: fields of `nw_eval.Request` by name.
         """
-
         judged = self._run(suite, **changes)
         word = judged.verdict.verdict
         if word in {"INFRASTRUCTURE", "INVALID", "RAN"}:

@@ -36,8 +36,7 @@ from nw_eval.tasks import TaskRules, open_task
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.rollout.job import StageClock, TrialJob
-    from nw_eval.rollout.library import Library
+    from nw_eval.rollout.job import TrialJob
     from nw_eval.splat.render import Renderer
     from nw_eval.suite.model import Rendering
     from nw_eval.words import Backend, Fault, Outcome

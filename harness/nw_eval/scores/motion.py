@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from nw_eval.scores.effort import way_after
-from nw_eval.scores.score import Array, Figures, Score, ScoreSpec, Stretch, TrialEnd
+from nw_eval.scores.score import Array, Figures, Score, ScoreSpec, Stretch, TrialEnd, lower_better
 
 
 class _Differences(Score):
@@ -55,14 +55,8 @@ class ActionRate(_Differences):
     """
 
     order = 1
-    spec = ScoreSpec(
-        name="action_rate",
-        unit="rad/s",
-        better="lower",
-        low=0.0,
-        high=50.0,
-        undefined=50.0,
-        meaning="root mean square of the rate at which joint targets change",
+    spec = lower_better(
+        "action_rate", "rad/s", 50.0, "root mean square of the rate at which joint targets change"
     )
 
 
@@ -75,14 +69,11 @@ class ActionAcceleration(_Differences):
     """
 
     order = 2
-    spec = ScoreSpec(
-        name="action_acceleration",
-        unit="rad/s^2",
-        better="lower",
-        low=0.0,
-        high=5000.0,
-        undefined=5000.0,
-        meaning="root mean square of the acceleration of joint targets",
+    spec = lower_better(
+        "action_acceleration",
+        "rad/s^2",
+        5000.0,
+        "root mean square of the acceleration of joint targets",
     )
 
 
@@ -112,15 +103,7 @@ class _Angle(Score):
 class BaseRollRms(_Angle):
     """sqrt(1/N sum_t roll_t^2), rad: how far the trunk leans to its sides."""
 
-    spec = ScoreSpec(
-        name="base_roll_rms",
-        unit="rad",
-        better="lower",
-        low=0.0,
-        high=1.0,
-        undefined=1.0,
-        meaning="root mean square of the trunk's roll",
-    )
+    spec = lower_better("base_roll_rms", "rad", 1.0, "root mean square of the trunk's roll")
 
     def of(self, stretch: Stretch) -> Array:
         """Return the roll."""
@@ -130,15 +113,7 @@ class BaseRollRms(_Angle):
 class BasePitchRms(_Angle):
     """sqrt(1/N sum_t pitch_t^2), rad: how far the trunk leans forward or back; slopes count too."""
 
-    spec = ScoreSpec(
-        name="base_pitch_rms",
-        unit="rad",
-        better="lower",
-        low=0.0,
-        high=1.0,
-        undefined=1.0,
-        meaning="root mean square of the trunk's pitch",
-    )
+    spec = lower_better("base_pitch_rms", "rad", 1.0, "root mean square of the trunk's pitch")
 
     def of(self, stretch: Stretch) -> Array:
         """Return the pitch."""
@@ -159,15 +134,7 @@ class FootSlip(Score):
     as a mean speed.
     """
 
-    spec = ScoreSpec(
-        name="foot_slip",
-        unit="m/s",
-        better="lower",
-        low=0.0,
-        high=1.0,
-        undefined=1.0,
-        meaning="mean horizontal speed of feet that carry load",
-    )
+    spec = lower_better("foot_slip", "m/s", 1.0, "mean horizontal speed of feet that carry load")
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)
@@ -201,14 +168,8 @@ class ContactImpulse(Score):
     F is the contact force at the end of the control step, and T its length.
     """
 
-    spec = ScoreSpec(
-        name="contact_impulse",
-        unit="N s",
-        better="lower",
-        low=0.0,
-        high=100.0,
-        undefined=100.0,
-        meaning="largest contact force on a foot times a control step",
+    spec = lower_better(
+        "contact_impulse", "N s", 100.0, "largest contact force on a foot times a control step"
     )
 
     def __init__(self, figures: Figures) -> None:
@@ -228,15 +189,7 @@ class ContactImpulse(Score):
 class TimeToFinish(Score):
     """Simulated time of a trial that was completed, s; undefined for all others."""
 
-    spec = ScoreSpec(
-        name="time_to_finish",
-        unit="s",
-        better="lower",
-        low=0.0,
-        high=60.0,
-        undefined=60.0,
-        meaning="simulated time until the task was completed",
-    )
+    spec = lower_better("time_to_finish", "s", 60.0, "simulated time until the task was completed")
 
     def update(self, stretch: Stretch) -> None:
         """Nothing to add: the clock of the trial counts."""
@@ -316,14 +269,11 @@ class LinearTracking(_Tracking):
     """
 
     angular = False
-    spec = ScoreSpec(
-        name="tracking_error_linear",
-        unit="m/s",
-        better="lower",
-        low=0.0,
-        high=2.0,
-        undefined=2.0,
-        meaning="mean distance of the trunk's horizontal velocity from the command",
+    spec = lower_better(
+        "tracking_error_linear",
+        "m/s",
+        2.0,
+        "mean distance of the trunk's horizontal velocity from the command",
     )
 
 
@@ -334,12 +284,9 @@ class AngularTracking(_Tracking):
     """
 
     angular = True
-    spec = ScoreSpec(
-        name="tracking_error_angular",
-        unit="rad/s",
-        better="lower",
-        low=0.0,
-        high=2.0,
-        undefined=2.0,
-        meaning="mean distance of the trunk's yaw rate from the command",
+    spec = lower_better(
+        "tracking_error_angular",
+        "rad/s",
+        2.0,
+        "mean distance of the trunk's yaw rate from the command",
     )

@@ -24,6 +24,7 @@ from pydantic import (
 
 from nw_eval.arrays import pack, unpack
 from nw_eval.scores import ScoreSpec
+from nw_eval.scores.score import lower_better
 from nw_eval.tasks.course import Limits, draw_start, fallen_by, touched_by
 from nw_eval.tasks.task import (
     Array,
@@ -506,23 +507,14 @@ class StandTask(Commanded):
     kind = "stand"
     settings = StandSettings
     declared = (
-        ScoreSpec(
-            name="position_drift",
-            unit="m",
-            better="lower",
-            low=0.0,
-            high=2.0,
-            undefined=2.0,
-            meaning="largest distance of the trunk in the ground plane from where it stood",
+        lower_better(
+            "position_drift",
+            "m",
+            2.0,
+            "largest distance of the trunk in the ground plane from where it stood",
         ),
-        ScoreSpec(
-            name="yaw_drift",
-            unit="rad",
-            better="lower",
-            low=0.0,
-            high=1.6,
-            undefined=1.6,
-            meaning="largest angle of the trunk's heading from where it stood",
+        lower_better(
+            "yaw_drift", "rad", 1.6, "largest angle of the trunk's heading from where it stood"
         ),
     )
 

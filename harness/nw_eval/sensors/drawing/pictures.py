@@ -85,7 +85,7 @@ def picture_of(sample: NDArray[Any], unit: str) -> Bytes | None:
 
     Args:
         sample: (H, W), (H, W, C), (C, H, W), or a stack of one of these, of which the newest shows.
-        unit: of the sensor; `class` is shown in the colours of `sensors.drawing.pictures`, and `rgb`
+        unit: of the sensor; `class` is shown in the colours of `PALETTE`, and `rgb`
             may have the colours of several images along its channels, the newest last.
     """
     if unit == "class" and sample.ndim == 2 and sample.max(initial=0) < len(CLASSES):
