@@ -265,7 +265,7 @@ def topics() -> str:
 
 def scores() -> str:
     """Return the scores that are built in, as they are declared."""
-    from nw_eval.scores.registry import BUILT_IN
+    from nw_eval.scores import BUILT_IN
 
     rows = [
         (

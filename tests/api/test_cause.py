@@ -9,7 +9,7 @@ from nw_eval.api.cause import apart, write_crossed
 from nw_eval.cli import main
 from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle
-from nw_eval.sensors.check import check_card
+from nw_eval.sensors.build import check_card
 
 SUITE = """\
 nw-eval: 1

@@ -32,12 +32,16 @@ from nw_eval.cards.observations import ProprioObservation
 from nw_eval.onboarding.probe.recording import ThisBundle
 from nw_eval.policies import Policy, load_bundle, open_policy
 from nw_eval.policies.networks.act import Act, read_sizes
-from nw_eval.policies.networks.lucidsim import LucidSimTransformer
 from nw_eval.policies.networks.onnx_graph import Graph
-from nw_eval.policies.networks.parkour import DepthEncoder, Estimator, ParkourActor, ParkourExpert
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.result import StageClock
+from nw_eval.policies.networks.parkour import (
+    DepthEncoder,
+    Estimator,
+    LucidSimTransformer,
+    ParkourActor,
+    ParkourExpert,
+)
+from nw_eval.rollout.job import StageClock, TrialJob
+from nw_eval.rollout.trial import open_trial
 from nw_eval.suite.trials import Trial
 
 PATH_TARGET = 60.0

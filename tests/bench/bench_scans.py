@@ -24,7 +24,7 @@ from scanned import write_scan
 
 from nw_eval.catalogue import get_scene, names
 from nw_eval.policies import load_bundle
-from nw_eval.rollout import prepare
+from nw_eval.rollout import trial as rollout_trial
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
@@ -69,7 +69,7 @@ def one(reference, scene, index, bundle, library) -> float:
         checkpoint_digest=bundle.checkpoint_digest,
     )
     # A scan has a digest, and so starts, of its own; here it is given those of the place.
-    with mock.patch.object(prepare, "_check_same"):
+    with mock.patch.object(rollout_trial, "_check_same"):
         result = run_trial(job, library=library)
     assert not result.error_text, result.error_text
     return result.waypoints_reached / result.waypoints_total

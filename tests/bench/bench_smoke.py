@@ -20,7 +20,7 @@ from nw_eval.built_in.bake.generate import generate
 from nw_eval.catalogue import match_scenes
 from nw_eval.policies import load_bundle
 from nw_eval.request import Request
-from nw_eval.rollout import prepare
+from nw_eval.rollout import trial as rollout_trial
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
@@ -78,7 +78,7 @@ def main():
         def plain(scene, *_how):
             return PlainRenderer(gaussians[scene.name])
 
-        with patch.object(prepare, "_open_renderer", plain):
+        with patch.object(rollout_trial, "_open_renderer", plain):
             reference, same = trials_per_minute(jobs, library)
     assert same == steps, "the renderer changed the trials of a policy that sees none of it"
     print("\nsmoke suite, one process, every image kept: trials a minute")

@@ -26,9 +26,8 @@ from nw_eval.policies import load_bundle
 from nw_eval.policies.apart import line_to
 from nw_eval.rollout.confined.access import policy_rules
 from nw_eval.rollout.confined.start import PolicyProcess
-from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.job import StageClock, StageSeconds, TrialJob
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.result import StageClock, StageSeconds
 from nw_eval.rollout.trial import run_trial
 from nw_eval.splat.store import open_store
 from nw_eval.suite.model import DRAFTED

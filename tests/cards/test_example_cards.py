@@ -18,8 +18,12 @@ from nw_eval.onboarding.probe.parts import parts_of
 from nw_eval.onboarding.probe.recording import record
 from nw_eval.policies import load_bundle
 from nw_eval.policies.networks.act import Act, ActSizes
-from nw_eval.policies.networks.lucidsim import LucidSimTransformer
-from nw_eval.policies.networks.parkour import DepthEncoder, Estimator, ParkourActor
+from nw_eval.policies.networks.parkour import (
+    DepthEncoder,
+    Estimator,
+    LucidSimTransformer,
+    ParkourActor,
+)
 from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.vetting import check_bundle
 

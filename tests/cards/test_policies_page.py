@@ -20,8 +20,8 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.cards import Card, load_card
-from nw_eval.cards.checkpoint import ADAPTERS
 from nw_eval.cards.control import Control
+from nw_eval.cards.networks import ADAPTERS
 from nw_eval.cards.observations import (
     BUILT_IN_SENSORS,
     BaseObservation,

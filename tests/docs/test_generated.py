@@ -19,7 +19,7 @@ from nw_eval.files.yaml_file import json_schema_of
 from nw_eval.results.parquet import SCHEMA
 from nw_eval.robots.folder import RobotFile
 from nw_eval.rollout.mcap.topics import TOPICS
-from nw_eval.scores.registry import BUILT_IN
+from nw_eval.scores import BUILT_IN
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser

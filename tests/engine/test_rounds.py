@@ -14,8 +14,7 @@ from nw_eval.engine.workers import Finished
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.result import TrialResult
+from nw_eval.rollout.job import TrialJob, TrialResult
 from nw_eval.suite.model import new_suite
 from nw_eval.suite.trials import expand
 

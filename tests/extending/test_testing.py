@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import nw_eval
-from nw_eval.rollout.result import StageClock
+from nw_eval.rollout.job import StageClock
 from nw_eval.suite.axes import AXES
 from nw_eval.testing import (
     FakeClock,

@@ -11,7 +11,7 @@ import pytest
 from nw_eval.cli.verbs.replay import replay_line
 from nw_eval.gate.absolute import judge
 from nw_eval.results.row import rows_digest
-from nw_eval.rollout.replaying.replay import replay
+from nw_eval.rollout.replaying.takeover import replay
 from nw_eval.suite.model import Gate
 
 CARD = """\

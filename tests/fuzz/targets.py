@@ -656,7 +656,7 @@ def _bank(folder):
 
 
 def _wire_seeds(_folder):
-    from nw_eval.policies.wire import encode
+    from nw_eval.policies.remote import encode
 
     hello = {
         "protocol": 2, "policy": "x", "joints": 12, "digest": "ab" * 32,

@@ -8,7 +8,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval import api
 from nw_eval.errors import PolicyError, UsageError
-from nw_eval.policies.onnx_fold import fold
+from nw_eval.policies.folding import fold
 
 VALUE = helper.make_tensor_value_info
 THEN, OTHER = (np.full((1, 12), number, np.float32) for number in (1.5, -2.5))

@@ -17,7 +17,7 @@ from nw_eval.errors import PolicyError, PrerequisiteError
 from nw_eval.onboarding.beside import find_checkpoint
 from nw_eval.onboarding.draft import draft_of
 from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.orbax_fold import fold_orbax
+from nw_eval.policies.folding import fold_orbax
 from nw_eval.policies.safety import read_tensors
 
 SAVED = Path(__file__).parent / "orbax"

@@ -15,7 +15,7 @@ import pytest
 
 from nw_eval.errors import PolicyError
 from nw_eval.onboarding.draft import draft_of
-from nw_eval.onboarding.vecnormalize import read_statistics, statistics_beside
+from nw_eval.onboarding.trained import read_statistics, statistics_beside
 from nw_eval.policies import load_bundle, open_policy
 
 SAVED = Path(__file__).parent / "vecnormalize"

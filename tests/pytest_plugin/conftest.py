@@ -7,7 +7,7 @@ import pytest
 
 from nw_eval import api
 from nw_eval.files.shipped import shipped
-from nw_eval.pytest_plugin.telling import verdict_text
+from nw_eval.pytest_plugin.runs import verdict_text
 
 PLUGIN = ("-p", "nw_eval.pytest_plugin")
 """The only plugin besides pytest's own: installed or not, it is loaded once."""

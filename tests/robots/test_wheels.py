@@ -13,7 +13,7 @@ from nw_eval.rollout.perturbed import TrialSetup
 from nw_eval.scenes.mesh import merge
 from nw_eval.scenes.scene import Scene
 from nw_eval.sensors import build_sensors
-from nw_eval.sensors.check import check_card
+from nw_eval.sensors.build import check_card
 from nw_eval.sim import World
 from nw_eval.testing import moment_of
 

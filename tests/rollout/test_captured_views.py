@@ -9,12 +9,11 @@ import pytest
 from mcap.reader import make_reader
 
 from nw_eval.rollout.episode import CapturedViews
+from nw_eval.rollout.job import StageClock
 from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.prepare import open_trial
 from nw_eval.rollout.replaying.logged import read_logged_trial
 from nw_eval.rollout.replaying.policy_switch import run_on
-from nw_eval.rollout.result import StageClock
-from nw_eval.rollout.trial import run_trial
+from nw_eval.rollout.trial import open_trial, run_trial
 from nw_eval.scenes.scene import CaptureCameras, Nearness
 
 

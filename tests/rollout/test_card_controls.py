@@ -11,9 +11,9 @@ from onnx import TensorProto, helper, numpy_helper
 from nw_eval.onboarding.probe.recording import record
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.fault import PolicyFailedError
+from nw_eval.rollout.job import StageClock
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.result import StageClock
+from nw_eval.rollout.trial import open_trial
 
 SCENE = "flat/carpet_room"
 CARD = """\

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from nw_eval.rollout.result import StageClock
+from nw_eval.rollout.job import StageClock
 from nw_eval.testing import FakeClock
 
 

@@ -26,7 +26,7 @@ from nw_eval.rollout.mcap.messages import SimState
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.record import TRIAL, VERDICT, trial_metadata
 from nw_eval.rollout.replaying.logged import read_logged_trial
-from nw_eval.rollout.replaying.replay import replay
+from nw_eval.rollout.replaying.takeover import replay
 
 TRIES = 500
 

@@ -4,8 +4,8 @@ import pytest
 
 from nw_eval.errors import TrialError
 from nw_eval.rollout.episode import Observer
-from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.result import StageClock
+from nw_eval.rollout.job import StageClock
+from nw_eval.rollout.trial import open_trial
 
 
 class Notes(Observer):

@@ -20,7 +20,7 @@ from nw_eval.onboarding.probe.summary import card_summary
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.confined.vetting import check_bundle, vet_bundle
 from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.replaying.replay import replay
+from nw_eval.rollout.replaying.takeover import replay
 from nw_eval.rollout.trial import run_trial
 
 REPOSITORY = Path(__file__).resolve().parents[2]

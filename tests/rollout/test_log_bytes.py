@@ -8,8 +8,8 @@ import pytest
 from mcap.reader import make_reader
 
 from nw_eval.robots import get_robot
-from nw_eval.rollout.mcap.observations import SeenRow, SeenRows
-from nw_eval.rollout.mcap.states import Saved
+from nw_eval.rollout.mcap.images import SeenRow, SeenRows
+from nw_eval.rollout.mcap.messages import Saved
 from nw_eval.rollout.mcap.steps import Call, StepNote
 from nw_eval.rollout.mcap.trial_log import TrialLog
 from nw_eval.scenes.mesh import box_mesh

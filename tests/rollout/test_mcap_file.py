@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
-from nw_eval.rollout.library import LRUCache
+from nw_eval.rollout import library
 from nw_eval.rollout.mcap import file as file_module
 from nw_eval.rollout.mcap.batch import filled
 from nw_eval.rollout.mcap.file import CHUNK_BYTES, McapFile
@@ -145,9 +145,12 @@ def test_messages_of_notes_stand_where_they_were_noted(tmp_path, images, seconds
     assert last.timestamp.nanos == 1999 * STEP % 10**9
 
 
-def test_only_the_values_used_last_are_kept():
+def test_only_the_scenes_used_last_are_kept(monkeypatch):
     made = []
-    recent = LRUCache(2, lambda key: made.append(key) or key.upper())
-    assert [recent(key) for key in "abacab"] == list("ABACAB")
+    monkeypatch.setattr(
+        library, "open_scene", lambda name, _collision: made.append(name) or name.upper()
+    )
+    recent = library.Library(scenes=2)
+    assert [recent.scene(name) for name in "abacab"] == list("ABACAB")
     # `b` was used longest ago when `c` came, and is made again at the end.
     assert made == ["a", "b", "c", "b"]

@@ -15,9 +15,16 @@ from mcap_protobuf.schema import register_schema
 
 from nw_eval.rollout.mcap.batch import BLANK_TIME, Form, filled, long_times, merged, record, records
 from nw_eval.rollout.mcap.file import CHUNK_BYTES, McapWriter
-from nw_eval.rollout.mcap.messages import Observation, PolicyStep, SimState, StatePart, stamp
-from nw_eval.rollout.mcap.observations import observation_form, values_of
-from nw_eval.rollout.mcap.states import Saved, sim_state
+from nw_eval.rollout.mcap.images import observation_form, values_of
+from nw_eval.rollout.mcap.messages import (
+    Observation,
+    PolicyStep,
+    Saved,
+    SimState,
+    StatePart,
+    sim_state,
+    stamp,
+)
 from nw_eval.rollout.mcap.steps import (
     BodyForms,
     joints_form,

@@ -10,11 +10,10 @@ from nw_eval.cards import Card
 from nw_eval.errors import UsageError
 from nw_eval.robots import get_robot
 from nw_eval.robots.spec import remounted
+from nw_eval.rollout.job import StageClock
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.perturbed import EVERY, Pushes, TrialSetup, perturbed, unfelt
-from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.result import StageClock
-from nw_eval.rollout.trial import run_trial
+from nw_eval.rollout.trial import open_trial, run_trial
 from nw_eval.sensors.sensor import FOG, Air
 from nw_eval.splat.image import Image
 from nw_eval.suite.axes import AXES, Perturb

@@ -17,15 +17,18 @@ from mcap.reader import make_reader
 from onnx import TensorProto, helper
 from torch import nn
 
-from nw_eval.cards.checkpoint import ADAPTERS, NetworkAdapter
+from nw_eval.cards.networks import ADAPTERS, NetworkAdapter
 from nw_eval.policies import instance_bundle, load_bundle
-from nw_eval.policies.act import ActPolicy
 from nw_eval.policies.mlp import MlpPolicy
 from nw_eval.policies.networks.act import Act, ActSizes
-from nw_eval.policies.networks.lucidsim import LucidSimTransformer
-from nw_eval.policies.networks.parkour import DepthEncoder, Estimator, ParkourActor
+from nw_eval.policies.networks.parkour import (
+    DepthEncoder,
+    Estimator,
+    LucidSimTransformer,
+    ParkourActor,
+)
 from nw_eval.policies.opening import ZeroPolicy
-from nw_eval.policies.parkour import LucidSimPolicy, StudentPolicy
+from nw_eval.policies.published import ActPolicy, LucidSimPolicy, StudentPolicy
 from nw_eval.policies.serve import serving
 from nw_eval.rollout.trial import run_trial
 

@@ -10,10 +10,9 @@ import pytest
 
 from nw_eval.errors import PolicyError, ServerError, UsageError
 from nw_eval.policies.opening import ZeroPolicy
-from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.job import TrialJob, TrialResult, policy_fault
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.record import verdict_metadata
-from nw_eval.rollout.result import TrialResult, policy_fault
 from nw_eval.rollout.trial import run_trial
 from nw_eval.suite.trials import Trial
 from nw_eval.testing import FakePolicy, GlidingWorld

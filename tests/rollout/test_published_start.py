@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.replaying.replay import replay
-from nw_eval.rollout.result import StageClock
-from nw_eval.rollout.trial import run_trial
+from nw_eval.rollout.job import StageClock
+from nw_eval.rollout.replaying.takeover import replay
+from nw_eval.rollout.trial import open_trial, run_trial
 
 
 def decisions(job, library, count):

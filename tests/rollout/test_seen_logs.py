@@ -11,16 +11,15 @@ from nw_eval.cards.observations import ProprioObservation
 from nw_eval.policies import load_bundle
 from nw_eval.robots import get_robot
 from nw_eval.rollout.episode import Episode
+from nw_eval.rollout.job import StageClock
 from nw_eval.rollout.mcap.drawn import cloud_points
-from nw_eval.rollout.mcap.observations import observation_digest
+from nw_eval.rollout.mcap.images import observation_digest
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.mcap.topics import TOPICS
 from nw_eval.rollout.observed import MANY, element_names
-from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.result import StageClock
-from nw_eval.rollout.trial import run_trial
+from nw_eval.rollout.trial import open_trial, run_trial
 from nw_eval.scores.own import Expectation, expectation_text
-from nw_eval.sensors.drawing.palette import PALETTE
+from nw_eval.sensors.drawing.pictures import PALETTE
 from nw_eval.viewing.foxglove import layout_json
 from nw_eval.viewing.shown import shown_by_card, shown_in_log
 

@@ -15,7 +15,7 @@ from nw_eval.errors import PolicyError
 from nw_eval.policies import load_bundle
 from nw_eval.policies.serve import serving
 from nw_eval.rollout.record import TRIAL, VERDICT, trial_metadata
-from nw_eval.rollout.replaying.replay import replay
+from nw_eval.rollout.replaying.takeover import replay
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "hostile"))
 from torchscript import CRAFTED

@@ -13,12 +13,12 @@ from nw_eval.errors import UsageError
 from nw_eval.policies import load_bundle
 from nw_eval.robots import get_robot
 from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.replaying import contact_sheet
+from nw_eval.rollout.replaying import film
 from nw_eval.rollout.replaying.logged import read_logged_trial
 from nw_eval.rollout.replaying.third_person import ContactShadow, Spectator
 from nw_eval.rollout.trial import run_trial
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.drawing.sheet import draw_sheet
+from nw_eval.sensors.drawing.pictures import draw_sheet
 from nw_eval.sim import World
 from nw_eval.splat.camera import Pixels
 from nw_eval.splat.image import Image
@@ -146,7 +146,7 @@ def test_a_scene_without_a_splat_is_drawn_by_its_mesh(kerb, standing):
 
 
 def test_scenes_without_a_splat_have_a_sheet(kerb, tmp_path):
-    contact_sheet.write_scene_sheet([kerb], tmp_path / "sheet.png", width=160)
+    film.write_scene_sheet([kerb], tmp_path / "sheet.png", width=160)
     sheet = np.asarray(PillowImage.open(tmp_path / "sheet.png"))
     assert sheet.shape[1] < 200
     assert sheet.shape[0] > 2 * 90
@@ -188,9 +188,9 @@ def test_a_trial_in_a_scene_without_a_splat_has_a_sheet_that_says_what_it_was(
         titles.append(title)
         return draw_sheet(cells, across=across, title=title)
 
-    monkeypatch.setattr(contact_sheet, "draw_sheet", draw)
-    monkeypatch.setattr(contact_sheet, "_VIEW", (160, 90))
-    with BytesIO(contact_sheet.contact_sheet(recorded)) as file:
+    monkeypatch.setattr(film, "draw_sheet", draw)
+    monkeypatch.setattr(film, "_ON_SHEET", (160, 90))
+    with BytesIO(film.contact_sheet(recorded)) as file:
         sheet = np.asarray(PillowImage.open(file)).astype(int)
     assert sheet.shape[1] > 2 * 160
     orange = (sheet[..., 0] > 180) & (sheet[..., 1] < 110) & (sheet[..., 2] < 60)

@@ -10,8 +10,7 @@ from nw_eval.errors import PrerequisiteError, StoreError, UsageError
 from nw_eval.rollout.record import attachments
 from nw_eval.rollout.replaying import film as filming
 from nw_eval.rollout.replaying.film import FRAME, VIEW, Film, Words, composed
-from nw_eval.rollout.replaying.replay import replay
-from nw_eval.rollout.replaying.takeover import take_over
+from nw_eval.rollout.replaying.takeover import replay, take_over
 from nw_eval.rollout.trial import run_trial
 
 av = pytest.importorskip("av")

@@ -23,7 +23,7 @@ from nw_eval.robots import get_robot
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.record import attachments
 from nw_eval.rollout.trial import run_trial
-from nw_eval.scores.registry import BUILT_IN
+from nw_eval.scores import BUILT_IN
 from nw_eval.suite.trials import Trial
 
 GO1 = get_robot("go1")

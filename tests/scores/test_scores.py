@@ -16,14 +16,11 @@ from mcap_protobuf.decoder import DecoderFactory
 from nw_eval.catalogue import get_scene
 from nw_eval.policies import load_bundle
 from nw_eval.robots import get_robot
-from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.job import StageClock, TrialJob
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.result import StageClock
 from nw_eval.rollout.scored import ScoreMeter
-from nw_eval.rollout.trial import run_trial
-from nw_eval.scores import ScoreSpec, TrialEnd
-from nw_eval.scores.registry import BUILT_IN
+from nw_eval.rollout.trial import open_trial, run_trial
+from nw_eval.scores import BUILT_IN, ScoreSpec, TrialEnd
 from nw_eval.sim import World
 from nw_eval.suite.trials import Trial
 

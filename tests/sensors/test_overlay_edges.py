@@ -3,8 +3,7 @@
 import numpy as np
 
 from nw_eval.scenes.mesh import cone_mesh
-from nw_eval.sensors.drawing.cones import Cones
-from nw_eval.sensors.drawing.overlay import draw, ray_directions
+from nw_eval.sensors.drawing.overlay import Cones, draw, ray_directions
 from nw_eval.splat.camera import Camera, Pixels, look_at
 
 WAYPOINTS = np.array([[0.6, 0.02, 0.0], [1.1, -0.1, 0.0]])

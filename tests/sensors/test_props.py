@@ -17,7 +17,7 @@ from nw_eval.scenes.folder import folder_files, load_folder
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors import build_sensors
 from nw_eval.sensors.drawing.overlay import Overlay, ray_directions
-from nw_eval.sensors.drawing.palette import CLASSES
+from nw_eval.sensors.drawing.pictures import CLASSES
 from nw_eval.sensors.drawing.props import PropPictures, joined
 from nw_eval.sensors.heights import ground_under
 from nw_eval.sensors.ray_sensors import Surroundings

@@ -8,7 +8,7 @@ from nw_eval.robots import get_robot
 from nw_eval.robots.spec import VISUAL_GROUP
 from nw_eval.scenes.mesh import cone_mesh
 from nw_eval.sensors import build_sensors
-from nw_eval.sensors.drawing.palette import CLASSES, PALETTE
+from nw_eval.sensors.drawing.pictures import CLASSES, PALETTE
 from nw_eval.sensors.ray_sensors import rotation
 from nw_eval.sim import World
 

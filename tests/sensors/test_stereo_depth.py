@@ -9,7 +9,7 @@ from nw_eval.cards.observations import DepthObservation
 from nw_eval.errors import PolicyError
 from nw_eval.robots import get_robot
 from nw_eval.sensors import build_sensors
-from nw_eval.sensors.check import check_card
+from nw_eval.sensors.build import check_card
 from nw_eval.sim import World
 
 FOCAL = 424.0  # D435: 848 columns over 90 degrees

@@ -23,8 +23,6 @@ BEFORE_PHYSICS = {
     "robots/compiled.py",
     "robots/derived.py",
     "robots/looks.py",
-    "robots/mounts.py",
-    "robots/rewritten.py",
     "robots/standing.py",
 }
 

@@ -339,7 +339,7 @@ def _from_above(scene: Scene, box: Sequence[float]) -> bytes:
     from PIL import Image
 
     from nw_eval.scenes.rays import RayScene
-    from nw_eval.sensors.drawing.mesh_picture import MeshPicture
+    from nw_eval.sensors.drawing.overlay import MeshPicture
     from nw_eval.splat.camera import Camera
     from nw_eval.splat.render import open_renderer
     from nw_eval.splat.store import open_store

@@ -170,7 +170,7 @@ def init_policy(
     from nw_eval.onboarding.beside import files_beside_checkpoint, find_checkpoint
     from nw_eval.onboarding.draft import draft_of, files_beside
     from nw_eval.onboarding.notation import lines_to_check, plain
-    from nw_eval.onboarding.vecnormalize import statistics_beside
+    from nw_eval.onboarding.trained import statistics_beside
     from nw_eval.robots import find_robot
     from nw_eval.rollout.confined.access import inspecting_rules
     from nw_eval.rollout.confined.isolated import call_isolated
@@ -248,8 +248,7 @@ def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
     """
     from nw_eval.files.cache import followed
     from nw_eval.files.inside import what_is
-    from nw_eval.policies.onnx_fold import fold
-    from nw_eval.policies.orbax_fold import fold_orbax
+    from nw_eval.policies.folding import fold, fold_orbax
     from nw_eval.rollout.confined.access import folding_rules
     from nw_eval.rollout.confined.isolated import call_isolated
     from nw_eval.rollout.replaying.apart import fetch, scratch_folder

@@ -189,7 +189,7 @@ def render_scenes(
     from nw_eval.engine.listener import NullListener
     from nw_eval.engine.prepare import build_splats
     from nw_eval.files.cache import followed
-    from nw_eval.rollout.replaying.contact_sheet import write_scene_sheet
+    from nw_eval.rollout.replaying.film import write_scene_sheet
 
     followed(out)  # What can never be written is said before anything is drawn.
     found = match_scenes(tuple(patterns) or ("*",))

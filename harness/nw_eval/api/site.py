@@ -449,7 +449,7 @@ def _drawn(scene: Scene) -> bytes:
     import numpy as np
     from PIL import Image
 
-    from nw_eval.rollout.replaying.contact_sheet import scene_views
+    from nw_eval.rollout.replaying.film import scene_views
 
     content = BytesIO()
     views = scene_views(scene, width=_WIDTH)

@@ -17,9 +17,8 @@ from pydantic import (
 )
 
 from nw_eval.cards.model import CONTROL_RATE, CardModel, Latency, Limits, Rate
-from nw_eval.cards.named import NamedBy, names_of
 from nw_eval.cards.terms import LAYOUTS, AnyTerm, LayoutName, Term
-from nw_eval.cards.wrappers import Noise, Wrapper
+from nw_eval.cards.wrappers import NamedBy, Noise, Wrapper, names_of
 from nw_eval.plugins import SENSORS, known_or_raise
 
 
@@ -343,7 +342,7 @@ class SemanticsObservation(_GeometryView):
 
     sensor: Literal["semantics"]
     values: Literal["ids", "colors"] = "ids"
-    """`colors`: (height, width, 3) uint8 of the palette in `sensors.drawing.palette`."""
+    """`colors`: (height, width, 3) uint8 of the palette in `sensors.drawing.pictures`."""
 
 
 CameraObservation = SplatRgbObservation | DepthObservation | SemanticsObservation

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 
     from nw_eval.engine.prepare import SplatBuilders
     from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.job import TrialJob
-    from nw_eval.rollout.result import TrialResult
+    from nw_eval.rollout.job import TrialJob, TrialResult
 
     Run = Callable[[TrialJob], TrialResult]
 

@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.ray_file_bundles import FileBundle
     from nw_eval.engine.workers import Finished
     from nw_eval.policies import Bundle
-    from nw_eval.rollout.job import TrialJob
-    from nw_eval.rollout.result import TrialResult
+    from nw_eval.rollout.job import TrialJob, TrialResult
     from nw_eval.scenes import Scene
     from nw_eval.words import Backend, Collision
 

@@ -33,7 +33,7 @@ from nw_eval.engine.workers import Finished, QueuedWorkers
 from nw_eval.errors import NwEvalError, PrerequisiteError, StoreError, TrialError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.policies.bundle import senses_by_code
-from nw_eval.rollout.result import TrialResult
+from nw_eval.rollout.job import TrialResult
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

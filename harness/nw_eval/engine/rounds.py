@@ -22,7 +22,7 @@ from nw_eval.engine.machine import Interrupts, worker_count
 from nw_eval.engine.rows import make_row
 from nw_eval.errors import StoreError
 from nw_eval.plural import plural
-from nw_eval.rollout.result import as_outcome, policy_fault
+from nw_eval.rollout.job import as_outcome, policy_fault
 
 if TYPE_CHECKING:
     import signal
@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from nw_eval.results.journal import Journal
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.job import TrialJob
-    from nw_eval.rollout.result import TrialResult
+    from nw_eval.rollout.job import TrialJob, TrialResult
     from nw_eval.words import Arm
 
     Enough = Callable[[Mapping[int, Row]], "RunStanding"]

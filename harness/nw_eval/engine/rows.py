@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 from nw_eval.results.evidence import log_sha256
 from nw_eval.results.row import Row
-from nw_eval.rollout.result import policy_fault
+from nw_eval.rollout.job import policy_fault
 
 if TYPE_CHECKING:
     from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.job import TrialJob
-    from nw_eval.rollout.result import TrialResult
+    from nw_eval.rollout.job import TrialJob, TrialResult
     from nw_eval.words import Arm
 
 

@@ -30,8 +30,7 @@ from nw_eval.engine.machine import Resident, descendants, kill, left_by
 from nw_eval.plural import in_words
 from nw_eval.policies.apart import use_line
 from nw_eval.rollout.confined.start import parts_of, start_pair
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.result import TrialResult
+from nw_eval.rollout.job import TrialJob, TrialResult
 
 if TYPE_CHECKING:
     from nw_eval.rollout.library import Library

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from nw_eval.engine.ray_connection import Joined
     from nw_eval.policies import Bundle
     from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.job import TrialJob
-    from nw_eval.rollout.result import TrialResult
+    from nw_eval.rollout.job import TrialJob, TrialResult
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,8 +27,7 @@ from nw_eval.results.column import Settings
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.real import RealResult
 from nw_eval.results.row import Row
-from nw_eval.scores import ScoreSpec
-from nw_eval.scores.registry import BUILT_IN
+from nw_eval.scores import BUILT_IN, ScoreSpec
 from nw_eval.stats.agreement import Measured
 from nw_eval.stats.betting import Ranks, possible_ranks
 from nw_eval.stats.bootstrap import mean_of_scenes

@@ -22,7 +22,7 @@ from nw_eval.onboarding.leapp import pipeline_checkpoint
 from nw_eval.onboarding.notation import plain
 from nw_eval.onboarding.vectors import sized_terms
 from nw_eval.plural import plural
-from nw_eval.policies.orbax_fold import newest_orbax
+from nw_eval.policies.folding import newest_orbax
 from nw_eval.robots import RobotSpec
 
 _LARGEST = 2**20

@@ -44,8 +44,7 @@ from nw_eval.onboarding.notation import (
     quoted,
     slug,
 )
-from nw_eval.onboarding.trained import KNOWN_ACTIVATIONS, network_lines, trained_network
-from nw_eval.onboarding.vecnormalize import normalised
+from nw_eval.onboarding.trained import KNOWN_ACTIVATIONS, network_lines, normalised, trained_network
 from nw_eval.onboarding.vectors import (
     Likely,
     ObservationDraft,

@@ -22,7 +22,7 @@ from nw_eval.robots.spec import CameraMount
 from nw_eval.robots.standing import Drop, LevelGround
 from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.replaying.third_person import Spectator
-from nw_eval.sensors.drawing.sheet import Cell, draw_sheet
+from nw_eval.sensors.drawing.pictures import Cell, draw_sheet
 from nw_eval.sensors.shutter import shutter_words
 from nw_eval.sim import World
 from nw_eval.splat.camera import look_at

@@ -4,10 +4,9 @@ A card and its checkpoint make a `Bundle`; `open_policy` makes a `Policy` of it,
 observations into raw actions.
 """
 
-from nw_eval.policies.actions import ActionDelay, ActionFilter
 from nw_eval.policies.bundle import Bundle, find_card, instance_bundle, load_bundle
 from nw_eval.policies.opening import open_policy
-from nw_eval.policies.policy import Observation, Policy
+from nw_eval.policies.policy import ActionDelay, ActionFilter, Observation, Policy
 
 __all__ = [
     "ActionDelay",

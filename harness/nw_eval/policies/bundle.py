@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 from pydantic import ValidationError
 
 from nw_eval.cards.card import Card
-from nw_eval.cards.checkpoint import Checkpoint
 from nw_eval.cards.load import CARD_FILE, load_card
 from nw_eval.cards.model import CardModel
+from nw_eval.cards.networks import Checkpoint
 from nw_eval.cards.observations import PluginObservation
 from nw_eval.cards.wrappers import PluginWrap
 from nw_eval.errors import PolicyError, nearest

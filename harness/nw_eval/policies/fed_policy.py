@@ -7,10 +7,9 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.checkpoint import NetworkAdapter
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
-from nw_eval.cards.networks import NetworkOutput, feeding_order, input_parts
+from nw_eval.cards.networks import NetworkAdapter, NetworkOutput, feeding_order, input_parts
 from nw_eval.cards.observations import selected_indices
 from nw_eval.errors import NotFiniteError, TrialError
 from nw_eval.memory import pack

@@ -6,9 +6,9 @@ from typing import Literal, assert_never
 
 import numpy as np
 
-from nw_eval.cards.checkpoint import is_built_in
 from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
+from nw_eval.cards.networks import is_built_in
 from nw_eval.policies.apart import ApartPolicy, current_line
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.drawing import DrawingPolicy
@@ -86,15 +86,15 @@ def _open_weights(
 
             return MlpPolicy(bundle, joints=joints)
         case "lucidsim":
-            from nw_eval.policies.parkour import LucidSimPolicy
+            from nw_eval.policies.published import LucidSimPolicy
 
             return LucidSimPolicy(bundle, joints=joints)
         case "extreme-parkour":
-            from nw_eval.policies.parkour import open_extreme_parkour
+            from nw_eval.policies.published import open_extreme_parkour
 
             return open_extreme_parkour(bundle, joints=joints)
         case "act":
-            from nw_eval.policies.act import ActPolicy
+            from nw_eval.policies.published import ActPolicy
 
             return ActPolicy(bundle, joints=joints)
 

@@ -24,7 +24,7 @@ from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.opening import open_policy
 from nw_eval.policies.policy import Policy
 from nw_eval.policies.policy_process import CALLS, respond
-from nw_eval.policies.wire import MESSAGE_LIMIT, PROTOCOL, WAITING, decode, encode
+from nw_eval.policies.remote import MESSAGE_LIMIT, PROTOCOL, WAITING, decode, encode
 
 if TYPE_CHECKING:
     from websockets.http11 import Request, Response

@@ -77,7 +77,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     ended = [report for reports in terminalreporter.stats.values() for report in reports]
     verdicts = [each for each in ended if getattr(each, "nodeid", "").endswith("::verdict")]
     if verdicts:
-        from nw_eval.pytest_plugin.telling import write_last_lines
+        from nw_eval.pytest_plugin.runs import write_last_lines
 
         write_last_lines(terminalreporter, verdicts)
 

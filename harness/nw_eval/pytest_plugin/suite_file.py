@@ -145,7 +145,7 @@ class SceneItem(SuiteItem):
     def setup(self) -> None:
         """Run the suite if it has not run; a scene without all of its results is an error."""
         from nw_eval.clean import clean
-        from nw_eval.pytest_plugin.telling import scene_properties, scene_text
+        from nw_eval.pytest_plugin.runs import scene_properties, scene_text
         from nw_eval.reporting.scene_states import scene_states
 
         judged = self.judged()
@@ -159,7 +159,7 @@ class SceneItem(SuiteItem):
 
     def runtest(self) -> None:
         """Fail if the scene regressed, or shares in what no other test is here to say."""
-        from nw_eval.pytest_plugin.telling import scene_text
+        from nw_eval.pytest_plugin.runs import scene_text
 
         judged = self.judged()
         if self.state.result != "passed":
@@ -185,7 +185,7 @@ class VerdictItem(SuiteItem):
 
     def setup(self) -> None:
         """Run the suite if it has not run; a run that cannot be judged is an error."""
-        from nw_eval.pytest_plugin.telling import verdict_properties, verdict_text
+        from nw_eval.pytest_plugin.runs import verdict_properties, verdict_text
 
         if self.config.stash[SETTINGS].update_baseline:
             return
@@ -196,7 +196,7 @@ class VerdictItem(SuiteItem):
 
     def runtest(self) -> None:
         """Fail unless the verdict is PASS, or RAN where the suite has no bar."""
-        from nw_eval.pytest_plugin.telling import verdict_text
+        from nw_eval.pytest_plugin.runs import verdict_text
         from nw_eval.reporting.headline import headline
 
         settings = self.config.stash[SETTINGS]

@@ -24,11 +24,10 @@ from nw_eval.cards.terms import EARLIER_OUTPUTS
 from nw_eval.errors import DivergedError, TrialError
 from nw_eval.memory import read_only
 from nw_eval.policies import ActionDelay
-from nw_eval.policies.policy import all_finite
+from nw_eval.policies.policy_process import all_finite
 from nw_eval.results.row import VIEW_RATE
 from nw_eval.rollout.fault import PolicyFailedError, policy_at_fault
-from nw_eval.rollout.mcap.messages import SimState, StatePart
-from nw_eval.rollout.mcap.states import Saved
+from nw_eval.rollout.mcap.messages import Saved, SimState, StatePart
 from nw_eval.scenes.scene import Nearness
 from nw_eval.scores import TrialEnd
 from nw_eval.sensors.sensor import StepContext
@@ -40,8 +39,8 @@ if TYPE_CHECKING:
     from nw_eval.cards import JointControl
     from nw_eval.memory import Memory
     from nw_eval.policies import ActionFilter, Policy
+    from nw_eval.rollout.job import StageClock
     from nw_eval.rollout.perturbed import Pushes
-    from nw_eval.rollout.result import StageClock
     from nw_eval.rollout.scored import ScoreMeter
     from nw_eval.sensors.sensor import Sensor
     from nw_eval.sim import World

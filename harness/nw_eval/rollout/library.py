@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from typing import TYPE_CHECKING, Generic, TypeVar
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
 from nw_eval.catalogue import open_scene
 from nw_eval.policies import Bundle, load_bundle
@@ -18,27 +18,6 @@ if TYPE_CHECKING:
 
     from nw_eval.rollout.job import TrialJob
     from nw_eval.scenes.rays import RayScene
-
-_Key = TypeVar("_Key")
-_Value = TypeVar("_Value")
-
-
-class LRUCache(Generic[_Key, _Value]):
-    """The `size` values used last; others are made again when they are asked for."""
-
-    def __init__(self, size: int, make: Callable[[_Key], _Value]) -> None:
-        self._size = size
-        self._make = make
-        self._kept: OrderedDict[_Key, _Value] = OrderedDict()
-
-    def __call__(self, key: _Key) -> _Value:
-        """Return the value of a key."""
-        if key not in self._kept:
-            self._kept[key] = self._make(key)
-        self._kept.move_to_end(key)
-        while len(self._kept) > self._size:
-            self._kept.popitem(last=False)
-        return self._kept[key]
 
 
 class Library:
@@ -66,10 +45,10 @@ class Library:
     ) -> None:
         self.world = world
         self.before_drawing = before_drawing
-        self._scenes = LRUCache[tuple[str, Collision], Scene](scenes, lambda key: open_scene(*key))
-        self._rays = LRUCache[tuple[str, Collision], "RayScene"](scenes, self._make_rays)
-        self._bundles = LRUCache[tuple[str, "Path | None"], Bundle](
-            bundles, lambda key: load_bundle(key[0], checkpoint=key[1])
+        self._scenes = lru_cache(scenes)(open_scene)
+        self._rays = lru_cache(scenes)(self._make_rays)
+        self._bundles = lru_cache(bundles)(
+            lambda reference, checkpoint: load_bundle(reference, checkpoint=checkpoint)
         )
         self._known = {bundle.reference: bundle for bundle in known}
 
@@ -79,7 +58,7 @@ class Library:
         Raises:
             SceneError: as `catalogue.open_scene`.
         """
-        return self._scenes((reference, collision))
+        return self._scenes(reference, collision)
 
     def rays(self, reference: str, collision: Collision = "terrain") -> RayScene:
         """Return the ray caster of a scene's static geometry.
@@ -87,7 +66,7 @@ class Library:
         Raises:
             SceneError: as `catalogue.open_scene`.
         """
-        return self._rays((reference, collision))
+        return self._rays(reference, collision)
 
     def bundle(self, reference: str, checkpoint: Path | None) -> Bundle:
         """Return the policy bundle of a name, folder or card, with its own weights or others.
@@ -95,7 +74,7 @@ class Library:
         Raises:
             PolicyError: as `policies.load_bundle`.
         """
-        return self._known.get(reference) or self._bundles((reference, checkpoint))
+        return self._known.get(reference) or self._bundles(reference, checkpoint)
 
     def bundle_of(self, job: TrialJob) -> Bundle:
         """Return the bundle of a job, whose robot this process knows from then on.
@@ -106,7 +85,7 @@ class Library:
         know_robot(job.robot, job.robot_folder)
         return self.bundle(job.policy, job.checkpoint)
 
-    def _make_rays(self, key: tuple[str, Collision]) -> RayScene:
+    def _make_rays(self, reference: str, collision: Collision) -> RayScene:
         from nw_eval.scenes.rays import RayScene
 
-        return RayScene(self.scene(*key).mesh())
+        return RayScene(self.scene(reference, collision).mesh())

@@ -47,9 +47,9 @@ if TYPE_CHECKING:
 
     from nw_eval.cards import Card
     from nw_eval.robots import CameraMount, RobotSpec
-    from nw_eval.rollout.mcap.images import Form
+    from nw_eval.rollout.job import StageClock
+    from nw_eval.rollout.mcap.images import PixelForm
     from nw_eval.rollout.mcap.trial_log import TrialLog
-    from nw_eval.rollout.result import StageClock
     from nw_eval.scenes import Scene
     from nw_eval.scenes.rays import RayScene
     from nw_eval.sensors.drawing.props import PropPictures
@@ -118,7 +118,7 @@ class Seen:
         self, *, card: Card, sensors: Mapping[str, Sensor], world: World, log: TrialLog
     ) -> None:
         # Whoever only asks for names or views needs no protobuf.
-        from nw_eval.rollout.mcap.observations import SeenRow, SeenRows
+        from nw_eval.rollout.mcap.images import SeenRow, SeenRows
 
         self._card = card
         self._sensors = sensors
@@ -227,7 +227,7 @@ class View:
     mount: str
     spec: CameraObservation
 
-    def pictures(self, array: Image) -> list[tuple[Form, Image]]:
+    def pictures(self, array: Image) -> list[tuple[PixelForm, Image]]:
         """Return the newest sample of an observation: (H, W) or (H, W, 3) images, one or more.
 
         A wrapper of somebody else's may make several images of one; each is shown. Nothing is, if
@@ -316,7 +316,7 @@ class View:
             array = np.moveaxis(array, -1, 2)  # The colours stood before the samples.
         return array.reshape(*array.shape[:2], -1)
 
-    def _form(self, image: Image) -> tuple[Form, Image]:
+    def _form(self, image: Image) -> tuple[PixelForm, Image]:
         spec = self.spec
         if image.ndim == _COLOURS:
             is_drawn = isinstance(spec, SemanticsObservation) and _is_bytes(image)

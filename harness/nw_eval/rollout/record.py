@@ -15,8 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 from nw_eval import __version__
 from nw_eval.catalogue import parse_reference
 from nw_eval.clean import clean, without_credentials
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.result import as_outcome, policy_fault
+from nw_eval.rollout.job import TrialJob, as_outcome, policy_fault
 from nw_eval.suite.model import PUBLISHED
 from nw_eval.suite.trials import MAX_TRIALS, Trial
 from nw_eval.tasks import COURSE
@@ -24,7 +23,7 @@ from nw_eval.tasks import COURSE
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from nw_eval.rollout.result import TrialResult
+    from nw_eval.rollout.job import TrialResult
 
 TRIAL, PROVENANCE, VERDICT = "nw.trial", "nw.provenance", "nw.verdict"
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.rollout.episode import Observer
+from nw_eval.rollout.job import policy_fault
 from nw_eval.rollout.mcap.steps import Call, StepNote
 from nw_eval.rollout.mcap.topics import ELEMENTS, SHUTTERS
 from nw_eval.rollout.observed import LOG_CAMERA, LogCamera, Seen
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
-from nw_eval.rollout.result import policy_fault
 from nw_eval.scores.score import STRETCH
 from nw_eval.sensors.terms import velocity_at
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nw_eval.rollout.episode import Decision, Episode, Step
+    from nw_eval.rollout.job import StageClock, TrialResult
     from nw_eval.rollout.mcap.trial_log import EventKind, TrialLog
-    from nw_eval.rollout.prepare import OpenTrial
-    from nw_eval.rollout.result import StageClock, TrialResult
+    from nw_eval.rollout.trial import OpenTrial
     from nw_eval.tasks import TaskEvent
 
 Array = NDArray[np.float64]

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from nw_eval.clean import clean
 from nw_eval.errors import UsageError
 from nw_eval.memory import pack, unpack
-from nw_eval.scores import Figures, Score, Stretch, TrialEnd, score_class
+from nw_eval.scores import BUILT_IN, Figures, Score, Stretch, TrialEnd, score_class
 from nw_eval.scores.own import Keeps
-from nw_eval.scores.registry import BUILT_IN
 from nw_eval.scores.score import STRETCH
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from nw_eval.scores.score import Figures, Score, ScoreSpec, Stretch, TrialEnd
+from nw_eval.scores.score import Figures, Score, Stretch, TrialEnd, lower_better
 
 
 class _Energy(Score):
@@ -37,15 +37,7 @@ class MeanPower(_Energy):
     mechanical cost of transport.
     """
 
-    spec = ScoreSpec(
-        name="mean_power",
-        unit="W",
-        better="lower",
-        low=0.0,
-        high=1000.0,
-        undefined=1000.0,
-        meaning="mean positive mechanical power of all motors",
-    )
+    spec = lower_better("mean_power", "W", 1000.0, "mean positive mechanical power of all motors")
 
     def value(self, end: TrialEnd) -> float | None:
         """Return W; None of a trial without a step."""
@@ -61,14 +53,8 @@ class CostOfTransport(_Energy):
     Source: as `mean_power`, its mechanical cost of transport sum max(tau dq, 0) / (m g v).
     """
 
-    spec = ScoreSpec(
-        name="cost_of_transport",
-        unit="",
-        better="lower",
-        low=0.0,
-        high=5.0,
-        undefined=5.0,
-        meaning="mechanical energy for each newton of weight and metre of way",
+    spec = lower_better(
+        "cost_of_transport", "", 5.0, "mechanical energy for each newton of weight and metre of way"
     )
 
     def __init__(self, figures: Figures) -> None:
@@ -124,14 +110,8 @@ class PeakTorqueShare(Score):
     Over 1 where the damping of a servo adds to what it gives at its limit.
     """
 
-    spec = ScoreSpec(
-        name="peak_torque_share",
-        unit="",
-        better="lower",
-        low=0.0,
-        high=2.0,
-        undefined=2.0,
-        meaning="largest torque of a motor as a share of its limit",
+    spec = lower_better(
+        "peak_torque_share", "", 2.0, "largest torque of a motor as a share of its limit"
     )
 
     def __init__(self, figures: Figures) -> None:
@@ -150,14 +130,11 @@ class PeakTorqueShare(Score):
 class TorqueRmsShare(Score):
     """sqrt(1/(T J) sum_t,j (tau_j / limit_j)^2), at physics rate: what warms the motors."""
 
-    spec = ScoreSpec(
-        name="torque_rms_share",
-        unit="",
-        better="lower",
-        low=0.0,
-        high=1.0,
-        undefined=1.0,
-        meaning="root mean square of all motors' torques as a share of their limits",
+    spec = lower_better(
+        "torque_rms_share",
+        "",
+        1.0,
+        "root mean square of all motors' torques as a share of their limits",
     )
 
     def __init__(self, figures: Figures) -> None:
@@ -183,14 +160,11 @@ class LimitTime(Score):
     in any physics step of the control step.
     """
 
-    spec = ScoreSpec(
-        name="limit_time",
-        unit="",
-        better="lower",
-        low=0.0,
-        high=1.0,
-        undefined=1.0,
-        meaning="share of the time in which a joint is at the end of its range, or its motor at "
+    spec = lower_better(
+        "limit_time",
+        "",
+        1.0,
+        "share of the time in which a joint is at the end of its range, or its motor at "
         "its largest torque",
     )
 

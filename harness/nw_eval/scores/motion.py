@@ -1,4 +1,7 @@
-"""How the robot moves: smoothness of what the motors are told, attitude, feet."""
+"""How the robot moves: smoothness of what the motors are told, attitude, feet.
+
+And where it gets to and when, and how well it follows a commanded velocity.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from nw_eval.scores.score import Array, Figures, Score, ScoreSpec, Stretch, TrialEnd
+from nw_eval.scores.effort import way_after
+from nw_eval.scores.score import Array, Figures, Score, ScoreSpec, Stretch, TrialEnd, lower_better
 
 
 class _Differences(Score):
@@ -51,14 +55,8 @@ class ActionRate(_Differences):
     """
 
     order = 1
-    spec = ScoreSpec(
-        name="action_rate",
-        unit="rad/s",
-        better="lower",
-        low=0.0,
-        high=50.0,
-        undefined=50.0,
-        meaning="root mean square of the rate at which joint targets change",
+    spec = lower_better(
+        "action_rate", "rad/s", 50.0, "root mean square of the rate at which joint targets change"
     )
 
 
@@ -71,14 +69,11 @@ class ActionAcceleration(_Differences):
     """
 
     order = 2
-    spec = ScoreSpec(
-        name="action_acceleration",
-        unit="rad/s^2",
-        better="lower",
-        low=0.0,
-        high=5000.0,
-        undefined=5000.0,
-        meaning="root mean square of the acceleration of joint targets",
+    spec = lower_better(
+        "action_acceleration",
+        "rad/s^2",
+        5000.0,
+        "root mean square of the acceleration of joint targets",
     )
 
 
@@ -108,15 +103,7 @@ class _Angle(Score):
 class BaseRollRms(_Angle):
     """sqrt(1/N sum_t roll_t^2), rad: how far the trunk leans to its sides."""
 
-    spec = ScoreSpec(
-        name="base_roll_rms",
-        unit="rad",
-        better="lower",
-        low=0.0,
-        high=1.0,
-        undefined=1.0,
-        meaning="root mean square of the trunk's roll",
-    )
+    spec = lower_better("base_roll_rms", "rad", 1.0, "root mean square of the trunk's roll")
 
     def of(self, stretch: Stretch) -> Array:
         """Return the roll."""
@@ -126,15 +113,7 @@ class BaseRollRms(_Angle):
 class BasePitchRms(_Angle):
     """sqrt(1/N sum_t pitch_t^2), rad: how far the trunk leans forward or back; slopes count too."""
 
-    spec = ScoreSpec(
-        name="base_pitch_rms",
-        unit="rad",
-        better="lower",
-        low=0.0,
-        high=1.0,
-        undefined=1.0,
-        meaning="root mean square of the trunk's pitch",
-    )
+    spec = lower_better("base_pitch_rms", "rad", 1.0, "root mean square of the trunk's pitch")
 
     def of(self, stretch: Stretch) -> Array:
         """Return the pitch."""
@@ -155,15 +134,7 @@ class FootSlip(Score):
     as a mean speed.
     """
 
-    spec = ScoreSpec(
-        name="foot_slip",
-        unit="m/s",
-        better="lower",
-        low=0.0,
-        high=1.0,
-        undefined=1.0,
-        meaning="mean horizontal speed of feet that carry load",
-    )
+    spec = lower_better("foot_slip", "m/s", 1.0, "mean horizontal speed of feet that carry load")
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)
@@ -197,14 +168,8 @@ class ContactImpulse(Score):
     F is the contact force at the end of the control step, and T its length.
     """
 
-    spec = ScoreSpec(
-        name="contact_impulse",
-        unit="N s",
-        better="lower",
-        low=0.0,
-        high=100.0,
-        undefined=100.0,
-        meaning="largest contact force on a foot times a control step",
+    spec = lower_better(
+        "contact_impulse", "N s", 100.0, "largest contact force on a foot times a control step"
     )
 
     def __init__(self, figures: Figures) -> None:
@@ -219,3 +184,109 @@ class ContactImpulse(Score):
         """Return N s."""
         del end
         return self.largest * self.figures.control_period if self.largest >= 0.0 else None
+
+
+class TimeToFinish(Score):
+    """Simulated time of a trial that was completed, s; undefined for all others."""
+
+    spec = lower_better("time_to_finish", "s", 60.0, "simulated time until the task was completed")
+
+    def update(self, stretch: Stretch) -> None:
+        """Nothing to add: the clock of the trial counts."""
+
+    def value(self, end: TrialEnd) -> float | None:
+        """Return s; None where it was not completed."""
+        return end.seconds if end.outcome == "completed" else None
+
+
+class DistanceBeforeFall(Score):
+    """The trunk's way in the ground plane until the trial ended, by a fall or otherwise, m.
+
+    It is sampled each 0.2 s, so that swaying is no way.
+    """
+
+    spec = ScoreSpec(
+        name="distance_before_fall",
+        unit="m",
+        better="higher",
+        low=0.0,
+        high=20.0,
+        undefined=0.0,
+        meaning="way of the trunk until it fell, or the trial ended",
+    )
+
+    def __init__(self, figures: Figures) -> None:
+        super().__init__(figures)
+        self.distance, self.x, self.y = 0.0, math.nan, math.nan
+
+    def update(self, stretch: Stretch) -> None:
+        """Add way."""
+        self.distance, self.x, self.y = way_after(self.distance, self.x, self.y, stretch)
+
+    def value(self, end: TrialEnd) -> float | None:
+        """Return m."""
+        del end
+        return self.distance
+
+
+class _Tracking(Score):
+    """Mean over the control steps with a command of how far the trunk's velocity is from it."""
+
+    angular: ClassVar[bool]
+
+    def __init__(self, figures: Figures) -> None:
+        super().__init__(figures)
+        self.total, self.count = 0.0, 0
+
+    def update(self, stretch: Stretch) -> None:
+        """Add errors."""
+        known = stretch.commanded
+        if known is None:
+            return
+        if self.angular:
+            errors = np.abs(stretch.command[:, 2] - stretch.rates[:, 2])
+        else:
+            apart = stretch.command[:, :2] - stretch.velocity[:, :2]
+            errors = np.hypot(apart[:, 0], apart[:, 1])
+        self.total += float(errors[known].sum())
+        self.count += int(np.count_nonzero(known))
+
+    def value(self, end: TrialEnd) -> float | None:
+        """Return the mean error; undefined after a fall, and where nothing was commanded."""
+        if not self.count or end.outcome in {"fell", "policy_failed"}:
+            return None
+        return self.total / self.count
+
+
+class LinearTracking(_Tracking):
+    """1/N sum_t |v*_xy - v_xy|, m/s, in the yaw frame, at control rate.
+
+    v* is what the task commands. Undefined after a fall, and for tasks that command no velocity, as
+    `course`.
+
+    Source: the error within the reward `tracking_lin_vel` of N. Rudin et al., "Learning to walk in
+    minutes", CoRL 2021.
+    """
+
+    angular = False
+    spec = lower_better(
+        "tracking_error_linear",
+        "m/s",
+        2.0,
+        "mean distance of the trunk's horizontal velocity from the command",
+    )
+
+
+class AngularTracking(_Tracking):
+    """1/N sum_t |w*_z - w_z|, rad/s, about the trunk's z axis, at control rate; else as above.
+
+    Source: the error within the reward `tracking_ang_vel` of N. Rudin et al., as above.
+    """
+
+    angular = True
+    spec = lower_better(
+        "tracking_error_angular",
+        "rad/s",
+        2.0,
+        "mean distance of the trunk's yaw rate from the command",
+    )

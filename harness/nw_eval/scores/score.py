@@ -73,6 +73,13 @@ class ScoreSpec(BaseModel):
         return self.model_copy(update={"low": low, "high": high, "undefined": bounded})
 
 
+def lower_better(name: str, unit: str, high: float, meaning: str) -> ScoreSpec:
+    """Return the declaration of a score from 0 to `high`, which counts where it is undefined."""
+    return ScoreSpec(
+        name=name, unit=unit, better="lower", low=0.0, high=high, undefined=high, meaning=meaning
+    )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Figures:
     """What of robot and simulation does not change in a trial.

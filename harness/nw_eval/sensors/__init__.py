@@ -1,7 +1,6 @@
 """Sensors: what a policy observes, computed from a world at the rates that its card names."""
 
-from nw_eval.sensors.build import build_sensors
-from nw_eval.sensors.check import ObservationSpec, check_card
+from nw_eval.sensors.build import ObservationSpec, build_sensors, check_card
 from nw_eval.sensors.sensor import SceneView, Sensor, Shot, StepContext
 
 Moment, TrialPlace = StepContext, SceneView  # Their names until 0.1.

@@ -16,8 +16,7 @@ from nw_eval.robots import get_robot
 from nw_eval.scenes import Scene
 from nw_eval.sensors.build import build_sensors
 from nw_eval.sensors.drawing import pictures
-from nw_eval.sensors.drawing.pictures import Bytes
-from nw_eval.sensors.drawing.sheet import Cell, draw_sheet, text_strip
+from nw_eval.sensors.drawing.pictures import Bytes, Cell, draw_sheet, text_strip
 from nw_eval.sensors.sensor import Sensor, StepContext
 from nw_eval.sensors.shutter import shutter_words
 from nw_eval.sim import World

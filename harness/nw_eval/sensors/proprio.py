@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.command import Command
+from nw_eval.cards.card import Command
 from nw_eval.cards.joint_control import JointControl
 from nw_eval.cards.observations import (
     DirectionObservation,

@@ -20,9 +20,8 @@ from nw_eval.errors import PolicyError, nearest
 from nw_eval.lens import Intrinsics
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.mesh import FACE_KINDS
-from nw_eval.sensors.drawing.cones import CourseCones
-from nw_eval.sensors.drawing.overlay import RobotView, ray_directions
-from nw_eval.sensors.drawing.palette import CONE, FACE_CLASSES, NOTHING, PALETTE, ROBOT
+from nw_eval.sensors.drawing.overlay import CourseCones, RobotView, ray_directions
+from nw_eval.sensors.drawing.pictures import CONE, FACE_CLASSES, NOTHING, PALETTE, ROBOT
 from nw_eval.sensors.drawing.props import cast_at_prop
 from nw_eval.sensors.heights import Rays
 from nw_eval.sensors.sensor import Measurement, Plain, Sample, SceneView, Shot, StepContext
@@ -359,7 +358,7 @@ def stretched_inverse(depth: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 class Semantics(Measurement):
-    """Class ids (H, W) uint8, or colours (H, W, 3); see `drawing.palette`."""
+    """Class ids (H, W) uint8, or colours (H, W, 3); see `drawing.pictures`."""
 
     is_image = True
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nw_eval.cards import terms
-from nw_eval.cards.command import Command, ConstantCommand
+from nw_eval.cards.card import Command, ConstantCommand
 from nw_eval.cards.joint_control import JointControl
 from nw_eval.cards.terms import GaitClock
 from nw_eval.sensors.sensor import Array, StepContext

@@ -6,8 +6,9 @@ Some change numbers one by one, some take images: (H, W) numbers or (H, W, C) co
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal, assert_never
 
@@ -172,25 +173,25 @@ def _wrapper(  # noqa: C901, PLR0912 - one line for each wrapper.
         case wrappers.NoiseWrap():
             return AddNoise(entry)
         case wrappers.Crop():
-            return Crop(entry)
+            return _Function(partial(_cropped, entry))
         case wrappers.Resize():
             return Resize(entry)
         case wrappers.Normalize():
-            return Normalize(entry)
+            return _Function(partial(_normalised, entry))
         case wrappers.Scale():
-            return Scale(entry)
+            return _Function(partial(_scaled, entry))
         case wrappers.Clip():
-            return Clip(entry)
+            return _Function(partial(_clipped, entry))
         case wrappers.Grayscale():
-            return Grayscale()
+            return _Function(_brightness)
         case wrappers.Quantize():
-            return Quantize(entry)
+            return _Function(partial(_quantized, entry))
         case wrappers.Stack():
             return Stack(entry.steps, entry.axis)
         case wrappers.Channels():
-            return Channels(entry)
+            return _Function(partial(_in_channels, entry))
         case wrappers.Flatten():
-            return Flatten()
+            return _Function(lambda sample: sample.reshape(-1))
         case wrappers.PluginWrap():
             return foreign_wrapper(entry, code_from=code_from)
         case _:
@@ -224,68 +225,46 @@ class AddNoise(Plain):
         return rounded(values, sample.dtype)
 
 
-class Normalize(Plain):
-    """(value - mean) / std."""
+class _Function(Plain):
+    """A function of the sample alone, without memory or randomness."""
 
-    def __init__(self, settings: wrappers.Normalize) -> None:
-        self._mean = np.asarray(settings.mean, dtype=np.float32)
-        self._std = np.asarray(settings.std, dtype=np.float32)
-
-    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
-        """Return float32."""
-        for values in (self._mean, self._std):
-            if values.ndim and (not sample.ndim or sample.shape[-1] != values.size):
-                raise PolicyError(
-                    f"normalize has {values.size} numbers for a sample of shape {sample.shape}",
-                    fix="give one, or one for each number along the last axis",
-                )
-        return (sample.astype(np.float32) - self._mean) / self._std
-
-
-class Scale(Plain):
-    """value * scale + offset."""
-
-    def __init__(self, settings: wrappers.Scale) -> None:
-        self._scale, self._offset = np.float32(settings.scale), np.float32(settings.offset)
+    def __init__(self, function: Callable[[Sample], Sample]) -> None:
+        self._function = function
 
     def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
-        """Return float32."""
-        return sample.astype(np.float32) * self._scale + self._offset
+        """Return what the function makes of a sample."""
+        return self._function(sample)
 
 
-class Clip(Plain):
-    """Limits, and something for NaN."""
-
-    def __init__(self, settings: wrappers.Clip) -> None:
-        self._limits = settings.limits
-        self._nan = settings.nan
-
-    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
-        """Return the sample's own type."""
-        limited = np.clip(sample, *self._limits)
-        if self._nan is not None:
-            limited = np.where(np.isnan(limited), self._nan, limited)
-        return limited.astype(sample.dtype)
+def _normalised(settings: wrappers.Normalize, sample: Sample) -> Sample:
+    """Return (value - mean) / std, float32."""
+    mean, std = (np.asarray(each, dtype=np.float32) for each in (settings.mean, settings.std))
+    for values in (mean, std):
+        if values.ndim and (not sample.ndim or sample.shape[-1] != values.size):
+            raise PolicyError(
+                f"normalize has {values.size} numbers for a sample of shape {sample.shape}",
+                fix="give one, or one for each number along the last axis",
+            )
+    return (sample.astype(np.float32) - mean) / std
 
 
-class Quantize(Plain):
-    """Multiples of a step, halves to the even one."""
-
-    def __init__(self, settings: wrappers.Quantize) -> None:
-        self._step = settings.step
-
-    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
-        """Return the sample's own type."""
-        values = np.rint(sample.astype(np.float64) / self._step) * self._step
-        return rounded(values, sample.dtype)
+def _scaled(settings: wrappers.Scale, sample: Sample) -> Sample:
+    """Return value * scale + offset, float32."""
+    return sample.astype(np.float32) * np.float32(settings.scale) + np.float32(settings.offset)
 
 
-class Flatten(Plain):
-    """One row of numbers."""
+def _clipped(settings: wrappers.Clip, sample: Sample) -> Sample:
+    """Return limited values, and something for NaN, of the sample's own type."""
+    limited = np.clip(sample, *settings.limits)
+    if settings.nan is not None:
+        limited = np.where(np.isnan(limited), settings.nan, limited)
+    return limited.astype(sample.dtype)
 
-    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
-        """Return (n,)."""
-        return sample.reshape(-1)
+
+def _quantized(settings: wrappers.Quantize, sample: Sample) -> Sample:
+    """Return multiples of a step, halves to the even one, of the sample's own type."""
+    values = np.rint(sample.astype(np.float64) / settings.step) * settings.step
+    return rounded(values, sample.dtype)
 
 
 def is_colour(sample: Sample) -> bool:
@@ -303,21 +282,14 @@ def rounded(values: np.ndarray, dtype: np.dtype) -> Sample:
 _FLAT, _COLOUR = 2, 3
 
 
-class Crop(Plain):
-    """Fewer rows and columns."""
-
-    def __init__(self, settings: wrappers.Crop) -> None:
-        self._settings = settings
-
-    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
-        """Return the inner part."""
-        height, width = _size(sample, "crop")
-        settings = self._settings
-        if settings.top + settings.bottom >= height or settings.left + settings.right >= width:
-            raise PolicyError(f"crop leaves nothing of {height} x {width}", fix="cut less off")
-        rows = slice(settings.top, height - settings.bottom)
-        columns = slice(settings.left, width - settings.right)
-        return np.ascontiguousarray(sample[rows, columns])
+def _cropped(settings: wrappers.Crop, sample: Sample) -> Sample:
+    """Return the inner rows and columns."""
+    height, width = _size(sample, "crop")
+    if settings.top + settings.bottom >= height or settings.left + settings.right >= width:
+        raise PolicyError(f"crop leaves nothing of {height} x {width}", fix="cut less off")
+    rows = slice(settings.top, height - settings.bottom)
+    columns = slice(settings.left, width - settings.right)
+    return np.ascontiguousarray(sample[rows, columns])
 
 
 class Resize(Plain):
@@ -347,37 +319,27 @@ class Resize(Plain):
         return self._weights[old, new]
 
 
-class Grayscale(Plain):
-    """Brightness."""
-
-    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
-        """Return (H, W) of the sample's own type."""
-        if sample.ndim != _COLOUR or sample.shape[-1] != len(_LUMA):
-            raise PolicyError(
-                f"grayscale takes (H, W, 3), not {sample.shape}",
-                fix="put it before `channels` and `stack`",
-            )
-        return rounded(sample @ _LUMA, sample.dtype)
-
-
-class Channels(Plain):
-    """Colours first or last."""
-
-    def __init__(self, settings: wrappers.Channels) -> None:
-        self._settings = settings
-
-    def __call__(self, sample: Sample, shot: Shot) -> Sample:  # noqa: ARG002 - as every wrapper.
-        """Return (C, H, W) or (H, W, C)."""
-        _size(sample, "channels")
-        if sample.ndim == _FLAT:
-            sample = np.repeat(sample[..., np.newaxis], self._settings.repeat, axis=-1)
-        elif self._settings.repeat > 1:
-            raise PolicyError(
-                f"channels cannot repeat the colours of {sample.shape}", fix="drop `repeat`"
-            )
-        return np.ascontiguousarray(
-            np.moveaxis(sample, -1, 0) if self._settings.axis == "first" else sample
+def _brightness(sample: Sample) -> Sample:
+    """Return (H, W) of the sample's own type."""
+    if sample.ndim != _COLOUR or sample.shape[-1] != len(_LUMA):
+        raise PolicyError(
+            f"grayscale takes (H, W, 3), not {sample.shape}",
+            fix="put it before `channels` and `stack`",
         )
+    return rounded(sample @ _LUMA, sample.dtype)
+
+
+def _in_channels(settings: wrappers.Channels, sample: Sample) -> Sample:
+    """Return (C, H, W) or (H, W, C)."""
+    _size(sample, "channels")
+    if sample.ndim == _FLAT:
+        sample = np.repeat(sample[..., np.newaxis], settings.repeat, axis=-1)
+    elif settings.repeat > 1:
+        raise PolicyError(
+            f"channels cannot repeat the colours of {sample.shape}", fix="drop `repeat`"
+        )
+    first = settings.axis == "first"
+    return np.ascontiguousarray(np.moveaxis(sample, -1, 0) if first else sample)
 
 
 def _size(sample: Sample, wrapper: str) -> tuple[int, int]:

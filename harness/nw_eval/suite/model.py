@@ -42,6 +42,7 @@ from nw_eval.plugins import (
 )
 from nw_eval.protocol import protocol_named
 from nw_eval.request import Request
+from nw_eval.scores import BUILT_IN as SCORE_CLASSES
 from nw_eval.scores import ScoreSpec, specs_of
 from nw_eval.scores.own import (
     EXPECT,
@@ -52,7 +53,6 @@ from nw_eval.scores.own import (
     own_text,
     source_digest,
 )
-from nw_eval.scores.registry import BUILT_IN as SCORE_CLASSES
 from nw_eval.suite.axes import AXES, Perturb, each_once
 from nw_eval.suite.digest import digest_of
 from nw_eval.tasks import COURSE, AnyTask

@@ -1,4 +1,4 @@
-"""Tasks: what a robot is to do in a trial, one file a kind."""
+"""Tasks: what a robot is to do in a trial."""
 
 from nw_eval.tasks.course import COURSE, Course, CourseSettings, Limits
 from nw_eval.tasks.registry import AnyTask, fault_of, open_task, task_kinds

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import Field, Strict, model_validator
 
-from nw_eval.scores import ScoreSpec
+from nw_eval.scores.score import lower_better
 from nw_eval.tasks.commanded import (
     STAND,
     Command,
@@ -140,14 +140,11 @@ class PushTask(Commanded):
     kind = "push"
     settings = PushSettings
     declared = (
-        ScoreSpec(
-            name="recovery_time",
-            unit="s",
-            better="lower",
-            low=0.0,
-            high=5.0,
-            undefined=5.0,
-            meaning="mean time from the beginning of a push until the robot had recovered",
+        lower_better(
+            "recovery_time",
+            "s",
+            5.0,
+            "mean time from the beginning of a push until the robot had recovered",
         ),
     )
 

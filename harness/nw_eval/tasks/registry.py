@@ -22,11 +22,10 @@ from pydantic import (
 from nw_eval.errors import NwEvalError, PluginError, UsageError, nearest
 from nw_eval.plugins import TASKS, installed, is_elsewhere, load_class, subject
 from nw_eval.scores import ScoreSpec
+from nw_eval.tasks.commanded import StandSettings, StandTask, VelocitySettings, VelocityTask
 from nw_eval.tasks.course import Course, CourseSettings
 from nw_eval.tasks.push import PushSettings, PushTask
-from nw_eval.tasks.stand import StandSettings, StandTask
 from nw_eval.tasks.task import Task, TaskFault, TaskRules, TaskSettings
-from nw_eval.tasks.velocity import VelocitySettings, VelocityTask
 
 _CLASSES: tuple[type[Task], ...] = (Course, VelocityTask, PushTask, StandTask)
 BUILT_IN: dict[str, type[Task]] = {cls.kind: cls for cls in _CLASSES}

@@ -28,10 +28,10 @@ from nw_eval.policies.apart import line_to
 from nw_eval.rollout.confined.access import policy_rules
 from nw_eval.rollout.confined.start import PolicyProcess
 from nw_eval.rollout.episode import carry_over
+from nw_eval.rollout.job import StageClock
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.perturbed import unfelt
-from nw_eval.rollout.prepare import OpenTrial, open_trial
-from nw_eval.rollout.result import StageClock
+from nw_eval.rollout.trial import OpenTrial, open_trial
 from nw_eval.scenes.mesh import box_mesh, merge, rotation_matrix
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box, Progress, Scene, SplatSource

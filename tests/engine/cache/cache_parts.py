@@ -7,8 +7,7 @@ from nw_eval.engine.cache import Conditions
 from nw_eval.engine.order import in_order
 from nw_eval.engine.rows import make_row
 from nw_eval.engine.workers import Finished
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.result import TrialResult
+from nw_eval.rollout.job import TrialJob, TrialResult
 from nw_eval.suite.model import new_suite
 from nw_eval.suite.trials import expand
 

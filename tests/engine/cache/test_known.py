@@ -12,7 +12,7 @@ from nw_eval.engine.rounds import RunStanding, run_trials
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
-from nw_eval.rollout.result import TrialResult
+from nw_eval.rollout.job import TrialResult
 
 HERE = conditions_of()
 FELL = replace(DONE, outcome="fell", waypoints_reached=0, waypoint_times=())

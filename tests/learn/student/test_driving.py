@@ -16,10 +16,9 @@ from nw_eval.learn.student.train import body_size
 from nw_eval.learn.student.trajectory import read_trajectory
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.episode import Observer
+from nw_eval.rollout.job import StageClock
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.result import StageClock
-from nw_eval.rollout.trial import run_trial
+from nw_eval.rollout.trial import open_trial, run_trial
 
 SCENE = "hurdles/one_low_carpet"
 
@@ -163,7 +162,7 @@ def test_the_teacher_is_asked_about_the_states_that_the_student_comes_to(
         def close(self):
             pass
 
-    monkeypatch.setattr("nw_eval.rollout.prepare.open_policy", lambda *_, **__: Obeys())
+    monkeypatch.setattr("nw_eval.rollout.trial.open_policy", lambda *_, **__: Obeys())
     by_student = replace(job, policy=student.reference, checkpoint_digest=student.checkpoint_digest)
     result = pair(by_student)
     assert result.status == "ok", result.error_text

@@ -19,8 +19,12 @@ from nw_eval.onboarding.checkpoint import inspect_checkpoint
 from nw_eval.onboarding.draft import write_card_draft
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.networks.act import Act, read_sizes
-from nw_eval.policies.networks.lucidsim import LucidSimTransformer
-from nw_eval.policies.networks.parkour import DepthEncoder, Estimator, ParkourActor
+from nw_eval.policies.networks.parkour import (
+    DepthEncoder,
+    Estimator,
+    LucidSimTransformer,
+    ParkourActor,
+)
 from nw_eval.robots import get_robot
 
 GO1 = get_robot("go1")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.onboarding.probe.comparison import compare
+from nw_eval.onboarding.probe.findings import compare
 from nw_eval.onboarding.probe.hypotheses import TRIED
 from nw_eval.onboarding.probe.recording import Metered
 from nw_eval.robots import get_robot

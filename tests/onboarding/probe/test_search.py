@@ -3,7 +3,7 @@
 import pytest
 
 from nw_eval.errors import PolicyError
-from nw_eval.onboarding.probe.comparison import attempts
+from nw_eval.onboarding.probe.findings import attempts
 from nw_eval.onboarding.probe.following import follow, motions, own_way
 from nw_eval.robots import get_robot
 

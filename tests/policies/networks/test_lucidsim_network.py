@@ -14,8 +14,8 @@ import torch
 
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.networks.lucidsim import LucidSimTransformer
 from nw_eval.policies.networks.parameters import build
+from nw_eval.policies.networks.parkour import LucidSimTransformer
 from nw_eval.rollout.confined.vetting import check_bundle
 
 CARD = """\

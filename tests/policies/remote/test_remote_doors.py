@@ -19,8 +19,8 @@ from websockets.sync.server import serve as fake_serve
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies import Bundle, load_bundle, open_policy
 from nw_eval.policies import serve as server_module
+from nw_eval.policies.remote import decode, encode
 from nw_eval.policies.serve import Address, answer, serving
-from nw_eval.policies.wire import decode, encode
 
 CARD = """\
 nw-policy: 1

@@ -23,9 +23,8 @@ from websockets.sync.server import serve
 from nw_eval.errors import PolicyError, TrialError, UsageError
 from nw_eval.policies import Bundle, Policy, load_bundle, open_policy
 from nw_eval.policies.bundle import NOTHING
-from nw_eval.policies.remote import ask_server
+from nw_eval.policies.remote import ask_server, decode, encode
 from nw_eval.policies.serve import serving
-from nw_eval.policies.wire import decode, encode
 
 OBSERVATIONS = """\
 observations:

@@ -17,7 +17,7 @@ from nw_eval.policies.opening import ZeroPolicy
 from nw_eval.policies.serve import serving
 from nw_eval.results.provenance import read_run_info
 from nw_eval.results.run_folder import RunFolder, open_run_folder
-from nw_eval.rollout.result import policy_fault
+from nw_eval.rollout.job import policy_fault
 from nw_eval.rollout.trial import run_trial
 
 SUITE = """\

@@ -12,8 +12,7 @@ from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.record import attachments
 from nw_eval.rollout.replaying import policy_switch
-from nw_eval.rollout.replaying.replay import replay
-from nw_eval.rollout.replaying.takeover import take_over
+from nw_eval.rollout.replaying.takeover import replay, take_over
 from nw_eval.rollout.trial import run_trial
 from nw_eval.suite.trials import Trial
 

@@ -8,7 +8,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from nw_eval.rollout.fault import is_interrupt
-from nw_eval.rollout.result import TrialResult
+from nw_eval.rollout.job import TrialResult
 
 if TYPE_CHECKING:
     from nw_eval.rollout.job import TrialJob
@@ -47,9 +47,8 @@ class Pair:
 
     def _drive(self, job: TrialJob, library: Library) -> TrialResult:
         from nw_eval.learn.student.trajectory import Watcher
-        from nw_eval.rollout.prepare import open_trial
-        from nw_eval.rollout.result import StageClock
-        from nw_eval.rollout.trial import ended
+        from nw_eval.rollout.job import StageClock
+        from nw_eval.rollout.trial import ended, open_trial
 
         assert job.mcap is not None, "that is where the trajectory goes"
         clock = StageClock()

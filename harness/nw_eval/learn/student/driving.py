@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from nw_eval.learn.student.config import StudentConfig
     from nw_eval.learn.student.trajectory import Trajectory
     from nw_eval.policies import Bundle
-    from nw_eval.rollout.result import TrialResult
+    from nw_eval.rollout.job import TrialResult
 
 _WORKERS_LOG = "workers.log"
 

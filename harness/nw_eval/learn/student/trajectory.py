@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from nw_eval.policies import Bundle, Observation
     from nw_eval.rollout.episode import Decision
     from nw_eval.rollout.library import Library
-    from nw_eval.rollout.prepare import OpenTrial
+    from nw_eval.rollout.trial import OpenTrial
     from nw_eval.sensors.sensor import Sensor
 
 # What a damaged file may cause in the library that reads it.

@@ -13,7 +13,7 @@ from itertools import groupby
 import numpy as np
 
 from nw_eval.cards import Card
-from nw_eval.cards.command import ConstantCommand, TrailFollower
+from nw_eval.cards.card import ConstantCommand, TrailFollower
 from nw_eval.cards.observations import ProprioObservation
 from nw_eval.onboarding.probe.recording import Rig
 from nw_eval.rollout.fault import PolicyFailedError

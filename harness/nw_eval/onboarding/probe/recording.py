@@ -19,10 +19,9 @@ from nw_eval.policies.apart import ApartPolicy
 from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.fed_policy import FedPolicy
 from nw_eval.rollout.episode import Episode, Observer, Step
-from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.job import StageClock, TrialJob
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.prepare import open_trial
-from nw_eval.rollout.result import StageClock
+from nw_eval.rollout.trial import open_trial
 from nw_eval.scenes.scene import Scene
 from nw_eval.sensors.terms import commanded_speed
 from nw_eval.sim import World

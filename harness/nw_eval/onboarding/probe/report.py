@@ -17,12 +17,12 @@ from nw_eval.cards import Card, JointControl
 from nw_eval.cards.joints import short_name
 from nw_eval.catalogue import get_scene
 from nw_eval.errors import PolicyError
-from nw_eval.onboarding.probe.comparison import compare
 from nw_eval.onboarding.probe.findings import (
     ProbeFinding,
     Range,
     action_findings,
     body_findings,
+    compare,
     input_findings,
     measure,
     network_findings,

@@ -16,7 +16,7 @@ from nw_eval.rollout.confined.isolated import TIME_LIMIT, IsolatedCall
 from nw_eval.rollout.confined.start import prepare_for, prepare_kernels
 
 if TYPE_CHECKING:
-    from nw_eval.sensors.check import ObservationSpec
+    from nw_eval.sensors.build import ObservationSpec
 
 
 def vet_bundle(
@@ -133,7 +133,7 @@ def check_bundle(
     """
     # Sensors know the simulator, for which the process that vets a bundle may have no use.
     from nw_eval.policies.trying import ShownInput, try_bundle
-    from nw_eval.sensors.check import check_card
+    from nw_eval.sensors.build import check_card
 
     code_from = bundle.folder if allow_code else None
     specs = check_card(bundle.card, robot, where=bundle.card_path, code_from=code_from)

@@ -23,7 +23,7 @@ from zstandard import ZstdError
 
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
-from nw_eval.rollout.mcap.images import image_of
+from nw_eval.rollout.mcap.images import image_of, values_of
 from nw_eval.rollout.mcap.messages import (
     Command,
     Event,
@@ -32,7 +32,6 @@ from nw_eval.rollout.mcap.messages import (
     SimState,
     Twist,
 )
-from nw_eval.rollout.mcap.observations import values_of
 from nw_eval.rollout.mcap.records import MOST_MESSAGE, LoggedMessage, attached, logged, texts
 from nw_eval.rollout.mcap.topics import ELEMENTS
 

@@ -35,6 +35,7 @@ from nw_eval.rollout.mcap.batch import (
     records,
 )
 from nw_eval.rollout.mcap.drawn import WORLD, path_cloud
+from nw_eval.rollout.mcap.images import SeenRows
 from nw_eval.rollout.mcap.messages import (
     Command,
     PolicyStep,
@@ -44,7 +45,6 @@ from nw_eval.rollout.mcap.messages import (
     time_field,
     varint,
 )
-from nw_eval.rollout.mcap.observations import SeenRows
 
 Array = NDArray[np.float64]
 

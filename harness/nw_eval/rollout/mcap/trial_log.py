@@ -30,11 +30,22 @@ from nw_eval.rollout.mcap.drawn import (
     trail_update,
 )
 from nw_eval.rollout.mcap.file import Images, McapFile
-from nw_eval.rollout.mcap.images import Form as PixelForm
-from nw_eval.rollout.mcap.images import calibration_message, image_message
-from nw_eval.rollout.mcap.messages import Event, Observation, Term, nanoseconds, stamp
-from nw_eval.rollout.mcap.observations import SeenRows, observation_message
-from nw_eval.rollout.mcap.states import Saved, States
+from nw_eval.rollout.mcap.images import (
+    PixelForm,
+    SeenRows,
+    calibration_message,
+    image_message,
+    observation_message,
+)
+from nw_eval.rollout.mcap.messages import (
+    Event,
+    Observation,
+    Saved,
+    States,
+    Term,
+    nanoseconds,
+    stamp,
+)
 from nw_eval.rollout.mcap.steps import BodyForms, StepNote, Steps
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.prop import Prop, prop_body
@@ -237,7 +248,7 @@ class TrialLog:
     def picture(
         self, time: float, topic: str, image: np.ndarray, *, mount: str, form: PixelForm
     ) -> None:
-        """Write a picture that is there; see `images.Form` for its shape and type.
+        """Write a picture that is there; see `images.PixelForm` for its shape and type.
 
         Whether it is kept is known at the trial's end, and only then is it compressed.
         """

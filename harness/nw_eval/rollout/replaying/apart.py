@@ -27,15 +27,14 @@ from nw_eval.rollout.confined.isolated import IsolatedCall, call_isolated
 from nw_eval.rollout.job import kernels_of
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.replaying.blame import blame
-from nw_eval.rollout.replaying.film import Film
+from nw_eval.rollout.replaying.film import Film, contact_sheet
 from nw_eval.rollout.replaying.logged import agreed, check_inside, check_start, read_logged_trial
-from nw_eval.rollout.replaying.replay import replay
 from nw_eval.rollout.replaying.reports import BlameReport, ReplayReport, TakeoverReport
-from nw_eval.rollout.replaying.takeover import OPTION, second_job, take_over
+from nw_eval.rollout.replaying.takeover import OPTION, replay, second_job, take_over
 from nw_eval.suite.model import SHOWN
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    from collections.abc import Callable, Generator
 
     from nw_eval.confinement import Rules
     from nw_eval.rollout.job import TrialJob
@@ -77,32 +76,22 @@ def replay_apart(
     draws = picture is not None or video is not None
     with scratch_folder() as folder:
         ready = _readied(logged.job, path, library, draws=draws, folder=folder)
-        filmed = folder / "trial.mp4"
-        answer = call_isolated(
+        answer = _called(
             _replay,
-            subject=str(path),
-            rules=ready.rules,
-            time_limit=TIME_LIMIT,
-            renders=ready.renders,
-            policy_process=ready.policy,
-            log=str(path.resolve()),
+            path,
+            ready,
+            **_asked(path, policy, checkpoint, allow_code=allow_code),
             start=start,
-            policy=policy,
-            checkpoint=None if checkpoint is None else str(checkpoint),
-            allow_code=allow_code,
             draws=picture is not None,
-            video=None if video is None else str(filmed),
+            video=None if video is None else str(folder / _VIDEO),
         )
         try:
             report = TypeAdapter(ReplayReport).validate_python(answer["report"])
             drawn = None if picture is None else b64decode(answer["picture"], validate=True)
         except (KeyError, TypeError, ValueError):
-            raise PolicyError(
-                f"{path}: the replay gave no answer that can be read",
-                fix="do not use this checkpoint",
-            ) from None
+            raise _unread(path, "replay") from None
         if video is not None:
-            fetch(filmed, video)
+            fetch(folder / _VIDEO, video)
     if picture is not None and drawn is not None:
         with atomic_path(followed(picture)) as temporary:
             temporary.write_bytes(drawn)
@@ -110,27 +99,12 @@ def replay_apart(
 
 
 def _replay(
-    *,
-    log: str,
-    start: float,
-    policy: str | None,
-    checkpoint: str | None,
-    allow_code: bool,
-    draws: bool,
-    video: str | None,
+    *, log: str, checkpoint: str | None, draws: bool, video: str | None, **asked: Any
 ) -> dict[str, Any]:
-    replayed = replay(
-        Path(log),
-        start=start,
-        policy=policy,
-        checkpoint=None if checkpoint is None else Path(checkpoint),
-        allow_code=allow_code,
-        film=None if video is None else Film(Path(video)),
-    )
+    film = None if video is None else Film(Path(video))
+    replayed = replay(Path(log), checkpoint=_path(checkpoint), film=film, **asked)
     drawn = None
     if draws:
-        from nw_eval.rollout.replaying.contact_sheet import contact_sheet
-
         drawn = b64encode(contact_sheet(replayed.logged)).decode()
     return {"report": asdict(replayed.report), "picture": drawn}
 
@@ -162,28 +136,19 @@ def take_over_apart(
     draws = out is not None or video is not None  # A log's own camera draws, too.
     with scratch_folder() as folder:
         ready = _readied(job, path, library, draws=draws, folder=folder)
-        answer = call_isolated(
+        answer = _called(
             _take_over,
-            subject=str(path),
-            rules=ready.rules,
-            time_limit=TIME_LIMIT,
-            renders=ready.renders,
-            policy_process=ready.policy,
-            log=str(path.resolve()),
+            path,
+            ready,
+            **_asked(path, policy, checkpoint, allow_code=allow_code),
             start=start,
-            policy=policy,
-            checkpoint=None if checkpoint is None else str(checkpoint),
-            allow_code=allow_code,
             out=None if out is None else str(folder / _LOG),
             video=None if video is None else str(folder / _VIDEO),
         )
         try:
             report = TypeAdapter(TakeoverReport).validate_python(answer)
         except ValueError:
-            raise PolicyError(
-                f"{path}: the policy switch gave no answer that can be read",
-                fix="do not use this checkpoint",
-            ) from None
+            raise _unread(path, "policy switch") from None
         if out is not None:
             fetch(folder / _LOG, out)
         if video is not None:
@@ -192,25 +157,45 @@ def take_over_apart(
 
 
 def _take_over(
-    *,
-    log: str,
-    start: float,
-    policy: str | None,
-    checkpoint: str | None,
-    allow_code: bool,
-    out: str | None,
-    video: str | None,
+    *, log: str, checkpoint: str | None, out: str | None, video: str | None, **asked: Any
 ) -> dict[str, Any]:
-    taken = take_over(
-        Path(log),
-        start=start,
-        policy=policy,
-        checkpoint=None if checkpoint is None else Path(checkpoint),
-        allow_code=allow_code,
-        out=None if out is None else Path(out),
-        film=None if video is None else Film(Path(video)),
-    )
+    film = None if video is None else Film(Path(video))
+    taken = take_over(Path(log), checkpoint=_path(checkpoint), out=_path(out), film=film, **asked)
     return asdict(taken.report)
+
+
+def _asked(
+    path: Path, policy: str | None, checkpoint: Path | None, *, allow_code: bool
+) -> dict[str, Any]:
+    """Return what a confined process is told of a log and the policy that it runs."""
+    return {
+        "log": str(path.resolve()),
+        "policy": policy,
+        "checkpoint": None if checkpoint is None else str(checkpoint),
+        "allow_code": allow_code,
+    }
+
+
+def _path(text: str | None) -> Path | None:
+    return None if text is None else Path(text)
+
+
+def _called(function: Callable[..., Any], path: Path, ready: _Readied, **arguments: Any) -> Any:
+    return call_isolated(
+        function,
+        subject=str(path),
+        rules=ready.rules,
+        time_limit=TIME_LIMIT,
+        renders=ready.renders,
+        policy_process=ready.policy,
+        **arguments,
+    )
+
+
+def _unread(path: Path, what: str) -> PolicyError:
+    return PolicyError(
+        f"{path}: the {what} gave no answer that can be read", fix="do not use this checkpoint"
+    )
 
 
 class _Running(NamedTuple):
@@ -258,19 +243,13 @@ def blame_apart(
                 except NwEvalError as error:
                     yield place, error
                     continue
-                arguments = {
-                    "log": str(log.resolve()),
-                    "policy": policy,
-                    "checkpoint": None if checkpoint is None else str(checkpoint),
-                    "allow_code": allow_code,
-                }
                 call = IsolatedCall(
                     _blame,
                     subject=str(log),
                     rules=ready.rules,
                     renders=ready.renders,
                     policy=ready.policy,
-                    arguments=arguments,
+                    arguments=_asked(log, policy, checkpoint, allow_code=allow_code),
                     is_one_of_many=True,
                 )
                 running.append(_Running(place, call, monotonic() + TIME_LIMIT))
@@ -297,17 +276,8 @@ def _answer(call: IsolatedCall, log: Path) -> Blamed:
         return error
 
 
-def _blame(
-    *, log: str, policy: str | None, checkpoint: str | None, allow_code: bool
-) -> dict[str, Any]:
-    return asdict(
-        blame(
-            Path(log),
-            policy=policy,
-            checkpoint=None if checkpoint is None else Path(checkpoint),
-            allow_code=allow_code,
-        )
-    )
+def _blame(*, log: str, checkpoint: str | None, **asked: Any) -> dict[str, Any]:
+    return asdict(blame(Path(log), checkpoint=_path(checkpoint), **asked))
 
 
 @dataclass(frozen=True, kw_only=True)

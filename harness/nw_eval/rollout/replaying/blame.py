@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nw_eval.errors import StoreError
+from nw_eval.rollout.job import StageClock
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.messages import SimState
-from nw_eval.rollout.prepare import OpenTrial, open_trial
 from nw_eval.rollout.replaying.logged import read_logged_trial
 from nw_eval.rollout.replaying.policy_switch import driver, lead, run_on
 from nw_eval.rollout.replaying.reports import BlameReport, Ending, Try
 from nw_eval.rollout.replaying.takeover import second_job
-from nw_eval.rollout.result import StageClock
+from nw_eval.rollout.trial import OpenTrial, open_trial
 from nw_eval.scores.own import is_code
 
 if TYPE_CHECKING:

@@ -27,12 +27,11 @@ from nw_eval.policies import Bundle
 from nw_eval.policies.bundle import NOTHING
 from nw_eval.rollout.episode import Decision
 from nw_eval.rollout.fault import is_interrupt
+from nw_eval.rollout.job import StageClock, TrialResult
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.messages import SimState, StatePart
-from nw_eval.rollout.prepare import OpenTrial, open_trial
 from nw_eval.rollout.record import attachments
-from nw_eval.rollout.result import StageClock, TrialResult
-from nw_eval.rollout.trial import ended, failed
+from nw_eval.rollout.trial import OpenTrial, ended, failed, open_trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator

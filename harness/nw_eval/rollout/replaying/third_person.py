@@ -14,10 +14,8 @@ from PIL import Image as PillowImage
 
 from nw_eval.lens import Intrinsics
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.drawing.cones import Cones
 from nw_eval.sensors.drawing.insert import insert
-from nw_eval.sensors.drawing.mesh_picture import MeshPicture
-from nw_eval.sensors.drawing.overlay import Overlay, draw, ray_directions
+from nw_eval.sensors.drawing.overlay import Cones, MeshPicture, Overlay, draw, ray_directions
 from nw_eval.sensors.drawing.props import PropPictures, joined
 from nw_eval.splat.camera import Camera, Pixels, look_at
 

@@ -1,7 +1,13 @@
-"""What is not in a splat but in the picture: cones and the robot's own body, by ray casting."""
+"""What ray casting draws: what is not in a splat but in the picture, and scenes without a splat.
+
+Into pictures of a splat come cones at the waypoints, which the published evaluation paints into
+camera images, and the robot's own body. Of a scene that has no splat its mesh is drawn, shaded, for
+people; no policy sees that.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -9,10 +15,99 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.scenes.mesh import CONE_BASE, CONE_HEIGHT, TriangleMesh, cone_mesh, merge
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.drawing.cones import Cones, shade
+from nw_eval.sensors.drawing.pictures import FACE_CLASSES, NOTHING, PALETTE
 from nw_eval.sim.body import RobotRays
-from nw_eval.splat.camera import Camera, Pixels
+from nw_eval.splat.camera import Camera, Pixels, Rows
+from nw_eval.splat.image import Image
+
+# Share of the light that reaches a face from everywhere; the rest comes from above.
+_AMBIENT = 0.5
+_BOUND = 1.05 * math.hypot(CONE_BASE / math.sqrt(2.0), CONE_HEIGHT / 2)
+"""Radius of a sphere around a cone's middle that holds all of it, m."""
+
+
+class Cones:
+    """Cones on a course, answered by ray casting. Nothing ever touches them."""
+
+    def __init__(self, waypoints: NDArray[np.float64]) -> None:
+        """Put a cone on each waypoint, (K, 3) m."""
+        cone = cone_mesh()
+        self._rays = RayScene(
+            merge(
+                [
+                    TriangleMesh(
+                        vertices=cone.mesh.vertices + waypoint,
+                        faces=cone.mesh.faces,
+                        kinds=cone.mesh.kinds,
+                    )
+                    for waypoint in waypoints
+                ]
+            )
+        )
+        self._middles = waypoints + np.array([0.0, 0.0, CONE_HEIGHT / 2])
+        corners = cone.mesh.triangles
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normal, axis=1)
+        upwards = normal[:, 2] / np.where(length > 0.0, length, 1.0)  # The tip has no area.
+        light = shade(upwards).astype(np.float32)
+        self._colour = np.tile(cone.colors * light[:, np.newaxis], (len(waypoints), 1))
+
+    def cast(
+        self, origin: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """Return distance (N,) m, inf for a miss, and colour (N, 3) along rays from one point."""
+        near = self._near(origin, directions)
+        distance = np.full(len(directions), np.inf)
+        colour = np.zeros((len(directions), 3), dtype=np.float32)
+        rays = directions[near]
+        distance[near], face = self._rays.cast(origin, rays)
+        colour[near] = self._colour[face]
+        return distance, colour
+
+    def distance(
+        self, origin: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return only the distances of `cast`."""
+        near = self._near(origin, directions)
+        distance = np.full(len(directions), np.inf)
+        rays = directions[near]
+        distance[near] = self._rays.distance(origin, rays)
+        return distance
+
+    def _near(
+        self, origin: NDArray[np.float64], directions: NDArray[np.float64]
+    ) -> NDArray[np.intp]:
+        """Return which rays come as near to a cone as its bounding sphere: few of a picture's."""
+        way = self._middles - origin
+        apart = np.linalg.norm(way, axis=1)
+        # Within the sphere of one, every ray is.
+        least = np.sqrt(np.maximum(1.0 - (_BOUND / apart) ** 2, 0.0))
+        least[apart <= _BOUND] = -np.inf
+        # A row for each cone: along it NumPy compares many times as fast as across it.
+        towards = (way / apart[:, np.newaxis]) @ directions.T
+        return np.flatnonzero((towards > least[:, np.newaxis]).any(axis=0))
+
+
+def shade(upwards: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how bright surfaces are whose unit normals have these z components, 0.5 to 1."""
+    return _AMBIENT + (1.0 - _AMBIENT) * (0.5 + 0.5 * upwards)
+
+
+class CourseCones:
+    """The cones of a course that may be another one in the next trial."""
+
+    def __init__(self) -> None:
+        self._cones: Cones | None = None
+        self._trail: NDArray[np.float64] | None = None
+
+    def on(self, trail: NDArray[np.float64]) -> Cones:
+        """Return cones on waypoints (K, 3), made once for each array of them."""
+        if self._cones is None or self._trail is not trail:
+            self._cones, self._trail = Cones(trail), trail
+        return self._cones
+
 
 _THIRDS = (-1.0 / 3.0, 0.0, 1.0 / 3.0)
 _NINE = np.array([(x, y, 0.0) for y in _THIRDS for x in _THIRDS])
@@ -219,3 +314,66 @@ def cone_mask(
     mask[hit[hidden]] = False
     shape = directions.shape[:2]
     return colour.reshape(*shape, 3), mask.reshape(shape)
+
+
+_LIGHT = np.array([-0.35, -0.25, 0.9])
+"""Towards the light, from over a shoulder of somebody who looks along a course."""
+_GREY, _TINT = 0.62, 0.4
+"""Colours of the classes, mixed with grey: a sketch, not the sensor's classes."""
+_TILE, _CONTRAST = 0.5, 0.06
+"""Level faces are chequered, so that sizes and ways show: side in m, and how much."""
+
+
+class MeshPicture:
+    """A renderer of a scene's mesh, in place of that of its splat.
+
+    Args:
+        rays: the scene's geometry.
+        T_world_splat: (4, 4) as the scene's, for cameras come in the splat's frame.
+    """
+
+    def __init__(self, rays: RayScene, T_world_splat: NDArray[np.float64]) -> None:
+        self._rays = rays
+        self._T_world_splat = T_world_splat
+        corners = rays.mesh.triangles
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        self._normal = normal / np.where(length > 0.0, length, 1.0)
+        classes = PALETTE[FACE_CLASSES[rays.mesh.kinds]] / 255.0
+        self._colour = _GREY + _TINT * (classes - classes.mean(axis=1, keepdims=True))
+
+    def render(
+        self,
+        camera: Camera,
+        pixels: Pixels = Pixels(),  # noqa: B008 (frozen)
+        rows: Rows | None = None,
+    ) -> Image:
+        """Return the image of a camera, or a pixel set of it, or rows of that; depth in m."""
+        T_world_camera = self._T_world_splat @ camera.T_world_camera
+        directions = ray_directions(camera, pixels)[slice(*(rows or (None,)))]
+        shape = directions.shape[:2]
+        rays = directions.reshape(-1, 3) @ T_world_camera[:3, :3].T
+        origin = T_world_camera[:3, 3]
+        distance, face = self._rays.cast(np.broadcast_to(origin, rays.shape), rays)
+        met = np.flatnonzero(face >= 0)
+        rgb = np.broadcast_to(PALETTE[NOTHING] / 255.0, rays.shape).copy()
+        points = origin + distance[met, np.newaxis] * rays[met]
+        rgb[met] = self._shaded(face[met], rays[met], points)
+        depth = np.where(face >= 0, distance, 0.0) * directions.reshape(-1, 3)[:, 2]
+        return Image(
+            rgb=rgb.reshape(*shape, 3).astype(np.float32),
+            depth=depth.reshape(shape).astype(np.float32),
+            alpha=(face >= 0).reshape(shape).astype(np.float32),
+        )
+
+    def _shaded(
+        self, face: NDArray[np.int32], rays: NDArray[np.float64], points: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        normal = self._normal[face]
+        # A face that is seen from behind shows that side.
+        normal = normal * -np.sign((normal * rays).sum(axis=1, keepdims=True))
+        light = np.maximum(normal @ (_LIGHT / np.linalg.norm(_LIGHT)), 0.0)
+        tile = np.floor(points[:, :2] / _TILE + 1e-6).astype(np.int64).sum(axis=1) % 2
+        chequer = 1.0 + _CONTRAST * (tile - 0.5) * (normal[:, 2] > 0.9)
+        shade = (_AMBIENT + (1.0 - _AMBIENT) * light) * chequer
+        return self._colour[face] * shade[:, np.newaxis]
