@@ -20,8 +20,8 @@ from nw_eval.learn.teacher.curriculum import Curriculum
 from nw_eval.learn.teacher.episodes import Episodes
 from nw_eval.learn.teacher.lanes import Lanes
 from nw_eval.learn.teacher.policy import begin
-from nw_eval.learn.teacher.ppo import PpoLearner, SampleCollector
 from nw_eval.learn.teacher.simulation import training_robot
+from nw_eval.learn.teacher.training import PpoLearner, SampleCollector
 from nw_eval.robots import get_robot
 
 GOAL = 8000

@@ -62,7 +62,7 @@ ELSEWHERE = {
     "twin/label/published.py": "fills a temporary folder that appears by one rename",
     "twin/label/files.py": "fills a temporary folder, whose files are moved when all fits",
     "twin/scans/looks.py": "is given the temporary folder by `import_scan`",
-    "twin/reconstruct/openmvs.py": "keeps what a program says, in a working folder",
+    "twin/reconstruct/reconstruct.py": "keeps what a program says, in a working folder",
     "view/live_page.py": "calls `save_played`, which uses `atomic_path`",
     "viewing/recording/blueprint.py": "is given the temporary path by `write_layout`",
     "viewing/recording/track.py": "is given the temporary path by `write_recording`",

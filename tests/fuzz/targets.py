@@ -472,7 +472,7 @@ def _camera_seeds(_):
 
 
 def _read_cameras(folder):
-    from nw_eval.twin.calibrate.sources import find_source
+    from nw_eval.twin.calibrate.calibrate import find_source
 
     footage = find_source(folder, folder / "work", frames=2, say=lambda _: None)
     placed = (

@@ -10,10 +10,16 @@ from splat_rooms import cloud
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import ARRAYS, Gaussians
 from nw_eval.twin.gaussians.config import Default, Mcmc
-from nw_eval.twin.gaussians.density import DefaultDensity, McmcDensity, floaters, relocated, split
+from nw_eval.twin.gaussians.density import (
+    DefaultDensity,
+    McmcDensity,
+    Population,
+    floaters,
+    relocated,
+    split,
+)
 from nw_eval.twin.gaussians.images import Gradients, Photo
 from nw_eval.twin.gaussians.kernels.rows import perturb
-from nw_eval.twin.gaussians.population import Population
 
 CAMERA = Camera.from_fovy(width=200, height=100, fovy=1.0, T_world_camera=np.eye(4))
 SMALL, LARGE = math.log(0.05), math.log(0.5)

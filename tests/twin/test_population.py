@@ -7,8 +7,8 @@ from splat_rooms import cloud
 
 from nw_eval.splat.gaussians import ARRAYS
 from nw_eval.twin.gaussians.config import Rates
+from nw_eval.twin.gaussians.density import EPSILON, Population
 from nw_eval.twin.gaussians.images import Gradients
-from nw_eval.twin.gaussians.population import EPSILON, Population
 from nw_eval.twin.gaussians.rasteriser import Threads
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
 
@@ -171,7 +171,6 @@ class Entry:
         course: obstacles and trail.
         light: a name of `LIGHTS`.
         exposure: multiplies that light's own, where the camera's automatic would choose badly.
-        task: what the course asks of a robot.
         waypoint_noise: half widths in metres along x and y.
         spawn: where the robot starts.
     """
@@ -182,9 +181,14 @@ class Entry:
     course: Course
     light: str
     exposure: float = 1.0
-    task: Task = "hurdles"
     waypoint_noise: tuple[float, float] = (0.0, 0.1)
     spawn: Spawn = field(default_factory=Spawn)
+
+    @property
+    def task(self) -> Task:
+        """What the course asks of a robot, as the name says; an empty place is for `hurdles`."""
+        kind = self.name.partition("/")[0]
+        return "hurdles" if kind == "flat" else cast("Task", kind)
 
     def place(self) -> Place:
         """Return the parts of the scene, course included; its ground is at z = 0."""

@@ -7,7 +7,7 @@ from itertools import accumulate
 from typing import Literal
 
 from nw_eval.built_in.entry import Entry
-from nw_eval.built_in.places.builder import SIDES_AND_TOP, SceneBuilder
+from nw_eval.built_in.places.builder import SIDES, SIDES_AND_TOP, SceneBuilder
 from nw_eval.built_in.places.gardens import Cloister, Courtyard, Garden, Park
 from nw_eval.built_in.places.halls import Underpass, Warehouse, Workshop
 from nw_eval.built_in.places.rooms import Corridor, Lobby, Room
@@ -108,7 +108,7 @@ class Gaps:
                     (0.0, DEPTH - thick),
                     self.material,
                     kind="structure",
-                    faces=("-x", "+x", "-y", "+y"),
+                    faces=SIDES,
                     fine=0.8,
                 )
 
@@ -125,7 +125,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/two_12in_carpet",
         title="two plywood platforms over gaps of 30 cm in a sunny seminar room",
-        task="gaps",
         setting=Room(floor="carpet/blue", walls="plaster/cream", height=3.0),
         course=Gaps(gaps=(0.305, 0.305, 0.305), material="plywood"),
         light="indoor",
@@ -133,7 +132,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/three_15in_office",
         title="three felt-topped platforms over gaps of 38 cm in an open office",
-        task="gaps",
         setting=Room(
             floor="carpet_tiles/green",
             walls="plaster/white",
@@ -152,7 +150,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/two_14in_corridor",
         title="two rubber-topped platforms over gaps of 35 cm in a school corridor",
-        task="gaps",
         setting=Corridor(floor="linoleum/sand", dado="plaster/teal", height=3.0),
         course=Gaps(gaps=(0.35, 0.34, 0.36), width=0.95, material="plywood", top="rubber/black"),
         light="indoor",
@@ -160,7 +157,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/three_pallets_warehouse",
         title="three pallet decks over gaps of 36 to 40 cm in the aisle of a warehouse",
-        task="gaps",
         setting=Warehouse(),
         course=Gaps(
             gaps=(0.36, 0.38, 0.40, 0.36),
@@ -174,7 +170,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/two_16in_workshop",
         title="two steel platforms over gaps of 41 cm in a workshop",
-        task="gaps",
         setting=Workshop(),
         course=Gaps(
             gaps=(0.406, 0.406, 0.40),
@@ -189,7 +184,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/three_16in_hall",
         title="three blue foam blocks over gaps of 41 cm in a gymnasium at evening",
-        task="gaps",
         setting=Room(
             floor="parquet/oak",
             walls="plaster/white",
@@ -204,7 +198,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/two_14in_underpass",
         title="two concrete blocks over gaps of 34 cm in a painted underpass",
-        task="gaps",
         setting=Underpass(height=3.2),
         course=Gaps(
             gaps=(0.34, 0.34, 0.35), length=1.0, shift=(0.04, -0.04), material="concrete/light"
@@ -214,7 +207,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/three_20in_lobby",
         title="three stone blocks over gaps of 48 to 50 cm in an entrance hall",
-        task="gaps",
         setting=Lobby(floor="tiles/slate", accent="plaster/teal", beyond=3.0),
         course=Gaps(gaps=(0.48, 0.50, 0.49, 0.50), length=1.10, material="granite/grey"),
         light="indoor",
@@ -222,7 +214,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/three_12in_courtyard",
         title="three planked platforms over gaps of 31 to 33 cm in the grass of a courtyard",
-        task="gaps",
         setting=Courtyard(ground="grass/green", walls="brick/brown", path=False),
         course=Gaps(gaps=(0.31, 0.33, 0.32, 0.31), shift=(-0.05, 0.05), material="planks/pine"),
         light="noon",
@@ -230,7 +221,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/three_decks_garden",
         title="three teak decks over gaps of 33 to 37 cm in a back garden",
-        task="gaps",
         setting=Garden(walls="brick/yellow"),
         course=Gaps(
             gaps=(0.33, 0.37, 0.35, 0.34), length=1.0, thickness=0.22, material="planks/teak"
@@ -240,7 +230,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/four_stones_park",
         title="four sandstone blocks over gaps of 30 to 35 cm in an autumn park",
-        task="gaps",
         setting=Park(leaves=("leaves/autumn", "leaves/oak")),
         course=Gaps(
             gaps=(0.30, 0.34, 0.32, 0.35, 0.33),
@@ -253,7 +242,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/three_concrete_car_park",
         title="three concrete blocks over gaps of 38 to 42 cm in a car park",
-        task="gaps",
         setting=CarPark(),
         course=Gaps(gaps=(0.38, 0.42, 0.40, 0.39), material="concrete/light"),
         light="overcast",
@@ -261,7 +249,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/two_down_plaza",
         title="two granite blocks over gaps of 40 cm on a plaza, then down to the ground",
-        task="gaps",
         setting=Plaza(building="panels/grey"),
         course=Gaps(gaps=(0.40, 0.40), length=1.15, last="floor", material="granite/pink"),
         light="afternoon",
@@ -269,7 +256,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/three_crates_yard",
         title="three timber crates over gaps of 42 to 45 cm in a container yard",
-        task="gaps",
         setting=Yard(shift=1),
         course=Gaps(gaps=(0.42, 0.45, 0.43, 0.44), length=1.10, material="planks/worn"),
         light="overcast",
@@ -277,7 +263,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/three_14in_alley_night",
         title="three concrete slabs over gaps of 36 cm in an alley at night",
-        task="gaps",
         setting=Alley(left="brick/red", right="stucco/rose", lit=True),
         course=Gaps(gaps=(0.36, 0.35, 0.37, 0.36), width=1.05, material="concrete/grey"),
         light="night",
@@ -285,7 +270,6 @@ GAPS: tuple[Entry, ...] = (
     Entry(
         name="gaps/three_stone_cloister_dusk",
         title="three stone blocks over gaps of 40 to 44 cm in a cloister at dusk",
-        task="gaps",
         setting=Cloister(walls="stucco/ochre", lit=True),
         course=Gaps(gaps=(0.40, 0.44, 0.42, 0.41), shift=(0.04, -0.04), material="slabs/light"),
         light="dusk",

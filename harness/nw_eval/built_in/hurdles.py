@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from nw_eval.built_in.entry import Entry
-from nw_eval.built_in.places.builder import SceneBuilder
+from nw_eval.built_in.places.builder import SceneBuilder, about
 from nw_eval.built_in.places.gardens import Cloister, Courtyard, Garden, Park
 from nw_eval.built_in.places.halls import Warehouse, Workshop
 from nw_eval.built_in.places.rooms import Corridor, Room
@@ -61,8 +61,8 @@ class Hurdles:
         for index, (x, height) in enumerate(zip(self.middles(), self.heights, strict=True)):
             y = self._shift(index)
             builder.box(
-                (x - self.length / 2, x + self.length / 2),
-                (y - self.width / 2, y + self.width / 2),
+                about(x, self.length / 2),
+                about(y, self.width / 2),
                 (0.0, height),
                 self.material,
                 top=self.top,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from nw_eval.built_in.entry import Entry
-from nw_eval.built_in.places.builder import ALL_FACES, SIDES_AND_TOP, SceneBuilder
+from nw_eval.built_in.places.builder import ALL_FACES, SIDES, SIDES_AND_TOP, SceneBuilder, about
 from nw_eval.built_in.places.gardens import Cloister, Courtyard, Garden, Park
 from nw_eval.built_in.places.halls import Underpass, Warehouse, Workshop
 from nw_eval.built_in.places.rooms import Corridor, Lobby, Room
@@ -95,8 +95,8 @@ class Stairs:
         middle = self._past_edge(length / 2)
         width = self.landing_width or self.width
         builder.box(
-            (middle[0] - length / 2, middle[0] + length / 2),
-            (middle[1] - width / 2, middle[1] + width / 2),
+            about(middle[0], length / 2),
+            about(middle[1], width / 2),
             (0.0, edge[2]),
             self.material,
             top=self.top,
@@ -108,8 +108,8 @@ class Stairs:
         if self.parapet > 0.0:
             wall = self._past_edge(length - 0.08)
             builder.box(
-                (wall[0] - 0.08, wall[0] + 0.08),
-                (wall[1] - width / 2, wall[1] + width / 2),
+                about(wall[0], 0.08),
+                about(wall[1], width / 2),
                 (edge[2], edge[2] + self.parapet),
                 self.material,
                 yaw=steps[-1].yaw,
@@ -130,8 +130,8 @@ class Stairs:
         middle = (step.x + along * math.cos(step.yaw), step.y + along * math.sin(step.yaw))
         half = (back - front) / 2
         builder.box(
-            (middle[0] - half, middle[0] + half),
-            (middle[1] - self.width / 2, middle[1] + self.width / 2),
+            about(middle[0], half),
+            about(middle[1], self.width / 2),
             (step.height - thick, step.height),
             self.material,
             top=self.top,
@@ -153,8 +153,8 @@ class Stairs:
                 low, high = 0.0, step.height + 0.30
             if self.sides != "rails" or self.open_risers:
                 builder.box(
-                    (x - step.depth / 2, x + step.depth / 2),
-                    (y - 0.06, y + 0.06),
+                    about(x, step.depth / 2),
+                    about(y, 0.06),
                     (max(low, 0.0), high),
                     self.material if self.sides == "walls" else "metal/dark",
                     yaw=step.yaw,
@@ -163,12 +163,12 @@ class Stairs:
                 )
             if self.sides == "rails" and index % 2 == 0:
                 builder.box(
-                    (x - 0.02, x + 0.02),
-                    (y - 0.02, y + 0.02),
+                    about(x, 0.02),
+                    about(y, 0.02),
                     (0.0, step.height + 0.85),
                     "metal/dark",
                     kind="structure",
-                    faces=("-x", "+x", "-y", "+y"),
+                    faces=SIDES,
                     fine=0.9,
                 )
         if self.sides == "rails":
@@ -182,9 +182,9 @@ class Stairs:
         x, z = (first.x + last.x) / 2, (first.height + last.height) / 2 + 0.86
         y = side * (self.width / 2 + 0.06)
         builder.box(
-            (x - length / 2, x + length / 2),
-            (y - 0.025, y + 0.025),
-            (z - 0.02, z + 0.02),
+            about(x, length / 2),
+            about(y, 0.025),
+            about(z, 0.02),
             "metal/dark",
             pitch=-slope,
             kind="overhead",
@@ -229,7 +229,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/five_low_podium",
         title="five low plywood steps, 10 cm, up to a podium in a seminar room",
-        task="stairs",
         setting=Room(floor="carpet/red", walls="plaster/cream"),
         course=Stairs(rises=(0.1,) * 5, depth=0.32, width=2.0, beyond=1.2, material="plywood"),
         light="indoor",
@@ -237,7 +236,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/six_wood_hall",
         title="six planked steps, 17 cm, up to a stage in a gymnasium at evening",
-        task="stairs",
         setting=Room(
             floor="parquet/oak",
             walls="plaster/white",
@@ -252,7 +250,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/eight_stone_lobby",
         title="eight stone steps, 15 cm, up to the gallery of an entrance hall",
-        task="stairs",
         setting=Lobby(gallery=1.2, floor="tiles/white", flight=2.4),
         course=Stairs(
             rises=(0.15,) * 8, depth=0.31, width=2.4, material="granite/grey", top="granite/pink"
@@ -263,7 +260,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/eight_open_wood_lobby",
         title="eight open oak treads, 16 cm, up to the gallery of an entrance hall",
-        task="stairs",
         setting=Lobby(
             gallery=1.28,
             floor="tiles/terracotta",
@@ -280,7 +276,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/seven_steel_warehouse",
         title="seven open steel treads, 17 cm, up to a platform in a warehouse",
-        task="stairs",
         setting=Warehouse(rack="metal/green"),
         course=Stairs(
             rises=(0.17,) * 7,
@@ -295,7 +290,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/six_steel_workshop",
         title="six open steel treads, 14 cm, up to a platform in a workshop",
-        task="stairs",
         setting=Workshop(),
         course=Stairs(
             rises=(0.14,) * 6,
@@ -310,7 +304,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/landing_tiles_underpass",
         title="four and four tiled steps, 12 cm, with a landing between them, in an underpass",
-        task="stairs",
         setting=Underpass(height=3.3),
         course=Stairs(
             rises=(0.12,) * 8,
@@ -325,7 +318,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/five_low_corridor",
         title="five linoleum steps, 13 cm, in a long corridor",
-        task="stairs",
         setting=Corridor(floor="linoleum/sea", height=3.2),
         course=Stairs(
             rises=(0.13,) * 5,
@@ -340,7 +332,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/seven_concrete_plaza",
         title="seven concrete steps, 14 cm, up to a terrace on a campus plaza",
-        task="stairs",
         setting=Plaza(),
         course=Stairs(
             rises=(0.14,) * 7,
@@ -356,7 +347,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/curved_granite_plaza",
         title="eight granite steps, 13 cm, that curve to the left, on a campus plaza",
-        task="stairs",
         setting=Plaza(ground="slabs/sand", building="panels/grey"),
         course=Stairs(
             rises=(0.13,) * 8,
@@ -372,7 +362,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/seven_brick_courtyard",
         title="seven brick steps, 16 cm, between low walls, in a courtyard",
-        task="stairs",
         setting=Courtyard(ground="slabs/grey", walls="brick/red"),
         course=Stairs(
             rises=(0.16,) * 7,
@@ -388,7 +377,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/eight_timber_park",
         title="eight timber steps, 12 cm, deep treads, on a park path",
-        task="stairs",
         setting=Park(path="gravel/sand"),
         course=Stairs(
             rises=(0.12,) * 8,
@@ -404,7 +392,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/seven_stone_alley_night",
         title="seven stone steps, 15 cm, with hand rails, in an alley at night",
-        task="stairs",
         setting=Alley(left="stucco/ochre", right="brick/brown", ground="slabs/grey", lit=True),
         course=Stairs(
             rises=(0.15,) * 7,
@@ -419,7 +406,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/six_slabs_garden_dusk",
         title="six slab steps, 13 cm, up to a raised bed of a garden at dusk",
-        task="stairs",
         setting=Garden(lit=True),
         course=Stairs(
             rises=(0.13,) * 6,
@@ -434,7 +420,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/varied_stone_cloister",
         title="eight worn stone steps, 11 to 17 cm high and 28 to 45 cm deep, in a cloister",
-        task="stairs",
         setting=Cloister(),
         course=Stairs(
             rises=(0.13, 0.15, 0.11, 0.17, 0.14, 0.16, 0.12, 0.15),
@@ -450,7 +435,6 @@ STAIRS: tuple[Entry, ...] = (
     Entry(
         name="stairs/seven_high_courtyard",
         title="seven high concrete steps, 20 cm, in a courtyard",
-        task="stairs",
         setting=Courtyard(ground="pavers/grey", walls="stucco/cream"),
         course=Stairs(
             rises=(0.2,) * 7, depth=0.31, width=2.2, parapet=0.45, material="concrete/grey"

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from nw_eval.errors import StoreError
-from nw_eval.learn.student.dataset import Dataset
-from nw_eval.learn.student.trajectory import Trajectory, read_trajectory
+from nw_eval.learn.student.trajectory import Dataset, Trajectory, read_trajectory
 
 
 def trajectory(number, *, frames=3, every=2):

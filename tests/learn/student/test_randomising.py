@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from nw_eval.learn.student.config import Randomise
-from nw_eval.learn.student.fit import Randomiser, resampled
+from nw_eval.learn.student.train import Randomiser, resampled
 
 NOTHING = {"rotation": 0, "crop": 0, "blur": 0, "colour": 0, "depth_noise": 0, "dropped": 0}
 

@@ -17,8 +17,7 @@ from nw_eval.learn.folder import TrainFolder
 from nw_eval.learn.progress import Keeper
 from nw_eval.learn.student.config import StudentConfig
 from nw_eval.learn.student.driving import training_scenes
-from nw_eval.learn.student.fit import Learner
-from nw_eval.learn.student.train import StudentTraining, resume_student
+from nw_eval.learn.student.train import Learner, StudentTraining, resume_student
 from nw_eval.policies import load_bundle
 
 PROGRAM = """

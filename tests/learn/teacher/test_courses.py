@@ -7,8 +7,7 @@ from pydantic import ValidationError
 from nw_eval.built_in.splits import EVALUATION
 from nw_eval.catalogue import get_scene, names
 from nw_eval.learn.teacher.config import GROUNDS, CourseSettings
-from nw_eval.learn.teacher.courses import draw_course
-from nw_eval.learn.teacher.lanes import CELL, ORIGIN, SOLIDS, Lanes, lane_of
+from nw_eval.learn.teacher.lanes import CELL, ORIGIN, SOLIDS, Lanes, draw_course, lane_of
 from nw_eval.scenes.rays import RayScene
 
 HARDEST = {

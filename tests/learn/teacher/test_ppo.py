@@ -10,9 +10,9 @@ from onnx import numpy_helper
 
 from nw_eval.errors import PolicyError
 from nw_eval.learn.teacher.config import PpoSettings
-from nw_eval.learn.teacher.networks import Actor, Critic, new_networks, read_actor, write_actor
-from nw_eval.learn.teacher.ppo import PpoLearner, SampleCollector, Samples, log_probability
+from nw_eval.learn.teacher.policy import Actor, Critic, new_networks, read_actor, write_actor
 from nw_eval.learn.teacher.senses import PRIVILEGED
+from nw_eval.learn.teacher.training import PpoLearner, SampleCollector, Samples, log_probability
 from nw_eval.policies import load_bundle
 from nw_eval.policies.networks.onnx_graph import open_session
 

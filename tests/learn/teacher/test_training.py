@@ -12,8 +12,7 @@ import torch
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.learn.curve import read_curve
 from nw_eval.learn.folder import TrainFolder, read_state
-from nw_eval.learn.teacher.networks import Actor
-from nw_eval.learn.teacher.policy import export_checkpoint
+from nw_eval.learn.teacher.policy import Actor, export_checkpoint
 from nw_eval.learn.teacher.training import resume_teacher, train_teacher
 from nw_eval.policies import load_bundle
 from nw_eval.policies.networks.onnx_graph import open_session

@@ -20,7 +20,7 @@ from nw_eval.twin.align.ahead import (
     write_facts,
 )
 from nw_eval.twin.align.alignment import AlignOptions, KnownLength
-from nw_eval.twin.calibrate.footage import Footage, photographs_in
+from nw_eval.twin.calibrate.photographs import Footage, photographs_in
 
 NOTHING = AlignOptions()
 

@@ -13,7 +13,7 @@ from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.transform import transformed
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
-from nw_eval.twin.moved import (
+from nw_eval.twin.place import (
     moved_camera,
     moved_capture,
     moved_mesh,

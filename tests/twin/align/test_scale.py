@@ -15,8 +15,7 @@ from nw_eval.splat.camera import look_at
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions, KnownLength, words_of
 from nw_eval.twin.align.positions import east_north_up, gps_positions
-from nw_eval.twin.align.tags import find_tags
-from nw_eval.twin.align.triangulate import triangulate
+from nw_eval.twin.align.tags import find_tags, triangulate
 from nw_eval.twin.lens import Lens
 
 SIZE = (480, 360)

@@ -24,7 +24,7 @@ from nw_eval.twin.building.build import Build, BuildSettings
 from nw_eval.twin.building.folder import BuildFolder, digest_of_files
 from nw_eval.twin.capture import Capture, PlacedShot, read_capture, write_capture
 from nw_eval.twin.reconstruct.depth import write_arrays
-from nw_eval.twin.reconstruct.mesh import ColourMesh, write_mesh
+from nw_eval.twin.reconstruct.surface import ColourMesh, write_mesh
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 

@@ -13,11 +13,11 @@ from PIL import Image
 
 from nw_eval.errors import PrerequisiteError, StoreError
 from nw_eval.twin.calibrate import mapping
+from nw_eval.twin.calibrate.calibrate import find_source
 from nw_eval.twin.calibrate.features import Features, match, nearest
 from nw_eval.twin.calibrate.kept import Kept
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.calibrate.photographs import take_in
-from nw_eval.twin.calibrate.sources import find_source
 from nw_eval.twin.lens import Lens
 from nw_eval.twin.packages import package
 

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from nw_eval.errors import SceneError
+from nw_eval.twin.calibrate.calibrate import find_source
 from nw_eval.twin.calibrate.photographs import (
     Found,
     are_numbered,
@@ -17,7 +18,6 @@ from nw_eval.twin.calibrate.photographs import (
     tone_mapped,
 )
 from nw_eval.twin.calibrate.solution import Placed, Solution
-from nw_eval.twin.calibrate.sources import find_source
 from nw_eval.twin.lens import Lens
 
 

@@ -10,10 +10,9 @@ import pytest
 from PIL import Image
 
 from nw_eval.errors import NwEvalError, SceneError
-from nw_eval.twin.calibrate.calibrate import calibrate
+from nw_eval.twin.calibrate.calibrate import calibrate, find_source
 from nw_eval.twin.calibrate.colmap import read_model
 from nw_eval.twin.calibrate.options import CalibrateOptions
-from nw_eval.twin.calibrate.sources import find_source
 from nw_eval.twin.capture import read_capture
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -11,8 +11,8 @@ import synthetic_room
 from PIL import Image
 
 from nw_eval.errors import SceneError, UsageError
+from nw_eval.twin.calibrate.calibrate import find_source
 from nw_eval.twin.calibrate.options import CalibrateOptions
-from nw_eval.twin.calibrate.sources import find_source
 from nw_eval.twin.calibrate.video import choose
 
 

@@ -13,7 +13,7 @@ from nw_eval import cli
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.neverwhere import load_published
 from nw_eval.splat.files import write_splat
-from nw_eval.twin.label import copying
+from nw_eval.twin.label import files
 
 pytest.importorskip("playwright")
 viser = pytest.importorskip("viser")
@@ -34,7 +34,7 @@ def folder(tmp_path):
     """A corridor with a bar of 0.1 m, twice as large as it should be: 0.2 m; and a suite of it."""
     first = written_place(tmp_path / "first", floor(-4.0, 18.0, width=10.0), block(4.0, 0.6, 0.2))
     write_splat(first / "splat.ply", gaussians(300))
-    copying.copy_scene(str(first), tmp_path / "corridor")
+    files.copy_scene(str(first), tmp_path / "corridor")
     return tmp_path / "corridor"
 
 

@@ -14,7 +14,7 @@ from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.neverwhere import load_published
 from nw_eval.splat.files import read_splat
 from nw_eval.suite import load_suite
-from nw_eval.twin.label import copying
+from nw_eval.twin.label import files
 from nw_eval.twin.label.labelling import open_labelling
 
 pytest.importorskip("viser")
@@ -76,15 +76,15 @@ def test_a_folder_in_the_cache_is_not_edited(tmp_path, monkeypatch):
     monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path))
     folder = written_place(tmp_path / "hub" / "place")
     with pytest.raises(UsageError, match="in the cache"):
-        copying.own_folder(str(folder), None)
-    assert copying.own_folder(str(written_place(tmp_path.parent / "mine")), None)
+        files.own_folder(str(folder), None)
+    assert files.own_folder(str(written_place(tmp_path.parent / "mine")), None)
 
 
 @pytest.mark.parametrize("name", ["hurdles/two_logs_park", "hurdles/two_logs_park~2"])
 def test_a_copy_of_a_built_in_place_is_the_same_to_feet(tmp_path, name):
     original = get_scene(name)
     out = tmp_path / "park"
-    copying.copy_scene(name, out)
+    files.copy_scene(name, out)
     copy = load_folder(out)
     assert copy.name == "park"
     assert copy.solids == original.solids
@@ -101,13 +101,13 @@ def test_a_copy_of_a_built_in_place_is_the_same_to_feet(tmp_path, name):
 
 def test_a_copy_of_a_folder_is_its_files_and_a_suite(tmp_path):
     folder = written_place(tmp_path / "place")
-    copying.copy_scene(str(folder), tmp_path / "other")
+    files.copy_scene(str(folder), tmp_path / "other")
     names = {path.name for path in (tmp_path / "other").iterdir()}
     assert names == {"scene.yaml", "collision.ply", "splat.ply", "suite.yaml"}
     for name in names - {"suite.yaml"}:
         assert (tmp_path / "other" / name).read_bytes() == (folder / name).read_bytes()
     with pytest.raises(UsageError, match="is there already"):
-        copying.copy_scene(str(folder), tmp_path / "other")
+        files.copy_scene(str(folder), tmp_path / "other")
 
 
 def test_a_copy_that_fails_leaves_nothing_behind(tmp_path, monkeypatch):
@@ -116,15 +116,15 @@ def test_a_copy_that_fails_leaves_nothing_behind(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(copying.shutil, "copyfile", full)
+    monkeypatch.setattr(files.shutil, "copyfile", full)
     with pytest.raises(StoreError, match="No space left"):
-        copying.copy_scene(str(folder), tmp_path / "copies" / "other")
+        files.copy_scene(str(folder), tmp_path / "copies" / "other")
     assert not (tmp_path / "copies").exists()
 
 
 def test_a_copy_of_a_published_scene_is_its_mesh_trail_and_splat(tmp_path):
     pair = open_labelling(written_place(tmp_path / "place")).publish(tmp_path)
-    copying.copy_scene(f"neverwhere:{pair}", tmp_path / "mine")
+    files.copy_scene(f"neverwhere:{pair}", tmp_path / "mine")
     original, copy = load_published(pair), load_folder(tmp_path / "mine")
     assert (copy.name, copy.task) == ("mine", original.task)
     np.testing.assert_allclose(copy.trail, original.trail, atol=5e-5)

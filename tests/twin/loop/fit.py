@@ -6,7 +6,7 @@ import numpy as np
 
 from nw_eval.scenes.folder import load_folder
 from nw_eval.twin.capture import read_capture
-from nw_eval.twin.moved import moved_capture
+from nw_eval.twin.place import moved_capture
 
 
 @dataclass(frozen=True, kw_only=True)

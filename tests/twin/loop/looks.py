@@ -107,7 +107,7 @@ class MeshRenderer:
     """Shows a mesh in the colours of its vertices; white where there is none, as a splat's."""
 
     def __init__(self, mesh):
-        from nw_eval.twin.moved import moved_mesh
+        from nw_eval.twin.place import moved_mesh
 
         self._mesh = mesh
         self._rays = RayScene(moved_mesh(np.eye(4), mesh.vertices, mesh.faces))

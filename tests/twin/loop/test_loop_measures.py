@@ -13,7 +13,7 @@ from walk import handheld
 from nw_eval.catalogue import get_scene
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.reconstruct.mesh import ColourMesh
+from nw_eval.twin.reconstruct.surface import ColourMesh
 
 SCENE = "hurdles/one_low_carpet"
 

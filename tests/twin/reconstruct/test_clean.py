@@ -5,8 +5,8 @@ import pytest
 
 from nw_eval.errors import SceneError
 from nw_eval.twin.reconstruct.clean import flatten, flatten_small, holes, large_parts, simplify
-from nw_eval.twin.reconstruct.mesh import ColourMesh, read_colour_mesh, write_mesh
 from nw_eval.twin.reconstruct.planes import SupposedPlane
+from nw_eval.twin.reconstruct.surface import ColourMesh, read_colour_mesh, write_mesh
 
 CELL = 0.02
 

@@ -17,9 +17,9 @@ from nw_eval.twin.calibrate.calibrate import calibrate
 from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import read_capture, write_capture
 from nw_eval.twin.reconstruct.depth import array_file, depth_maps
-from nw_eval.twin.reconstruct.mesh import read_colour_mesh
 from nw_eval.twin.reconstruct.options import DepthOptions, ReconstructOptions
 from nw_eval.twin.reconstruct.reconstruct import reconstruct
+from nw_eval.twin.reconstruct.surface import read_colour_mesh
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[4] / "shared" / "assets"))
 PIXEL = 0.022

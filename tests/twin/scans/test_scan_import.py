@@ -18,7 +18,7 @@ from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.mesh_file import read_painted
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.splat.gaussians import SH0
-from nw_eval.twin.moved import moved_points
+from nw_eval.twin.place import moved_points
 from nw_eval.twin.scans.scan import ScanOptions, import_scan
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])

@@ -12,7 +12,7 @@ from nw_eval.scenes.capture_file import write_captures
 from nw_eval.scenes.folder import load_folder
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.splat.gaussians import Gaussians
-from nw_eval.twin.moved import moved_points
+from nw_eval.twin.place import moved_points
 from nw_eval.twin.scans.levelling import level_scene
 
 TILT = rotation_matrix(0.35, [1.0, 0.4, 0.1])

@@ -11,7 +11,8 @@ from nw_eval.scenes.scene import Box, Vector
 
 # The faces of a box by the direction they look to, on its own axes.
 ALL_FACES = ("-x", "+x", "-y", "+y", "-z", "+z")
-SIDES_AND_TOP = ("-x", "+x", "-y", "+y", "+z")
+SIDES = ("-x", "+x", "-y", "+y")
+SIDES_AND_TOP = (*SIDES, "+z")
 
 
 class SceneBuilder:
@@ -71,14 +72,14 @@ class SceneBuilder:
             texture=(x[0], y[0]),
             decals=tuple(
                 Decal(
-                    rect=(
+                    (
                         decal.rect[0] - x[0],
                         decal.rect[1] - y[0],
                         decal.rect[2] - x[0],
                         decal.rect[3] - y[0],
                     ),
-                    material=decal.material,
-                    fine=decal.fine,
+                    decal.material,
+                    decal.fine,
                 )
                 for decal in decals
             ),
@@ -305,6 +306,11 @@ class SceneBuilder:
         self._lamps.append(
             Lamp(origin=_floats(origin), u=_floats(u), v=_floats(v), radiance=_floats(radiance))
         )
+
+
+def about(middle: float, half: float) -> Pair:
+    """Return from where to where something reaches that is as long to both sides of its middle."""
+    return (middle - half, middle + half)
 
 
 def _quat(yaw: float, pitch: float, roll: float) -> tuple[float, float, float, float]:

@@ -1,25 +1,88 @@
-"""Things that stand about in rooms."""
+"""Rooms: their floor, walls and ceiling, and the things that stand about in them."""
 
 from __future__ import annotations
 
-from nw_eval.built_in.places.builder import SceneBuilder
+from collections.abc import Iterable, Mapping
+
+from nw_eval.built_in.places.builder import ALL_FACES, SIDES, SceneBuilder, about
 from nw_eval.built_in.places.parts import Decal, Pair
+from nw_eval.scenes.scene import Vector
+
+_THICKNESS = 0.12
+
+
+def room_shell(
+    builder: SceneBuilder,
+    x: Pair,
+    y: Pair,
+    height: float,
+    *,
+    floor: str,
+    walls: str,
+    far: str | None = None,
+    ceiling: str,
+    skirting: str | None = "skirting/white",
+    floor_decals: Iterable[Decal] = (),
+    decals: Mapping[str, Iterable[Decal]],
+) -> None:
+    """Build floor, ceiling and four walls round a rectangle.
+
+    Walls are called `left` (+y), `right` (-y), `far` (+x, of a material of its own where given)
+    and `back` (-x). A wall's decals are
+    measured from its left end as somebody in the room sees it, and from the floor; the floor's
+    are in world coordinates.
+    """
+    builder.ground(floor, x, y, decals=floor_decals)
+    builder.quad(
+        (x[0], y[0], height),
+        (0.0, y[1] - y[0], 0.0),
+        (x[1] - x[0], 0.0, 0.0),
+        ceiling,
+        kind="overhead",
+        fine=1.5,
+        decals=decals.get("ceiling", ()),
+    )
+    sides: dict[str, tuple[Pair, Pair, str, float]] = {
+        "left": (x, (y[1], y[1] + _THICKNESS), "-y", x[1] - x[0]),
+        "right": (x, (y[0] - _THICKNESS, y[0]), "+y", x[1] - x[0]),
+        "far": ((x[1], x[1] + _THICKNESS), y, "-x", y[1] - y[0]),
+        "back": ((x[0] - _THICKNESS, x[0]), y, "+x", y[1] - y[0]),
+    }
+    for name, (across, along, face, length) in sides.items():
+        strip = () if skirting is None else (Decal((0.0, 0.0, length, 0.09), skirting, 0.8),)
+        builder.box(
+            across,
+            along,
+            (0.0, height),
+            (far or walls) if name == "far" else walls,
+            kind="structure",
+            faces=(face,),
+            decals={face: (*strip, *decals.get(name, ()))},
+        )
+
+
+def window_lamp(
+    builder: SceneBuilder, corner: Vector, u: Vector, v: Vector, brightness: float = 0.75
+) -> None:
+    """Let daylight in through a window: `u` x `v` points into the room."""
+    sky = builder.light.horizon
+    builder.lamp(corner, u, v, (sky[0] * brightness, sky[1] * brightness, sky[2] * brightness))
 
 
 def table(
     builder: SceneBuilder, x: Pair, y: Pair, *, top: str = "veneer/beech", height: float = 0.74
 ) -> None:
     """Put a table with four legs between two corners."""
-    builder.box(x, y, (height - 0.035, height), top, faces=("-x", "+x", "-y", "+y", "+z", "-z"))
+    builder.box(x, y, (height - 0.035, height), top, faces=ALL_FACES)
     inset = 0.06
     for leg_x in (x[0] + inset, x[1] - inset):
         for leg_y in (y[0] + inset, y[1] - inset):
             builder.box(
-                (leg_x - 0.022, leg_x + 0.022),
-                (leg_y - 0.022, leg_y + 0.022),
+                about(leg_x, 0.022),
+                about(leg_y, 0.022),
                 (0.0, height - 0.035),
                 "metal/dark",
-                faces=("-x", "+x", "-y", "+y"),
+                faces=SIDES,
                 fine=0.7,
             )
 
@@ -28,31 +91,17 @@ def chair(
     builder: SceneBuilder, x: float, y: float, *, facing: float, seat: str = "plastic/navy"
 ) -> None:
     """Put a chair at a point; `facing` is +1 or -1, where along y its sitter would look."""
-    builder.box(
-        (x - 0.22, x + 0.22),
-        (y - 0.21, y + 0.21),
-        (0.43, 0.46),
-        seat,
-        faces=("-x", "+x", "-y", "+y", "+z", "-z"),
-        fine=0.8,
-    )
+    builder.box(about(x, 0.22), about(y, 0.21), (0.43, 0.46), seat, faces=ALL_FACES, fine=0.8)
     back = y - 0.21 * facing
-    builder.box(
-        (x - 0.21, x + 0.21),
-        (back - 0.015, back + 0.015),
-        (0.58, 0.86),
-        seat,
-        faces=("-x", "+x", "-y", "+y", "+z", "-z"),
-        fine=0.8,
-    )
+    builder.box(about(x, 0.21), about(back, 0.015), (0.58, 0.86), seat, faces=ALL_FACES, fine=0.8)
     for leg_x in (x - 0.19, x + 0.19):
         for leg_y, top in ((back, 0.60), (back + 0.40 * facing, 0.43)):
             builder.box(
-                (leg_x - 0.013, leg_x + 0.013),
-                (leg_y - 0.013, leg_y + 0.013),
+                about(leg_x, 0.013),
+                about(leg_y, 0.013),
                 (0.0, top),
                 "metal/chrome",
-                faces=("-x", "+x", "-y", "+y"),
+                faces=SIDES,
                 fine=0.7,
             )
 
@@ -72,9 +121,9 @@ def bookshelf(
     pitch = (height - 0.1) / rows
     books = [
         Decal(
-            rect=(0.025, 0.08 + row * pitch, length - 0.025, 0.08 + (row + 1) * pitch - 0.03),
-            material="books",
-            fine=0.45,
+            (0.025, 0.08 + row * pitch, length - 0.025, 0.08 + (row + 1) * pitch - 0.03),
+            "books",
+            0.45,
         )
         for row in range(rows)
     ]
@@ -85,7 +134,7 @@ def plant(
     builder: SceneBuilder, x: float, y: float, *, height: float = 1.1, pot: str = "clay"
 ) -> None:
     """Stand a leafy plant in a pot on the floor."""
-    builder.box((x - 0.13, x + 0.13), (y - 0.13, y + 0.13), (0.0, 0.30), pot, top="soil", fine=0.8)
+    builder.box(about(x, 0.13), about(y, 0.13), (0.0, 0.30), pot, top="soil", fine=0.8)
     builder.prism((x, y), (0.30, height * 0.6), (0.02, 0.015), "bark/brown", sides=5)
     builder.crown((x, y, height * 0.68), (0.30, 0.30, height * 0.36), "leaves/house", fine=0.8)
 
@@ -105,7 +154,5 @@ def crate(
 def drum(builder: SceneBuilder, x: float, y: float, material: str) -> None:
     """Stand an oil drum on the floor; physics touches the box within it."""
     half = 0.205
-    builder.box(
-        (x - half, x + half), (y - half, y + half), (0.0, 0.88), material, faces=(), fine=1.0
-    )
+    builder.box(about(x, half), about(y, half), (0.0, 0.88), material, faces=(), fine=1.0)
     builder.prism((x, y), (0.0, 0.88), (0.29, 0.29), material, sides=14, cap="metal/dark")

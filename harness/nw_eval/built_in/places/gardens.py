@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 from nw_eval.built_in.places import scenery as outdoors
-from nw_eval.built_in.places.builder import SceneBuilder
+from nw_eval.built_in.places.builder import SceneBuilder, about
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.walls import house
+from nw_eval.built_in.places.scenery import house
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,9 +41,9 @@ class Garden:
             x,
             y,
             decals=(
-                Decal(rect=(x[0] + 2.4, -half, terrace, half), material=self.path, fine=1.0),
-                Decal(rect=(terrace, y[0], x[1], y[1]), material=self.path, fine=1.0),
-                Decal(rect=(x[0], y[1] - 1.1, terrace, y[1]), material="soil", fine=1.0),
+                Decal((x[0] + 2.4, -half, terrace, half), self.path, 1.0),
+                Decal((terrace, y[0], x[1], y[1]), self.path, 1.0),
+                Decal((x[0], y[1] - 1.1, terrace, y[1]), "soil", 1.0),
             ),
         )
         builder.lawn((x[0] + 2.4, terrace), (half, y[1] - 1.1), self.lawn)
@@ -55,7 +55,7 @@ class Garden:
                 post = x[0] + 2.0 * index
                 inner = -0.05 if side > 0 else 0.11
                 builder.box(
-                    (post - 0.05, post + 0.05),
+                    about(post, 0.05),
                     (side + min(inner, 0.0), side + max(inner, 0.06)),
                     (0.0, 1.95),
                     "timber/brown",
@@ -70,8 +70,8 @@ class Garden:
             builder, (x[1], x[1] + 1.0), (y[0] - 1.0, y[1] + 1.0), 6.2, self.walls, face="-x",
             windows=windows, pitch=2.1, storey=2.9, skip=(2,), roof="roof/tile",
             extra=(
-                Decal(rect=(middle + 0.2, 0.0, middle + 2.0, 2.2), material="glass_doors",
-                      fine=0.5),
+                Decal((middle + 0.2, 0.0, middle + 2.0, 2.2), "glass_doors",
+                      0.5),
             ),
         )  # fmt: skip
         self._plant(builder, x, y, terrace)
@@ -96,11 +96,11 @@ class Garden:
         builder.box(
             (terrace - 2.3, terrace - 0.3), (y[0] + 0.15, y[0] + 1.75), (0.0, 2.0), "planks/pine",
             top="metal/dark", kind="structure",
-            decals={"+y": (Decal(rect=(0.6, 0.0, 1.4, 1.8), material="door/green", fine=0.6),)},
+            decals={"+y": (Decal((0.6, 0.0, 1.4, 1.8), "door/green", 0.6),)},
         )  # fmt: skip
         outdoors.bench(builder, terrace - 1.6, y[1] - 1.45, facing=-1.0)
         for at, radius in ((terrace + 0.5, 0.24), (terrace + 1.1, 0.2)):
-            builder.box((at - 0.14, at + 0.14), (y[1] - 0.84, y[1] - 0.56), (0.0, 0.3), "clay",
+            builder.box(about(at, 0.14), (y[1] - 0.84, y[1] - 0.56), (0.0, 0.3), "clay",
                       top="soil", fine=0.9)  # fmt: skip
             builder.crown((at, y[1] - 0.7, 0.48), (radius, radius, radius), "leaves/lime",
                         kind="clutter")  # fmt: skip
@@ -132,7 +132,7 @@ class Park:
             self.lawn,
             (-reach, length + reach),
             (-reach, reach),
-            decals=(Decal(rect=(-reach, -half, length + reach, half), material=self.path, fine=1),),
+            decals=(Decal((-reach, -half, length + reach, half), self.path, 1),),
         )
         builder.lawn((-8.0, length + 14.0), (half, 11.0), self.lawn)
         builder.lawn((-8.0, length + 14.0), (-11.0, -half), self.lawn)
@@ -220,13 +220,13 @@ class Courtyard:
                 x,
                 y,
                 decals=(
-                    Decal(rect=(x[0], y[1] - 1.5, x[1], y[1]), material="slabs/grey"),
-                    Decal(rect=(x[1] - 1.5, y[0], x[1], y[1]), material="slabs/grey"),
+                    Decal((x[0], y[1] - 1.5, x[1], y[1]), "slabs/grey"),
+                    Decal((x[1] - 1.5, y[0], x[1], y[1]), "slabs/grey"),
                 ),
             )
             builder.lawn((x[0], x[1] - 1.5), (y[0], y[1] - 1.5), self.ground)
         else:
-            beds = Decal(rect=(-1.0, y[0] + 0.2, length + 1.5, y[0] + 1.7), material="soil")
+            beds = Decal((-1.0, y[0] + 0.2, length + 1.5, y[0] + 1.7), "soil")
             builder.ground(self.ground, x, y, decals=(beds,))
         window = "house_window_lit" if self.lit else "house_window/white"
         length_y, length_x = y[1] - y[0], x[1] - x[0]
@@ -234,10 +234,9 @@ class Courtyard:
             builder, (x[1], x[1] + 1.0), y, 6.6, self.walls, face="-x", windows=window,
             extra=(
                 Decal(
-                    rect=(length_y / 2 - 0.7, 0.0, length_y / 2 + 0.7, 2.5),
-                    material="doors",
-                    fine=0.5,
-                ),
+                    (length_y / 2 - 0.7, 0.0, length_y / 2 + 0.7, 2.5),
+                    "doors",
+                    0.5),
             ),
             skip=(1, 2),
         )  # fmt: skip
@@ -245,10 +244,9 @@ class Courtyard:
             builder, x, (y[1], y[1] + 1.0), 6.6, self.walls, face="-y", windows=window, pitch=2.7,
             extra=(
                 Decal(
-                    rect=(length_x * 0.42, 0.0, length_x * 0.42 + 1.0, 2.2),
-                    material="door/green",
-                    fine=0.5,
-                ),
+                    (length_x * 0.42, 0.0, length_x * 0.42 + 1.0, 2.2),
+                    "door/green",
+                    0.5),
             ),
             skip=(2,),
         )  # fmt: skip
@@ -303,8 +301,8 @@ class Cloister:
         house(
             builder, x, (half, half + 1.0), 3.4, self.walls, face="-y", windows=windows, pitch=2.6,
             sill=1.1, size=(0.9, 1.4), skip=(2,), trim=None,
-            extra=(Decal(rect=(span * 0.44, 0.0, span * 0.44 + 1.1, 2.2), material="door/oak",
-                         fine=0.5),),
+            extra=(Decal((span * 0.44, 0.0, span * 0.44 + 1.1, 2.2), "door/oak",
+                         0.5),),
         )  # fmt: skip
         # The roof over the walk: planks below, tiles above, a beam on the columns.
         builder.box(
@@ -312,19 +310,16 @@ class Cloister:
             solid=False, faces=("-y", "-z", "+x", "-x"), fine=1.3,
         )  # fmt: skip
         builder.box(
-            x, (-half - 0.2, -half + 0.2), (2.75, 3.2), self.columns, kind="overhead",
-            solid=False, faces=("-y", "+y", "-z"),
-        )  # fmt: skip
+            x, about(-half, 0.2), (2.75, 3.2), self.columns, kind="overhead",
+            solid=False, faces=("-y", "+y", "-z"))  # fmt: skip
         for index in range(int(span / 2.3)):
             at = x[0] + 0.8 + 2.3 * index
             builder.box(
-                (at - 0.22, at + 0.22), (-half - 0.22, -half + 0.22), (0.0, 0.35), self.columns,
-                kind="structure",
-            )  # fmt: skip
+                about(at, 0.22), about(-half, 0.22), (0.0, 0.35), self.columns,
+                kind="structure")  # fmt: skip
             builder.box(
-                (at - 0.13, at + 0.13), (-half - 0.13, -half + 0.13), (0.35, 2.75), self.columns,
-                kind="structure", faces=(),
-            )  # fmt: skip
+                about(at, 0.13), about(-half, 0.13), (0.35, 2.75), self.columns,
+                kind="structure", faces=())  # fmt: skip
             builder.prism(
                 (at, -half), (0.35, 2.75), (0.17, 0.15), self.columns, sides=12, kind="structure"
             )
@@ -332,7 +327,7 @@ class Cloister:
         house(
             builder, (x[1], x[1] + 1.0), (court, middle), 6.2, self.walls, face="-x",
             windows=windows, pitch=2.7, skip=(0, 1),
-            extra=(Decal(rect=(middle - 0.9, 0.0, middle + 0.9, 2.4), material="doors", fine=0.5),),
+            extra=(Decal((middle - 0.9, 0.0, middle + 0.9, 2.4), "doors", 0.5),),
         )  # fmt: skip
         house(builder, (x[0] - 1.0, x[0]), (court, middle), 6.2, self.walls, face="+x",
               windows=windows, pitch=2.7)  # fmt: skip

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from nw_eval.built_in.places import furniture
-from nw_eval.built_in.places.builder import ALL_FACES, SceneBuilder
+from nw_eval.built_in.places.builder import ALL_FACES, SIDES, SceneBuilder, about
+from nw_eval.built_in.places.furniture import room_shell, window_lamp
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.walls import room_shell, window_lamp
 
 # What lies on the pallets, rack by rack.
 _LOADS = (
@@ -44,7 +44,7 @@ class Warehouse:
         y = (-self.width / 2, self.width / 2)
         span, middle = x[1] - x[0], self.width / 2
         lines = [
-            Decal(rect=(x[0], side - 0.05, x[1], side + 0.05), material="stripe/yellow", fine=0.7)
+            Decal((x[0], side - 0.05, x[1], side + 0.05), "stripe/yellow", 0.7)
             for side in (-1.75, 1.75)
         ]
         room_shell(
@@ -54,27 +54,22 @@ class Warehouse:
             self.height,
             floor=self.floor,
             floor_decals=lines,
-            walls=dict.fromkeys(("left", "right", "far", "back"), self.walls),
+            walls=self.walls,
             ceiling="corrugated/grey",
             skirting=None,
             decals={
                 "far": [
-                    Decal(
-                        rect=(middle - 1.7, 0.0, middle + 1.7, 3.4),
-                        material="roller_door",
-                        fine=0.6,
-                    ),
-                    Decal(rect=(0.4, 0.0, 1.35, 2.1), material="door/green", fine=0.6),
-                    Decal(rect=(0.65, 2.2, 1.1, 2.4), material="exit", fine=0.5),
+                    Decal((middle - 1.7, 0.0, middle + 1.7, 3.4), "roller_door", 0.6),
+                    Decal((0.4, 0.0, 1.35, 2.1), "door/green", 0.6),
+                    Decal((0.65, 2.2, 1.1, 2.4), "exit", 0.5),
                 ],
             },
         )
         for index in range(max(2, round(span / 3.0))):
             at = x[0] + (index + 0.5) * span / max(2, round(span / 3.0))
             builder.box(
-                (at - 0.75, at + 0.75), (-0.12, 0.12), (self.height - 0.6, self.height - 0.52),
-                "lamp", kind="overhead", solid=False, faces=ALL_FACES,
-            )  # fmt: skip
+                about(at, 0.75), (-0.12, 0.12), (self.height - 0.6, self.height - 0.52),
+                "lamp", kind="overhead", solid=False, faces=ALL_FACES)  # fmt: skip
             builder.lamp(
                 (at - 0.75, -0.12, self.height - 0.61), (0.0, 0.24, 0.0), (1.5, 0.0, 0.0),
                 (22.0, 21.6, 20.4),
@@ -98,9 +93,8 @@ class Warehouse:
             at = x[0] + bay * pitch
             for post in (y[0] + 0.04, y[1] - 0.04):
                 builder.box(
-                    (at - 0.045, at + 0.045), (post - 0.04, post + 0.04), (0.0, 3.6), self.rack,
-                    kind="clutter", faces=("-x", "+x", "-y", "+y"), fine=0.9,
-                )  # fmt: skip
+                    about(at, 0.045), about(post, 0.04), (0.0, 3.6), self.rack,
+                    kind="clutter", faces=SIDES, fine=0.9)  # fmt: skip
         for level, z in enumerate((1.35, 2.65)):
             face = y[0] if side > 0 else y[1] - 0.06
             builder.box(
@@ -116,14 +110,12 @@ class Warehouse:
                 material, height = _LOADS[(2 * bay + 3 * level + (side > 0)) % len(_LOADS)]
                 middle = x[0] + (bay + 0.5) * pitch
                 builder.box(
-                    (middle - 0.62, middle + 0.62), (y[0] + 0.1, y[1] - 0.1), (z, z + 0.13),
-                    "planks/pallet", kind="clutter", solid=level == 0, fine=0.9,
-                )  # fmt: skip
+                    about(middle, 0.62), (y[0] + 0.1, y[1] - 0.1), (z, z + 0.13),
+                    "planks/pallet", kind="clutter", solid=level == 0, fine=0.9)  # fmt: skip
                 builder.box(
-                    (middle - 0.56, middle + 0.56), (y[0] + 0.14, y[1] - 0.14),
+                    about(middle, 0.56), (y[0] + 0.14, y[1] - 0.14),
                     (z + 0.13, z + 0.13 + height), material, kind="clutter", solid=level == 0,
-                    texture=(0.7 * bay, 0.0),
-                )  # fmt: skip
+                    texture=(0.7 * bay, 0.0))  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,52 +151,35 @@ class Workshop:
             y,
             self.height,
             floor=self.floor,
-            walls=dict.fromkeys(("left", "right", "far", "back"), self.walls),
+            walls=self.walls,
             ceiling="corrugated/grey",
             skirting=None,
             decals={
                 "left": [
-                    Decal(rect=(0.0, 0.0, span, 1.2), material="block_wall/grey", fine=1.0),
+                    Decal((0.0, 0.0, span, 1.2), "block_wall/grey", 1.0),
                     *(
-                        Decal(
-                            rect=(u, 1.9, u + 1.9, 3.2),
-                            material="steel_window",
-                            fine=0.5,
-                            opening=True,
-                        )
+                        Decal((u, 1.9, u + 1.9, 3.2), "steel_window", 0.5, opening=True)
                         for u in windows
                     ),
-                    Decal(
-                        rect=(span * 0.30, 0.95, span * 0.30 + 2.2, 1.8),
-                        material="pegboard",
-                        fine=0.45,
-                    ),
+                    Decal((span * 0.30, 0.95, span * 0.30 + 2.2, 1.8), "pegboard", 0.45),
                 ],
                 "right": [
-                    Decal(rect=(0.0, 0.0, span, 1.2), material="block_wall/grey", fine=1.0),
-                    Decal(
-                        rect=(span * 0.55, 1.35, span * 0.55 + 2.4, 2.5),
-                        material="pegboard",
-                        fine=0.45,
-                    ),
-                    Decal(rect=(span * 0.30, 1.5, span * 0.30 + 0.7, 2.45), material="poster/red"),
+                    Decal((0.0, 0.0, span, 1.2), "block_wall/grey", 1.0),
+                    Decal((span * 0.55, 1.35, span * 0.55 + 2.4, 2.5), "pegboard", 0.45),
+                    Decal((span * 0.30, 1.5, span * 0.30 + 0.7, 2.45), "poster/red"),
                 ],
                 "far": [
-                    Decal(rect=(0.0, 0.0, self.width, 1.2), material="block_wall/grey", fine=1.0),
-                    Decal(
-                        rect=(middle - 1.6, 0.0, middle + 1.6, 2.9),
-                        material="roller_door",
-                        fine=0.6,
-                    ),
-                    Decal(rect=(0.35, 0.0, 1.25, 2.05), material="door/blue", fine=0.6),
+                    Decal((0.0, 0.0, self.width, 1.2), "block_wall/grey", 1.0),
+                    Decal((middle - 1.6, 0.0, middle + 1.6, 2.9), "roller_door", 0.6),
+                    Decal((0.35, 0.0, 1.25, 2.05), "door/blue", 0.6),
                 ],
-                "back": [Decal(rect=(0.0, 0.0, self.width, 1.2), material="block_wall/grey")],
+                "back": [Decal((0.0, 0.0, self.width, 1.2), "block_wall/grey")],
             },
         )
         for at, side in lamps:
             builder.box(
-                (at - 0.65, at + 0.65),
-                (side - 0.09, side + 0.09),
+                about(at, 0.65),
+                about(side, 0.09),
                 (3.10, 3.16),
                 "lamp",
                 kind="overhead",
@@ -299,11 +274,8 @@ class Underpass:
 
         def side(paintings: tuple[tuple[float, float], ...], mural: str) -> list[Decal]:
             return [
-                Decal(rect=(0.0, 0.0, span, 1.0), material=self.dado, fine=1.0),
-                *(
-                    Decal(rect=(u, 0.35, u + w, 2.2), material=mural, fine=0.6)
-                    for u, w in paintings
-                ),
+                Decal((0.0, 0.0, span, 1.0), self.dado, 1.0),
+                *(Decal((u, 0.35, u + w, 2.2), mural, 0.6) for u, w in paintings),
             ]
 
         room_shell(
@@ -313,32 +285,20 @@ class Underpass:
             self.height,
             floor=self.floor,
             floor_decals=(
-                Decal(rect=(x[0], y[0], x[1], y[0] + 0.25), material="gutter/grey"),
-                Decal(rect=(x[0], y[1] - 0.25, x[1], y[1]), material="gutter/grey"),
-                Decal(rect=(length + 0.7, -0.25, length + 1.2, 0.25), material="drain", fine=0.5),
+                Decal((x[0], y[0], x[1], y[0] + 0.25), "gutter/grey"),
+                Decal((x[0], y[1] - 0.25, x[1], y[1]), "gutter/grey"),
+                Decal((length + 0.7, -0.25, length + 1.2, 0.25), "drain", 0.5),
             ),
-            walls=dict.fromkeys(("left", "right", "far", "back"), self.walls),
+            walls=self.walls,
             ceiling="concrete/grey",
             skirting=None,
             decals={
                 "left": side(((3.0, 3.4), (9.5, 2.8)), self.mural[0]),
                 "right": side(((5.2, 3.0), (11.5, 3.2)), self.mural[1]),
-                "far": [
-                    Decal(
-                        rect=(0.25, 0.0, self.width - 0.25, self.height - 0.35),
-                        material="portal",
-                        fine=0.6,
-                    )
-                ],
-                "back": [
-                    Decal(rect=(middle - 1.2, 0.0, middle + 1.2, 2.3), material="roller_door")
-                ],
+                "far": [Decal((0.25, 0.0, self.width - 0.25, self.height - 0.35), "portal", 0.6)],
+                "back": [Decal((middle - 1.2, 0.0, middle + 1.2, 2.3), "roller_door")],
                 "ceiling": [
-                    Decal(
-                        rect=(edge - 0.12, at - 0.7 - x[0], edge + 0.12, at + 0.7 - x[0]),
-                        material="lamp",
-                        fine=0.5,
-                    )
+                    Decal((edge - 0.12, at - 0.7 - x[0], edge + 0.12, at + 0.7 - x[0]), "lamp", 0.5)
                     for at in lamps
                     for edge in (0.5, self.width - 0.5)
                 ],

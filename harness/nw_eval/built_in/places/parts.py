@@ -10,7 +10,7 @@ from nw_eval.scenes.scene import Box, Vector
 Pair = tuple[float, float]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Decal:
     """Another material within a rectangle of a patch: a window in a wall, a line on a road.
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from nw_eval.built_in.places import furniture
 from nw_eval.built_in.places.builder import SceneBuilder
+from nw_eval.built_in.places.furniture import room_shell, window_lamp
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.walls import room_shell, window_lamp
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,25 +39,24 @@ class Room:
         panels = self._panels(x)
         decals = {
             "left": [
-                Decal(rect=(u, sill, u + w, lintel), material="window", fine=0.5, opening=True)
-                for u, w in windows
+                Decal((u, sill, u + w, lintel), "window", 0.5, opening=True) for u, w in windows
             ],
             "right": self._right_wall(span),
             "far": self._far_wall(),
-            "back": [Decal(rect=(0.5, 0.0, 1.45, 2.05), material="door/oak", fine=0.6)],
+            "back": [Decal((0.5, 0.0, 1.45, 2.05), "door/oak", 0.6)],
             "ceiling": [
-                Decal(rect=(y0 - y[0], x0 - x[0], y1 - y[0], x1 - x[0]), material="lamp", fine=0.5)
+                Decal((y0 - y[0], x0 - x[0], y1 - y[0], x1 - x[0]), "lamp", 0.5)
                 for x0, x1, y0, y1 in panels
             ],
         }
-        accent = self.accent or self.walls
         room_shell(
             builder,
             x,
             y,
             self.height,
             floor=self.floor,
-            walls={"left": self.walls, "right": self.walls, "far": accent, "back": self.walls},
+            walls=self.walls,
+            far=self.accent,
             ceiling="ceiling_tiles",
             decals=decals,
         )
@@ -94,30 +93,25 @@ class Room:
 
     def _right_wall(self, span: float) -> list[Decal]:
         if self.hall:
-            return [Decal(rect=(0.6, 0.15, span - 0.6, 2.5), material="wall_bars", fine=0.6)]
+            return [Decal((0.6, 0.15, span - 0.6, 2.5), "wall_bars", 0.6)]
         return [
-            Decal(rect=(span * 0.16, 0.95, span * 0.16 + 1.9, 2.05), material="whiteboard"),
-            Decal(rect=(span * 0.52, 1.1, span * 0.52 + 0.6, 1.95), material="poster/teal"),
-            Decal(rect=(span * 0.52 + 0.75, 1.1, span * 0.52 + 1.35, 1.95), material="poster/red"),
-            Decal(rect=(span * 0.86, 1.25, span * 0.86 + 0.45, 1.75), material="poster/ochre"),
+            Decal((span * 0.16, 0.95, span * 0.16 + 1.9, 2.05), "whiteboard"),
+            Decal((span * 0.52, 1.1, span * 0.52 + 0.6, 1.95), "poster/teal"),
+            Decal((span * 0.52 + 0.75, 1.1, span * 0.52 + 1.35, 1.95), "poster/red"),
+            Decal((span * 0.86, 1.25, span * 0.86 + 0.45, 1.75), "poster/ochre"),
         ]
 
     def _far_wall(self) -> list[Decal]:
         door = self.width * 0.66
         if self.hall:
             return [
-                Decal(
-                    rect=(self.width / 2 - 1.0, 0.0, self.width / 2 + 1.0, 2.2), material="doors"
-                ),
-                Decal(
-                    rect=(self.width / 2 - 0.25, 2.35, self.width / 2 + 0.25, 2.55),
-                    material="exit",
-                ),
+                Decal((self.width / 2 - 1.0, 0.0, self.width / 2 + 1.0, 2.2), "doors"),
+                Decal((self.width / 2 - 0.25, 2.35, self.width / 2 + 0.25, 2.55), "exit"),
             ]
         return [
-            Decal(rect=(door, 0.0, door + 0.95, 2.08), material="door/oak", fine=0.5),
-            Decal(rect=(0.7, 1.0, 2.3, 2.0), material="pinboard", fine=0.5),
-            Decal(rect=(door - 0.25, 1.1, door - 0.13, 1.25), material="plastic/white", fine=0.5),
+            Decal((door, 0.0, door + 0.95, 2.08), "door/oak", 0.5),
+            Decal((0.7, 1.0, 2.3, 2.0), "pinboard", 0.5),
+            Decal((door - 0.25, 1.1, door - 0.13, 1.25), "plastic/white", 0.5),
         ]
 
     def _seminar(
@@ -184,25 +178,22 @@ class Corridor:
         panels = [x[0] + 1.2 + 2.4 * index for index in range(int((span - 1.0) / 2.4))]
 
         def side(shift: float) -> list[Decal]:
-            strip = Decal(rect=(0.0, 0.09, span, 1.05), material=self.dado, fine=1.0)
-            rail = Decal(rect=(0.0, 1.05, span, 1.10), material="skirting/oak", fine=0.8)
-            signs = [
-                Decal(rect=(u + shift + 1.1, 1.45, u + shift + 1.28, 1.57), material="sign")
-                for u in doors
-            ]
+            strip = Decal((0.0, 0.09, span, 1.05), self.dado, 1.0)
+            rail = Decal((0.0, 1.05, span, 1.10), "skirting/oak", 0.8)
+            signs = [Decal((u + shift + 1.1, 1.45, u + shift + 1.28, 1.57), "sign") for u in doors]
             boards = [
                 Decal(
-                    rect=(u + shift + 1.7, 1.25, u + shift + 2.6, 1.95),
-                    material=("pinboard", "poster/teal")[index % 2],
-                    fine=0.55,
+                    (u + shift + 1.7, 1.25, u + shift + 2.6, 1.95),
+                    ("pinboard", "poster/teal")[index % 2],
+                    0.55,
                 )
                 for index, u in enumerate(doors[:-1])
             ]
             leaves = [
                 Decal(
-                    rect=(u + shift, 0.0, u + shift + 0.98, 2.08),
-                    material=("door/blue", "door/oak")[index % 2],
-                    fine=0.55,
+                    (u + shift, 0.0, u + shift + 0.98, 2.08),
+                    ("door/blue", "door/oak")[index % 2],
+                    0.55,
                 )
                 for index, u in enumerate(doors)
             ]
@@ -214,28 +205,22 @@ class Corridor:
             y,
             self.height,
             floor=self.floor,
-            walls=dict.fromkeys(("left", "right", "far", "back"), self.walls),
+            walls=self.walls,
             ceiling="ceiling_tiles",
             skirting="skirting/grey",
             decals={
                 "left": side(0.0),
                 "right": side(0.5),
                 "far": [
-                    Decal(
-                        rect=(middle - 0.75, 0.0, middle + 0.75, 2.15),
-                        material="glass_doors",
-                        fine=0.5,
-                    ),
-                    Decal(rect=(middle - 0.2, 2.25, middle + 0.2, 2.42), material="exit", fine=0.5),
+                    Decal((middle - 0.75, 0.0, middle + 0.75, 2.15), "glass_doors", 0.5),
+                    Decal((middle - 0.2, 2.25, middle + 0.2, 2.42), "exit", 0.5),
                 ],
-                "back": [
-                    Decal(rect=(middle - 0.8, 0.0, middle + 0.8, 2.15), material="doors", fine=0.6)
-                ],
+                "back": [Decal((middle - 0.8, 0.0, middle + 0.8, 2.15), "doors", 0.6)],
                 "ceiling": [
                     Decal(
-                        rect=(middle - 0.15, at - 0.6 - x[0], middle + 0.15, at + 0.6 - x[0]),
-                        material="lamp",
-                        fine=0.5,
+                        (middle - 0.15, at - 0.6 - x[0], middle + 0.15, at + 0.6 - x[0]),
+                        "lamp",
+                        0.5,
                     )
                     for at in panels
                 ],
@@ -301,48 +286,41 @@ class Lobby:
             y,
             self.height,
             floor=self.floor,
-            walls={
-                "left": self.walls,
-                "right": self.walls,
-                "far": self.accent,
-                "back": self.walls,
-            },
+            walls=self.walls,
+            far=self.accent,
             ceiling="ceiling_tiles",
             skirting="skirting/grey",
             decals={
                 "left": [
-                    Decal(rect=(u, 1.0, u + w, 3.9), material="window", fine=0.5, opening=True)
+                    Decal((u, 1.0, u + w, 3.9), "window", 0.5, opening=True)
                     for u, w in windows
                 ],
                 "right": [
-                    Decal(rect=(span * 0.14, 1.2, span * 0.14 + 1.5, 2.2), material="poster/teal"),
-                    Decal(rect=(span * 0.50, 0.9, span * 0.50 + 2.0, 2.1), material="pinboard"),
+                    Decal((span * 0.14, 1.2, span * 0.14 + 1.5, 2.2), "poster/teal"),
+                    Decal((span * 0.50, 0.9, span * 0.50 + 2.0, 2.1), "pinboard"),
                 ],
                 "far": [
                     Decal(
-                        rect=(middle - 0.95, up, middle + 0.95, up + 2.15),
-                        material="doors",
-                        fine=0.5,
-                    ),
+                        (middle - 0.95, up, middle + 0.95, up + 2.15),
+                        "doors",
+                        0.5),
                     Decal(
-                        rect=(middle - 0.25, up + 2.25, middle + 0.25, up + 2.45),
-                        material="exit",
-                        fine=0.5,
-                    ),
+                        (middle - 0.25, up + 2.25, middle + 0.25, up + 2.45),
+                        "exit",
+                        0.5),
                     Decal(
-                        rect=(0.5, up + 1.0, 1.3, up + 2.1), material="poster/red", fine=0.55
+                        (0.5, up + 1.0, 1.3, up + 2.1), "poster/red", 0.55
                     ),
                 ],
                 "back": [
-                    Decal(rect=(middle - 1.3, 0.0, middle + 1.3, 2.3), material="glass_doors")
+                    Decal((middle - 1.3, 0.0, middle + 1.3, 2.3), "glass_doors")
                 ],
                 "ceiling": [
                     Decal(
-                        rect=(side - 0.35 - y[0], at - 0.6 - x[0],
+                        (side - 0.35 - y[0], at - 0.6 - x[0],
                               side + 0.35 - y[0], at + 0.6 - x[0]),
-                        material="lamp",
-                        fine=0.5,
-                    )
+                        "lamp",
+                        0.5)
                     for at, side in panels
                 ],
             },

@@ -1,10 +1,11 @@
-"""Things that stand about outdoors."""
+"""Houses from outside, and things that stand about outdoors."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
-from nw_eval.built_in.places.builder import SceneBuilder
+from nw_eval.built_in.places.builder import ALL_FACES, SceneBuilder, about
 from nw_eval.built_in.places.parts import Decal, Pair
 
 # Offsets of a crown's clouds from its middle, in parts of its radius, and their own radii.
@@ -45,9 +46,7 @@ def tree(
     clear = height - 1.55 * radius
     half = trunk * 0.68
     if not far:
-        builder.box(
-            (x - half, x + half), (y - half, y + half), (0.0, clear), "bark/brown", faces=()
-        )
+        builder.box(about(x, half), about(y, half), (0.0, clear), "bark/brown", faces=())
     lean = (0.05 * radius * math.cos(3 * turn), 0.05 * radius * math.sin(3 * turn))
     builder.prism(
         (x, y),
@@ -100,11 +99,7 @@ def bush(
 ) -> None:
     """Plant a round bush."""
     builder.box(
-        (x - radius * 0.55, x + radius * 0.55),
-        (y - radius * 0.55, y + radius * 0.55),
-        (0.0, radius * 0.9),
-        "soil",
-        faces=(),
+        about(x, radius * 0.55), about(y, radius * 0.55), (0.0, radius * 0.9), "soil", faces=()
     )
     builder.crown((x, y, radius * 0.65), (radius, radius, radius * 0.75), leaves, kind="clutter")
     builder.crown(
@@ -123,11 +118,11 @@ def bench(
     for slat in range(3):
         low = y + facing * (-0.20 + 0.145 * slat)
         builder.box(
-            (x - length / 2, x + length / 2),
+            about(x, length / 2),
             (min(low, low + facing * 0.12), max(low, low + facing * 0.12)),
             (0.43, 0.46),
             wood,
-            faces=("-x", "+x", "-y", "+y", "+z", "-z"),
+            faces=ALL_FACES,
             fine=0.8,
             solid=slat == 1,
         )
@@ -135,25 +130,16 @@ def bench(
         back = y - facing * 0.24
         low = 0.56 + 0.16 * slat
         builder.box(
-            (x - length / 2, x + length / 2),
-            (back - 0.016, back + 0.016),
-            (low, low + 0.12),
-            wood,
-            fine=0.8,
-            solid=False,
+            about(x, length / 2), about(back, 0.016), (low, low + 0.12), wood, fine=0.8, solid=False
         )
     for end in (-0.62, 0.62):
         for leg in (-0.17, 0.17):
             builder.box(
-                (x + end - 0.025, x + end + 0.025),
-                (y + leg - 0.025, y + leg + 0.025),
-                (0.0, 0.43),
-                "metal/dark",
-                fine=0.8,
+                about(x + end, 0.025), about(y + leg, 0.025), (0.0, 0.43), "metal/dark", fine=0.8
             )
         builder.box(
-            (x + end - 0.03, x + end + 0.03),
-            (y - facing * 0.24 - 0.03, y - facing * 0.24 + 0.03),
+            about(x + end, 0.03),
+            about(y - facing * 0.24, 0.03),
             (0.40, 0.84),
             "metal/dark",
             fine=0.8,
@@ -165,7 +151,7 @@ def lamp_post(
     builder: SceneBuilder, x: float, y: float, *, height: float = 3.6, lit: bool = False
 ) -> None:
     """Stand a lantern on a pole."""
-    builder.box((x - 0.04, x + 0.04), (y - 0.04, y + 0.04), (0.0, height), "metal/dark", faces=())
+    builder.box(about(x, 0.04), about(y, 0.04), (0.0, height), "metal/dark", faces=())
     builder.prism((x, y), (0.0, 0.5), (0.085, 0.075), "metal/dark", sides=8)
     builder.prism((x, y), (0.5, height), (0.05, 0.045), "metal/dark", sides=8)
     glass = "glow/warm" if lit else "milk_glass"
@@ -183,8 +169,8 @@ def wall_lamp(builder: SceneBuilder, x: float, y: float, side: int, *, height: f
     """Hang a burning lantern on a wall at `y` that stands to the left (+1) or right (-1)."""
     out = y - side * 0.12
     builder.box(
-        (x - 0.09, x + 0.09),
-        (out - 0.09, out + 0.09),
+        about(x, 0.09),
+        about(out, 0.09),
         (height, height + 0.26),
         "glow/warm",
         kind="overhead",
@@ -200,7 +186,7 @@ def wall_lamp(builder: SceneBuilder, x: float, y: float, side: int, *, height: f
 def litter_bin(builder: SceneBuilder, x: float, y: float, material: str = "metal/green") -> None:
     """Stand a litter bin."""
     half = 0.15
-    builder.box((x - half, x + half), (y - half, y + half), (0.0, 0.8), material, faces=())
+    builder.box(about(x, half), about(y, half), (0.0, 0.8), material, faces=())
     builder.prism((x, y), (0.05, 0.8), (0.2, 0.21), material, sides=10, cap="metal/black")
 
 
@@ -212,7 +198,7 @@ def dumpster(builder: SceneBuilder, x: Pair, y: Pair, material: str = "metal/gre
     )
     for wheel_x in (x[0] + 0.15, x[1] - 0.15):
         builder.box(
-            (wheel_x - 0.07, wheel_x + 0.07),
+            about(wheel_x, 0.07),
             (y[0] + 0.05, y[1] - 0.05),
             (0.0, 0.12),
             "rubber/black",
@@ -259,9 +245,7 @@ def car(
     """
     length, width = 4.2, 1.74
     half = (width / 2, length / 2) if along_y else (length / 2, width / 2)
-    builder.box(
-        (x - half[0], x + half[0]), (y - half[1], y + half[1]), (0.25, 0.82), paint, faces=()
-    )
+    builder.box(about(x, half[0]), about(y, half[1]), (0.25, 0.82), paint, faces=())
 
     def point(along: float, across: float, z: float) -> tuple[float, float, float]:
         if along_y:
@@ -289,28 +273,25 @@ def car(
     f, b, w = length / 2, -length / 2, width / 2
     # Flanks, with wheel arches drawn on them.
     arches = tuple(
-        Decal(
-            rect=(at - 0.36, 0.0, at + 0.36, 0.46), material=paint.replace("car", "wheel"), fine=0.4
-        )
+        Decal((at - 0.36, 0.0, at + 0.36, 0.46), paint.replace("car", "wheel"), 0.4)
         for at in (0.82, length - 0.86)
     )
     sheet((b, -w, 0.18), (f, -w, 0.18), (b, -w, 0.88), paint, arches)
     sheet((f, w, 0.18), (b, w, 0.18), (f, w, 0.88), paint, arches)
     # Front with lights and grille, back with lights.
     front = (
-        Decal(rect=(0.06, 0.40, 0.40, 0.58), material="headlight", fine=0.5),
-        Decal(rect=(width - 0.40, 0.40, width - 0.06, 0.58), material="headlight", fine=0.5),
-        Decal(rect=(0.45, 0.16, width - 0.45, 0.44), material="grille", fine=0.5),
+        Decal((0.06, 0.40, 0.40, 0.58), "headlight", 0.5),
+        Decal((width - 0.40, 0.40, width - 0.06, 0.58), "headlight", 0.5),
+        Decal((0.45, 0.16, width - 0.45, 0.44), "grille", 0.5),
     )
     rear = (
-        Decal(rect=(0.05, 0.42, 0.36, 0.62), material="taillight", fine=0.5),
-        Decal(rect=(width - 0.36, 0.42, width - 0.05, 0.62), material="taillight", fine=0.5),
-        Decal(rect=(width / 2 - 0.26, 0.22, width / 2 + 0.26, 0.34), material="plate", fine=0.4),
+        Decal((0.05, 0.42, 0.36, 0.62), "taillight", 0.5),
+        Decal((width - 0.36, 0.42, width - 0.05, 0.62), "taillight", 0.5),
+        Decal((width / 2 - 0.26, 0.22, width / 2 + 0.26, 0.34), "plate", 0.4),
     )
     sheet((f, -w, 0.18), (f, w, 0.18), (f, -w, 0.76), paint, front)
     sheet((b, w, 0.18), (b, -w, 0.18), (b, w, 0.88), paint, rear)
     # Bonnet, windscreen, roof, rear window, boot.
-    n = w - 0.12
     n = w - 0.20
     sheet((f, -w, 0.74), (f, w, 0.74), (0.95, -w, 0.90), paint)
     sheet((0.95, -n, 0.90), (0.95, n, 0.90), (0.25, -n, 1.40), "glass/dark")
@@ -327,3 +308,83 @@ def car(
         material = paint if strip == strips - 1 else "glass/dark"
         sheet((back, -in0, z0), (front_end, -in0, z0), (back, -in1, z1), material)
         sheet((front_end, in0, z0), (back, in0, z0), (front_end, in1, z1), material)
+
+
+def house(
+    builder: SceneBuilder,
+    x: Pair,
+    y: Pair,
+    height: float,
+    walls: str,
+    *,
+    face: str,
+    other_faces: Iterable[str] = (),
+    windows: str = "house_window/white",
+    pitch: float = 2.4,
+    storey: float = 3.0,
+    sill: float = 0.95,
+    size: Pair = (1.1, 1.45),
+    extra: Iterable[Decal] = (),
+    skip: Iterable[int] = (),
+    plinth: str | None = "concrete/grey",
+    trim: str | None = "coping/grey",
+    roof: str = "concrete/dark",
+    fine: float = 1.0,
+) -> None:
+    """Build a house as one box whose `face` looks at the course, with a grid of windows.
+
+    Args:
+        builder: of the scene that it is part of.
+        x: from and to.
+        y: from and to.
+        height: metres.
+        walls: material.
+        face: the face with windows, such as `-y`.
+        other_faces: faces that are painted without windows.
+        windows: material.
+        roof: material.
+        fine: multiplies the spacing of Gaussians.
+        pitch: metres from window to window.
+        storey: metres from floor to floor.
+        sill: metres from a floor to its windows' sills.
+        size: width and height of a window.
+        plinth: material of its foot.
+        trim: material of lintels, sills and the bands between storeys.
+        extra: further decals of that face, such as doors, in its own coordinates.
+        skip: columns without a window on the ground floor.
+    """
+    length = (x[1] - x[0]) if face[1] == "y" else (y[1] - y[0])
+    decals: list[Decal] = []
+    if plinth is not None:
+        decals.append(Decal((0.0, 0.0, length, 0.4), plinth, 0.8))
+    columns = max(1, int(length / pitch))
+    margin = (length - columns * pitch) / 2
+    skipped = set(skip)
+    levels = int((height - 0.4) / storey)
+    if trim is not None:
+        for level in range(1, levels + 1):
+            foot = min(level * storey, height - 0.25)
+            decals.append(Decal((0.0, foot - 0.12, length, foot), trim, 0.9))
+    for level in range(levels):
+        for column in range(columns):
+            if level == 0 and column in skipped:
+                continue
+            u0 = margin + column * pitch + (pitch - size[0]) / 2
+            v0 = level * storey + sill
+            if trim is not None:
+                top = v0 + size[1]
+                decals.append(Decal((u0 - 0.1, top, u0 + size[0] + 0.1, top + 0.2), trim, 0.8))
+                decals.append(Decal((u0 - 0.1, v0 - 0.1, u0 + size[0] + 0.1, v0), trim, 0.8))
+            decals.append(Decal((u0, v0, u0 + size[0], v0 + size[1]), windows, 0.5))
+    decals += extra
+    builder.box(
+        x,
+        y,
+        (0.0, height),
+        walls,
+        top=roof,
+        kind="structure",
+        faces=(face, *other_faces),
+        fine=fine,
+        decals={face: decals},
+    )

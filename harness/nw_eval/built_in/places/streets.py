@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from nw_eval.built_in.places import furniture
 from nw_eval.built_in.places import scenery as outdoors
-from nw_eval.built_in.places.builder import SceneBuilder
+from nw_eval.built_in.places.builder import SceneBuilder, about
 from nw_eval.built_in.places.parts import Decal
-from nw_eval.built_in.places.walls import house
+from nw_eval.built_in.places.scenery import house
 
 _COLOURS = ("red", "blue", "green", "yellow", "grey")
 
@@ -41,20 +41,20 @@ class Alley:
             (x[0] - 3.0, x[1] + 8.0),
             (-9.0, 9.0),
             decals=(
-                Decal(rect=(x[0], half - 0.32, x[1], half), material="gutter/grey"),
-                Decal(rect=(x[0], -half, x[1], -half + 0.32), material="gutter/grey"),
-                Decal(rect=(length + 0.6, -0.25, length + 1.1, 0.25), material="drain", fine=0.5),
-                Decal(rect=(x[1] + 1.0, -9.0, x[1] + 2.4, 9.0), material="slabs/grey"),
+                Decal((x[0], half - 0.32, x[1], half), "gutter/grey"),
+                Decal((x[0], -half, x[1], -half + 0.32), "gutter/grey"),
+                Decal((length + 0.6, -0.25, length + 1.1, 0.25), "drain", 0.5),
+                Decal((x[1] + 1.0, -9.0, x[1] + 2.4, 9.0), "slabs/grey"),
             ),
         )
         windows = "house_window_lit" if self.lit else "house_window/white"
         left_doors = (
-            Decal(rect=(span * 0.46, 0.0, span * 0.46 + 1.0, 2.15), material="door/green"),
-            Decal(rect=(span * 0.72, 0.0, span * 0.72 + 2.3, 2.3), material="roller_door"),
+            Decal((span * 0.46, 0.0, span * 0.46 + 1.0, 2.15), "door/green"),
+            Decal((span * 0.72, 0.0, span * 0.72 + 2.3, 2.3), "roller_door"),
         )
         right_doors = (
-            Decal(rect=(span * 0.30, 0.0, span * 0.30 + 1.0, 2.15), material="door/blue"),
-            Decal(rect=(span * 0.55, 0.3, span * 0.55 + 1.6, 1.9), material="mural/teal", fine=0.6),
+            Decal((span * 0.30, 0.0, span * 0.30 + 1.0, 2.15), "door/blue"),
+            Decal((span * 0.55, 0.3, span * 0.55 + 1.6, 1.9), "mural/teal", 0.6),
         )
         house(builder, x, (half, half + 1.0), 6.8, self.left, face="-y", other_faces=("+x",),
               pitch=2.6, sill=1.3, size=(0.95, 1.25), extra=left_doors, skip=(2, 3, 4),
@@ -113,8 +113,8 @@ class Plaza:
             (-16.0, far),
             (-16.0, 16.0),
             decals=(
-                Decal(rect=(-16.0, -1.9, far, -1.6), material="granite/grey", fine=1.0),
-                Decal(rect=(-16.0, 1.6, far, 1.9), material="granite/grey", fine=1.0),
+                Decal((-16.0, -1.9, far, -1.6), "granite/grey", 1.0),
+                Decal((-16.0, 1.6, far, 1.9), "granite/grey", 1.0),
             ),
         )
         house(
@@ -144,7 +144,7 @@ class Plaza:
         for column in (-7.0, -3.5, 0.0, 3.5, 7.0):
             builder.box(
                 (far + 1.2, far + 1.5),
-                (column - 0.15, column + 0.15),
+                about(column, 0.15),
                 (0.42, 8.0),
                 "concrete/light",
                 kind="structure",
@@ -239,13 +239,11 @@ class CarPark:
         bays = range(-2, int((far - 2.0) / 2.5))
         for bay in bays:
             x = 2.5 * bay + 0.4
-            lines.append(Decal(rect=(x, half, x + 0.1, half + depth), material="stripe/white"))
-            lines.append(Decal(rect=(x, -half - depth, x + 0.1, -half), material="stripe/white"))
-        lines.append(Decal(rect=(length + 1.4, -0.75, length + 4.2, 0.75), material="arrow"))
+            lines.append(Decal((x, half, x + 0.1, half + depth), "stripe/white"))
+            lines.append(Decal((x, -half - depth, x + 0.1, -half), "stripe/white"))
+        lines.append(Decal((length + 1.4, -0.75, length + 4.2, 0.75), "arrow"))
         for x, y, reach in ((0.9, 1.4, 0.5), (length - 0.4, -1.3, 0.45), (4.0, -3.6, 0.6)):
-            lines.append(
-                Decal(rect=(x - reach, y - reach, x + reach, y + reach), material="oil_stain")
-            )
+            lines.append(Decal((x - reach, y - reach, x + reach, y + reach), "oil_stain"))
         side = half + depth
         builder.ground(self.ground, (-14.0, far), (-side, side), decals=lines)
         builder.ground("grass/green", (-14.0, far + 8.0), (side, 22.0))
@@ -337,11 +335,11 @@ class Yard:
         x = (-9.0, length + 12.0)
         half = self.lane / 2
         edges = [
-            Decal(rect=(x[0], y - 0.06, x[1], y + 0.06), material="stripe/yellow", fine=0.8)
+            Decal((x[0], y - 0.06, x[1], y + 0.06), "stripe/yellow", 0.8)
             for y in (-half + 0.35, half - 0.35)
         ]
         stains = [
-            Decal(rect=(at - 0.5, y - 0.5, at + 0.5, y + 0.5), material="oil_stain")
+            Decal((at - 0.5, y - 0.5, at + 0.5, y + 0.5), "oil_stain")
             for at, y in ((1.5, -1.4), (length + 2.2, 1.0))
         ]
         builder.ground(self.ground, x, (-14.0, 14.0), decals=(*edges, *stains))
@@ -360,7 +358,7 @@ class Yard:
             builder, (x[1] + 2.0, x[1] + 3.0), (-14.0, 14.0), 7.0, "corrugated/grey", face="-x",
             pitch=4.6, storey=6.0, sill=3.6, size=(2.4, 1.1), windows="house_window/dark",
             plinth="brick/red", trim=None,
-            extra=(Decal(rect=(12.0, 0.0, 16.0, 4.2), material="roller_door", fine=0.7),),
+            extra=(Decal((12.0, 0.0, 16.0, 4.2), "roller_door", 0.7),),
         )  # fmt: skip
         house(builder, (x[0] - 3.0, x[0] - 2.0), (-14.0, 14.0), 6.0, "corrugated/blue", face="+x",
               pitch=4.6, storey=5.0, windows="house_window/dark", trim=None)  # fmt: skip
@@ -384,11 +382,11 @@ class Yard:
         face = "-y" if side > 0 else "+y"
         length = x[1] - x[0]
         frame = [
-            Decal(rect=(0.0, 0.0, length, 0.16), material="metal/dark", fine=0.9),
-            Decal(rect=(0.0, 2.46, length, 2.6), material="metal/dark", fine=0.9),
-            Decal(rect=(0.0, 0.16, 0.14, 2.46), material="metal/grey", fine=0.9),
-            Decal(rect=(length - 0.14, 0.16, length, 2.46), material="metal/grey", fine=0.9),
-            Decal(rect=(0.9, 1.75, 1.9, 2.25), material="sign", fine=0.7),
+            Decal((0.0, 0.0, length, 0.16), "metal/dark", 0.9),
+            Decal((0.0, 2.46, length, 2.6), "metal/dark", 0.9),
+            Decal((0.0, 0.16, 0.14, 2.46), "metal/grey", 0.9),
+            Decal((length - 0.14, 0.16, length, 2.46), "metal/grey", 0.9),
+            Decal((0.9, 1.75, 1.9, 2.25), "sign", 0.7),
         ]
         builder.box(
             x, y, (z, z + 2.6), f"corrugated/{colour}", top="metal/grey", kind="structure",

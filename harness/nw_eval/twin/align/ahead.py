@@ -26,8 +26,7 @@ from nw_eval.scenes.scene import Vector
 from nw_eval.twin.align.alignment import AlignOptions, KnownLength, check_inside, words_of
 from nw_eval.twin.align.positions import gps_positions
 from nw_eval.twin.align.tags import detector
-from nw_eval.twin.calibrate.footage import Footage
-from nw_eval.twin.calibrate.photographs import DAMAGE, upright_size
+from nw_eval.twin.calibrate.photographs import DAMAGE, Footage, upright_size
 from nw_eval.words import UpAxis
 
 FACTS_FILE = "known.json"

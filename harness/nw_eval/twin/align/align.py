@@ -1,30 +1,378 @@
-"""Aligning a capture: up by consensus, scale by a tag or what else is known, the floor at z = 0."""
+"""Aligning a capture: up by consensus, scale by a tag or what else is known, the floor at z = 0.
+
+Scale, how long a unit of a capture is, is by every cue that there is, the most trusted first.
+Lengths and heights that somebody measured lie between points in space, or points picked in shots.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.errors import UsageError, nearest
+from nw_eval.errors import PrerequisiteError, UsageError, nearest
+from nw_eval.plural import plural
 from nw_eval.scenes.rays import RayScene
+from nw_eval.scenes.scene import Vector
 from nw_eval.twin.align.alignment import (
     MOST_DEGREES,
     MOST_DIFFERENCE,
     Alignment,
     AlignOptions,
     GravityCue,
+    KnownLength,
+    Pixel,
     ScaleCue,
+    check_inside,
+    words_of,
 )
 from nw_eval.twin.align.gravity import KnownUp, Mesh, find_gravity
 from nw_eval.twin.align.positions import PositionFit, fit_positions
-from nw_eval.twin.align.scale import find_scale
-from nw_eval.twin.capture import Capture
-from nw_eval.twin.moved import moved_mesh
+from nw_eval.twin.align.tags import PlacedTag, find_tags, place_tags, triangulate
+from nw_eval.twin.capture import Capture, PlacedShot
+from nw_eval.twin.place import moved_mesh
 from nw_eval.words import UpAxis
+
+_VAGUE = 0.02
+"""A scale by positions that is known worse is worth a word."""
+_ROUGH = 0.03
+"""A scale by a length that a pixel changes by more is worth a word."""
+_USELESS = 0.15
+"""A scale by positions that is known worse is none."""
+CARRIED = 1.5
+"""Metres above the floor at which people carry a camera: the unit where nothing gives a scale."""
+
+_TOLERANCE = 8.0
+"""Pixels that a picked point may be off: hands are less exact than detectors."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScaleAnswer:
+    """Metres in a unit, each cue's answer, and what somebody should look at.
+
+    Without cues nothing gives a scale: `scale` is such that the cameras are `CARRIED` above the
+    floor.
+    """
+
+    scale: float
+    cues: tuple[ScaleCue, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ScaleBy:
+    name: str
+    scale: float
+    reason: str
+
+
+def find_scale(
+    capture: Capture,
+    folder: Path | None,
+    options: AlignOptions,
+    *,
+    up: Values,
+    heights: Values,
+    has_floor: bool,
+    surface: RayScene | None,
+    positions: PositionFit | None,
+    say: Callable[[str], None],
+) -> ScaleAnswer:
+    """Return the scale by tags, else by a length, a height, poses, or positions.
+
+    Args:
+        capture: with its pictures in `folder`.
+        folder: of the capture; None = its pictures are not looked at.
+        options: what somebody knows.
+        up: (3,) unit vector in the capture's frame.
+        heights: (V,) of the cameras above the floor, in the capture's unit.
+        has_floor: whether a plane was found for a floor.
+        surface: mesh on which points lie that were picked in one photograph; None without.
+        positions: the fit to known positions; None without.
+        say: hears of the tags that are found.
+
+    Raises:
+        UsageError: a point of a length is in no photograph, or does not meet the surface.
+        PrerequisiteError: what finds tags is not installed.
+        SceneError: a picture cannot be read.
+    """
+    warnings: list[str] = []
+    answers = [
+        *_by_tags(capture, folder, options, warnings, say),
+        *_by_lengths(capture, options, up, surface, warnings),
+        *_by_camera_height(options, heights if has_floor else None, warnings),
+        *_by_poses(options, positions, warnings),
+    ]
+    if not answers:
+        warnings.append(_nothing(capture, folder, options))
+        own = _own_unit(capture, heights)
+        return ScaleAnswer(scale=own, cues=(), warnings=tuple(warnings))
+    chosen = answers[0].scale
+    cues = tuple(
+        ScaleCue(
+            name=one.name,
+            scale=one.scale,
+            difference=one.scale / chosen - 1.0,
+            used=place == 0,
+            reason=one.reason,
+        )
+        for place, one in enumerate(answers)
+    )
+    return ScaleAnswer(scale=chosen, cues=cues, warnings=tuple(warnings))
+
+
+def _by_tags(
+    capture: Capture,
+    folder: Path | None,
+    options: AlignOptions,
+    warnings: list[str],
+    say: Callable[[str], None],
+) -> list[_ScaleBy]:
+    if folder is None or (options.tag_edge is None and not options.tag_edges):
+        return []
+    found = find_tags(capture, folder, options.tag_family, say)
+    edges = {
+        number: edge
+        for number in found
+        if (edge := options.tag_edges.get(number, options.tag_edge)) is not None
+    }
+    tags = place_tags(capture, {number: found[number] for number in edges})
+    lost = sorted(edges.keys() - {tag.number for tag in tags})
+    if lost:
+        warnings.append(f"no two shots agree on where these tags are: {_listed(lost)}")
+    if not tags:
+        if not lost:
+            warnings.append(f"no {options.tag_family} tag of known edge is in any picture")
+        return []
+    return [_tag_answer(tags, edges, warnings)]
+
+
+def _tag_answer(tags: list[PlacedTag], edges: dict[int, float], warnings: list[str]) -> _ScaleBy:
+    """Return the mean of the tags' scales, each as often as shots agree on it."""
+    logs = np.array([math.log(edges[tag.number] / tag.edge) for tag in tags])
+    shots = np.array([tag.shots for tag in tags])
+    middle = float((shots * logs).sum() / shots.sum())
+    spread = float(np.abs(np.expm1(logs - middle)).max())
+    if spread > MOST_DIFFERENCE:
+        worst = tags[int(np.argmax(np.abs(logs - middle)))].number
+        warnings.append(
+            f"the tags disagree by {spread:.1%} about the scale, tag {worst} most: is its edge "
+            f"{edges[worst]:g} m?"
+        )
+    pixels = max(tag.pixels for tag in tags)
+    agree = f", which agree to {spread:.1%}" if len(tags) > 1 else ""
+    reason = (
+        f"tag {_listed([tag.number for tag in tags])} in {plural(int(shots.max()), 'shot')}"
+        f"{agree}; corners off by {pixels:.2f} pixels"
+    )
+    return _ScaleBy(name="tag", scale=math.exp(middle), reason=reason)
+
+
+def _by_camera_height(
+    options: AlignOptions, heights: Values | None, warnings: list[str]
+) -> list[_ScaleBy]:
+    if options.camera_height is None:
+        return []
+    if heights is None:
+        warnings.append("no level floor was found, so that the cameras' height gives no scale")
+        return []
+    height = float(np.median(heights))
+    if height <= 0:
+        warnings.append(
+            "half of the cameras are below the floor that was found, so that their height gives "
+            "no scale"
+        )
+        return []
+    low, high = np.quantile(heights, [0.1, 0.9]) / height * options.camera_height
+    reason = f"median {options.camera_height:g} m; most cameras from {low:.2f} to {high:.2f} m"
+    return [_ScaleBy(name="camera height", scale=options.camera_height / height, reason=reason)]
+
+
+def _by_lengths(
+    capture: Capture,
+    options: AlignOptions,
+    up: Values,
+    surface: RayScene | None,
+    warnings: list[str],
+) -> list[_ScaleBy]:
+    answers: list[_ScaleBy] = []
+    for length in options.lengths:
+        units = units_of(length, capture, up, surface)
+        ends = f"{words_of(length.first)} and {words_of(length.second)}"
+        reason, off = (
+            f"{length.metres:g} m between {ends}",
+            _by_a_pixel(length, capture, up, surface),
+        )
+        if off is not None:
+            reason += f"; known to {off / units:.1%} where each pixel is off by one"
+            if off > _ROUGH * units:
+                warnings.append(
+                    f"the length between {ends} is known to {off / units:.0%} only: pick points "
+                    "nearer to the camera and farther apart, in photographs taken well apart"
+                )
+        name = "height" if length.vertical else "length"
+        answers.append(_ScaleBy(name=name, scale=length.metres / units, reason=reason))
+    return answers
+
+
+def _by_a_pixel(
+    length: KnownLength, capture: Capture, up: Values, surface: RayScene | None
+) -> float | None:
+    """Return by how much a length is off where each picked pixel is off by one; None without."""
+    units = units_of(length, capture, up, surface)
+    squares: list[float] = []
+    for which in ("first", "second"):
+        end = getattr(length, which)
+        if not isinstance(end, Mapping):
+            return None
+        for name, (x, y) in end.items():
+            for moved in ((x - 1.0, y), (x, y - 1.0)):
+                try:
+                    other = replace(length, **{which: {**end, name: moved}})
+                    squares.append((units_of(other, capture, up, surface) - units) ** 2)
+                except UsageError:  # Off the picture, or into a hole.
+                    continue
+    return math.sqrt(sum(squares))
+
+
+def _own_unit(capture: Capture, heights: Values) -> float:
+    """Return the scale at which cameras are as high above the floor as people carry them."""
+    height = float(np.median(heights))
+    if height <= 0:  # No floor either: what they look at is twice as far.
+        away = np.linalg.norm(capture.points - np.median(capture.centres, axis=0), axis=1)
+        height = float(np.median(away)) / 2.0
+    return CARRIED / height if height > 0 else 1.0
+
+
+def _by_poses(
+    options: AlignOptions, positions: PositionFit | None, warnings: list[str]
+) -> list[_ScaleBy]:
+    answers: list[_ScaleBy] = []
+    if options.metric:
+        answers.append(_ScaleBy(name="poses", scale=1.0, reason="they come in metres"))
+    if positions is not None and positions.uncertain > _USELESS:
+        warnings.append(
+            f"the positions (GPS) are off by {positions.off:.2g} m, so they know the scale to "
+            f"{positions.uncertain:.0%} only, which is none: the photographs lie too near together"
+        )
+    elif positions is not None:
+        reason = (
+            f"{plural(len(options.positions), 'shot')}, off by {positions.off:.3g} m; scale known "
+            f"to {positions.uncertain:.1%}"
+        )
+        answers.append(_ScaleBy(name="positions", scale=positions.scale, reason=reason))
+        if positions.uncertain > _VAGUE:
+            warnings.append(
+                f"the positions are off by {positions.off:.2g} m, so they know the scale to "
+                f"{positions.uncertain:.0%} only"
+            )
+    return answers
+
+
+def _nothing(capture: Capture, folder: Path | None, options: AlignOptions) -> str:
+    """Return that there is no scale, and which tags one need only measure."""
+    text = (
+        "nothing gives a scale: the scene is in a unit of its own, in which the cameras are "
+        f"{CARRIED:g} above the floor"
+    )
+    if folder is None or options.tag_edge is not None or options.tag_edges:
+        return text
+    try:
+        found = find_tags(capture, folder, options.tag_family, lambda _: None)
+    except PrerequisiteError:
+        return text
+    seen = [number for number, where in found.items() if len(where) > 1]
+    return f"{text}; tag {_listed(seen)} is in view, its edge is not known" if seen else text
+
+
+def _listed(numbers: list[int]) -> str:
+    return ", ".join(map(str, numbers))
+
+
+def units_of(
+    length: KnownLength, capture: Capture, up: Values, surface: RayScene | None = None
+) -> float:
+    """Return how many of the capture's units a known length has.
+
+    Args:
+        length: with its two points.
+        capture: in whose frame, or in whose shots, they are.
+        up: (3,) unit vector, for heights.
+        surface: mesh on which points lie that were picked in one shot; None without.
+
+    Raises:
+        UsageError: a shot is not there, a pick does not meet the mesh, picks do not meet in a
+            point, or the points coincide.
+    """
+    first, second = (_point(end, capture, surface) for end in (length.first, length.second))
+    way = second - first
+    units = abs(float(way @ up)) if length.vertical else float(np.linalg.norm(way))
+    if units < 1e-9 * max(1.0, float(np.abs(capture.points).max(initial=0.0))):
+        raise UsageError(
+            f"the two points of a length of {length.metres:g} m coincide",
+            fix="pick two points apart" + (" in height" if length.vertical else ""),
+        )
+    return units
+
+
+def _point(
+    where: Vector | Mapping[str, Pixel], capture: Capture, surface: RayScene | None
+) -> Values:
+    if not isinstance(where, Mapping):
+        return np.asarray(where, dtype=np.float64)
+    shots = {shot.name: shot for shot in capture.shots}
+    for name in where:
+        if name not in shots:
+            raise UsageError(
+                f"a point was picked in {name!r}, which is no shot of the capture",
+                fix=nearest(name, shots),
+            )
+    chosen = [shots[name] for name in where]
+    pixels = np.array([_in_picture(shots[name], pixel) for name, pixel in where.items()])
+    if len(chosen) == 1:
+        return _on_mesh(chosen[0], pixels[0], words_of(where), surface)
+    found = triangulate([one.camera for one in chosen], pixels[:, None], tolerance=_TOLERANCE)
+    if found is None:
+        raise UsageError(
+            f"the picks {words_of(where) or 'in no shot'} do not meet in a point",
+            fix="pick the same point in two shots or more, taken well apart",
+        )
+    return found.points[0]
+
+
+def _in_picture(shot: PlacedShot, pixel: Pixel) -> Values:
+    """Return where the picture of a shot shows what its photograph does at a pixel, (2,)."""
+    camera, lens = shot.camera, shot.lens
+    check_inside(shot.name, pixel, shot.photographed)
+    if lens is None:
+        return np.array(pixel)
+    x, y = np.asarray(lens.camera().cam_from_img(np.array([pixel], dtype=np.float64)))[0, :2]
+    return np.array([camera.fx * x + camera.cx, camera.fy * y + camera.cy])
+
+
+def _on_mesh(shot: PlacedShot, pixel: Values, words: str, surface: RayScene | None) -> Values:
+    """Return where the ray of a picture's pixel meets the mesh, in the capture's frame."""
+    two = "give the point in two photographs that show it, IMG_1.jpg:412,310+IMG_2.jpg:97,305"
+    if surface is None:
+        raise UsageError(f"{words} is in one photograph, and there is no mesh", fix=two)
+    camera = shot.camera
+    local = [(pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1.0]
+    direction = np.einsum("ij,j->i", camera.T_world_camera[:3, :3], np.array(local))
+    direction = direction / np.linalg.norm(direction)
+    origin = camera.T_world_camera[:3, 3]
+    distance, face = surface.cast(origin[None], direction[None])
+    if face[0] < 0:
+        raise UsageError(
+            f"the point {words} does not meet the surface: the mesh has a hole there, or the "
+            "pixel shows the sky",
+            fix=f"pick a pixel of ground or of a large object nearby, or {two}",
+        )
+    return origin + float(distance[0]) * direction
+
 
 Values = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from nw_eval.stats.interval import t_quantile
 from nw_eval.twin.align.alignment import read_alignment
 from nw_eval.twin.building.appearance import AppearanceOptions, AppearanceReport, train_splat
 from nw_eval.twin.capture import read_capture
-from nw_eval.twin.moved import moved_points
+from nw_eval.twin.place import moved_points
 
 if TYPE_CHECKING:
     from nw_eval.twin.building.folder import BuildFolder

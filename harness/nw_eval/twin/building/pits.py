@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from nw_eval.scenes.rays import RayScene
 from nw_eval.twin.building.appearance import nearest_pixels
 from nw_eval.twin.capture import Capture
-from nw_eval.twin.moved import moved_mesh, moved_points
 from nw_eval.twin.packages import package
+from nw_eval.twin.place import moved_mesh, moved_points
 from nw_eval.twin.reconstruct.depth import DARKER, darkness, read_depth
-from nw_eval.twin.reconstruct.mesh import ColourMesh
+from nw_eval.twin.reconstruct.surface import ColourMesh
 from nw_eval.twin.reconstruct.views import read_view
 
 F64 = NDArray[np.float64]

@@ -22,8 +22,8 @@ from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.twin.capture import Capture
 from nw_eval.twin.course_profile import Shown
-from nw_eval.twin.moved import moved_points
 from nw_eval.twin.packages import package
+from nw_eval.twin.place import moved_points
 from nw_eval.twin.reconstruct.depth import read_depth
 
 F64 = NDArray[np.float64]

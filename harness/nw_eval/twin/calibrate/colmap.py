@@ -18,8 +18,8 @@ import numpy as np
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import regular
-from nw_eval.twin.calibrate.footage import Footage, found_in, in_order, with_masks
-from nw_eval.twin.calibrate.pace import Say
+from nw_eval.twin.calibrate.photographs import Footage, found_in, in_order, with_masks
+from nw_eval.twin.calibrate.report import Say
 from nw_eval.twin.calibrate.solution import Placed, Solution, check_pose, inverse, rigid
 from nw_eval.twin.capture import MOST_DISTANT
 from nw_eval.twin.lens import Lens

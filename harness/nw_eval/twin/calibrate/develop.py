@@ -16,8 +16,8 @@ from PIL import Image
 from nw_eval.errors import SceneError, StoreError
 from nw_eval.files.pictures import open_picture
 from nw_eval.splat.camera import Camera
-from nw_eval.twin.calibrate.pace import Pace, Say
 from nw_eval.twin.calibrate.photographs import Photograph
+from nw_eval.twin.calibrate.report import Pace, Say
 from nw_eval.twin.calibrate.solution import Placed, Solution
 from nw_eval.twin.capture import Capture, PlacedShot
 from nw_eval.twin.lens import Lens

@@ -36,9 +36,18 @@ from nw_eval.files.inside import OutsideError, bounded_bytes, inside
 from nw_eval.plural import plural
 from nw_eval.scenes.limits import SCALES
 from nw_eval.twin.calibrate.colmap import pose_of
-from nw_eval.twin.calibrate.footage import Footage, found_in, in_order, names_in, number, read_json
-from nw_eval.twin.calibrate.pace import Say
-from nw_eval.twin.calibrate.photographs import SUFFIXES, Found, natural
+from nw_eval.twin.calibrate.photographs import (
+    SUFFIXES,
+    Footage,
+    Found,
+    found_in,
+    in_order,
+    names_in,
+    natural,
+    number,
+    read_json,
+)
+from nw_eval.twin.calibrate.report import Say
 from nw_eval.twin.calibrate.solution import Placed, Solution, check_pose, inverse, rigid
 from nw_eval.twin.calibrate.video import choose
 from nw_eval.twin.lens import Lens

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from nw_eval.errors import SceneError
 from nw_eval.plural import plural
 from nw_eval.twin.calibrate.features import Matches
-from nw_eval.twin.calibrate.pace import Pace, Say
+from nw_eval.twin.calibrate.report import Pace, Say
 from nw_eval.twin.calibrate.solution import Placed, Solution, inverse
 from nw_eval.twin.lens import Lens
 from nw_eval.twin.packages import quiet

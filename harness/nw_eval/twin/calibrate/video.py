@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from nw_eval.errors import SceneError
-from nw_eval.twin.calibrate.footage import Footage
-from nw_eval.twin.calibrate.pace import Pace, Say
-from nw_eval.twin.calibrate.photographs import HDR, Found, sharpness_of, tone_mapped
+from nw_eval.twin.calibrate.photographs import HDR, Footage, Found, sharpness_of, tone_mapped
+from nw_eval.twin.calibrate.report import Pace, Say
 from nw_eval.twin.packages import package
 
 VIDEOS = frozenset(

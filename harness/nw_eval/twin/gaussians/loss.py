@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.twin.gaussians.images import F32, Images, Photo
-from nw_eval.twin.gaussians.kernels.rows import adam
-from nw_eval.twin.gaussians.kernels.ssim import RADIUS, SLOPES, photo_gradient, ssim_slopes
+from nw_eval.twin.gaussians.kernels.rows import RADIUS, SLOPES, adam, photo_gradient, ssim_slopes
 from nw_eval.twin.gaussians.rasteriser import Rasteriser, Threads
 
 DEVIATION = 1.5

@@ -21,11 +21,16 @@ from nw_eval.memory import pack, unpack
 from nw_eval.splat.gaussians import ARRAYS, Gaussians
 from nw_eval.splat.store import digest
 from nw_eval.twin.gaussians.config import TrainConfig, falling
-from nw_eval.twin.gaussians.density import DefaultDensity, Density, McmcDensity, floaters
+from nw_eval.twin.gaussians.density import (
+    DefaultDensity,
+    Density,
+    McmcDensity,
+    Population,
+    floaters,
+)
 from nw_eval.twin.gaussians.images import Photo, extent_of
 from nw_eval.twin.gaussians.initial import distances
 from nw_eval.twin.gaussians.loss import Exposures, compare
-from nw_eval.twin.gaussians.population import Population
 from nw_eval.twin.gaussians.rasteriser import Rasteriser, Threads
 
 _ORDER, _SAMPLE = 0, 1

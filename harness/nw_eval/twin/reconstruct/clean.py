@@ -27,8 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.twin.packages import package
-from nw_eval.twin.reconstruct.mesh import ColourMesh, parts_of
 from nw_eval.twin.reconstruct.planes import PlaneSearch, SupposedPlane
+from nw_eval.twin.reconstruct.surface import ColourMesh, parts_of
 
 F64 = NDArray[np.float64]
 

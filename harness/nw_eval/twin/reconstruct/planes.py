@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from nw_eval.twin.packages import package
 from nw_eval.twin.reconstruct.depth import DepthMap
-from nw_eval.twin.reconstruct.mesh import ColourMesh
+from nw_eval.twin.reconstruct.surface import ColourMesh
 from nw_eval.twin.reconstruct.views import F64
 
 _MOST, _MISSES = 40, 4

@@ -17,8 +17,7 @@ from nw_eval.scenes.folder import folder_files, load_folder
 from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.suite.load import write_ready_suite
 from nw_eval.twin.label.files import OpenedScene, open_place, save_label
-from nw_eval.twin.moved import moved_points
-from nw_eval.twin.place import SUITE, Route
+from nw_eval.twin.place import SUITE, Route, moved_points
 from nw_eval.twin.scans.scan import UNITS, Unit, WrittenScan, lay_course, shifted, turn_to_z
 
 Values = NDArray[np.float64]

@@ -23,8 +23,7 @@ from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.twin.gaussians.initial import FLAT, distances, gaussians_at
-from nw_eval.twin.moved import moved_points, similarity_entry
-from nw_eval.twin.place import SPLAT
+from nw_eval.twin.place import SPLAT, moved_points, similarity_entry
 
 Values = NDArray[np.float64]
 

@@ -28,12 +28,12 @@ from nw_eval.scenes.mesh_parts import Material
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.surface import Surface
 from nw_eval.suite.load import check_has_policy, robot_from, write_ready_suite
-from nw_eval.twin.moved import moved_points
 from nw_eval.twin.place import (
     COLLISION,
     SUITE,
     Route,
     check_scene_name,
+    moved_points,
     rounded,
     write_collision,
     write_yaml,

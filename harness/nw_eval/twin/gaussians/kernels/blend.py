@@ -75,7 +75,7 @@ from nw_eval.splat.kernels.simd import (
     negate,
     where,
 )
-from nw_eval.twin.gaussians.kernels.jit import kernel
+from nw_eval.twin.gaussians.kernels import kernel
 from nw_eval.twin.gaussians.kernels.project import INVERSE_DEPTH, LN2
 
 PLANES = 6
