@@ -146,8 +146,8 @@ def saved_suite(info: RunInfo) -> Suite:
     """
     from pydantic import ValidationError
 
-    from nw_eval.cards.observations import Source
     from nw_eval.suite import new_suite
+    from nw_eval.suite.model import Source
 
     folder = Path(info.suite_folder) if info.suite_folder else None
     try:

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from nw_eval.catalogue import FoundScene
-    from nw_eval.cli.verbs.options import Suite
     from nw_eval.policies import Bundle
     from nw_eval.request import Request
     from nw_eval.results.bank import Against
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from nw_eval.results.provenance import ShardInfo
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.scenes import Scene
+    from nw_eval.suite.model import Suite
     from nw_eval.suite.trials import DrawnStart, Trial
     from nw_eval.words import Arm, Backend, Kernels, PanelKind
 

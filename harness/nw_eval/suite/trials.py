@@ -15,7 +15,7 @@ from nw_eval.suite.digest import canonical
 from nw_eval.words import Tier
 
 if TYPE_CHECKING:
-    from nw_eval.cli.verbs.options import Suite
+    from nw_eval.suite.model import Suite
 
 
 MAX_TRIALS = 1_000_000
