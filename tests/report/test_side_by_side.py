@@ -18,7 +18,7 @@ from nw_eval.gate.side_by_side import (
 )
 from nw_eval.reporting.pictures import draw_comparison
 from nw_eval.reporting.side_by_side import comparison_page
-from nw_eval.stats.agreement import Ranks
+from nw_eval.stats.betting import Ranks
 from nw_eval.stats.hazard import differences
 from nw_eval.stats.interval import Estimate, Interval
 
