@@ -39,7 +39,7 @@ def in_order(trials: Iterable[Trial]) -> tuple[Trial, ...]:
 
     def key(trial: Trial) -> tuple[int, bytes]:
         if trial.place is None:
-            return trial.index, _rank(trial)
+            return trial.index, sha256(f"{trial.suite_digest}/{trial.identity}".encode()).digest()
         return trial.place, b""
 
     return tuple(sorted(trials, key=key))
@@ -81,10 +81,6 @@ def next_place(
         key=lambda place: 0 if scenes[place] in own else 1 + (scenes[place] in taken),
         default=-1,
     )
-
-
-def _rank(trial: Trial) -> bytes:
-    return sha256(f"{trial.suite_digest}/{trial.identity}".encode()).digest()
 
 
 def shard_of(

@@ -188,7 +188,10 @@ class NodeAgent:
         Raises:
             TrialError: no worker processes can be kept alive on this node.
         """
-        self._workers.submit(replace(job, mcap=self._log_of(job)) for job in jobs)
+        log = self._folder.mcap
+        self._workers.submit(
+            replace(job, mcap=job.mcap and log(job.trial.scene, job.trial.id)) for job in jobs
+        )
         end = monotonic() + _TURN
         while monotonic() < end:
             try:
@@ -199,9 +202,6 @@ class NodeAgent:
             if ended is not None:
                 return self._answer(ended)
         return None
-
-    def _log_of(self, job: TrialJob) -> Path | None:
-        return None if job.mcap is None else self._folder.mcap(job.trial.scene, job.trial.id)
 
     def _answer(self, ended: Finished) -> Answer:
         """Return what a job came to, with what it left, which is gone from here afterwards."""

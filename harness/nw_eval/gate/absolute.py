@@ -224,7 +224,8 @@ def _holes(
     if not any(item.planned for item in scores):
         reasons.append("no trials were planned, and nothing can pass without trials")
     if failed := [row for row in rows if row.status == "error"]:
-        kinds = ", ".join(f"{count} {kind}" for kind, count in _counted(failed))
+        outcomes = Counter(row.outcome for row in failed).most_common()
+        kinds = ", ".join(f"{count} {kind}" for kind, count in outcomes)
         first = failed[0]
         reasons.append(
             f"{plural(len(failed), 'trial')} ended in errors ({kinds}), first {first.trial_id}: "
@@ -312,10 +313,6 @@ def _weak_scenes(scores: Sequence[SceneScore], gate: Gate) -> list[str]:
     ]
     which = "itself" if len(weak) == 1 else "themselves"
     return [f"{plural(len(weak), 'scene')} below the bar by {which}: {_listed(scenes, '; ')}"]
-
-
-def _counted(rows: Sequence[Row]) -> list[tuple[str, int]]:
-    return Counter(row.outcome for row in rows).most_common()
 
 
 def _listed(words: Sequence[str], between: str = ", ") -> str:

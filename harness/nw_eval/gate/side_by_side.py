@@ -396,7 +396,9 @@ def _labels(entrants: Sequence[Entrant]) -> list[str]:
     """Return a name for each policy that no other one has."""
     policies = Counter(each.policy for each in entrants)
     labels = [
-        each.policy if policies[each.policy] == 1 else f"{each.policy} ({_short(each.source)})"
+        each.policy
+        if policies[each.policy] == 1
+        else f"{each.policy} ({each.source.rstrip('/').rpartition('/')[2]})"
         for each in entrants
     ]
     clashing = Counter(labels)
@@ -404,10 +406,6 @@ def _labels(entrants: Sequence[Entrant]) -> list[str]:
         label if clashing[label] == 1 else f"{label} #{place}"
         for place, label in enumerate(labels, 1)
     ]
-
-
-def _short(source: str) -> str:
-    return source.rstrip("/").rpartition("/")[2]
 
 
 def _partings(

@@ -11,6 +11,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import accumulate, chain
+from operator import eq
 from typing import Any, Protocol, Self, cast, overload
 
 from nw_eval.results.row import COLUMNS, Row, by_column, to_dict
@@ -321,7 +322,7 @@ class StoredRows(Sequence[Row]):
         if not isinstance(other, Sequence):
             return NotImplemented
         rows = cast("Sequence[Any]", other)
-        return len(self) == len(rows) and all(map(_are_equal, self, rows))
+        return len(self) == len(rows) and all(map(eq, self, rows))
 
     def __hash__(self) -> int:
         return hash(tuple(self))
@@ -337,7 +338,3 @@ def _at(portions: Sequence[dict[str, _Values]], last: Sequence[Row], place: int)
     if number < len(portions):
         return _row(portions[number], within)
     return last[place - len(portions) * _PORTION]
-
-
-def _are_equal(one: Any, two: Any) -> bool:
-    return one == two

@@ -88,7 +88,8 @@ def lower_bound(groups: Groups, confidence: float = 0.95) -> float:
 
 def upper_bound(groups: Groups, confidence: float = 0.95) -> float:
     """Return a one-sided upper confidence bound of the mean: `lower_bound` of the failures."""
-    return 1.0 - lower_bound(_flipped(groups), confidence)
+    failures = [1.0 - np.asarray(group, dtype=np.float64) for group in groups]
+    return 1.0 - lower_bound(failures, confidence)
 
 
 def evidence_above(groups: Groups, mean: float) -> float:
@@ -127,10 +128,6 @@ def log_bets(values: NDArray[np.float64], shares: Any, mean: float) -> NDArray[n
 def log_mixture(powers: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the logarithm of the capital of all bets together from that of each, (..., K)."""
     return np.logaddexp.reduce(np.log(_WEIGHTS) + powers, axis=-1)
-
-
-def _flipped(groups: Groups) -> Groups:
-    return [1.0 - np.asarray(group, dtype=np.float64) for group in groups]
 
 
 def _weighted(groups: Groups) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

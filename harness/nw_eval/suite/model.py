@@ -745,14 +745,10 @@ def _with(suite: Suite, changes: Mapping[str, Any]) -> Suite:
         return new_suite({**suite.model_dump(by_alias=True), **changes}, suite.source)
     except ValidationError as error:
         faults = "; ".join(
-            f"--{_option(item['loc'])} {item['input']!r}: {item['msg'].lower()}"
+            f"--{str(item['loc'][-1]).replace('_', '-')} {item['input']!r}: {item['msg'].lower()}"
             for item in error.errors()
         )
         raise UsageError(faults) from None
-
-
-def _option(location: tuple[int | str, ...]) -> str:
-    return str(location[-1]).replace("_", "-")
 
 
 def json_schema() -> dict[str, Any]:

@@ -189,10 +189,6 @@ def lacks_score(bank: SavedBank, name: str) -> str:
     return f"the baseline {bank.manifest.name} has no {name}"
 
 
-def _saving(setup: ComparisonSetup) -> str:
-    return f"save it again with `{renewing(setup.run, setup.bank)}`"
-
-
 def _arrays(groups: Mapping[str, Sequence[float]]) -> list[NDArray[np.float64]]:
     return [np.array(each, dtype=np.float64) for each in groups.values()]
 
@@ -295,7 +291,8 @@ def _by_baseline(
     spec = found.spec
     name, unit = spec.name, f" {spec.unit}" if spec.unit else ""
     if setup.basis != "control" and name not in setup.bank.manifest.scores:
-        return "INVALID", f"{lacks_score(setup.bank, name)}: {_saving(setup)}", found
+        why = f"{lacks_score(setup.bank, name)}: save it again with "
+        return "INVALID", f"{why}`{renewing(setup.run, setup.bank)}`", found
     if setup.basis == "same":
         return "PASS", f"{name}: the same policy as the baseline, nothing to test", found
     value = partial(counted, spec=spec)
