@@ -36,9 +36,8 @@ from nw_eval.scenes.mesh import box_mesh, merge, rotation_matrix
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box, Progress, Scene, SplatSource
 from nw_eval.splat.files import read_splat
-from nw_eval.splat.gaussians import ARRAYS, SH0, Gaussians
+from nw_eval.splat.gaussians import ARRAYS, SH0, Gaussians, quaternions, transformed
 from nw_eval.splat.store import FORMAT, compile_store
-from nw_eval.splat.transform import quaternions, transformed
 from nw_eval.suite.axes import axis_named, usable_axes
 
 if TYPE_CHECKING:

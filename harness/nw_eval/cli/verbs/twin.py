@@ -305,8 +305,7 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
     from nw_eval.twin.align.alignment import AlignOptions, KnownLength
     from nw_eval.twin.building.appearance import AppearanceOptions
     from nw_eval.twin.building.build import BuildSettings
-    from nw_eval.twin.calibrate.options import CalibrateOptions
-    from nw_eval.twin.reconstruct.options import DepthOptions, ReconstructOptions
+    from nw_eval.twin.options import CalibrateOptions, DepthOptions, ReconstructOptions
 
     has = vars(AllFlags()) | {k: v for k, v in vars(flags).items() if k in vars(AllFlags())}
     cores = threads or usable_cores()
