@@ -43,7 +43,8 @@ from nw_eval.twin.gaussians.kernels.blend import (
     resolve,
     scatter,
 )
-from nw_eval.twin.gaussians.kernels.project import project, project_back
+from nw_eval.twin.gaussians.kernels.project import project
+from nw_eval.twin.gaussians.kernels.project_back import project_back
 from nw_eval.words import Projection
 
 WINDOW = 80
