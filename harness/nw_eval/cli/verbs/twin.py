@@ -265,8 +265,8 @@ class LabelScene:
     def __call__(self) -> int:
         from nw_eval.splat.files import read_splat
         from nw_eval.twin.label.files import own_folder
+        from nw_eval.twin.label.label_page import LabelPage
         from nw_eval.twin.label.labelling import NEEDS_SCALE, open_labelling
-        from nw_eval.twin.label.page.label_page import LabelPage
         from nw_eval.viewing.browser import check_server
 
         check_server(self.port)
