@@ -23,8 +23,7 @@ from nw_eval.errors import SceneError, UsageError, nearest
 from nw_eval.files.inside import what_is
 from nw_eval.scenes.folder import SCENE_FILE, folder_files, inspect_folder, load_folder
 from nw_eval.scenes.neverwhere import PREFIX, inspect_published, load_published, reference_path
-from nw_eval.scenes.neverwhere.files import find_places
-from nw_eval.scenes.neverwhere.table import PUBLISHED
+from nw_eval.scenes.neverwhere.files import PUBLISHED, find_places
 from nw_eval.scenes.real import REAL, fetched_scan, kept_scan, scan_of
 from nw_eval.scenes.scene import Scene
 from nw_eval.words import Collision

@@ -84,7 +84,7 @@ FOLDERS = {
 """What writes a folder."""
 
 UNTRIED = {
-    "replay rrd": "needs the extra `rerun`; viewing/recording/write.py uses `atomic_path`",
+    "replay rrd": "needs the extra `rerun`; viewing/recording/content.py uses `atomic_path`",
 }
 
 READ = {

@@ -14,7 +14,7 @@ from nw_eval.catalogue import get_scene
 from nw_eval.scenes import limits
 from nw_eval.scenes.limits import checked_name
 from nw_eval.scenes.mesh_file import MESH_SUFFIXES
-from nw_eval.scenes.neverwhere.primitives import _SIZES
+from nw_eval.scenes.neverwhere.scan import _SIZES
 from nw_eval.splat import files as splat_files
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -64,8 +64,7 @@ ELSEWHERE = {
     "twin/scans/looks.py": "is given the temporary folder by `import_scan`",
     "twin/reconstruct/reconstruct.py": "keeps what a program says, in a working folder",
     "view/live_page.py": "calls `save_played`, which uses `atomic_path`",
-    "viewing/recording/blueprint.py": "is given the temporary path by `write_layout`",
-    "viewing/recording/track.py": "is given the temporary path by `write_recording`",
+    "viewing/recording/track.py": "is given the temporary path by `content.py`",
 }
 """Who else opens a file for writing or moves one into place, and why it is not `atomic_path`."""
 

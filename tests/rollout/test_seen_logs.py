@@ -20,8 +20,7 @@ from nw_eval.rollout.observed import MANY, element_names
 from nw_eval.rollout.trial import open_trial, run_trial
 from nw_eval.scores.own import Expectation, expectation_text
 from nw_eval.sensors.drawing.pictures import PALETTE
-from nw_eval.viewing.foxglove import layout_json
-from nw_eval.viewing.shown import shown_by_card, shown_in_log
+from nw_eval.viewing.shown import layout_json, shown_by_card, shown_in_log
 
 CARD = """\
 nw-policy: 1

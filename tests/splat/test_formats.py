@@ -20,9 +20,9 @@ from nw_eval.splat.camera import Camera, look_at
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.splat.files.ply import read_threedgs_ply
 from nw_eval.splat.files.spz import write_spz
+from nw_eval.splat.gaussians import harmonics, rotate_harmonics, transformed
 from nw_eval.splat.render import CpuRenderer
 from nw_eval.splat.store import memory_store
-from nw_eval.splat.transform import harmonics, rotate_harmonics, transformed
 
 FIXTURES = Path(__file__).parent / "fixtures"
 

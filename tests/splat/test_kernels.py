@@ -11,7 +11,7 @@ from splat_rooms import cloud, eye_camera, room
 
 from nw_eval.machine_code import kernel
 from nw_eval.splat.camera import Pixels, view_vector
-from nw_eval.splat.kernels import cull, math8, memory, project, sort
+from nw_eval.splat.kernels import cull, draw, math8, memory, project
 from nw_eval.splat.kernels.blend import (
     CHANNELS,
     CURVE,
@@ -115,8 +115,8 @@ def test_radix_sort_is_a_stable_sort_on_all_bits(seed, count, bits):
     keys = (upper << 32) | np.arange(count)
     scratch = np.empty_like(keys)
     expected = keys[np.argsort(upper, kind="stable")]
-    histogram = np.empty(sort.HISTOGRAM, dtype=np.int64)
-    in_scratch = sort.sort_keys(keys, scratch, count, (1 << bits) - 1, histogram)
+    histogram = np.empty(draw.HISTOGRAM, dtype=np.int64)
+    in_scratch = draw.sort_keys(keys, scratch, count, (1 << bits) - 1, histogram)
     assert np.array_equal(scratch if in_scratch else keys, expected)
 
 
@@ -125,8 +125,8 @@ def test_sorting_leaves_what_is_beyond_the_boundary():
     depth = rng.uniform(0.01, 50, 500).astype(np.float32)
     depth[100:200] = depth[:100]
     keys, scratch, carried = (np.empty(500, dtype=np.int64) for _ in range(3))
-    histogram = np.empty(sort.HISTOGRAM, dtype=np.int64)
-    near, in_scratch, later = sort.sort_nearer(
+    histogram = np.empty(draw.HISTOGRAM, dtype=np.int64)
+    near, in_scratch, later = draw.sort_nearer(
         depth, 500, np.float32(20), keys, scratch, carried, histogram
     )
     ordered = (scratch if in_scratch else keys)[:near] & 0xFFFFFFFF

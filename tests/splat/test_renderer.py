@@ -11,10 +11,9 @@ from splat_rooms import cloud, eye_camera, room
 from nw_eval.errors import UsageError
 from nw_eval.splat import render as render_module
 from nw_eval.splat.camera import Camera, Pixels, look_at
-from nw_eval.splat.gaussians import Gaussians, concatenate
+from nw_eval.splat.gaussians import Gaussians, concatenate, transformed
 from nw_eval.splat.render import CpuRenderer, open_renderer
 from nw_eval.splat.store import memory_store
-from nw_eval.splat.transform import transformed
 
 PUBLISHED = Pixels(stride=16, block=2, offset=7)
 

@@ -163,8 +163,7 @@ def foxglove_layout(log: Path, out: Path | None = None) -> dict[str, Any]:
     """
     from nw_eval.files.cache import atomic_path, followed
     from nw_eval.rollout.mcap.reader import LogReader
-    from nw_eval.viewing.foxglove import layout, layout_json
-    from nw_eval.viewing.shown import shown_in_log
+    from nw_eval.viewing.shown import layout, layout_json, shown_in_log
 
     log = _found(log)
     shown = shown_in_log(LogReader(log))
@@ -186,7 +185,7 @@ def rerun_layout(log: Path, out: Path) -> Path:
         UsageError: there is no such log, or `out` ends otherwise.
         StoreError: the log cannot be read, or the layout not written.
     """
-    from nw_eval.viewing.recording.write import write_layout
+    from nw_eval.viewing.recording.content import write_layout
 
     log = _found(log)
     return write_layout(log, out)
@@ -206,7 +205,7 @@ def rerun_recording(log: Path, out: Path) -> WrittenRecording:
         UsageError: there is no such log, or `out` ends otherwise.
         StoreError: the log cannot be read, or the recording not written.
     """
-    from nw_eval.viewing.recording.write import write_recording
+    from nw_eval.viewing.recording.content import write_recording
 
     log = _found(log)
     return write_recording(log, out)

@@ -128,7 +128,7 @@ def _gaussians(source: str | Path) -> Gaussians:
     """Return the Gaussians of a file, in its own frame, or of a built-in scene, in the world's."""
     from nw_eval import catalogue
     from nw_eval.splat.files import read_splat
-    from nw_eval.splat.transform import transformed
+    from nw_eval.splat.gaussians import transformed
 
     name = str(source)
     if catalogue.is_built_in(name):

@@ -273,8 +273,7 @@ def _with_earlier_sessions(info: RunInfo, folder: RunFolder) -> RunInfo:
 def _write_layout(plan: Plan, folder: RunFolder) -> None:
     """Write how Foxglove is to show the logs of this policy."""
     # They know the simulator, which this process may have no other use for.
-    from nw_eval.viewing.foxglove import layout_json
-    from nw_eval.viewing.shown import shown_by_card
+    from nw_eval.viewing.shown import layout_json, shown_by_card
 
     with atomic_path(folder.layout) as temporary:
         shown = shown_by_card(plan.bundle.card, get_robot(plan.suite.robot))

@@ -21,9 +21,9 @@ from nw_eval.errors import SceneError
 from nw_eval.files.inside import regular
 from nw_eval.files.ply import Ply
 from nw_eval.scenes.finding import SceneFinding
-from nw_eval.scenes.glb_file import read_glb
 from nw_eval.scenes.limits import MESH_BYTES, MESH_FACES, MESH_REACH, TEXTURES
 from nw_eval.scenes.mesh import FACE_KINDS, FaceKind, TriangleMesh
+from nw_eval.scenes.mesh_formats import read_glb, read_obj
 from nw_eval.scenes.mesh_parts import (
     AGAIN,
     CUT_SHORT,
@@ -37,7 +37,6 @@ from nw_eval.scenes.mesh_parts import (
     numbers_of,
     strips,
 )
-from nw_eval.scenes.obj_file import read_obj
 
 MESH_SUFFIXES = (".glb", ".obj", ".ply", ".stl")
 

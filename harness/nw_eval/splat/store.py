@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.files.cache import DamagedError, read_sealed, sealed_path
-from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians
-from nw_eval.splat.transform import quaternions
+from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians, quaternions
 from nw_eval.words import PROJECTIONS, RASTERIZE_MODES, Projection, RasterizeMode
 
 FORMAT = 4

@@ -31,7 +31,7 @@ from nw_eval.scenes.mesh import FACE_KINDS, FaceKind, TriangleMesh
 from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.camera import Camera
-from nw_eval.splat.transform import quaternions
+from nw_eval.splat.gaussians import quaternions
 from nw_eval.suite.load import robot_from, write_ready_suite
 from nw_eval.twin.capture import Capture
 from nw_eval.words import Task

@@ -29,9 +29,17 @@ from nw_eval.splat.files import read_splat
 from nw_eval.suite.axes import AXES, axis_named
 from nw_eval.suite.load import write_ready_suite
 from nw_eval.twin.label.files import write_place
-from nw_eval.view.drawing import aim_along, draw_mesh, draw_robot, draw_splat, draw_waypoints
+from nw_eval.view.drawing import (
+    ServedPage,
+    aim_along,
+    draw_mesh,
+    draw_robot,
+    draw_splat,
+    draw_waypoints,
+    enlarged,
+    plain,
+)
 from nw_eval.view.live_stage import COLOUR, Stage, open_stage
-from nw_eval.view.served import ServedPage, enlarged, plain
 from nw_eval.viewing.browser import SplatPoints, splat_points
 
 if TYPE_CHECKING:

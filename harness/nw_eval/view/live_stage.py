@@ -17,7 +17,6 @@ from functools import cached_property
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -36,9 +35,8 @@ from nw_eval.scenes.mesh import box_mesh, merge, rotation_matrix
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box, Progress, Scene, SplatSource
 from nw_eval.splat.files import read_splat
-from nw_eval.splat.gaussians import ARRAYS, SH0, Gaussians
+from nw_eval.splat.gaussians import ARRAYS, SH0, Gaussians, quaternions, transformed
 from nw_eval.splat.store import FORMAT, compile_store
-from nw_eval.splat.transform import quaternions, transformed
 from nw_eval.suite.axes import axis_named, usable_axes
 
 if TYPE_CHECKING:
@@ -141,12 +139,7 @@ class Stage:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.trial.__exit__()
         self._policy_process.__exit__()
         self._folder.cleanup()

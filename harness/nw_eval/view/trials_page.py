@@ -17,8 +17,7 @@ import numpy as np
 from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError
 from nw_eval.results.moment_link import read_link
-from nw_eval.view.drawing import TrialDrawing, aim_along
-from nw_eval.view.served import STEP, ServedPage, enlarged, plain
+from nw_eval.view.drawing import STEP, ServedPage, TrialDrawing, aim_along, enlarged, plain
 from nw_eval.view.sources import Shelf
 from nw_eval.view.trace import Series, Trace, parting
 

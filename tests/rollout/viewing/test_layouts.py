@@ -12,8 +12,7 @@ from nw_eval.lens import Distortion, Intrinsics
 from nw_eval.rollout.mcap.file import McapFile
 from nw_eval.rollout.mcap.images import calibration_message
 from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.viewing.recording.content import picture_view
-from nw_eval.viewing.recording.write import write_layout, write_recording
+from nw_eval.viewing.recording.content import picture_view, write_layout, write_recording
 
 
 def ends(*arguments):

@@ -13,7 +13,7 @@ from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.trial import run_trial
 from nw_eval.splat.files import read_splat
 from nw_eval.viewing.recording import content
-from nw_eval.viewing.recording.write import write_recording
+from nw_eval.viewing.recording.content import write_recording
 
 chunk = pytest.importorskip("rerun.chunk", reason="needs the extra rerun")
 

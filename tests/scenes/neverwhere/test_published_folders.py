@@ -8,7 +8,7 @@ import pytest
 
 from nw_eval.errors import SceneError
 from nw_eval.scenes.neverwhere import inspect_published, load_published
-from nw_eval.scenes.neverwhere.table import PUBLISHED
+from nw_eval.scenes.neverwhere.files import PUBLISHED
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import HeightField, Triangles
 from nw_eval.splat.files import read_splat, write_splat

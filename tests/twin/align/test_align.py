@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from rooms import capture, room, similarity, walk
 
 from nw_eval.errors import SceneError
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.splat.transform import transformed
+from nw_eval.splat.gaussians import Gaussians, transformed
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
 from nw_eval.twin.place import (

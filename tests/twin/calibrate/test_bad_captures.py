@@ -17,8 +17,8 @@ from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions
 from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import read_capture
+from nw_eval.twin.options import CalibrateOptions
 
 
 @pytest.fixture(scope="module")

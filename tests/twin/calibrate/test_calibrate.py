@@ -13,8 +13,8 @@ from nw_eval.cli.verbs.twin import CalibrateFlags, settings_of
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.splat.camera import Camera
 from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import read_capture, read_picture
+from nw_eval.twin.options import CalibrateOptions
 
 QUICK = CalibrateOptions(features=1200)
 

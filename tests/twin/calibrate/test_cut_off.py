@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.calibrate.options import CalibrateOptions
+from nw_eval.twin.options import CalibrateOptions
 
 QUICK = CalibrateOptions(features=500)
 

@@ -16,9 +16,9 @@ from nw_eval.twin.calibrate import mapping
 from nw_eval.twin.calibrate.calibrate import find_source
 from nw_eval.twin.calibrate.features import Features, match, nearest
 from nw_eval.twin.calibrate.kept import Kept
-from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.calibrate.photographs import take_in
 from nw_eval.twin.lens import Lens
+from nw_eval.twin.options import CalibrateOptions
 from nw_eval.twin.packages import package
 
 QUICK = CalibrateOptions(features=400)

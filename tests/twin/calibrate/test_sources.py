@@ -12,8 +12,8 @@ from PIL import Image
 from nw_eval.errors import NwEvalError, SceneError
 from nw_eval.twin.calibrate.calibrate import calibrate, find_source
 from nw_eval.twin.calibrate.colmap import read_model
-from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import read_capture
+from nw_eval.twin.options import CalibrateOptions
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 

@@ -12,8 +12,8 @@ from PIL import Image
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.twin.calibrate.calibrate import find_source
-from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.calibrate.video import choose
+from nw_eval.twin.options import CalibrateOptions
 
 
 def test_a_resting_camera_gives_few_frames_and_a_moving_one_many():

@@ -12,7 +12,7 @@ import pytest
 
 from nw_eval import cli
 from nw_eval.scenes.mesh import rotation_matrix
-from nw_eval.twin.label.page import label_page
+from nw_eval.twin.label import label_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

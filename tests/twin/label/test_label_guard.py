@@ -8,7 +8,7 @@ import pytest
 from label_places import opened
 
 from nw_eval.errors import PrerequisiteError, UsageError
-from nw_eval.twin.label.page.label_page import LabelPage
+from nw_eval.twin.label.label_page import LabelPage
 from nw_eval.viewing import browser
 
 viser = pytest.importorskip("viser")

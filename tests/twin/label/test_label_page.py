@@ -13,9 +13,9 @@ from nw_eval.errors import PrerequisiteError
 from nw_eval.scenes.folder import load_folder
 from nw_eval.scenes.mesh import rotation_matrix
 from nw_eval.splat.gaussians import Gaussians
+from nw_eval.twin.label.drawing import let_through
+from nw_eval.twin.label.label_page import LabelPage, profile_svg
 from nw_eval.twin.label.labelling import open_labelling
-from nw_eval.twin.label.page.drawing import let_through
-from nw_eval.twin.label.page.label_page import LabelPage, profile_svg
 from nw_eval.viewing.browser import splat_points
 
 pytest.importorskip("viser")

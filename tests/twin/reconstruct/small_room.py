@@ -7,7 +7,7 @@ from PIL import Image
 
 from nw_eval.splat.camera import Camera, look_at
 from nw_eval.twin.capture import Capture, PlacedShot, write_capture
-from nw_eval.twin.reconstruct.options import DepthOptions, ReconstructOptions
+from nw_eval.twin.options import DepthOptions, ReconstructOptions
 
 SMALL = ReconstructOptions(
     depth=DepthOptions(side=176, neighbours=3, rounds=1), voxel=0.03, faces=20_000

@@ -12,10 +12,9 @@ from scipy.spatial import cKDTree
 from street import GROUND, PLAIN, RIM, SKY, seen, walker_seen, write_street
 
 from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import read_capture
+from nw_eval.twin.options import CalibrateOptions, DepthOptions
 from nw_eval.twin.reconstruct.depth import array_file, depth_maps, read_depth, write_map
-from nw_eval.twin.reconstruct.options import DepthOptions
 
 ROOT = Path(__file__).resolve().parents[3]
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", ROOT.parent / "shared" / "assets"))
@@ -101,7 +100,7 @@ from hashlib import sha256
 from pathlib import Path
 from nw_eval.twin.capture import read_capture
 from nw_eval.twin.reconstruct.depth import depth_maps
-from nw_eval.twin.reconstruct.options import DepthOptions
+from nw_eval.twin.options import DepthOptions
 
 folder, out = map(Path, sys.argv[1:3])
 options = DepthOptions(side=144, rounds=1)

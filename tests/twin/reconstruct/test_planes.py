@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from nw_eval.splat.camera import Camera, look_at
+from nw_eval.twin.options import DepthOptions
 from nw_eval.twin.reconstruct import planes as supposing
 from nw_eval.twin.reconstruct.depth import DepthMap
-from nw_eval.twin.reconstruct.options import DepthOptions
 from nw_eval.twin.reconstruct.planar import labelled, planar_maps
 from nw_eval.twin.reconstruct.planes import Measured, SupposedPlane, hypotheses
 from nw_eval.twin.reconstruct.surface import ColourMesh

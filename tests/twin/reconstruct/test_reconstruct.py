@@ -14,10 +14,9 @@ from small_room import SMALL, STEPS, depth_of_room, write_room
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.capture import read_capture, write_capture
+from nw_eval.twin.options import CalibrateOptions, DepthOptions, ReconstructOptions
 from nw_eval.twin.reconstruct.depth import array_file, depth_maps
-from nw_eval.twin.reconstruct.options import DepthOptions, ReconstructOptions
 from nw_eval.twin.reconstruct.reconstruct import reconstruct
 from nw_eval.twin.reconstruct.surface import read_colour_mesh
 

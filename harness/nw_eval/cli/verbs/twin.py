@@ -265,8 +265,8 @@ class LabelScene:
     def __call__(self) -> int:
         from nw_eval.splat.files import read_splat
         from nw_eval.twin.label.files import own_folder
+        from nw_eval.twin.label.label_page import LabelPage
         from nw_eval.twin.label.labelling import NEEDS_SCALE, open_labelling
-        from nw_eval.twin.label.page.label_page import LabelPage
         from nw_eval.viewing.browser import check_server
 
         check_server(self.port)
@@ -305,8 +305,7 @@ def settings_of(flags: object, threads: int | None) -> BuildSettings:
     from nw_eval.twin.align.alignment import AlignOptions, KnownLength
     from nw_eval.twin.building.appearance import AppearanceOptions
     from nw_eval.twin.building.build import BuildSettings
-    from nw_eval.twin.calibrate.options import CalibrateOptions
-    from nw_eval.twin.reconstruct.options import DepthOptions, ReconstructOptions
+    from nw_eval.twin.options import CalibrateOptions, DepthOptions, ReconstructOptions
 
     has = vars(AllFlags()) | {k: v for k, v in vars(flags).items() if k in vars(AllFlags())}
     cores = threads or usable_cores()

@@ -13,7 +13,7 @@ from nw_eval.cli.terminal.interruption import stopped_by_signals
 from nw_eval.cli.verbs.options import AllowCode, Checkpoint
 
 if TYPE_CHECKING:
-    from nw_eval.view.served import ServedPage
+    from nw_eval.view.drawing import ServedPage
 
 _POLICY = "go1-parkour"
 _PLACE = "hurdles/one_low_carpet"

@@ -165,13 +165,13 @@ def _check_numbers() -> None:
     Raises:
         PrerequisiteError: one is another.
     """
-    from nw_eval.scenes.narrowphase import collide, shape
+    from nw_eval.scenes.narrowphase import collide, triangles
 
     known = {
-        "mjtGeom.mjGEOM_SPHERE": (mujoco.mjtGeom.mjGEOM_SPHERE, shape.SPHERE),
-        "mjtGeom.mjGEOM_CAPSULE": (mujoco.mjtGeom.mjGEOM_CAPSULE, shape.CAPSULE),
-        "mjtGeom.mjGEOM_CYLINDER": (mujoco.mjtGeom.mjGEOM_CYLINDER, shape.CYLINDER),
-        "mjtGeom.mjGEOM_BOX": (mujoco.mjtGeom.mjGEOM_BOX, shape.BOX),
+        "mjtGeom.mjGEOM_SPHERE": (mujoco.mjtGeom.mjGEOM_SPHERE, triangles.SPHERE),
+        "mjtGeom.mjGEOM_CAPSULE": (mujoco.mjtGeom.mjGEOM_CAPSULE, triangles.CAPSULE),
+        "mjtGeom.mjGEOM_CYLINDER": (mujoco.mjtGeom.mjGEOM_CYLINDER, triangles.CYLINDER),
+        "mjtGeom.mjGEOM_BOX": (mujoco.mjtGeom.mjGEOM_BOX, triangles.BOX),
         "mjtGeom.mjGEOM_MESH": (mujoco.mjtGeom.mjGEOM_MESH, collide.MESH),
         "mjMAXCONPAIR": (mujoco.mjMAXCONPAIR, collide.MOST_RECORDS),
     }

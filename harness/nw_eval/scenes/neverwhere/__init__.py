@@ -19,10 +19,8 @@ from nw_eval.scenes.folder import FileSplat
 from nw_eval.scenes.grid import TerrainOptions, trail_heights
 from nw_eval.scenes.limits import REACH, SOLIDS, WAYPOINTS, name_of
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
-from nw_eval.scenes.neverwhere.files import Places, find_places
-from nw_eval.scenes.neverwhere.primitives import read_primitives
-from nw_eval.scenes.neverwhere.scan import SPLATS, Scan, is_scan, read_scan
-from nw_eval.scenes.neverwhere.table import row_of
+from nw_eval.scenes.neverwhere.files import Places, find_places, row_of
+from nw_eval.scenes.neverwhere.scan import SPLATS, Scan, is_scan, read_primitives, read_scan
 from nw_eval.scenes.neverwhere.tree import Tree, read_tree
 from nw_eval.scenes.scene import Plane, Scene, Spawn
 from nw_eval.words import ROBOTS, Collision

@@ -29,10 +29,9 @@ from nw_eval.plugins import (
     subject,
     warn_if_built_in,
 )
-from nw_eval.splat.files.dot_splat import DOT_SPLAT
 from nw_eval.splat.files.format import SplatFormat
 from nw_eval.splat.files.gsplat_pt import GSPLAT_PT, rank_files
-from nw_eval.splat.files.ply import PLY, read_nerfstudio
+from nw_eval.splat.files.ply import DOT_SPLAT, PLY, read_nerfstudio
 from nw_eval.splat.files.sog import META, SOG, read_sog
 from nw_eval.splat.files.spz import SPZ
 from nw_eval.splat.gaussians import Gaussians

@@ -1,4 +1,4 @@
-"""Splats in PLY files: 3DGS's own, SuperSplat's compressed one, and nerfstudio's export.
+"""Splats in PLY files (3DGS's own, SuperSplat's compressed one, nerfstudio's export) and .splat.
 
 **3DGS** has one row of floats for each Gaussian. Columns x y z, f_dc_0..2, f_rest_0.., opacity
 (logit), scale_0..2 (logarithms), rot_0..3 (w x y z); found by name, others ignored. f_rest comes in
@@ -22,6 +22,10 @@ when present, one byte per coefficient over +-4. After PlayCanvas's reader of th
 {"transform": 3x4 [R | t], "scale": s} with x_trainer = s (R x_capture + t). The exporter leaves
 splat.ply in the trainer's frame; reading the folder brings it back to the frame of the capture
 (COLMAP's or the device's).
+
+**.splat** has 32 bytes per Gaussian, no harmonics above the constant: float32 position (3), float32
+standard deviations (3), uint8 red green blue opacity, uint8 quaternion w x y z as 128 + 128 q.
+Lossy: colour is clamped to 0..1 and all but position and size keep eight bits.
 """
 
 from __future__ import annotations
@@ -39,8 +43,17 @@ from nw_eval.errors import SceneError
 from nw_eval.files.inside import regular
 from nw_eval.files.ply import Ply
 from nw_eval.splat.files.format import SplatFormat
-from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians, check_count, logit
-from nw_eval.splat.transform import transformed
+from nw_eval.splat.gaussians import (
+    SH0,
+    SH_COUNTS,
+    Gaussians,
+    check_count,
+    logit,
+    sigmoid,
+    to_byte,
+    transformed,
+    unit_quats,
+)
 from nw_eval.words import PROJECTIONS, Projection, RasterizeMode
 
 RestOrder = Literal["detect", "channel", "coefficient"]
@@ -353,4 +366,56 @@ PLY = SplatFormat(
     read=read_ply,
     write=write_threedgs_ply,
     sniff=lambda _, mark: mark[:3] == b"ply",
+)
+
+
+_ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("quat", "u1", 4)])
+_LEAST_SCALE = 1e-12
+
+
+def read_dot_splat(path: Path) -> Gaussians:
+    """Read a .splat file.
+
+    Raises:
+        SceneError: when it is empty or no whole number of rows.
+    """
+    size = path.stat().st_size
+    if size == 0 or size % _ROW.itemsize:
+        raise SceneError(
+            f"{path}: {size} bytes are not a multiple of 32-byte rows",
+            fix="the file is cut short or not a .splat file",
+        )
+    check_count(path, size // _ROW.itemsize)
+    rows = np.fromfile(path, _ROW)
+    rgba = rows["rgba"].astype(np.float32) / np.float32(255)
+    with np.errstate(invalid="ignore"):
+        log_scales = np.log(np.maximum(np.abs(rows["scale"]), np.float32(_LEAST_SCALE)))
+    return Gaussians(
+        means=rows["mean"],
+        log_scales=log_scales,
+        quats=(rows["quat"].astype(np.float32) - 128) / np.float32(128),
+        opacity_logits=logit(rgba[:, 3]),
+        sh=((rgba[:, :3] - np.float32(0.5)) / np.float32(SH0))[:, None],
+    )
+
+
+def write_dot_splat(path: Path, gaussians: Gaussians) -> None:
+    """Write a .splat file, largest and most opaque first, as viewers of the format expect."""
+    opacity = sigmoid(gaussians.opacity_logits)
+    with np.errstate(over="ignore", invalid="ignore"):
+        order = np.argsort(-np.exp(gaussians.log_scales.sum(axis=1)) * opacity, kind="stable")
+        rows = np.empty(len(gaussians), _ROW)
+        rows["mean"] = gaussians.means[order]
+        rows["scale"] = np.exp(gaussians.log_scales[order])
+    rows["rgba"][:, :3] = to_byte((gaussians.sh[order, 0] * SH0 + 0.5) * 255)
+    rows["rgba"][:, 3] = to_byte(opacity[order] * 255)
+    rows["quat"] = to_byte(unit_quats(gaussians.quats[order]) * 128 + 128)
+    rows.tofile(path)
+
+
+DOT_SPLAT = SplatFormat(
+    name="splat",
+    description="antimatter15's 32 bytes per Gaussian, no harmonics",
+    read=read_dot_splat,
+    write=write_dot_splat,
 )

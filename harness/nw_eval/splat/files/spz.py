@@ -33,10 +33,10 @@ from nw_eval.splat.gaussians import (
     logit,
     sigmoid,
     to_byte,
+    transformed,
     unit_quats,
 )
-from nw_eval.splat.transform import harmonics as harmonics_at
-from nw_eval.splat.transform import transformed
+from nw_eval.splat.gaussians import harmonics as harmonics_at
 
 Bytes = NDArray[np.uint8]
 SpzVersion = Literal[2, 3, 4]

@@ -49,10 +49,10 @@ from nw_eval.twin.building.unlike import (
     unlike_photographs,
 )
 from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.calibrate.photographs import Footage
 from nw_eval.twin.capture import Capture, read_capture
 from nw_eval.twin.course import FLOOR, CourseProposal, propose_course, propose_free_course
+from nw_eval.twin.options import CalibrateOptions, ReconstructOptions
 from nw_eval.twin.place import (
     SUITE,
     Route,
@@ -61,7 +61,6 @@ from nw_eval.twin.place import (
     moved_mesh,
     write_place,
 )
-from nw_eval.twin.reconstruct.options import ReconstructOptions
 from nw_eval.twin.reconstruct.reconstruct import reconstruct
 from nw_eval.twin.reconstruct.surface import ColourMesh, read_colour_mesh, write_mesh
 

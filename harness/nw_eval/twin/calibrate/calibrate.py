@@ -34,7 +34,6 @@ from nw_eval.twin.calibrate.exports import (
 from nw_eval.twin.calibrate.features import Matches, match
 from nw_eval.twin.calibrate.kept import Kept
 from nw_eval.twin.calibrate.mapping import map_cameras, triangulate
-from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.calibrate.photographs import (
     DAMAGE,
     UNREADABLE,
@@ -48,6 +47,7 @@ from nw_eval.twin.calibrate.report import CalibrationReport, LeftOut, Say, by_re
 from nw_eval.twin.calibrate.solution import Placed, Solution
 from nw_eval.twin.calibrate.video import VIDEOS, frames_of
 from nw_eval.twin.capture import write_capture
+from nw_eval.twin.options import CalibrateOptions
 
 _KINDS = (
     "give a folder of photographs, a video, or a folder of COLMAP, nerfstudio (transforms.json), "

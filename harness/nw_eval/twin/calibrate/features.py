@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from nw_eval.errors import SceneError
 from nw_eval.files.pictures import open_picture
 from nw_eval.twin.calibrate.kept import Kept
-from nw_eval.twin.calibrate.options import CalibrateOptions
 from nw_eval.twin.calibrate.photographs import Photograph
 from nw_eval.twin.calibrate.report import Pace, Say
 from nw_eval.twin.lens import Lens
+from nw_eval.twin.options import CalibrateOptions
 from nw_eval.twin.packages import quiet
 
 _GUESS = 1.2

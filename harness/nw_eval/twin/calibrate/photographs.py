@@ -23,10 +23,10 @@ from nw_eval.errors import SceneError
 from nw_eval.files.inside import OutsideError, inside, regular
 from nw_eval.files.pictures import KINDS, open_picture
 from nw_eval.plural import plural
-from nw_eval.twin.calibrate.options import MOST_MEGAPIXELS
 from nw_eval.twin.calibrate.report import LeftOut, Pace, Say
 from nw_eval.twin.calibrate.solution import Solution
 from nw_eval.twin.lens import Lens
+from nw_eval.twin.options import MOST_MEGAPIXELS
 from nw_eval.twin.packages import package, quiet
 
 _NOT_READ = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw"})

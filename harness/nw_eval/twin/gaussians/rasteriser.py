@@ -30,8 +30,8 @@ from nw_eval.splat.kernels.blend import (
     blend,
     clear,
 )
+from nw_eval.splat.kernels.draw import HISTOGRAM, sort_nearer
 from nw_eval.splat.kernels.project import RECORD
-from nw_eval.splat.kernels.sort import HISTOGRAM, sort_nearer
 from nw_eval.twin.gaussians.images import F32, Gradients, Images
 from nw_eval.twin.gaussians.kernels.blend import (
     G_U,
@@ -43,7 +43,8 @@ from nw_eval.twin.gaussians.kernels.blend import (
     resolve,
     scatter,
 )
-from nw_eval.twin.gaussians.kernels.project import project, project_back
+from nw_eval.twin.gaussians.kernels.project import project
+from nw_eval.twin.gaussians.kernels.project_back import project_back
 from nw_eval.words import Projection
 
 WINDOW = 80

@@ -1,7 +1,8 @@
 """Labelling a scene folder: where the scene lies, what is kept of it, and the robot's course.
 
-labelling.py  the model, which needs no browser; page/ shows it in one
-state.py      what one state decides
-ground.py     heights along a course, and what legs make of them
-files.py      scene folders read and written; and copied; published.py as Neverwhere has them
+labelling.py   the model, which needs no browser
+label_page.py  the page that shows it in one, by viser; its controls.py and drawing.py
+state.py       what one state decides
+ground.py      heights along a course, and what legs make of them
+files.py       scene folders copied, read and written; published.py as Neverwhere has them
 """

@@ -38,7 +38,7 @@ from nw_eval.scenes.mesh_file import MESH_SUFFIXES, read_mesh
 from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.scenes.scene import Box, Scene
 from nw_eval.splat.files import read_splat, write_splat
-from nw_eval.splat.transform import quaternions
+from nw_eval.splat.gaussians import quaternions
 from nw_eval.suite.load import robot_from, write_ready_suite
 from nw_eval.twin.label.state import LabelState, Placement, StartPose, as_point, mapped
 from nw_eval.twin.place import (

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from nw_eval.errors import StoreError
 from nw_eval.files.inside import what_is
 from nw_eval.scenes.mesh import TriangleMesh
+from nw_eval.scenes.neverwhere.files import row_of
 from nw_eval.scenes.neverwhere.scan import check_similarity
-from nw_eval.scenes.neverwhere.table import row_of
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.twin.label.state import mapped, shift, turn
 from nw_eval.twin.place import Route

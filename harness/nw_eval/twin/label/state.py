@@ -18,7 +18,7 @@ from nw_eval.errors import UsageError
 from nw_eval.scenes.limits import REACH, WAYPOINTS
 from nw_eval.scenes.mesh import TriangleMesh, rotation_matrix
 from nw_eval.scenes.neverwhere.scan import check_similarity
-from nw_eval.splat.transform import quaternions
+from nw_eval.splat.gaussians import quaternions
 from nw_eval.words import Task
 
 Point = tuple[float, float, float]

@@ -23,8 +23,8 @@ from nw_eval.errors import SceneError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.files.inside import OutsideError, inside
 from nw_eval.twin.capture import Capture
+from nw_eval.twin.options import DepthOptions
 from nw_eval.twin.packages import package
-from nw_eval.twin.reconstruct.options import DepthOptions
 from nw_eval.twin.reconstruct.patchmatch import Matched, agreed, confirming, expected, matched
 from nw_eval.twin.reconstruct.views import (
     F32,

@@ -17,8 +17,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.twin.options import DepthOptions
 from nw_eval.twin.packages import package
-from nw_eval.twin.reconstruct.options import DepthOptions
 from nw_eval.twin.reconstruct.patchmatch_kernels import count_confirming, draw, spread
 from nw_eval.twin.reconstruct.views import F32, WorkingView
 

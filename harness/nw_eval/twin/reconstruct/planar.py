@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.machine_code import inlined, kernel
+from nw_eval.twin.options import DepthOptions
 from nw_eval.twin.packages import package
 from nw_eval.twin.reconstruct.depth import DepthMap, darkness
-from nw_eval.twin.reconstruct.options import DepthOptions
 from nw_eval.twin.reconstruct.planes import SupposedPlane
 from nw_eval.twin.reconstruct.views import F32, F64, WorkingView
 

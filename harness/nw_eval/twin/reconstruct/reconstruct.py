@@ -24,6 +24,7 @@ from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.camera import Camera
 from nw_eval.twin.capture import Capture, read_capture, read_picture
+from nw_eval.twin.options import Engine, ReconstructOptions
 from nw_eval.twin.reconstruct.clean import (
     ROOM,
     FlatPlane,
@@ -37,7 +38,6 @@ from nw_eval.twin.reconstruct.clean import (
     simplify,
 )
 from nw_eval.twin.reconstruct.depth import DepthMap, depth_maps, near_of, write_map
-from nw_eval.twin.reconstruct.options import Engine, ReconstructOptions
 from nw_eval.twin.reconstruct.planar import planar_maps
 from nw_eval.twin.reconstruct.planes import SupposedPlane, hypotheses
 from nw_eval.twin.reconstruct.surface import (

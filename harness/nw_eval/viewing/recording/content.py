@@ -1,32 +1,50 @@
-"""What of a trial's log goes into a recording: its place, its pictures, its numbers, its splat."""
+"""A trial's log as a recording of Rerun, a file that shows itself; and its layout alone.
+
+What goes into it: the trial's place, its pictures, its numbers, its splat.
+"""
 
 from __future__ import annotations
 
 from collections import defaultdict
+from hashlib import file_digest
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.errors import NwEvalError
+from nw_eval.clean import clean
+from nw_eval.errors import NwEvalError, StoreError, UsageError
+from nw_eval.files.cache import atomic_path, followed
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.drawn import cloud_points
 from nw_eval.rollout.mcap.images import MILLIMETRES, image_of
+from nw_eval.rollout.mcap.reader import LogReader
+from nw_eval.rollout.replaying.logged import read_logged_trial
 from nw_eval.splat.files import read_splat
-from nw_eval.splat.gaussians import SH0, sigmoid, unit_quats
-from nw_eval.splat.transform import transformed
-from nw_eval.viewing.recording.blueprint import PLANE
-from nw_eval.viewing.recording.track import rerun_sdk
+from nw_eval.splat.gaussians import SH0, sigmoid, transformed, unit_quats
+from nw_eval.viewing.recording.track import (
+    PLANE,
+    TIME,
+    SceneScreen,
+    Track,
+    WrittenRecording,
+    blueprint,
+    plot_of_entities,
+    rerun_sdk,
+    save_layout,
+)
+from nw_eval.viewing.shown import shown_in_log
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from nw_eval.rollout.replaying.logged import LoggedTrial
     from nw_eval.splat.gaussians import Gaussians
-    from nw_eval.viewing.recording.track import Track
 
     Messages = Mapping[str, Sequence[tuple[int, Any]]]
     """By topic: times in ns, and messages."""
+    from collections.abc import Mapping, Sequence
 
 WORLD = "world"
 _PATH_COLOUR, _PATH_RADIUS = (25, 115, 240), 0.01
@@ -351,3 +369,119 @@ def splat_archetype(gaussians: Gaussians) -> Any:
         quaternions=unit_quats(gaussians.quats)[:, [1, 2, 3, 0]].astype(np.float32),
         colors=np.rint(np.clip(rgba, 0.0, 1.0) * 255.0).astype(np.uint8),
     )
+
+
+SUFFIX = ".rrd"
+_MOST_PICTURES, _MOST_TERMS = 3, 2
+_UNSHOWN = ("/nw/state", "/points/")  # states are for replays, points for viewers without meshes
+
+_LAYOUT_SUFFIX = ".rbl"
+
+
+def write_recording(log: Path, out: Path) -> WrittenRecording:
+    """Write a log as Rerun's own: meshes, robot, Gaussians, pictures, and numbers by name.
+
+    Raises:
+        PrerequisiteError: Rerun is not installed.
+        UsageError: `out` has another suffix than `.rrd`.
+        StoreError: the log cannot be read or is damaged, or the recording not written.
+    """
+    rerun_sdk()
+    if out.suffix.lower() != SUFFIX:
+        raise UsageError(f"{out}: Rerun knows its recordings by {SUFFIX}", fix="name it so")
+    logged = read_logged_trial(log)
+    messages = _messages(logged)
+    gaussians, no_splat = place_splat(logged)
+    with atomic_path(followed(out)) as temporary:
+        try:
+            _write_whole(temporary, logged, messages, gaussians)
+        except (ValueError, LookupError) as error:
+            reason = clean(error, at_most=200)
+            raise StoreError(f"{log} is damaged: {reason}", fix="run the trial again") from error
+        size = temporary.stat().st_size
+    return WrittenRecording(
+        file=out,
+        bytes=size,
+        gaussians=0 if gaussians is None else len(gaussians),
+        no_splat=no_splat,
+    )
+
+
+def _messages(logged: LoggedTrial) -> dict[str, list[tuple[int, Any]]]:
+    found: defaultdict[str, list[tuple[int, Any]]] = defaultdict(list)
+    for topic, time, message in logged.log.messages():
+        if not topic.startswith(_UNSHOWN):
+            found[topic].append((time, message))
+    return dict(found)
+
+
+def _write_whole(
+    path: Path, logged: LoggedTrial, messages: dict[str, list[tuple[int, Any]]], gaussians: Any
+) -> None:
+    elements = logged.log.elements()
+    trial = clean(logged.job.trial.id, at_most=200)
+    with logged.path.open("rb") as stream:
+        digest = file_digest(stream, "sha256").hexdigest()
+    with Track(f"{trial}-{digest[:12]}", path, name=trial) as track:
+        track.lay_out(_layout(track, messages, elements, has_splat=gaussians is not None))
+        write_place(track, messages)
+        if gaussians is not None:
+            track.stays(track.entity(WORLD, "splat"), splat_archetype(gaussians))
+        write_pictures(track, messages)
+        write_series(track, messages, elements)
+        for time, line in messages.get("/log", ()):
+            track.at(time, "log", track.rr.TextLog(line.message, level=_level(line)))
+
+
+def _layout(
+    track: Track,
+    messages: Messages,
+    elements: Mapping[str, Sequence[str]],
+    *,
+    has_splat: bool,
+) -> Any:
+    """Return what the recording shows when it is opened."""
+    start, trunk = first_pose(messages), messages["/robot/twist"][0][1].frame_id
+    topics = picture_topics(messages)[:_MOST_PICTURES]
+    plots = [
+        plot_of_entities("Velocity, commanded and measured", ["/command", "/twist/linear"]),
+        plot_of_entities("Joint angles", ["/joints/position"]),
+        plot_of_entities("Joint targets", ["/policy/targets"]),
+    ]
+    if seen := next((t for t in messages if t.startswith("/observation/") and t in elements), None):
+        names = [term.name for term in messages[seen][0][1].terms]
+        entities = term_entities(track, seen, names)[:_MOST_TERMS]
+        plots.append(plot_of_entities("What the policy was given", entities))
+    return blueprint(
+        place=SceneScreen(
+            root=f"/{WORLD}",
+            follows=track.entity(WORLD, "robot", trunk),
+            start=start,
+            # Splat and mesh lie on each other: half of either shows through.
+            hides=(f"/{WORLD}/place",) if has_splat else (),
+        ),
+        pictures=dict(picture_view(track, messages, topic) for topic in topics),
+        plots=plots,
+        timeline=TIME,
+    )
+
+
+def _level(line: Any) -> str:
+    return "ERROR" if line.level == line.ERROR else "INFO"
+
+
+def write_layout(log: Path, out: Path) -> Path:
+    """Write how Rerun is to show a log that it has converted itself; return `out`.
+
+    Raises:
+        PrerequisiteError: Rerun is not installed.
+        UsageError: `out` has another suffix than `.rbl`.
+        StoreError: the log cannot be read or is damaged, or the layout not written.
+    """
+    rerun_sdk()
+    if out.suffix.lower() != _LAYOUT_SUFFIX:
+        raise UsageError(f"{out}: Rerun knows its layouts by {_LAYOUT_SUFFIX}", fix="name it so")
+    shown = shown_in_log(LogReader(log))
+    with atomic_path(followed(out)) as temporary:
+        save_layout(shown, temporary)
+    return out

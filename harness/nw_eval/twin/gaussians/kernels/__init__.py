@@ -1,6 +1,7 @@
 """The compiled half of training.
 
-project.py       Gaussians to the renderer's records, and the gradient back
+project.py       Gaussians to the renderer's records
+project_back.py  gradient of records with respect to Gaussians
 blend.py         the records that touch one window, and the gradient of their blend
 rows.py          the optimiser's step, nearest neighbours, noise; similarity of pictures
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import html
 import threading
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -16,10 +15,10 @@ import numpy as np
 from nw_eval.errors import NwEvalError
 from nw_eval.scenes.folder import SCENE_FILE
 from nw_eval.splat.gaussians import Gaussians
+from nw_eval.twin.label.controls import CLICKS, Controls
+from nw_eval.twin.label.drawing import Drawing, first_level
 from nw_eval.twin.label.ground import HeightProfile
 from nw_eval.twin.label.labelling import NEEDS_SCALE, Labelling
-from nw_eval.twin.label.page.controls import CLICKS, Controls
-from nw_eval.twin.label.page.drawing import Drawing, first_level
 from nw_eval.twin.label.state import Point, as_point
 from nw_eval.viewing.browser import HOST, splat_points, stop, viser_server
 
@@ -102,12 +101,7 @@ class LabelPage:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def run(self, action: Callable[[], object]) -> None:

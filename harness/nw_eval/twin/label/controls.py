@@ -9,8 +9,8 @@ import math
 from collections.abc import Callable
 from typing import Any, get_args
 
+from nw_eval.twin.label.drawing import Cutaway
 from nw_eval.twin.label.labelling import Labelling
-from nw_eval.twin.label.page.drawing import Cutaway
 from nw_eval.twin.label.state import Axis, CropBox, Point, Unit
 from nw_eval.words import Task
 

@@ -1,1 +1,0 @@
-"""The label page: a `Labelling` in the browser, by viser."""
