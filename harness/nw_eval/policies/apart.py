@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from nw_eval import errors
 from nw_eval.arrays import pack, unpack
-from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.networks import InputSpec
 from nw_eval.clean import message_of
 from nw_eval.confinement import GONE, LEFT, Rules, confine, fence_stands, processor_time
 from nw_eval.errors import NwEvalError, ServerError, TrialError

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from nw_eval.arrays import pack, read_only, unpack
 from nw_eval.cards import Card, JointControl, actuator_values, mounted_robot
-from nw_eval.cards.inputs import sized
 from nw_eval.cards.model import CONTROL_RATE
+from nw_eval.cards.networks import sized
 from nw_eval.cards.observations import (
     AnyObservation,
     DepthObservation,
