@@ -14,8 +14,8 @@ from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.cards import load_card
 from nw_eval.onboarding.probe.findings import measure, observation_findings
-from nw_eval.onboarding.probe.parts import parts_of
 from nw_eval.onboarding.probe.recording import record
+from nw_eval.onboarding.probe.summary import parts_of
 from nw_eval.policies import load_bundle
 from nw_eval.policies.networks.act import Act, ActSizes
 from nw_eval.policies.networks.parkour import (

@@ -7,8 +7,7 @@ import pytest
 
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors import build_sensors
-from nw_eval.sensors.drawing.insert import light_around
-from nw_eval.sensors.drawing.overlay import Cones, cone_mask, ray_directions
+from nw_eval.sensors.drawing.overlay import Cones, cone_mask, light_around, ray_directions
 from nw_eval.splat.camera import Camera, Pixels
 from nw_eval.splat.image import Image
 

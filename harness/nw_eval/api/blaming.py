@@ -169,7 +169,7 @@ def _read(run: Path) -> tuple[RunFolder, RunInfo, Sequence[Row]]:
 
 
 def _tries(rows: Sequence[Row]) -> int:
-    from nw_eval.rollout.replaying.blame import most_tries
+    from nw_eval.rollout.replaying.takeover import most_tries
 
     return max(most_tries(row.steps) for row in rows)
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from nw_eval.clean import clean
-from nw_eval.rollout.mcap.records import MOST_MESSAGE, LoggedMessage, logged
+from nw_eval.rollout.mcap.reader import MOST_MESSAGE, LoggedMessage, logged
 
 if TYPE_CHECKING:
     from PIL.Image import Image

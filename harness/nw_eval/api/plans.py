@@ -551,7 +551,7 @@ def open_policy(
         card: where the policy lies, if that is known.
         may_fail: as for `vet_bundle`.
     """
-    from nw_eval.cards.problems import UNKNOWN_ROBOT
+    from nw_eval.cards.load import UNKNOWN_ROBOT
     from nw_eval.errors import PolicyError
     from nw_eval.policies import find_card, load_bundle
 

@@ -4,7 +4,6 @@
 """
 
 from nw_eval.cards.card import Card
-from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import (
     Action,
     JointControl,
@@ -14,6 +13,7 @@ from nw_eval.cards.joint_control import (
     physics_steps,
 )
 from nw_eval.cards.load import load_card
+from nw_eval.cards.networks import InputSpec
 
 __all__ = [
     "Action",

@@ -35,7 +35,7 @@ from nw_eval.rollout.confined.access import why_off
 from nw_eval.scenes.folder import FileSplat
 from nw_eval.scenes.neverwhere import reference_path
 from nw_eval.suite.model import PUBLISHED
-from nw_eval.tasks.registry import declared_by
+from nw_eval.tasks import declared_by
 from nw_eval.words import Backend
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ from nw_eval.onboarding.checkpoint import ExporterMetadata as Metadata
 from nw_eval.onboarding.notation import plain
 from nw_eval.policies.safety import FileKind, FileLimits, open_archive
 from nw_eval.policies.safety.objects import TensorRef, read_index
-from nw_eval.policies.safety.onnx_format import ONNX, ProtobufMessage, Reader
+from nw_eval.policies.safety.onnx import ONNX, ProtobufMessage, Reader
 from nw_eval.policies.safety.tensors import check_references
 
 _MOST = 1000

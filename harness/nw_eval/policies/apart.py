@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval import errors
-from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.networks import InputSpec
 from nw_eval.clean import message_of
 from nw_eval.confinement import GONE, LEFT, Rules, confine, fence_stands, processor_time
 from nw_eval.errors import NwEvalError, ServerError, TrialError

@@ -24,7 +24,7 @@ from typing import Any, cast
 
 from nw_eval.errors import PolicyError
 from nw_eval.policies.safety.archive import Archive, file_kind, open_archive
-from nw_eval.policies.safety.onnx_format import ONNX, ProtobufMessage, Reader, integers
+from nw_eval.policies.safety.onnx import ONNX, ProtobufMessage, Reader, integers
 
 _FAULTS = (PolicyError, ValueError, LookupError, TypeError, RecursionError, OverflowError)
 _NESTED = 16

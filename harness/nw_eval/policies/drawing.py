@@ -17,8 +17,8 @@ from nw_eval.policies.policy import unfitting
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from nw_eval.cards.inputs import InputSpec
     from nw_eval.cards.joint_control import Action
+    from nw_eval.cards.networks import InputSpec
     from nw_eval.policies.policy import Observation, Policy
 
 _MARK = b"nw-eval torch generator\0"

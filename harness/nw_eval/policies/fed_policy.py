@@ -7,16 +7,20 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
-from nw_eval.cards.networks import NetworkAdapter, NetworkOutput, feeding_order, input_parts
+from nw_eval.cards.networks import (
+    InputSpec,
+    NetworkAdapter,
+    NetworkOutput,
+    feeding_order,
+    input_parts,
+)
 from nw_eval.cards.observations import selected_indices
 from nw_eval.errors import NotFiniteError, TrialError
 from nw_eval.memory import pack
 from nw_eval.plural import plural
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.network import OpenNetwork, Wanted
-from nw_eval.policies.policy import Observation, Policy, unfitting, unpacked
+from nw_eval.policies.policy import Observation, OpenNetwork, Policy, Wanted, unfitting, unpacked
 
 Array = NDArray[Any]
 

@@ -22,7 +22,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, PrerequisiteError, StoreError
 from nw_eval.files.inside import OutsideError, bounded_bytes, inside, regular, what_is
 from nw_eval.policies.safety import FileLimits, check_onnx
-from nw_eval.policies.safety.onnx_format import ONNX, ProtobufMessage, Reader, encoded
+from nw_eval.policies.safety.onnx import ONNX, ProtobufMessage, Reader, encoded
 
 if TYPE_CHECKING:
     import numpy as np

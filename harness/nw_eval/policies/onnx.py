@@ -10,14 +10,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.networks import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.memory import Arrays, pack
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.network import ActingNetwork, InputAssembler, Wanted, place_of
 from nw_eval.policies.networks.onnx_graph import open_session, state_pairs
-from nw_eval.policies.policy import Observation, unfitting, unpacked
+from nw_eval.policies.policy import (
+    ActingNetwork,
+    InputAssembler,
+    Observation,
+    Wanted,
+    place_of,
+    unfitting,
+    unpacked,
+)
 from nw_eval.policies.safety import check_onnx
 
 if TYPE_CHECKING:

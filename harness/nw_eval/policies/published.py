@@ -32,8 +32,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor
 
-from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.model import CardModel
+from nw_eval.cards.networks import InputSpec
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.memory import Arrays, pack
 from nw_eval.policies.bundle import Bundle, NoOptions, read_options

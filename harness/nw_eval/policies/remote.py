@@ -35,8 +35,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.model import CardModel
+from nw_eval.cards.networks import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, PrerequisiteError, ServerError, TrialError
 from nw_eval.policies.apart import AskedPolicy, Served

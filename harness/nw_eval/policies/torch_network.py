@@ -14,15 +14,23 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nw_eval.cards.inputs import InputSpec
 from nw_eval.cards.joint_control import Action
+from nw_eval.cards.networks import InputSpec
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.memory import pack
 from nw_eval.policies.apart import check_program
 from nw_eval.policies.bundle import Bundle, NoOptions, read_options
-from nw_eval.policies.network import ActingNetwork, InputAssembler, Wanted, place_of
 from nw_eval.policies.networks.exported import ExportedGraph
-from nw_eval.policies.policy import Observation, checked_action, unfitting, unpacked
+from nw_eval.policies.policy import (
+    ActingNetwork,
+    InputAssembler,
+    Observation,
+    Wanted,
+    checked_action,
+    place_of,
+    unfitting,
+    unpacked,
+)
 from nw_eval.policies.safety import read_tensors
 
 

@@ -17,8 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from nw_eval.cards.inputs import InputSpec
-from nw_eval.cards.networks import Feedback, Recurrent, listed_inputs
+from nw_eval.cards.networks import Feedback, InputSpec, Recurrent, listed_inputs
 from nw_eval.clean import clean
 from nw_eval.confinement import fence_stands
 from nw_eval.errors import PolicyError, TrialError, nearest
@@ -26,8 +25,14 @@ from nw_eval.memory import pack
 from nw_eval.plural import plural
 from nw_eval.policies.apart import check_program
 from nw_eval.policies.bundle import Bundle
-from nw_eval.policies.network import ActingNetwork, InputAssembler, Wanted
-from nw_eval.policies.policy import Observation, unfitting, unpacked
+from nw_eval.policies.policy import (
+    ActingNetwork,
+    InputAssembler,
+    Observation,
+    Wanted,
+    unfitting,
+    unpacked,
+)
 from nw_eval.policies.safety import file_kind, tensor_facts
 from nw_eval.policies.safety.archive import kind_said
 

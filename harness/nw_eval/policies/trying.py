@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.inputs import InputSpec, shape_problems, sized
+from nw_eval.cards.networks import InputSpec, shape_problems, sized
 from nw_eval.errors import NotFiniteError, NwEvalError, PolicyError
 from nw_eval.policies.apart import current_line
 from nw_eval.policies.bundle import Bundle

@@ -17,7 +17,7 @@ from nw_eval.rollout.mcap.topics import ELEMENTS, SHUTTERS
 from nw_eval.rollout.observed import LOG_CAMERA, LogCamera, Seen
 from nw_eval.rollout.record import PROVENANCE, TRIAL, provenance, trial_metadata, verdict_metadata
 from nw_eval.scores.score import STRETCH
-from nw_eval.sensors.terms import velocity_at
+from nw_eval.sensors.proprio import velocity_at
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards import Card, JointControl, actuator_values, mounted_robot
-from nw_eval.cards.inputs import sized
 from nw_eval.cards.model import CONTROL_RATE
+from nw_eval.cards.networks import sized
 from nw_eval.cards.observations import (
     AnyObservation,
     DepthObservation,

@@ -18,8 +18,7 @@ from nw_eval.memory import Arrays
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.scene import Nearness
 from nw_eval.sensors.drawing import overlay
-from nw_eval.sensors.drawing.insert import insert
-from nw_eval.sensors.drawing.overlay import CourseCones, Overlay, ray_directions
+from nw_eval.sensors.drawing.overlay import CourseCones, Overlay, insert, ray_directions
 from nw_eval.sensors.drawing.props import PropPictures, joined
 from nw_eval.sensors.ray_sensors import require_camera
 from nw_eval.sensors.sensor import CLEAR, Measurement, SceneView, Shot, StepContext

@@ -55,9 +55,8 @@ from nw_eval.scores.own import (
 )
 from nw_eval.suite.axes import AXES, Perturb, each_once
 from nw_eval.suite.digest import digest_of
-from nw_eval.tasks import COURSE, AnyTask
-from nw_eval.tasks.registry import BUILT_IN as TASK_CLASSES
-from nw_eval.tasks.registry import declared_by, declared_by_kind
+from nw_eval.tasks import BUILT_IN as TASK_CLASSES
+from nw_eval.tasks import COURSE, AnyTask, declared_by, declared_by_kind
 from nw_eval.words import Projection, Protocol, Record, Tier
 
 MAX_CELLS = 10_000

@@ -11,7 +11,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from nw_eval.cards.card import Card
-from nw_eval.cards.inputs import shape_problems
+from nw_eval.cards.networks import shape_problems
 from nw_eval.onboarding.checkpoint import inspect_checkpoint
 from nw_eval.onboarding.draft import write_card_draft
 from nw_eval.policies import load_bundle, open_policy

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from nw_eval.cards import Card
-from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.networks import InputSpec
 from nw_eval.onboarding.probe.findings import Range, action_findings, input_findings
-from nw_eval.onboarding.probe.parts import Part
+from nw_eval.onboarding.probe.summary import Part
 from nw_eval.robots import get_robot
 
 GO1 = get_robot("go1")

@@ -3,7 +3,7 @@
 import pytest
 
 from nw_eval.cards import Card
-from nw_eval.onboarding.probe.parts import parts_of
+from nw_eval.onboarding.probe.summary import parts_of
 from nw_eval.robots import get_robot
 from nw_eval.sensors import check_card
 

@@ -21,7 +21,7 @@ from nw_eval.onboarding.checkpoint import inspect_checkpoint
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.networks.onnx_graph import open_session
 from nw_eval.policies.safety import check_onnx
-from nw_eval.policies.safety.onnx_format import ONNX
+from nw_eval.policies.safety.onnx import ONNX
 
 REASONS = {
     "external_in_a_functions_default": "tensor 'stolen' lie in another file",

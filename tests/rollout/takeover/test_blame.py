@@ -14,10 +14,9 @@ from nw_eval.api.blaming import baseline_bundle
 from nw_eval.cli.verbs.attribute import blame_page, forecast_line, trial_line, written
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.policies import load_bundle
-from nw_eval.rollout.replaying import blame as searching
-from nw_eval.rollout.replaying.blame import blame, most_tries, search
+from nw_eval.rollout.replaying import takeover as searching
 from nw_eval.rollout.replaying.reports import BlameReport, Ending, Try
-from nw_eval.rollout.replaying.takeover import take_over
+from nw_eval.rollout.replaying.takeover import blame, most_tries, search, take_over
 
 WAS = Ending(
     policy="new",

@@ -29,7 +29,7 @@ from nw_eval.learn.teacher.senses import FRAME, JOINTS, OBSERVED, PRIVILEGED, SC
 from nw_eval.policies import load_bundle
 from nw_eval.policies.networks.onnx_graph import Graph
 from nw_eval.policies.safety import check_onnx
-from nw_eval.policies.safety.onnx_format import ONNX, ProtobufMessage, Reader, integers
+from nw_eval.policies.safety.onnx import ONNX, ProtobufMessage, Reader, integers
 
 _ACTOR, _CRITIC = (256, 256, 128), (256, 128)
 LIMIT = 6.0

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from nw_eval.cards import Card, motors_follow
 from nw_eval.cards.card import ConstantCommand
-from nw_eval.cards.inputs import resolve_inputs
 from nw_eval.cards.joints import short_name
-from nw_eval.cards.networks import input_parts
+from nw_eval.cards.networks import input_parts, resolve_inputs
 from nw_eval.cards.observations import ProprioObservation, SplatRgbObservation
 from nw_eval.errors import NwEvalError
 from nw_eval.onboarding.probe.following import (
@@ -39,7 +38,6 @@ from nw_eval.onboarding.probe.hypotheses import (
     hypotheses,
     scale_hypotheses,
 )
-from nw_eval.onboarding.probe.parts import Part
 from nw_eval.onboarding.probe.recording import (
     STUMBLES,
     Metered,
@@ -48,6 +46,7 @@ from nw_eval.onboarding.probe.recording import (
     SpentError,
     Walk,
 )
+from nw_eval.onboarding.probe.summary import Part
 from nw_eval.plural import plural
 from nw_eval.robots import RobotSpec
 

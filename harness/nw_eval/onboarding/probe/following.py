@@ -17,7 +17,7 @@ from nw_eval.cards.card import ConstantCommand, TrailFollower
 from nw_eval.cards.observations import ProprioObservation
 from nw_eval.onboarding.probe.recording import Rig
 from nw_eval.rollout.fault import PolicyFailedError
-from nw_eval.sensors.terms import commanded_speed
+from nw_eval.sensors.proprio import commanded_speed
 
 _FOLLOWS = 0.6
 """Share of a command that a policy reaches under its own card, and of which it reaches no more

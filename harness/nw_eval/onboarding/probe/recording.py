@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards import Card
-from nw_eval.cards.inputs import InputSpec
+from nw_eval.cards.networks import InputSpec
 from nw_eval.catalogue import parse_reference
 from nw_eval.policies import Bundle
 from nw_eval.policies.apart import ApartPolicy
@@ -23,7 +23,7 @@ from nw_eval.rollout.job import StageClock, TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import open_trial
 from nw_eval.scenes.scene import Scene
-from nw_eval.sensors.terms import commanded_speed
+from nw_eval.sensors.proprio import commanded_speed
 from nw_eval.sim import World
 from nw_eval.suite.trials import Trial
 from nw_eval.words import Collision, Outcome

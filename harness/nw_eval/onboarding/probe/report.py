@@ -30,8 +30,8 @@ from nw_eval.onboarding.probe.findings import (
     observation_findings,
 )
 from nw_eval.onboarding.probe.following import Followed
-from nw_eval.onboarding.probe.parts import parts_of
 from nw_eval.onboarding.probe.recording import Metered, Recording, SceneRig
+from nw_eval.onboarding.probe.summary import parts_of
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.robots import RobotSpec, find_robot, get_robot, know_robot
 from nw_eval.rollout.confined.access import OPENING_SECONDS, policy_rules, running_rules

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.policies.safety.onnx_format import MICROSOFT
+from nw_eval.policies.safety.onnx import MICROSOFT
 
 if TYPE_CHECKING:
     import onnxruntime as ort

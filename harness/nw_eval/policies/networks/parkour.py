@@ -29,7 +29,7 @@ from nw_eval.errors import PolicyError
 from nw_eval.policies.networks.onnx_graph import Graph
 from nw_eval.policies.networks.parameters import build, mlp
 from nw_eval.policies.safety import tensors_below
-from nw_eval.policies.safety.onnx_format import MICROSOFT
+from nw_eval.policies.safety.onnx import MICROSOFT
 
 if TYPE_CHECKING:
     import onnxruntime as ort

@@ -26,11 +26,10 @@ from nw_eval.rollout.confined.access import policy_rules, running_rules
 from nw_eval.rollout.confined.isolated import IsolatedCall, call_isolated
 from nw_eval.rollout.job import kernels_of
 from nw_eval.rollout.library import Library
-from nw_eval.rollout.replaying.blame import blame
 from nw_eval.rollout.replaying.film import Film, contact_sheet
 from nw_eval.rollout.replaying.logged import agreed, check_inside, check_start, read_logged_trial
 from nw_eval.rollout.replaying.reports import BlameReport, ReplayReport, TakeoverReport
-from nw_eval.rollout.replaying.takeover import OPTION, replay, second_job, take_over
+from nw_eval.rollout.replaying.takeover import OPTION, blame, replay, second_job, take_over
 from nw_eval.suite.model import SHOWN
 
 if TYPE_CHECKING:

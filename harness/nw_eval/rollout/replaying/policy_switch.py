@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from nw_eval.cards import Card
-    from nw_eval.cards.inputs import InputSpec
+    from nw_eval.cards.networks import InputSpec
     from nw_eval.policies import Policy
     from nw_eval.policies.policy import Observation
     from nw_eval.robots import RobotSpec

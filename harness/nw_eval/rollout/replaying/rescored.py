@@ -41,7 +41,7 @@ from nw_eval.scores import (
     specs_of,
 )
 from nw_eval.scores.own import is_code
-from nw_eval.tasks.registry import declared_by
+from nw_eval.tasks import declared_by
 from nw_eval.words import Outcome
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from nw_eval.catalogue import get_scene
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError, nearest
 from nw_eval.robots import RobotSpec, get_robot
-from nw_eval.rollout.mcap.records import MOST_MESSAGE, ForeignMessage, foreign
+from nw_eval.rollout.mcap.reader import MOST_MESSAGE, ForeignMessage, foreign
 from nw_eval.scores.score import Array, Figures, Stretch
 from nw_eval.sim import World
 

@@ -14,8 +14,14 @@ from PIL import Image as PillowImage
 
 from nw_eval.lens import Intrinsics
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.drawing.insert import insert
-from nw_eval.sensors.drawing.overlay import Cones, MeshPicture, Overlay, draw, ray_directions
+from nw_eval.sensors.drawing.overlay import (
+    Cones,
+    MeshPicture,
+    Overlay,
+    draw,
+    insert,
+    ray_directions,
+)
 from nw_eval.sensors.drawing.props import PropPictures, joined
 from nw_eval.splat.camera import Camera, Pixels, look_at
 

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.drawing.insert import insert
-from nw_eval.sensors.drawing.overlay import Overlay, shade
+from nw_eval.sensors.drawing.overlay import Overlay, insert, shade
 from nw_eval.splat.camera import Camera, Pixels, Rows
 
 if TYPE_CHECKING:
