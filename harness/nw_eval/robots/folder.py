@@ -178,6 +178,13 @@ class Camera(Eye):
     """R_body_camera, row by row, in place of `quaternion` and `pitch`: OpenCV's x right, y down, z
     forward."""
 
+    @model_validator(mode="after")
+    def _one_turn(self) -> Camera:
+        others = [key for key in ("quaternion", "pitch") if key in self.model_fields_set]
+        if self.rotation is not None and others:
+            raise ValueError(f"`rotation` and `{others[0]}` both say how it is turned; remove one")
+        return self
+
 
 class FreeJoint(_Part):
     """What acts on the free joint."""
