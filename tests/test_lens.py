@@ -107,6 +107,14 @@ def test_a_lens_that_would_look_beyond_what_a_camera_can_see_is_refused():
             {"distortion": {"model": "radial_tangential", "coefficients": [-0.9, 0, 0, 0]}},
             r"no ray within 85 degrees of the axis meets pixel \(0, 0\)",
         ),
+        (  # Numbers that overflow.
+            {"distortion": {"model": "radial_tangential", "coefficients": [1e300, 1e300, 0, 0]}},
+            "no ray within 85 degrees of the axis meets pixel",
+        ),
+        (
+            {"distortion": {"model": "fisheye", "coefficients": [1e300, 0, 0, 0]}},
+            "no ray within 85 degrees of the axis meets pixel",
+        ),
         (
             {"distortion": {"model": "fisheye", "coefficients": [0.1] * 5}},
             "fisheye has 4 coefficients, not 5",

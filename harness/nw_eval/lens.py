@@ -65,9 +65,11 @@ class Distortion(_Part, frozen=True):
 
         NaN where there is none: where the polynomial turns back, or beyond `WIDEST`.
         """
-        return (
-            self._straight_fisheye(seen) if self.model == "fisheye" else self._straight_brown(seen)
-        )
+        # Coefficients may be anything: what overflows has no ray.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            if self.model == "fisheye":
+                return self._straight_fisheye(seen)
+            return self._straight_brown(seen)
 
     def _polar(self, t: Array) -> tuple[Array, Array]:
         """Return t (1 + k1 t^2 + ...) of angles, and its derivative."""

@@ -144,6 +144,13 @@ def test_a_robot_that_nobody_knows_is_told_with_its_place(tmp_path):
     assert ":3:1: robot: unknown robot 'go3'; did you mean 'go" in problem
 
 
+def test_a_camera_that_the_robot_does_not_have_is_told_with_its_place(tmp_path):
+    card = MINIMAL + "  eye: {sensor: depth, camera: eggo}\ncameras: {realsens: {pitch: 0.1}}\n"
+    seen, mounted = problems_of(tmp_path, card)
+    assert ":9:24: observations.eye.camera: go1 has no camera 'eggo'; did you mean 'ego'?" in seen
+    assert ":10:11: cameras.realsens: go1 has no camera 'realsens'; did you mean" in mounted
+
+
 def test_a_card_of_eight_lines_is_enough(tmp_path):
     card = load_card(written_card(tmp_path, MINIMAL))
     assert card.control.delay_steps == 0

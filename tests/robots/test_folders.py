@@ -386,6 +386,8 @@ def test_what_robot_yaml_says_wrongly_is_told_with_its_place(tmp_path, line, sai
         ),
         ('mass="5"', 'mass="nan"', "<geom> has mass='nan'; write numbers"),
         ('mass="5"', 'mass="NaN(1)"', "<geom> has mass='NaN(1)'; write numbers"),
+        ('mass="5"', 'mass="1e300"', "<geom> has mass='1e300': a number over 1e+20; write"),
+        ('size="0.03" mass="0.2"', 'size="1e5" mass="0.2"', "over 10000; lengths are in m"),
         ('pos="0 0.1 0"', 'pos="0 -inf 0"', "<body> has pos='0 -inf 0'"),
         ('type="free"', 'type="ball"', "has joints that are not free"),
         (

@@ -227,6 +227,14 @@ def test_a_state_holds_what_an_imu_on_a_head_reads(tmp_path):
         ("imu: {site: imu_in_head, body: head}", "a site has its own position and axes"),
         ("imu: {body: hed}", "imu.body: no body 'hed'; did you mean 'head'?"),
         ("imu: {quaternion: [0, 0, 0, 0]}", "imu: a quaternion of length 0"),
+        (
+            "  up: {position: [0, 0, 0], quaternion: [0, 0, 0, 2]}",
+            "cameras.up: a quaternion of length 2; give w x y z of length 1",
+        ),
+        (
+            "  up: {position: [0, 0, 0], pitch: 0, rotation: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}",
+            ":8:3: cameras.up: `rotation` and `pitch` both say how it is turned; remove one",
+        ),
         ("  ego: {position: [0, 0, 0]}", "cameras: `eye` is `ego`, too; remove one"),
         (
             "  up: {body: had, position: [0, 0, 0]}",

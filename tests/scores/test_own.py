@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from typing import Any
 
 import numpy as np
@@ -201,13 +202,26 @@ def test_a_file_that_no_worker_could_use_is_refused_before_anything_runs(tmp_pat
         nw_eval.check(tmp_path / "own.yaml", allow_code=True)
 
 
-def test_a_function_that_leaves_the_process_is_no_failure_of_the_policy(tmp_path):
-    (tmp_path / "smooth.py").write_text("def jerk(torques):\n    raise SystemExit(3)\n")
+@pytest.mark.parametrize("leaving", ["raise SystemExit(3)", "import os; os._exit(3)"])
+def test_a_function_that_leaves_the_process_is_no_failure_of_the_policy(tmp_path, leaving):
+    (tmp_path / "smooth.py").write_text(f"def jerk(torques):\n    {leaving}\n")
     own = OwnScore.model_validate(OWN)
     score = score_class(own_text(own, tmp_path), allow_code=True)(FIGURES)
     score.update(Stretch(FIGURES, torques=np.zeros((2, 4, 3))))
     with pytest.raises(RuntimeError, match="left the process"):
         score.value(END)
+    assert os._exit.__module__ == "posix", "what others call ends the process"
+
+
+def test_code_of_a_suite_lies_in_its_folder(tmp_path):
+    folder = tmp_path / "suite"
+    folder.mkdir()
+    (tmp_path / "smooth.py").write_text(JERK)
+    (folder / "linked.py").symlink_to(tmp_path / "smooth.py")
+    for file in ("../smooth.py", str(tmp_path / "smooth.py"), "linked.py"):
+        own = OwnScore.model_validate(OWN | {"python": f"{file}:jerk"})
+        with pytest.raises(UsageError, match=r"leads out of .*; copy it beside the suite"):
+            own_text(own, folder)
 
 
 def test_a_suite_without_expectations_is_written_as_it_was():
@@ -305,6 +319,7 @@ def test_another_code_is_another_job_and_another_baseline(written):
     [
         ("raise ValueError('not today')", "cannot be loaded: ValueError: not today"),
         ("raise SystemExit", "cannot be loaded: SystemExit"),
+        ("import os; jerk = os._exit(0)", "cannot be loaded: SystemExit: 0"),
         ("if 0: jerk = 1", "cannot be loaded: AttributeError"),
         ("jerk = lambda target: 0.0", "has a parameter 'target', which is no reading"),
     ],

@@ -13,6 +13,7 @@ from tests.sensors.prop_scene import DOOR, SCENE, write_scene
 from nw_eval.errors import SceneError
 from nw_eval.protocol import NEVERWHERE_2026, STRICT
 from nw_eval.robots import find_robot
+from nw_eval.scenes.check import check_scene
 from nw_eval.scenes.folder import folder_files, load_folder
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors import build_sensors
@@ -228,6 +229,14 @@ def test_files_of_props_belong_to_the_scene(tmp_path):
     assert {"door.obj", "crate.ply"} <= set(folder_files(folder))
 
 
+def test_a_prop_where_the_robot_starts_is_in_its_way(scene):
+    door, crate = scene.props
+    assert "spawn_blocked" not in {finding.code for finding in check_scene(scene)}
+    inside = replace(scene, props=(door, replace(crate, position=(0.0, 0.1, 0.3))))
+    (found,) = (each for each in check_scene(inside) if each.code == "spawn_blocked")
+    assert "the prop 'crate' is where the robot starts" in found.message
+
+
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
@@ -237,7 +246,9 @@ def test_files_of_props_belong_to_the_scene(tmp_path):
         ("    boxes: [{half_size: [0.15, 0.15, 0.15]}]\n", "", "needs `boxes`"),
         ("range: [-1.5, 1.5]", "range: [1.5, -1.5]", "give the least first"),
         ("axis: [0, 0, 1]", "axis: [0, 0, 0]", "no direction"),
-        ("mesh: door.obj", "mesh: ../door.obj", "leaves the scene's folder"),
+        ("mesh: door.obj", "mesh: ../door.obj", ":10:5: props.0.mesh: '../door.obj' leaves the"),
+        ("mesh: door.obj", "mesh: dor.obj", ":10:5: there is no mesh 'dor.obj' beside it"),
+        ("type: hinge", "type: free", "a free prop has no 'axis'; remove it, or make"),
     ],
 )
 def test_a_prop_that_is_wrong_is_refused_with_its_line(tmp_path, old, new, says):

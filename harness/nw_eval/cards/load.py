@@ -33,7 +33,12 @@ from nw_eval.cards.networks import (
     recurrent_fault,
     way_back,
 )
-from nw_eval.cards.observations import ProprioObservation
+from nw_eval.cards.observations import (
+    DepthObservation,
+    ProprioObservation,
+    SemanticsObservation,
+    SplatRgbObservation,
+)
 from nw_eval.cards.terms import FootContacts, check_feet, named_places
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, Problem, UsageError, nearest
@@ -341,7 +346,10 @@ def joint_problems(card: Card, file: YamlFile) -> list[Problem]:
     except UsageError as error:
         return [file.problem(("robot",), f"robot: {error.message}", error.fix)]
     own = robot.joints
-    faults: list[Problem | None] = _feet_problems(card, file, robot)
+    faults: list[Problem | None] = [
+        *_feet_problems(card, file, robot),
+        *_camera_problems(card, file, robot),
+    ]
     joints = own
     if (named := card.control.joints) is not None:
         order = _fault(file, ("control", "joints"), lambda: joint_order(named, own))
@@ -375,6 +383,23 @@ def _feet_problems(card: Card, file: YamlFile, robot: RobotSpec) -> list[Problem
         if isinstance(observation, ProprioObservation)
         for index, term in enumerate(observation.terms or ())
         if isinstance(term, FootContacts)
+    ]
+
+
+def _camera_problems(card: Card, file: YamlFile, robot: RobotSpec) -> list[Problem]:
+    """Return a problem for each camera that the card names and the robot does not have."""
+    named: list[tuple[Location, str]] = [(("cameras", name), name) for name in card.cameras]
+    for key, observation in card.observations.items():
+        if isinstance(observation, DepthObservation | SemanticsObservation | SplatRgbObservation):
+            named.append((("observations", key, "camera"), observation.camera))
+    return [
+        file.problem(
+            place,
+            f"{'.'.join(map(str, place))}: {robot.name} has no camera {name!r}",
+            nearest(name, robot.cameras),
+        )
+        for place, name in named
+        if name not in robot.cameras
     ]
 
 

@@ -102,6 +102,7 @@ def bounded_bytes(path: Path, most: int) -> bytes:
     if not stat.S_ISREG(facts.st_mode):
         raise ValueError("it is not a file")
     if facts.st_size > most:
-        raise ValueError(f"it has {facts.st_size / 2**20:.0f} MiB, over {most // 2**20}")
+        whole = max(round(facts.st_size / 2**20), most // 2**20 + 1)
+        raise ValueError(f"it has {whole} MiB, over {most // 2**20}")
     with path.open("rb") as stream:
         return stream.read(most)

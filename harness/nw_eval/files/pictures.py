@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -46,4 +47,7 @@ def open_picture(source: Path | IO[bytes], formats: Sequence[str] = FORMATS) -> 
 
             register_heif_opener(thumbnails=False, depth_images=False, aux_images=False)
     # Older Pillows know no AVIF, and raise KeyError at a name that they do not know.
-    return Image.open(source, formats=[name for name in formats if name in Image.OPEN])
+    known = [name for name in formats if name in Image.OPEN]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
+        return Image.open(source, formats=known)

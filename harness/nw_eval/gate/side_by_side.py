@@ -110,7 +110,7 @@ def _faults(first: Entrant, other: Entrant) -> Iterable[str]:
     alike = ours.seed == theirs.seed and ours.protocol == theirs.protocol
     if alike and ours.suite_digest != theirs.suite_digest:
         digests = f"{ours.suite_digest[:8]}, there {theirs.suite_digest[:8]}"
-        yield f"its suite digest (robot, episode, perturb) is {digests}"
+        yield f"its suite digest (robot, task, episode, perturb, pictures, plug-ins) is {digests}"
     if lacking := sorted({*theirs.scenes} - {*ours.scenes}):
         yield f"it has no scene {_first(lacking)}"
     if foreign := sorted({*ours.scenes} - {*theirs.scenes}):

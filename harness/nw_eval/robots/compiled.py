@@ -369,7 +369,8 @@ class Mounts:
             axes = np.array(camera.rotation)
             if np.abs(axes.T @ axes - np.eye(3)).max() > _TURN or np.linalg.det(axes) < 0.0:
                 message = f"{'.'.join(key)}.rotation: it is no rotation"
-                raise self.robot.fault((*key, "rotation"), message)
+                fix = "give rows of length 1, square to each other, of a right-handed frame"
+                raise self.robot.fault((*key, "rotation"), message, fix)
         position, fovy = np.array(camera.position), math.radians(camera.fovy)
         if body == self.robot.root:  # Its numbers are taken as they are written, to the last bit.
             mount = _mount(position, axes, fovy, "")
@@ -384,7 +385,7 @@ class Mounts:
         """Return the rotation of a quaternion, (3, 3)."""
         length = float(np.linalg.norm(quaternion))
         if not 0.9 < length < 1.1:
-            message = f"{key[0]}: a quaternion of length {length:g}"
+            message = f"{'.'.join(key)}: a quaternion of length {length:g}"
             raise self.robot.fault((*key, "quaternion"), message, "give w x y z of length 1")
         R = np.empty(9)
         mujoco.mju_quat2Mat(R, np.array(quaternion, dtype=np.float64) / length)

@@ -60,6 +60,9 @@ _URDF = """robot link collision geometry box sphere cylinder origin mass inertia
 _KNOWN = frozenset([*_MJCF.split(), *_URDF.split()])
 _READ = frozenset({".stl", ".obj"})
 _FARTHEST = 1e5  # of a mesh's numbers, before its scale
+_LENGTHS = frozenset({"pos", "size", "fromto", "xyz", "radius", "length"})
+_MOTION = frozenset({"damping", "armature", "stiffness", "frictionloss", "gravcomp", "margin"})
+_LONGEST, _STRONGEST, _LARGEST = 1e4, 1e6, 1e20  # m, N m and the like, any figure
 _PATHS = frozenset(
     {
         *("file", "meshdir", "texturedir", "assetdir", "strippath", "content_type"),
@@ -177,6 +180,13 @@ class Camera(Eye):
     rotation: tuple[Row, Row, Row] | None = None
     """R_body_camera, row by row, in place of `quaternion` and `pitch`: OpenCV's x right, y down, z
     forward."""
+
+    @model_validator(mode="after")
+    def _one_turn(self) -> Camera:
+        others = [key for key in ("quaternion", "pitch") if key in self.model_fields_set]
+        if self.rotation is not None and others:
+            raise ValueError(f"`rotation` and `{others[0]}` both say how it is turned; remove one")
+        return self
 
 
 class FreeJoint(_Part):
@@ -501,6 +511,7 @@ class _Reader:
                             "write numbers",
                             self.lines[child],
                         )
+                    self._check_size(child, key, value)
                 if parent.tag == "equality" and child.tag in {"connect", "weld"}:
                     bodies = [child.get(key) or "the world" for key in ("body1", "body2")]
                     raise self.fault(
@@ -516,6 +527,22 @@ class _Reader:
                     "write what it stands for into the file, or remove it",
                     self.lines[child],
                 )
+
+    def _check_size(self, element: Element, key: str, value: str) -> None:
+        """Refuse a figure that no robot has: physics would fail, and say less."""
+        most, fix = _LARGEST, "write figures in SI units"
+        if key in _LENGTHS:
+            most, fix = _LONGEST, "lengths are in m"
+        elif key in _MOTION:
+            most = _STRONGEST
+        for word in value.split() if key != "name" else ():
+            try:
+                number = float(word)
+            except ValueError:
+                continue
+            if abs(number) > most:
+                message = f"<{element.tag}> has {key}={value[:40]!r}: a number over {most:g}"
+                raise self.fault(message, fix, self.lines[element])
 
     def _mjcf_meshes(self, root: Element, compiler: dict[str, str]) -> None:
         folder = compiler.get("meshdir", compiler.get("assetdir", ""))

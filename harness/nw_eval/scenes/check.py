@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from nw_eval.errors import SceneError
 from nw_eval.scenes.finding import SceneFinding
 from nw_eval.scenes.mesh import TriangleMesh, rotation_matrix
+from nw_eval.scenes.prop import PropBox
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.scene import Box, HeightField, Scene
 
@@ -112,15 +113,15 @@ def _spawn(scene: Scene, rays: RayScene) -> list[SceneFinding]:
     usual = float(np.median(ground[np.isfinite(ground)]))
     # A narrow block may stand on lower ground: where it is level under the robot, it carries it.
     level = max(usual, min(z, float(np.min(under))))
-    inside = _inside_a_box(scene, points, max(z, usual))
+    inside = _in_a_box(scene, points, max(z, usual))
     if highest > level + _CLEARANCE or inside:
-        found = "a solid" if inside else f"something {highest - level:.2f} m high"
+        found = inside or f"something {highest - level:.2f} m high"
         findings.append(
             SceneFinding(
                 code="spawn_blocked",
                 severity="error",
                 message=f"{found} is where the robot starts, at ({x:.2f}, {y:.2f})",
-                fix="move the spawn or the scene",
+                fix="move one of them" if "prop" in inside else "move the spawn or the scene",
                 value=highest,
                 place=place,
             )
@@ -138,15 +139,22 @@ def _looks_down(scene: Scene, rays: RayScene, x: float, y: float, z: float) -> b
     return bool(np.cross(b - a, c - a)[2] < 0)
 
 
-def _inside_a_box(scene: Scene, points: Values, z: float) -> bool:
+def _in_a_box(scene: Scene, points: Values, z: float) -> str:
+    """Return what a body at the spawn would be inside of, of boxes and props; empty if nothing."""
     heights = np.linspace(z + _CLEARANCE, z + _BODY_TOP, 6)
     body = np.concatenate([np.column_stack([points, np.full(len(points), h)]) for h in heights])
-    for solid in scene.solids:
-        if isinstance(solid, Box):
-            local = (body - solid.center) @ rotation_matrix(solid.quat)
-            if (np.abs(local) < solid.half_size).all(axis=1).any():
-                return True
-    return False
+    if any(_meets(solid, body) for solid in scene.solids if isinstance(solid, Box)):
+        return "a solid"
+    for prop in scene.props:
+        local = (body - prop.position) @ rotation_matrix(prop.quat)
+        if any(_meets(box, local) for box in prop.boxes):
+            return f"the prop {prop.name!r}"
+    return ""
+
+
+def _meets(box: Box | PropBox, points: Values) -> bool:
+    local = (points - box.center) @ rotation_matrix(box.quat)
+    return bool((np.abs(local) < box.half_size).all(axis=1).any())
 
 
 def _waypoints(scene: Scene, rays: RayScene) -> list[SceneFinding]:

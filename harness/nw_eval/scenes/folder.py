@@ -22,6 +22,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import OutsideError, inside, what_is
 from nw_eval.files.yaml_file import (
+    Location,
     YamlFile,
     YamlProblems,
     json_schema_of,
@@ -178,6 +179,11 @@ class _PropJoint(_FolderModel):
     def _check_range(self) -> Self:
         if self.range is not None and self.range[0] >= self.range[1]:
             raise ValueError(f"range is {list(self.range)}; give the least first")
+        if self.type in {"fixed", "free"} and (keys := self.model_fields_set - {"type"}):
+            key = min(keys)
+            raise ValueError(
+                f"a {self.type} prop has no {key!r}; remove it, or make it a hinge or a slide"
+            )
         return self
 
 
@@ -402,10 +408,15 @@ def _props(folder: Path, file: YamlFile, text: _SceneFile) -> tuple[Prop, ...]:
             )
         mesh, splat, boxes = None, None, tuple(PropBox(**b.model_dump()) for b in prop.boxes)
         if prop.mesh is not None:
-            mesh = read_mesh(_beside(folder, file, "props", prop.mesh), kind=prop.kind)
+            path = _beside(folder, file, (*where, "mesh"), prop.mesh)
+            if what_is(path) == "nothing":
+                message = f"there is no mesh {prop.mesh!r} beside it"
+                problem = file.problem((*where, "mesh"), message, "check the key `mesh`")
+                raise SceneError([problem])
+            mesh = read_mesh(path, kind=prop.kind)
             boxes = boxes or (box_round(mesh),)
         elif prop.splat is not None:
-            splat = FileSplat(path=_beside(folder, file, "props", prop.splat))
+            splat = FileSplat(path=_beside(folder, file, (*where, "splat"), prop.splat))
             if what_is(splat.path) != "file":
                 message = f"there is no splat {prop.splat!r} beside it"
                 problem = file.problem((*where, "splat"), message, "check the key `splat`")
@@ -481,13 +492,14 @@ def solids_mesh(boxes: tuple[Box, ...], ground: float) -> TriangleMesh:
     return merge([quad, *(box_mesh(b.center, b.half_size, b.quat, b.kind) for b in boxes)])
 
 
-def _beside(folder: Path, file: YamlFile, key: str, name: str) -> Path:
+def _beside(folder: Path, file: YamlFile, key: str | Location, name: str) -> Path:
     """Return the path of a file that a key of scene.yaml names, in the folder."""
+    place = (key,) if isinstance(key, str) else key
     try:
         return inside(folder, name)
     except OutsideError as error:
-        message = f"{key}: {name!r} leaves the scene's folder: {error}"
-        raise SceneError([file.problem((key,), message, "put the file into the folder")]) from None
+        words = f"{'.'.join(map(str, place))}: {name!r} leaves the scene's folder: {error}"
+        raise SceneError([file.problem(place, words, "put the file into the folder")]) from None
 
 
 def _place_of(

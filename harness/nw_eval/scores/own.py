@@ -11,10 +11,12 @@ import hashlib
 import inspect
 import json
 import math
+import os
+import threading
 import types
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, NoReturn, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from nw_eval.clean import clean
 from nw_eval.errors import CodeError, UsageError, nearest
-from nw_eval.files.inside import bounded_bytes
+from nw_eval.files.inside import OutsideError, bounded_bytes, inside
 from nw_eval.scores.score import READINGS, Array, Figures, Score, ScoreSpec, Stretch, TrialEnd
 
 EXPECT = "expect_"
@@ -249,9 +251,15 @@ def source_digest(own: OwnScore, folder: Path) -> str:
 
 
 def _source(own: OwnScore, folder: Path) -> str:
-    file = folder / own.python.rpartition(":")[0]
+    name = own.python.rpartition(":")[0]
+    file = folder / name
     try:
-        return bounded_bytes(file, _MOST_SOURCE).decode("utf-8")
+        return bounded_bytes(inside(folder, name), _MOST_SOURCE).decode("utf-8")
+    except OutsideError as error:
+        raise UsageError(
+            f"score {own.spec.name!r}: {clean(name, at_most=200)!r} leads out of {folder}: {error}",
+            fix="copy it beside the suite, and name it from there",
+        ) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or clean(error, at_most=100)
         raise UsageError(
@@ -397,7 +405,8 @@ def _computing(own: OwnScore, source: str) -> type[Score]:
     file, _, wanted = own.python.rpartition(":")
     module = types.ModuleType(f"nw_eval_score_{own.spec.name}")
     try:
-        exec(compile(source, file, "exec"), module.__dict__)  # noqa: S102 - the caller allows it.
+        with _Stays():
+            exec(compile(source, file, "exec"), module.__dict__)  # noqa: S102 - it is allowed.
         function = getattr(module, wanted)
         parameters = tuple(inspect.signature(function).parameters)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - the code may raise anything.
@@ -409,6 +418,23 @@ def _computing(own: OwnScore, source: str) -> type[Score]:
     _vet_parameters(own, parameters)
     members = {"spec": own.spec, "function": staticmethod(function), "parameters": parameters}
     return type("Computed", (_Computed,), members)
+
+
+class _Stays:
+    """Makes SystemExit of `os._exit`: a process that ends so has ended by its policy's fault."""
+
+    def __enter__(self) -> None:
+        self._leave, own = os._exit, threading.get_ident()
+
+        def leave(status: int) -> NoReturn:
+            if threading.get_ident() == own:
+                raise SystemExit(status)
+            self._leave(status)  # A thread of ours may end the process at any time.
+
+        os._exit = leave
+
+    def __exit__(self, *_: object) -> None:
+        os._exit = self._leave
 
 
 class _Computed(Score):
@@ -438,7 +464,8 @@ class _Computed(Score):
             for name in self.parameters
         }
         try:
-            value = self.function(**given)
+            with _Stays():
+                value = self.function(**given)
         except SystemExit as error:  # It would count as the policy's.
             message = f"score {self.spec.name!r}: its function left the process ({error})"
             raise RuntimeError(message) from None

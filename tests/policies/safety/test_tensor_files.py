@@ -127,6 +127,24 @@ def test_safetensors_are_read():
         read_tensors(data[:-4], "x.safetensors")
 
 
+def test_safetensors_that_share_bytes_or_a_name_are_refused():
+    def file(header):
+        text = json.dumps(header) if isinstance(header, dict) else header
+        return len(text).to_bytes(8, "little") + text.encode() + bytes(16)
+
+    def at(first, end):
+        return {"dtype": "F32", "shape": [(end - first) // 4], "data_offsets": [first, end]}
+
+    apart = file({"a": at(0, 8), "none": at(8, 8), "b": at(8, 16)})
+    assert set(read_tensors(apart, "x")) == {"a", "none", "b"}
+    for first, end in ((4, 12), (0, 8), (0, 4)):
+        with pytest.raises(PolicyError, match=r"tensors '[ab]' and '[ab]' share bytes"):
+            tensor_facts(file({"a": at(0, 8), "b": at(first, end)}), "x")
+    one = json.dumps({"a": at(0, 8)})
+    with pytest.raises(PolicyError, match="header is damaged: it has 'a' twice"):
+        tensor_facts(file(one[:-1] + ", " + one[1:]), "x")
+
+
 @pytest.mark.parametrize(
     ("limits", "reason"),
     [

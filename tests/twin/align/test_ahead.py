@@ -1,6 +1,8 @@
 """What gives the scale is said in the first seconds, before anything is computed."""
 
 import re
+import struct
+import zlib
 from contextlib import nullcontext
 
 import numpy as np
@@ -52,6 +54,19 @@ def test_without_any_scale_it_says_so_and_how_to_give_one_now_and_later(tmp_path
         assert way in words
     assert "`nw-eval twin place street --length A B METRES`" in words
     assert "`nw-eval twin label street`" in words
+
+
+def test_pictures_that_claim_too_much_or_have_too_few_pixels_stop_nothing(tmp_path, recwarn):
+    folder = tmp_path / "odd"
+    folder.mkdir()
+    for name, size in (("dot", (1, 1)), ("line", (2000, 2)), ("one", (64, 48))):
+        Image.new("L", size).save(folder / f"{name}.png")
+    bomb = bytearray((folder / "one.png").read_bytes())
+    bomb[16:24] = struct.pack(">II", 60_000, 60_000)
+    bomb[29:33] = struct.pack(">I", zlib.crc32(bomb[12:29]))
+    (folder / "bomb.png").write_bytes(bomb)
+    assert "nothing gives one" in said(photographs_in(folder))
+    assert not recwarn.list
 
 
 def test_a_tag_in_view_needs_its_edge_and_then_gives_the_scale(tmp_path):

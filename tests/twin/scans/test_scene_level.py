@@ -178,6 +178,9 @@ def test_a_point_that_is_none_is_named_with_its_option(tilted, capsys):
         cli.main(["scenes", "level", str(folder), "--floor", "0,0,0", "1,x,0", "-1,-2,0"])
     assert end.value.code == 2
     assert "--floor 1,x,0: no point X,Y,Z" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        cli.main(["scenes", "level", str(folder), "--trail", "0,0", "1e308,0"])
+    assert "--trail 1e308,0: a number over 1e+07" in capsys.readouterr().err
 
 
 def test_a_fault_of_a_scene_that_is_copied_names_its_own_file(tilted, tmp_path):

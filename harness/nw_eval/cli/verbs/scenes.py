@@ -327,6 +327,9 @@ def pushed_line(pushed: PushedScene) -> str:
     return f"{pushed.reference}: {plural(len(pushed.files), 'file')}, {in_words(pushed.bytes)}"
 
 
+_FARTHEST = 1e7  # of a number: 10 km in mm, and far below what float32 holds
+
+
 def points_of(
     option: str, words: Sequence[str], sizes: tuple[int, ...]
 ) -> tuple[tuple[float, ...], ...]:
@@ -351,6 +354,11 @@ def points_of(
                 f"{option} {clean(word, at_most=60)}: no point {form}",
                 fix=f"give numbers with commas and no spaces between, such as {option} "
                 + " ".join(",".join("1.5" for _ in range(sizes[0])) for _ in range(2)),
+            )
+        if any(abs(part) > _FARTHEST for part in point):
+            raise UsageError(
+                f"{option} {clean(word, at_most=60)}: a number over {_FARTHEST:g}",
+                fix="give lengths from the mesh's own origin",
             )
         points.append(point)
     return tuple(points)

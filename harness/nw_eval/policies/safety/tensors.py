@@ -17,6 +17,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from nw_eval.clean import clean
@@ -419,7 +420,7 @@ def _read_header(data: bytes, where: str, limits: FileLimits) -> tuple[TensorEnt
             fix="copy or download the file again",
         )
     try:
-        header: dict[str, Any] = json.loads(data[8:begin])
+        header: dict[str, Any] = json.loads(data[8:begin], object_pairs_hook=_once)
         entries = [
             _entry(name, fields, begin) for name, fields in header.items() if name != "__metadata__"
         ]
@@ -442,7 +443,28 @@ def _read_header(data: bytes, where: str, limits: FileLimits) -> tuple[TensorEnt
                 "says",
                 fix="the file is truncated or forged: export the policy again",
             )
+    ordered = sorted((entry for entry in entries if entry.stop > entry.start), key=_place)
+    for one, other in pairwise(ordered):
+        if other.start < one.stop:
+            raise PolicyError(
+                f"{where}: tensors {one.name!r} and {other.name!r} share bytes of the file",
+                fix="save it with safetensors, which gives each tensor bytes of its own",
+            )
     return tuple(entries)
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object of JSON; a name that stands twice would be one tensor or the other."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"it has {clean(twice, at_most=80)!r} twice")
+    return found
+
+
+def _place(entry: TensorEntry) -> tuple[int, int]:
+    return entry.start, entry.stop
 
 
 def _entry(name: str, fields: dict[str, Any], begin: int) -> TensorEntry:

@@ -6,17 +6,19 @@ Cameras write GPS positions into photographs; `gps_positions` reads them.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ExifTags, UnidentifiedImageError
+from PIL import ExifTags
 
 from nw_eval.errors import UsageError
 from nw_eval.files.pictures import open_picture
 from nw_eval.scenes.scene import Vector
+from nw_eval.twin.calibrate.photographs import DAMAGE
 
 Values = NDArray[np.float64]
 
@@ -24,8 +26,6 @@ _DRAWS = 300
 _ROUNDS = 6
 # WGS 84: equatorial radius in metres, first eccentricity squared.
 _RADIUS, _ECCENTRICITY = 6378137.0, 6.69437999014e-3
-
-_DAMAGE = (OSError, UnidentifiedImageError, ValueError, TypeError, LookupError, SyntaxError)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,7 +168,8 @@ def gps_positions(photographs: Mapping[str, Path]) -> dict[str, Vector]:
 def _geodetic(path: Path) -> Vector | None:
     """Return latitude and longitude in degrees and height in metres."""
     try:
-        with open_picture(path) as image:
+        with warnings.catch_warnings(), open_picture(path) as image:
+            warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
             gps = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
         latitude = _degrees(gps[ExifTags.GPS.GPSLatitude])
         longitude = _degrees(gps[ExifTags.GPS.GPSLongitude])
@@ -179,7 +180,7 @@ def _geodetic(path: Path) -> Vector | None:
         height = float(gps.get(ExifTags.GPS.GPSAltitude, 0.0))
         if gps.get(ExifTags.GPS.GPSAltitudeRef) in {b"\x01", 1}:
             height = -height
-    except (*_DAMAGE, ArithmeticError):
+    except (*DAMAGE, ArithmeticError):
         return None
     place = (latitude, longitude, height)
     sensible = np.isfinite(place).all() and abs(latitude) <= 90 and abs(longitude) <= 180

@@ -158,6 +158,7 @@ Values = NDArray[np.float64]
 Detect = Callable[[NDArray[np.uint8]], list[tuple[int, Values]]]
 
 _ARUCO = {"aruco_4x4_50": "DICT_4X4_50", "aruco_5x5_100": "DICT_5X5_100"}
+_LEAST_SIDE = 8  # pixels of a picture: a tag has more squares
 _SURE = 25.0
 """Least margin of a tag's black over its white, of 255."""
 _UNEVEN = 0.05
@@ -268,6 +269,8 @@ def _apriltag(family: str) -> Detect:
     detector: Any = LastingDetector(families=family, nthreads=1, quad_decimate=1.0, refine_edges=1)
 
     def detect(grey: NDArray[np.uint8]) -> list[tuple[int, Values]]:
+        if min(grey.shape) < _LEAST_SIDE:
+            return []  # The library reads beyond pictures of few pixels.
         return [
             (int(tag.tag_id), np.asarray(tag.corners, dtype=np.float64))
             for tag in detector.detect(grey)

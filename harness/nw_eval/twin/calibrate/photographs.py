@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import struct
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -36,12 +37,14 @@ SUFFIXES = _NOT_READ | _HEIC | {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp"
 UNREADABLE = "cannot be read"
 DAMAGE = (
     *(OSError, ValueError, SyntaxError, EOFError, MemoryError, TypeError, LookupError),
-    *(Image.DecompressionBombError, RuntimeError),
+    *(Image.DecompressionBombError, RuntimeError, struct.error),
 )
 """What Pillow raises at damaged files; RuntimeError at HEIC that is larger than libheif takes."""
 _EXIF_ORIENTATION = 0x0112
 _ASIDE = (5, 6, 7, 8)
 """Orientations by which width becomes height."""
+_LEAST_SIDE, _LONGEST = 8, 50
+"""Pixels of the shorter side at least, and how many times it the longer one is at most."""
 _MOST_EXIF = 65_000
 """Bytes of EXIF that a JPEG takes."""
 
@@ -178,6 +181,8 @@ def _take_in(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
         with open_picture(path) as image:
+            if min(image.size) < max(_LEAST_SIDE, max(image.size) / _LONGEST):
+                raise ValueError(f"{image.width} x {image.height} pixels are no photograph")
             if image.width * image.height > megapixels * 1e6:
                 raise ValueError(
                     f"{image.width * image.height / 1e6:.3g} million pixels, of "
