@@ -198,6 +198,7 @@ def weaker(onnx_file: bytes, share: float) -> bytes:
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(3000)
 def test_ten_checkpoints_are_compared(training: Path) -> None:
     """The first tutorial's card and suite, and ten checkpoints of which the last is worse."""
     first = script_of("checkpoint-to-check.md").partition("nw-eval run suites/walk.yaml")[0]
@@ -250,7 +251,7 @@ def test_photographs_become_a_scene_in_which_a_policy_walks(tmp_path: Path) -> N
         tmp_path,
         {
             "pip install -c constraints.txt -e '.[twin]'\n": "",
-            "--tag-edge 0.16": "--tag-edge 0.24 --iterations 700 --longest 320 --gaussians 60000",
+            "--tag-edge 0.16": "--tag-edge 0.24 --iterations 300 --longest 240 --gaussians 20000",
             # Pages that are served until Ctrl-C.
             "nw-eval twin label corridor\n": "",
             "nw-eval view ./corridor\n": "",
