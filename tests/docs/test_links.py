@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +35,22 @@ def prose(page: Path) -> str:
     return _CODE.sub("", page.read_text(encoding="utf-8"))
 
 
+@cache
+def filled() -> Callable[[str], str]:
+    """What fills the generated parts of a page, which have headings, too."""
+    spec = importlib.util.spec_from_file_location("generate", ROOT / "docs" / "generate.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.filled
+
+
+@cache
 def headings(page: Path) -> list[str]:
     """The anchors of a page's headings, as GitHub and the site make them."""
-    text = _FENCES.sub("", page.read_text(encoding="utf-8"))
+    text = page.read_text(encoding="utf-8")
+    text = _FENCES.sub("", filled()(text) if page.parent.name == "reference" else text)
     found = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
     return [re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in found]
 

@@ -112,9 +112,9 @@ def test_built_in_places_are_called_synthetic_wherever_the_project_introduces_it
     for words in (text(), told, described["description"]):
         assert "synthetic" in words
         assert "photographic" not in words
-    # Twins of real places are what people bring.
+    # People bring twins of real environments.
     (twins,) = re.findall(r"[^.]*digital twins[^.]*", text(), re.IGNORECASE)
-    assert "what you bring" in twins
+    assert "bring [a scan]" in twins
     assert "digital twin" not in (told + described["description"]).lower()
 
 

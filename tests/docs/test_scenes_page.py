@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from nw_eval import api
 from nw_eval.catalogue import get_scene
 from nw_eval.scenes import limits
 from nw_eval.scenes.limits import checked_name
@@ -29,44 +26,6 @@ def table(heading: str) -> list[list[str]]:
         rf"^\| {re.escape(heading)} \|.*\n\|[-|:]+\n((?:\|.*\n)+)", TEXT, re.MULTILINE
     )
     return [[cell.strip() for cell in row.split("|")[1:-1]] for row in rows.splitlines()]
-
-
-def schema(kind: Any, part: str = "") -> dict[str, Any]:
-    whole = api.schema(kind)
-    return whole["$defs"][part] if part else whole
-
-
-# What the page says in words where the code has a value.
-WORDS = {"title": "the name", "spawn": "the origin", "T_world_splat": "identity", "splat": "none"}
-
-
-@pytest.mark.parametrize(
-    ("heading", "model"),
-    [
-        ("key", schema("scene")),
-        ("key of `spawn`", schema("scene", "_Spawn")),
-        ("key of a box", schema("collision", "_Box")),
-    ],
-    ids=["scene", "spawn", "box"],
-)
-def test_it_has_every_key_with_its_default(heading: str, model: dict[str, Any]) -> None:
-    told = {
-        key: default
-        for keys, default, _ in table(heading)
-        for key in re.findall(r"`([\w-]+)`", keys)
-    }
-    assert set(told) == set(model["properties"])
-    for key, stated in model["properties"].items():
-        if key in model.get("required", ()):
-            assert told[key] == "required", key
-        elif key in WORDS:
-            assert told[key] == WORDS[key]
-        elif not stated["default"]:
-            assert told[key] in {"none", "0.0"}, key
-        elif isinstance(stated["default"], list):
-            assert json.loads(told[key].strip("`")) == stated["default"], key
-        else:
-            assert told[key].strip("`") == str(stated["default"]), key
 
 
 def test_its_bounds_are_those_of_the_readers() -> None:

@@ -8,8 +8,12 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 ROOT = Path(__file__).parents[2]
 TUTORIALS = ROOT / "docs" / "tutorials"
@@ -81,8 +85,20 @@ def script_of(page: str) -> str:
     return "set -eo pipefail\n" + "\n".join(parts)
 
 
-def follow(page: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Follow a page in a folder, word for word, as a reader whose shell has nw-eval does."""
+def follow(
+    page: str, folder: Path, changes: Mapping[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Follow a page in a folder, word for word, as a reader whose shell has nw-eval does.
+
+    Args:
+        page: of the tutorials.
+        folder: in which the reader works.
+        changes: pieces of the script, and what this reader types instead.
+    """
+    script = script_of(page)
+    for old, new in (changes or {}).items():
+        assert old in script, old
+        script = script.replace(old, new)
     identity = {
         f"GIT_{who}_{what}": "reader@example.com"
         for who in ("AUTHOR", "COMMITTER")
@@ -90,13 +106,13 @@ def follow(page: str, folder: Path) -> subprocess.CompletedProcess[str]:
     }
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     return subprocess.run(
-        ["bash", "-c", script_of(page)],
+        ["bash", "-c", script],
         cwd=folder,
         env={**os.environ, **identity, "PATH": path, "COLUMNS": "120"},
         capture_output=True,
         text=True,
         check=False,
-        timeout=1500,
+        timeout=3000,
     )
 
 
@@ -164,3 +180,89 @@ def test_your_own_robot_walks(tmp_path: Path) -> None:
     printed = timeless(followed.stdout)
     for line in outputs_of(page):
         assert timeless(line) in printed, line
+
+
+def weaker(onnx_file: bytes, share: float) -> bytes:
+    """A policy's file with the weights of its layers scaled: a checkpoint of the same form."""
+    import numpy as np
+    import onnx
+    from onnx import numpy_helper
+
+    model = onnx.load_from_string(onnx_file)
+    for tensor in model.graph.initializer:
+        values = numpy_helper.to_array(tensor)
+        if values.ndim == 2:
+            scaled = numpy_helper.from_array((share * values).astype(np.float32), tensor.name)
+            tensor.CopyFrom(scaled)
+    return model.SerializeToString()
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3000)
+def test_ten_checkpoints_are_compared(training: Path) -> None:
+    """The first tutorial's card and suite, and ten checkpoints of which the last is worse."""
+    first = script_of("checkpoint-to-check.md").partition("nw-eval run suites/walk.yaml")[0]
+    commands = [
+        line for line in first.splitlines() if not line.startswith("nw-eval policies check")
+    ]
+    page = "compare-checkpoints.md"
+    (training / "checkpoints").mkdir()
+    whole = GO1.read_bytes()
+    for number in range(1, 11):
+        share = 1.0 if number in {4, 7, 8, 9} else 0.5
+        file = training / "checkpoints" / f"model_{100 * number}.onnx"
+        file.write_bytes(whole if share == 1.0 else weaker(whole, share))
+    prepared = "\n".join(commands)
+    followed = follow(
+        page,
+        training,
+        {
+            "set -eo pipefail\n": prepared + "\n",
+            # A verdict that is no PASS ends neither the reader's shell nor this script.
+            "--once --out reports/ten\n": "--once --out reports/ten || echo watch $?\n",
+            "--bad checkpoints/model_1000.onnx\n": (
+                "--bad checkpoints/model_1000.onnx || echo bisect $?\n"
+            ),
+        },
+    )
+    said = followed.stdout + followed.stderr
+    assert followed.returncode == 0, said
+    assert "10 checkpoints; best: model_" in followed.stdout
+    assert "page: reports/ten/index.html" in followed.stdout
+    assert "watch 1\n" in followed.stdout, "the newest checkpoint is REGRESSED"
+    assert re.search(r"^policy +rank +success", followed.stdout, re.MULTILINE)
+    held_out = "* success is at least 0."
+    assert held_out in followed.stdout
+    assert "the first flagged: checkpoints/model_1000.onnx" in followed.stdout
+    assert "bisect 1\n" in followed.stdout
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3000)
+def test_photographs_become_a_scene_in_which_a_policy_walks(tmp_path: Path) -> None:
+    """Forty photographs of a built-in course, as a phone takes them, with a tag of 0.24 m."""
+    sys.path.insert(0, str(ROOT / "tests" / "twin" / "loop"))
+    from closed_loop import photograph
+
+    photograph("hurdles/one_low_carpet", tmp_path / "photographs")
+    page = "your-corridor.md"
+    followed = follow(
+        page,
+        tmp_path,
+        {
+            "pip install -c constraints.txt -e '.[twin]'\n": "",
+            "--tag-edge 0.16": "--tag-edge 0.24 --iterations 300 --longest 240 --gaussians 20000",
+            # Pages that are served until Ctrl-C.
+            "nw-eval twin label corridor\n": "",
+            "nw-eval view ./corridor\n": "",
+            # The verdict of a policy is not the page's claim.
+            "--policy go1-act-rgb\n": "--policy go1-act-rgb || echo images $?\n",
+        },
+    )
+    assert followed.returncode == 0, followed.stdout + followed.stderr
+    told = (TUTORIALS / page).read_text(encoding="utf-8")
+    for name in re.findall(r"^\| `(corridor/\S+)` \|", told, re.MULTILINE):
+        assert (tmp_path / name).exists(), name
+    assert (tmp_path / "corridor.png").stat().st_size > 10_000
+    assert re.search(r"^PASS · ", followed.stdout, re.MULTILINE), "go1-parkour walks in it"
+    assert "my-places" in followed.stdout

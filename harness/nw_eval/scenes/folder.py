@@ -195,21 +195,21 @@ class _Prop(_FolderModel):
     mesh: str | None = None
     """A mesh (.obj, .ply, .stl, .glb) in metres inside the folder, in the prop's own frame."""
     color: tuple[Share, Share, Share] = (0.5, 0.5, 0.5)
-    """Of the mesh: red, green, blue, 0 to 1."""
+    """Of the mesh: red, green, blue, 0 to 1. Its faces have the scene's light."""
     splat: str | None = None
     """A file of Gaussians inside the folder; a prop has a mesh or a splat."""
     T_prop_splat: _Similarity = _Similarity()
     """Where the splat lies in the prop's own frame."""
     boxes: tuple[_PropBox, ...] = Field(default=(), max_length=limits.PROP_BOXES)
-    """What collides; the box round the mesh when absent."""
+    """What collides; the box round the mesh when absent. A splat needs them."""
     position: Point
     """Where its frame is at the start: x, y, z, world, m."""
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
     """How it is turned there: w x y z, any length but 0."""
     mass: float = Field(default=1.0, ge=1e-3, le=1e4)
-    """kg."""
+    """kg, distributed over the boxes by volume."""
     friction: tuple[Sliding, Turning, Turning] = (1.0, 0.005, 0.0001)
-    """MuJoCo's sliding, torsional and rolling coefficients."""
+    """MuJoCo's sliding, torsional and rolling coefficients; `perturb` replaces the first."""
     joint: _PropJoint = _PropJoint()
     """How it moves; free when absent."""
     kind: Literal["obstacle", "structure", "clutter"] = "obstacle"
@@ -238,7 +238,7 @@ class _SceneFile(_FolderModel):
     licence: Line
     """SPDX identifier of the scene's data, or words."""
     units: Literal["m", "unknown"] = "m"
-    """Of all lengths here and in the mesh; a scene of an unknown unit does not run."""
+    """Of all lengths here and in the mesh; `run` and `scenes check` refuse an unknown unit."""
     trail: tuple[Point, ...] = Field(min_length=1, max_length=limits.WAYPOINTS)
     """Waypoints x, y, z on top of what the robot steps on, in order; world, m."""
     spawn: _Spawn = _Spawn()

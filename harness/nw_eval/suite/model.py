@@ -278,14 +278,15 @@ class Gate(_Grown):
         None,
         min_length=1,
         description="Baseline to compare with, `reports/baselines/<suite>/<this>.parquet`, or a "
-        "path. It counts for the suite's own `policy`; for another one --baseline names one.",
+        "path. It applies to the suite's own `policy`. Another policy is compared with what "
+        "--baseline names, or with nothing. --baseline none omits the comparison.",
     )
     max_drop: float | None = Field(
         None,
         gt=0.0,
         lt=1.0,
         description="Drop of mean success against the baseline that must not pass; 0.10 where a "
-        "baseline is named and this is not.",
+        "baseline is named and this is not. Without a baseline the bar alone is judged.",
     )
     tolerate: float = Field(
         0.02,
@@ -331,9 +332,10 @@ class Gate(_Grown):
     )
     tiers: dict[Pattern, Tier] = Field(
         {},
-        description="Scene names or globs. critical: must have results; the run is REGRESSED "
-        "if its own upper bound is below the bar. supporting (the default): counts in the mean. "
-        "informational: is only reported.",
+        description="Scene names or globs. The exact name wins, then the first glob; a glob whose "
+        "scenes are all covered by earlier ones is an error. critical: must have results; the run "
+        "is REGRESSED if its own upper bound is below the bar. supporting (the default): counts in "
+        "the mean. informational: is only reported.",
     )
     scores: dict[str, ScoreGate] = Field(
         {},
@@ -403,10 +405,13 @@ class Suite(_Grown):
         "hub:org/name[@revision]. --policy overrides."
     )
     protocol: Protocol = Field(
-        "strict", description="neverwhere-2026 is the published evaluation, bug for bug."
+        "strict",
+        description="Rules of a trial. neverwhere-2026 is the published evaluation, bug for bug.",
     )
-    trials: int = Field(ge=1, le=100_000, description="Trials per scene.")
-    seed: int = Field(ge=0, lt=2**63, description="Names the pinned seed set.")
+    trials: int = Field(
+        ge=1, le=100_000, description="Trials per scene and cell of `perturb`. --trials overrides."
+    )
+    seed: int = Field(ge=0, lt=2**63, description="Names the pinned seed set. --seed overrides.")
     episode: EpisodeRules = EpisodeRules()  # pyright: ignore[reportCallIssue]  # Defaults sit in Field.
     task: AnyTask = Field(
         COURSE,
@@ -437,7 +442,7 @@ class Suite(_Grown):
     record: Record = Field(
         "failures",
         description="Trials whose images are kept in the logs; `summary` keeps neither images nor "
-        "control steps.",
+        "control steps. --record overrides.",
     )
     gate: Gate = Gate()  # pyright: ignore[reportCallIssue]
     plugins: dict[str, str] = Field(

@@ -318,7 +318,7 @@ def findings_text(scenes: Sequence[CheckedScene]) -> str:
             lines += [f"{name}: {line}" for line in survey_lines(scene.survey)]
         lines += [f"{name}: {finding}" for finding in scene.findings]
         if not scene.findings:
-            lines.append(f"{name}: nothing wrong")
+            lines.append(f"{name}: no findings")
     return "\n".join(lines)
 
 

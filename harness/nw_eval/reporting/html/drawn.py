@@ -185,7 +185,7 @@ def course(rows: Sequence[Row], verdict: Verdict) -> FailingCourse:
     """Return where trials ended.
 
     Against a baseline it is what the gate compared, the trials judged beside all starts of the
-    bank; else it is all trials that came to a result.
+    baseline; else it is all trials with a result.
     """
     against = () if verdict.against is None else verdict.against.scenes
     judged = [item for item in against if item.ends is not None and sum(item.ends[1])]
