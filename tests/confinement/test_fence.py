@@ -137,7 +137,7 @@ def test_nothing_outlives_a_caller_that_is_killed(functions, tmp_path, function,
     assert not is_gone(child)
     caller.kill()
     caller.wait()
-    assert is_gone(child, seconds=10.0)
+    assert is_gone(child, seconds=60.0)
 
 
 @pytest.mark.nightly
@@ -151,7 +151,7 @@ def test_a_time_limit_ends_what_trusted_code_has_started_too(functions, tmp_path
             time_limit=8.0,
             mark=str(mark),
         )
-    assert is_gone(int(mark.read_text()), seconds=5.0)
+    assert is_gone(int(mark.read_text()), seconds=60.0)
 
 
 def wait_for_number(path):
