@@ -107,7 +107,6 @@ def is_gone(group):
     ("number", "to_group"),
     [
         pytest.param(signal.SIGINT, True, id="ctrl-c"),
-        # By day, the random faults send it, too.
         pytest.param(signal.SIGTERM, False, id="sigterm", marks=pytest.mark.nightly),
     ],
 )

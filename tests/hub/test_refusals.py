@@ -264,7 +264,7 @@ def test_a_listing_without_an_end(hub):
 @pytest.mark.parametrize(
     ("what", "seconds", "tick", "words"),
     [
-        ("headers", 1.0, 0.0, "no answer came within 1 s"),
+        ("headers", 0.6, 0.0, "no answer came within 1 s"),
         ("json", 20.0, 1.0, "it takes over 20 s"),
         ("files", 20.0, 1.0, "it takes over 20 s"),
     ],
