@@ -62,7 +62,7 @@ def test_it_plays_in_its_own_time_to_the_end_and_stops_there(page, monkeypatch):
     now.advance(99.0)
     wait(lambda: not page.plays)  # It has drawn the last moment by then.
     assert page.time == page.end
-    assert page.sent == sent + 4
+    assert page.sent >= sent + 4
     page.play(wanted=True)
     assert page.time == 0.0  # From the start again.
     page.play(wanted=False)
