@@ -4,10 +4,9 @@ import json
 import os
 import re
 import shutil
-import threading
-import time
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import onnx
@@ -16,11 +15,13 @@ import pytest
 from onnx import numpy_helper
 
 from nw_eval import api
+from nw_eval.api import watching
 from nw_eval.api.watching import checkpoints_in, training_step
 from nw_eval.cli.verbs.watch import checkpoint_line
 from nw_eval.engine.listener import NullListener
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.policies import load_bundle
+from nw_eval.testing import FakeClock
 
 SUITE = """\
 nw-eval: 1
@@ -132,27 +133,22 @@ def test_a_link_out_of_the_folder_is_not_followed(training):
     assert list((found.folder / "checkpoints").iterdir()) == []
 
 
-def test_a_checkpoint_that_appears_is_taken_once_it_is_whole(training):
+def test_a_checkpoint_that_appears_is_taken_once_it_is_whole(training, monkeypatch):
     good(training / "model_1.onnx")
     whole = (training / "model_1.onnx").read_bytes()
+    size = len(whole) // 4 + 1
+    parts = [whole[first : first + size] for first in range(0, len(whole), size)]
+    now, heard = FakeClock(), []
 
-    def write():
-        with (training / "model_2.onnx").open("wb") as stream:
-            for first in range(0, len(whole), len(whole) // 4):
-                stream.write(whole[first : first + len(whole) // 4])
-                stream.flush()
-                time.sleep(0.02)
+    def sleep(seconds):
+        """Let the training write a quarter of its next checkpoint between two looks."""
+        now.advance(seconds)
+        if heard and parts:
+            with (training / "model_2.onnx").open("ab") as stream:
+                stream.write(parts.pop(0))
 
-    writer = threading.Thread(target=write)
-    heard = []
-
-    def progress(made):
-        heard.append(made)
-        if made.step == 1:
-            writer.start()
-            writer.join()
-
-    found = watched(training, once=False, idle=0.3, progress=progress)
+    monkeypatch.setattr(watching, "time", SimpleNamespace(monotonic=now, sleep=sleep))
+    found = watched(training, once=False, idle=0.3, progress=heard.append)
     assert [(made.step, made.problem) for made in heard] == [(1, ""), (2, "")]
     assert [(made.success, made.against) for made in heard] == [(1.0, None), (1.0, 1)]
     assert found.best.step == 1

@@ -237,15 +237,19 @@ def served(tmp_path):
         (folder / name).write_text(text.replace("8765", str(port)))
     process = subprocess.Popen([sys.executable, "server.py"], cwd=folder)
     try:
-        for _ in range(200):
-            with socket.socket() as probe:
-                if probe.connect_ex(("127.0.0.1", port)) == 0:
-                    break
+        until = time.monotonic() + 60.0
+        while not answers(port):
+            assert time.monotonic() < until, "the page's server does not listen"
             time.sleep(0.05)
         yield folder
     finally:
         process.kill()
         process.wait()
+
+
+def answers(port):
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def test_its_server_serves_its_card(served):

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval.confinement import ForkServer, Rules
+from nw_eval.confinement import fork_server as module
 from nw_eval.rollout.confined import start
 
 MODULE = "fork_server_functions"
@@ -24,23 +25,27 @@ def tell(name, line): line.send((os.environ.get(name), os.getcwd(), os.getpid(),
 def imported(name, line): line.send(name in sys.modules)
 def dies(code): os._exit(code)
 def fails(): raise RuntimeError("nobody hears of it")
-def sleeps(): time.sleep(60)
+def sleeps(): time.sleep(600)
 """
 OWNER = """\
 import sys, time
+from multiprocessing import Pipe
 from nw_eval.confinement import ForkServer, Rules, confine
 import fork_server_functions
 
-def sleeps_confined():
+def sleeps_confined(line):
     confine(Rules())
+    line.send("confined")
     fork_server_functions.sleeps()
 
 if __name__ == "__main__":
     import owner
     fork_server = ForkServer()
-    child = fork_server.fork(owner.sleeps_confined, ())
+    receiver, sender = Pipe(duplex=False)
+    child = fork_server.fork(owner.sleeps_confined, (), (sender,))
     print(child.pid, flush=True)
-    time.sleep(60)
+    print(receiver.recv(), flush=True)
+    time.sleep(600)
 """
 
 
@@ -77,6 +82,14 @@ def is_running(pid):
     except OSError:
         return False
     return state != "Z"
+
+
+def ends(pid):
+    """Say whether a process ends by itself."""
+    until = time.monotonic() + 60.0
+    while is_running(pid) and time.monotonic() < until:
+        time.sleep(0.01)
+    return not is_running(pid)
 
 
 def test_a_child_is_a_process_of_its_own_in_its_owners_surroundings(
@@ -154,15 +167,12 @@ def test_nobody_outlives_an_owner_that_is_killed(tmp_path):
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
     )
     child = int(owner.stdout.readline())
-    time.sleep(0.5)  # It has confined itself by now.
+    owner.stdout.readline()  # By now it has confined itself.
     assert is_running(child)
     owner.kill()
     owner.wait()
     owner.stdout.close()
-    until = time.monotonic() + 20.0
-    while is_running(child) and time.monotonic() < until:
-        time.sleep(0.05)
-    assert not is_running(child)
+    assert ends(child)
 
 
 def test_a_setting_that_libraries_read_once_makes_another_fork_server(monkeypatch):
@@ -209,16 +219,14 @@ if __name__ == "__main__":
     fork_server = ForkServer()
     fork_server.learn("slow_import")
     print(fork_server._process.pid, flush=True)
-    time.sleep(60)
+    time.sleep(600)
 """
 SLOW_IMPORT = """\
 import time
 from pathlib import Path
 
 Path(__file__).with_name("begun").touch()
-time.sleep(3)
-Path(__file__).with_name("ended").touch()
-time.sleep(60)
+time.sleep(600)
 """
 
 
@@ -238,31 +246,44 @@ def test_a_fork_server_ends_with_its_owner_in_the_midst_of_an_import(tmp_path):
     assert is_running(fork_server)
     owner.kill()
     owner.communicate()
-    while is_running(fork_server) and not (tmp_path / "ended").exists():
-        time.sleep(0.01)
-    assert not (tmp_path / "ended").exists()
-    assert not is_running(fork_server)
+    assert ends(fork_server)  # The import goes on for longer than that is waited for.
 
 
-def test_a_fork_server_that_is_stopped_is_given_up_and_nobody_waits_for_it(functions):
+@pytest.fixture
+def stopped(functions, monkeypatch):
+    """A fork server that was stopped after a child of it had ended with 7, and this child."""
+    monkeypatch.setattr(module, "_LOOKS", 0.05)
     fork_server = ForkServer()
     child = fork_server.fork(functions.dies, (7,))
     assert wait([child.sentinel], 30.0)
-    os.kill(fork_server._process.pid, signal.SIGSTOP)
+    process = fork_server._process.pid
+    os.kill(process, signal.SIGSTOP)
+    while not module._is_stopped(process):
+        time.sleep(0.001)
+    yield fork_server, child
+    child.close()
+
+
+def test_a_fork_server_that_is_stopped_is_given_up_and_nobody_waits_for_it(stopped, functions):
+    fork_server, child = stopped
     assert child.exitcode == -signal.SIGKILL  # Nobody can say.
     assert fork_server._process.wait(30.0) == -signal.SIGKILL
     assert not fork_server.is_alive
     with pytest.raises(OSError, match="is gone"):
         fork_server.fork(functions.sleeps, ())
-    child.close()
 
 
-def test_a_fork_server_that_is_stopped_and_goes_on_is_kept(functions):
-    fork_server = ForkServer()
-    child = fork_server.fork(functions.dies, (7,))
-    assert wait([child.sentinel], 30.0)
-    os.kill(fork_server._process.pid, signal.SIGSTOP)
-    threading.Timer(0.7, os.kill, (fork_server._process.pid, signal.SIGCONT)).start()
+def test_a_fork_server_that_is_stopped_and_goes_on_is_kept(stopped, monkeypatch):
+    fork_server, child = stopped
+    is_stopped, looks = module._is_stopped, []
+
+    def look(process):
+        looks.append(is_stopped(process))
+        if len(looks) == module._STOPPED:
+            os.kill(process, signal.SIGCONT)
+        return looks[-1]
+
+    monkeypatch.setattr(module, "_is_stopped", look)
     assert child.exitcode == 7
+    assert looks[: module._STOPPED] == [True] * module._STOPPED
     assert fork_server.is_alive
-    child.close()

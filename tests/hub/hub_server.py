@@ -296,7 +296,7 @@ class _Handler(BaseHTTPRequestHandler):
         start = int(span[1]) if span else 0
         if span:
             facts = facts | {"Content-Range": f"bytes {start}-{len(content) - 1}/{len(content)}"}
-        if self.hub.drips == "files":
+        if self.hub.drips == "files" and len(content) >= LARGE:
             self._drip(content[:3])
         breaks = len(content) >= LARGE and bool(self.hub.breaks)
         after = self.hub.breaks.pop(0) if breaks else None

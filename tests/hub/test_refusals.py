@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hub_content import BOXES, SCENE
@@ -19,8 +20,9 @@ from nw_eval.errors import (
     StoreError,
     UsageError,
 )
-from nw_eval.hub import limits
+from nw_eval.hub import client, limits
 from nw_eval.hub.reference import forget_checks
+from nw_eval.testing import FakeClock
 
 
 def line_of(error):
@@ -260,16 +262,18 @@ def test_a_listing_without_an_end(hub):
 
 
 @pytest.mark.parametrize(
-    ("what", "words"),
+    ("what", "seconds", "tick", "words"),
     [
-        ("headers", "no answer came within 1 s"),
-        ("json", "it takes over 1 s"),
-        ("files", "it takes over 1 s"),
+        ("headers", 0.6, 0.0, "no answer came within 1 s"),
+        ("json", 20.0, 1.0, "it takes over 20 s"),
+        ("files", 20.0, 1.0, "it takes over 20 s"),
     ],
 )
 @pytest.mark.usefixtures("place")
-def test_what_comes_byte_by_byte_is_given_up_in_time(hub, monkeypatch, what, words):
-    monkeypatch.setattr(limits, "SECONDS", 1.0)
+def test_what_comes_byte_by_byte_is_given_up_in_time(hub, monkeypatch, what, seconds, tick, words):
+    # Each look at the clock, at every byte that comes, moves it on, and nothing else does.
+    monkeypatch.setattr(client, "time", SimpleNamespace(monotonic=FakeClock(tick)))
+    monkeypatch.setattr(limits, "SECONDS", seconds)
     monkeypatch.setattr(limits, "SLOWEST", 10**9)
     hub.drips = what
     with pytest.raises(FetchError, match=f"cannot fetch all from {hub.url}: {words}") as error:

@@ -222,10 +222,10 @@ def test_bombs_are_refused_quickly(tmp_path: Path) -> None:
     for text in (aliases, "a: &a [*a]\n", "a: " + "[" * 20_000, "# " + "x" * 2_000_000):
         path = tmp_path / "suite.yaml"
         path.write_text(text, encoding="utf-8")
-        start = time.perf_counter()
+        start = time.thread_time()  # Whatever else the machine does.
         with pytest.raises(SuiteError):
             load_suite(path)
-        assert time.perf_counter() - start < 20.0
+        assert time.thread_time() - start < 20.0
 
 
 def test_a_perturbation_grid_is_bounded(tmp_path: Path) -> None:

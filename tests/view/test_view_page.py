@@ -3,10 +3,13 @@
 import time
 import urllib.error
 import urllib.request
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from nw_eval.testing import FakeClock
+from nw_eval.view import trials_page
 from nw_eval.view.sources import open_shelf
 from nw_eval.view.trials_page import ViewPage
 
@@ -21,8 +24,8 @@ def page(runs):
         yield page
 
 
-def wait(holds, seconds=10.0):
-    end = time.monotonic() + seconds
+def wait(holds):
+    end = time.monotonic() + 60.0
     while not holds():
         assert time.monotonic() < end
         time.sleep(0.02)
@@ -46,16 +49,22 @@ def test_seeking_puts_every_robot_where_it_was(page):
     assert page.time == 0.0
 
 
-def test_it_plays_to_the_end_in_its_own_time_and_stops_there(page):
-    page.seek(1.2)
-    began, sent = time.monotonic(), page.sent
+def test_it_plays_in_its_own_time_to_the_end_and_stops_there(page, monkeypatch):
+    now = FakeClock()
+    monkeypatch.setattr(trials_page, "clock", SimpleNamespace(monotonic=now))
+    page.seek(1.0)
+    sent = page.sent
     page.play(wanted=True)
-    wait(lambda: not page.plays)
-    assert 0.2 < time.monotonic() - began < 5.0
-    assert page.sent > sent + 2
+    for moment in (1.04, 1.08, 1.12):
+        now.advance(0.04)
+        wait(lambda moment=moment: page.time == pytest.approx(moment))
+    assert page.plays
+    now.advance(99.0)
+    wait(lambda: not page.plays)  # It has drawn the last moment by then.
     assert page.time == page.end
+    assert page.sent >= sent + 4
     page.play(wanted=True)
-    assert page.time < page.end - 0.5  # From the start again.
+    assert page.time == 0.0  # From the start again.
     page.play(wanted=False)
 
 

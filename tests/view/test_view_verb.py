@@ -36,7 +36,7 @@ def test_the_page_is_there_until_it_is_interrupted(log, number):
         with urllib.request.urlopen(address) as answer:
             assert b"<html" in answer.read(2000)
         process.send_signal(number)
-        assert process.wait(timeout=20) == 0
+        assert process.wait(timeout=60) == 0
         assert process.stdout.read() == ""
 
 

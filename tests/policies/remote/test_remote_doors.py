@@ -6,6 +6,7 @@ import contextlib
 import http.server
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -34,7 +35,7 @@ nw-policy: 1
 name: far
 robot: go1
 adapter: remote
-options: {url: "URL", timeout: 2.0, connect_timeout: 2.0}
+options: {url: "URL", timeout: 60.0, connect_timeout: 60.0}
 control: {action: joint_position_offset, scale: 0.25}
 observations:
   body: {sensor: proprio, layout: parkour53}
@@ -63,7 +64,7 @@ def remote(folder: Path, url: str) -> Bundle:
 
 def greeting(url: str, **how):
     with connect(url, proxy=None, compression=None, **how) as connection:
-        return decode(connection.recv(timeout=5))
+        return decode(connection.recv(timeout=60))
 
 
 def test_a_web_page_is_turned_away_whatever_its_origin(address):
@@ -92,7 +93,7 @@ def _status(address: Address, host: str) -> int:
         f"GET / HTTP/1.1\r\n{host}Upgrade: websocket\r\nConnection: Upgrade\r\n"
         "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
     )
-    with socket.create_connection((address.host, address.port), timeout=5) as plain:
+    with socket.create_connection((address.host, address.port), timeout=60) as plain:
         plain.sendall(request.encode())
         head = plain.recv(4000)
     assert b"Server:" not in head
@@ -103,22 +104,21 @@ def test_one_client_too_many_is_told_so_and_the_next_is_served(address, tmp_path
     with contextlib.ExitStack() as crowd:
         for _ in range(server_module.CONNECTIONS):
             one = crowd.enter_context(connect(address.url, proxy=None, compression=None))
-            one.recv(timeout=5)
+            one.recv(timeout=60)
         with pytest.raises(PolicyError, match="says: 64 clients are connected already"):
             open_policy(remote(tmp_path, address.url))
     # A place is free again when its thread has seen the client leave.
-    for _ in range(100):
-        if "error" not in greeting(address.url):
-            return
-        threading.Event().wait(0.05)
-    pytest.fail("nobody is served any more")
+    until = time.monotonic() + 60.0
+    while "error" in greeting(address.url):
+        assert time.monotonic() < until, "nobody is served any more"
+        time.sleep(0.05)
 
 
 def test_sockets_that_say_nothing_are_limited_too(still, monkeypatch):
     monkeypatch.setattr(server_module, "_SOCKETS", 3)
     with serving(still) as where, contextlib.ExitStack() as crowd:
         for _ in range(3):
-            silent = socket.create_connection((where.host, where.port), timeout=5)
+            silent = socket.create_connection((where.host, where.port), timeout=60)
             crowd.enter_context(silent)
         with pytest.raises((WebSocketException, OSError, EOFError)):
             greeting(where.url)
@@ -220,13 +220,13 @@ def test_what_a_server_says_is_one_harmless_line_without_the_password(tmp_path):
 
 
 def test_an_idle_client_is_not_cut_off_when_the_time_to_connect_has_passed(address, tmp_path):
-    (tmp_path / "policy.yaml").write_text(
-        REMOTE.replace("URL", address.url).replace("connect_timeout: 2.0", "connect_timeout: 0.5")
-        .replace("observations:\n  body: {sensor: proprio, layout: parkour53}\n", "observations: "
-                 "{body: {sensor: proprio, layout: parkour53}}\n")
-    )  # fmt: skip
-    policy = open_policy(load_bundle(tmp_path))
-    threading.Event().wait(0.8)
+    card = REMOTE.replace("connect_timeout: 60.0", "connect_timeout: 0.5")
+    (tmp_path / "policy.yaml").write_text(card.replace("URL", address.url))
+    bundle, policy = load_bundle(tmp_path), None
+    while policy is None:
+        with contextlib.suppress(PolicyError):  # A busy machine may take longer to connect.
+            policy = open_policy(bundle)
+    time.sleep(0.6)
     policy.reset(3)
     assert policy.act({"body": np.zeros(53, np.float32)}).shape == (12,)
     policy.close()

@@ -49,7 +49,7 @@ nw-policy: 1
 name: recurrent-remote
 robot: go1
 adapter: remote
-options: {url: URL, timeout: 2.0, connect_timeout: 2.0}
+options: {url: URL, timeout: 60.0, connect_timeout: 60.0}
 control: {action: joint_position_offset, scale: 0.25}
 """
     + OBSERVATIONS
@@ -172,9 +172,9 @@ def test_a_failure_on_the_server_is_told_and_the_connection_survives(url, tmp_pa
 
 
 def test_the_served_digest_can_be_pinned(local, url, tmp_path):
-    pinned = REMOTE.replace("timeout: 2.0,", f"digest: {local.digest}, timeout: 2.0,", 1)
+    pinned = REMOTE.replace("timeout: 60.0,", f"digest: {local.digest}, timeout: 60.0,", 1)
     open_policy(remote(tmp_path, url, pinned)).close()
-    wrong = REMOTE.replace("timeout: 2.0,", f"digest: {'f' * 64}, timeout: 2.0,", 1)
+    wrong = REMOTE.replace("timeout: 60.0,", f"digest: {'f' * 64}, timeout: 60.0,", 1)
     with pytest.raises(PolicyError, match=f"serves the digest {local.digest}, the card says fff"):
         open_policy(remote(tmp_path, url, wrong))
 
@@ -233,12 +233,12 @@ def fake(request) -> Iterator[str]:
 
     def handle(connection):
         if hello is None:
-            released.wait(10)
+            released.wait(60)
             return
         connection.send(hello)
         for _ in connection:
             if reply is None:
-                released.wait(10)
+                released.wait(60)
             elif reply == "close":
                 return
             else:
@@ -251,6 +251,11 @@ def fake(request) -> Iterator[str]:
         released.set()
         server.shutdown()
         thread.join()
+
+
+def hurried(option: str, reason: str) -> str:
+    """Return a card that waits for little time where no answer comes, and enough where one does."""
+    return REMOTE.replace(f" {option}: 60.0", f" {option}: {0.3 if 'within' in reason else 60.0}")
 
 
 @pytest.mark.parametrize(
@@ -273,9 +278,8 @@ def fake(request) -> Iterator[str]:
     indirect=["fake"],
 )
 def test_a_wrong_greeting_is_a_policy_error(fake, reason, tmp_path):
-    card = REMOTE.replace("connect_timeout: 2.0", "connect_timeout: 0.3")
     with pytest.raises(PolicyError, match=reason):
-        open_policy(remote(tmp_path, fake, card))
+        open_policy(remote(tmp_path, fake, hurried("connect_timeout", reason)))
 
 
 @pytest.mark.parametrize(
@@ -298,8 +302,7 @@ def test_a_wrong_greeting_is_a_policy_error(fake, reason, tmp_path):
     indirect=["fake"],
 )
 def test_a_wrong_answer_is_a_trial_error(fake, reason, tmp_path):
-    card = REMOTE.replace(" timeout: 2.0", " timeout: 0.3")
-    policy = open_policy(remote(tmp_path, fake, card))
+    policy = open_policy(remote(tmp_path, fake, hurried("timeout", reason)))
     with pytest.raises(TrialError, match=reason):
         policy.act(observations(1)[0])
     policy.close()
@@ -341,7 +344,7 @@ def test_the_command_serves_until_it_is_interrupted(local, tmp_path, number):
         np.testing.assert_array_equal(play(policy)[0], expected)
         policy.close()
         process.send_signal(number)
-        assert process.wait(10) == 0
+        assert process.wait(60) == 0
     finally:
         process.kill()
         process.wait()

@@ -62,23 +62,37 @@ def test_what_was_found_is_kept_and_the_rest_comes_to_the_same_bytes(few, whole,
     assert files(tmp_path) == whole
 
 
+SIGNALLED = """
+import builtins, os, sys
+from nw_eval.cli import main
+
+number, printed = int(sys.argv.pop(1)), builtins.print
+
+def say(line, **how):
+    printed(line, **how)
+    if line.startswith("features found"):
+        os.kill(os.getpid(), number)
+
+builtins.print = say
+main()
+"""
+
+
 @pytest.mark.parametrize(
     "number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.nightly)]
 )
 def test_a_signal_ends_it_with_one_word_and_without_litter(few, tmp_path, number):
     scene = tmp_path / "scene"
-    words = [sys.executable, "-m", "nw_eval", "twin", "calibrate", str(few), "--out", str(scene)]
-    with subprocess.Popen(
-        [*words, "--features", "500"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        for line in process.stdout:
-            if line.startswith("features found"):
-                break
-        process.send_signal(number)
-        output, errors = process.communicate()
-    assert process.returncode == 130
-    assert errors == "interrupted\n"
-    assert "is kept in" in output
+    words = ["twin", "calibrate", str(few), "--out", str(scene), "--features", "500"]
+    ended = subprocess.run(
+        [sys.executable, "-c", SIGNALLED, str(int(number)), *words],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 130
+    assert ended.stderr == "interrupted\n"
+    assert "is kept in" in ended.stdout
     capture = scene / "build" / "capture"
     # And what was known of the photographs before they were calibrated.
     assert sorted(path.name for path in capture.iterdir()) == [".calibrate.sqlite", "known.json"]

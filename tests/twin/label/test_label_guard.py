@@ -39,7 +39,7 @@ def spoken_to(page, **headers):
 
 
 def answer(page, **headers):
-    connection = http.client.HTTPConnection(urlsplit(page.url).netloc, timeout=10)
+    connection = http.client.HTTPConnection(urlsplit(page.url).netloc, timeout=60)
     connection.putrequest("GET", "/", skip_host="Host" in headers)
     for name, value in headers.items():
         connection.putheader(name, value)
