@@ -67,6 +67,7 @@ def render_html(
     pictures, pictures_left_out = pictures_that_fit(evidence)
     failing = course(rows, verdict)
     views = plan_views(rows, evidence, pictures)
+    of_views = [*([evidence.of_paths] if evidence.of_paths else []), *pictures_left_out]
     word, *parts = headline_parts(verdict, run, intervals=False)
     return render(
         "report.html.j2",
@@ -86,7 +87,8 @@ def render_html(
         worst=worst_cards(judged(rows, verdict), clips, run, folder, rivals),
         places={name: number for number, name in enumerate(views, 1)},
         links={label_name(key): url for key, url in links_of(run.labels).items()},
-        remarks=(*evidence.remarks, *clips_left_out, *pictures_left_out),
+        remarks=(*evidence.remarks, *clips_left_out, *([] if views else of_views)),
+        of_views=of_views,
         spent=throughput(rows, run),
         trials=trial_lines(listed_trials(rows), run, folder),
         trials_in_all=len(rows),

@@ -19,7 +19,7 @@ from nw_eval.reporting.tables.table import (
     span,
     uncorrected,
 )
-from nw_eval.results.row import Row
+from nw_eval.results.row import Row, task_shown
 from nw_eval.scores.own import EXPECT
 from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.stats.interval import Interval
@@ -131,7 +131,7 @@ def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:
     """
     counted = {item.scene for item in verdict.per_scene if item.tier != "informational"}
     rows = [row for row in judged(rows, verdict) if row.scene in counted]
-    tasks = sorted({row.task for row in rows if row.success is not None})
+    tasks = sorted({task_shown(row.scene, row.task) for row in rows if row.success is not None})
     groups = {task: _groups_of(rows, task) for task in tasks}
     # The mean of the only task is the run's, and has the bounds of the verdict.
     several = len(tasks) > 1
@@ -173,7 +173,7 @@ def tasks_table(rows: Sequence[Row], verdict: Verdict) -> Table:
 
 
 def _scenes_of(rows: Sequence[Row], task: str) -> list[str]:
-    return sorted({row.scene for row in rows if row.task == task})
+    return sorted({row.scene for row in rows if task_shown(row.scene, row.task) == task})
 
 
 def _groups_of(rows: Sequence[Row], task: str) -> list[NDArray[np.float64]]:
