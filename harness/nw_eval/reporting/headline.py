@@ -71,6 +71,14 @@ def part_of_suite(verdict: Verdict, run: RunInfo) -> str:
     return f"{seen} of the suite's {plural(every, 'scene')}" if 0 < seen < every else ""
 
 
+def stopped_early(run: RunInfo) -> str:
+    """Return after how many of its trials a run was stopped; nothing if it was not."""
+    if run.stop is None:
+        return ""
+    most = sum(scene.trials for scene in run.scenes.values())
+    return f"stopped after {sum(run.stop.trials.values())} of at most {most} trials"
+
+
 def _scores(verdict: Verdict) -> list[str]:
     """Return the scores that make the verdict what it is, unless it is PASS or RAN."""
     parts: list[str] = []

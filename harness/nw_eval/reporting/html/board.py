@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from nw_eval.clean import clean
 from nw_eval.gate.side_by_side import PolicyComparison
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.headline import part_of_suite
+from nw_eval.reporting.headline import part_of_suite, stopped_early
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.runs import ListedRun, level_of
 from nw_eval.reporting.side_by_side import ranks_text
@@ -49,10 +49,7 @@ class BoardRun:
     @property
     def stopped(self) -> str:
         """After how many trials it was stopped; nothing if it was not."""
-        if self.info.stop is None:
-            return ""
-        most = sum(scene.trials for scene in self.info.scenes.values())
-        return f"stopped after {sum(self.info.stop.trials.values())} of at most {most} trials"
+        return stopped_early(self.info)
 
     @property
     def bar(self) -> Bar | None:

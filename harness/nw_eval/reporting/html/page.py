@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from nw_eval.gate.cause import Cause
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.headline import blind_spot, headline_parts, how_sure
+from nw_eval.reporting.headline import blind_spot, headline_parts, how_sure, stopped_early
 from nw_eval.reporting.html.drawn import course, gauges, plan_views
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.evidence import (
@@ -77,6 +77,7 @@ def render_html(
         parts=parts,
         blind_spot=blind_spot(verdict, run),
         reasons=verdict.reasons,
+        stopped=stopped_early(run),
         gauges=gauges(verdict),
         how_sure=how_sure(verdict, run),
         tables=named_tables(run, rows, verdict, cause),

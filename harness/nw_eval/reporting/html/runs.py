@@ -534,13 +534,15 @@ _APART = (
     *(1, 2, 5, 10, 15, 30),
     *(_MINUTE * count for count in (1, 2, 5, 10, 15, 30)),
     *(_HOUR * count for count in (1, 2, 3, 6, 12)),
-    *(_DAY * count for count in (1, 2, 4, 7, 14, 30, 60, 120, 365, 730, 1460)),
+    *(_DAY * count for count in (1, 2, 4, 7, 14, 30, 60, 120, 365, 730, 1460, 3650)),
 )
 """Seconds between two ticks."""
 
 
 def _dates(first: float, last: float) -> list[tuple[float, str]]:
     """Return round times from the first to the last, each with its text; no two texts are alike."""
+    if last <= first:
+        return [(first, f"{datetime.fromtimestamp(first, UTC):%Y-%m-%d %H:%M}")]
     unit = next((each for each in _APART if (last - first) / each <= _TICKS), 10 * _APART[-1])
     form = "%Y-%m-%d" if unit >= _DAY else "%m-%d %H:%M" if unit >= _MINUTE else "%H:%M:%S"
     least = math.ceil(first / unit)
