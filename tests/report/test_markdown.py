@@ -11,7 +11,7 @@ import pytest
 from nw_eval.errors import StoreError
 from nw_eval.gate.absolute import judge
 from nw_eval.reporting.markdown import render_markdown, write_report
-from nw_eval.reporting.tables.success import tasks_table
+from nw_eval.reporting.tables import tasks_table
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.suite import Gate
