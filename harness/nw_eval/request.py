@@ -82,7 +82,7 @@ class Request:
     """Starts of each scene that run again, drawn when the run begins, where the policy is the
     baseline's own and the rest is reused from the baseline; 1 when absent."""
     panel: PanelKind | None = None
-    """The starts of the suite's seed (pinned), or starts of the checkpoint's own (fresh), by its
+    """The seed set of the suite's seed (pinned), or one of the checkpoint's own (fresh), by its
     digest, for a release. pinned when absent."""
     record: Record | None = None
     """Camera images in MCAP for which trials; the suite's own choice when absent."""
@@ -125,7 +125,7 @@ class Request:
             raise _unusable(str(first["loc"][0]), values, first["msg"].lower()) from None
         if checked.panel == "fresh" and checked.seed is not None:
             raise UsageError(
-                f"--seed {checked.seed} with --panel fresh, which derives the seed from the "
+                f"--seed {checked.seed} with --seed-set fresh, which derives the seed from the "
                 "checkpoint",
                 fix="drop one of them",
             )

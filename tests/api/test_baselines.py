@@ -183,7 +183,7 @@ def test_a_run_that_is_not_whole_leaves_no_file():
 @pytest.mark.usefixtures("project")
 def test_a_run_on_another_class_of_machine_is_a_second_panel(capsys):
     shown = printed(capsys, "save", "quick.yaml", "--run", str(run_of("there", cpu="haswell")))
-    assert "which has this class of machine now, too (2 panels): cpu haswell" in shown
+    assert "which has this class of machine now, too (2 classes): cpu haswell" in shown
     file = Path("reports/baselines/quick/stand.parquet")
     assert [panel.machine["cpu"] for panel in read_bank(file).panels][1] == "haswell"
     assert "0 of 4 starts went another way than on panel 1" in printed(capsys, "show", "stand")
@@ -216,7 +216,7 @@ def test_a_check_names_what_the_suite_says_otherwise_and_whether_the_machine_is_
 ):
     shown = printed(capsys, "check", "quick/stand", "--suite", "quick.yaml")
     assert "holds here: suite, scenes, protocol, simulator, policy" in shown
-    assert "it has a panel of this class of machine" in shown
+    assert "it has results of this class of machine" in shown
     (project / "quick.yaml").write_text(SUITE.replace("seed: 5", "seed: 6"))
     shown = printed(capsys, "check", "stand", "--suite", "quick.yaml", code=5)
     assert "suite seed    5 -> 6" in shown

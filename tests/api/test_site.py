@@ -22,6 +22,7 @@ from nw_eval.results.provenance import (
     PolicyInfo,
     RunInfo,
     SceneInfo,
+    StopInfo,
     write_run_info,
 )
 from nw_eval.results.row import Row
@@ -42,10 +43,12 @@ def save_run(
     part=None,
     power=None,
     checkpoint=None,
+    others=(),
     **changes,
 ):
-    """Save a run of which this many of twelve trials reached all of four waypoints."""
-    settings = {"name": suite, "robot": "go1", "policy": "stand", "scenes": [scene]}
+    """Save a run of which this many of the trials reached all of four waypoints."""
+    scenes = [scene, *others]
+    settings = {"name": suite, "robot": "go1", "policy": "stand", "scenes": scenes}
     planned = new_suite({"nw-eval": 1, "trials": STARTS, "seed": seed, **settings})
     checkpoint = checkpoint or policy.encode().hex().ljust(64, "0")[:64]
     info = RunInfo(
@@ -55,7 +58,7 @@ def save_run(
         suite=planned.model_dump(by_alias=True, mode="json"),
         suite_digest=planned.digest,
         policy=PolicyInfo(name=policy, checkpoint_digest=checkpoint),
-        scenes={scene: SceneInfo(digest=DIGEST, task="flat", trials=STARTS)},
+        scenes={name: SceneInfo(digest=DIGEST, task="flat", trials=STARTS) for name in scenes},
         code=CodeInfo(version="0.1.0", digest="ee" * 32),
         machine=MachineInfo(host="ci", cpu="Some CPU", cores=2, system="Linux", python="3.11"),
         engine={"mujoco": "4.0.0", "renderer": "cpu gsplat-1.5", "cpu": "znver4 1f0c77a2"},
@@ -69,7 +72,7 @@ def save_run(
     path.mkdir(parents=True)
     write_run_info(path / "run.json", info)
     header = JournalHeader(
-        suite_digest=planned.digest, policy_digest="p", scene_digests={scene: DIGEST}
+        suite_digest=planned.digest, policy_digest="p", scene_digests=dict.fromkeys(scenes, DIGEST)
     )
     with Journal.create(path / "journal.jsonl", header) as journal:
         for number, trial in enumerate(saved_trials(info, planned)):
@@ -293,3 +296,78 @@ def test_policies_of_one_name_are_told_apart_by_their_training_steps(tmp_path):
         ["walker", "step 1000", "1.000"],
         ["walker", "step 500", "0.250"],
     ]
+
+
+def test_a_run_that_was_stopped_early_stands_there_without_a_rank(tmp_path):
+    """It had shown enough before it met all scenes: it is not left out."""
+    others = ["flat/hall", "flat/yard"]
+    whole = save_run(tmp_path / "runs" / "whole", "good", 36, others=others)
+    drawn = {"drawn_from": STARTS, "drawn_for": "candidate"}
+    stop = StopInfo(first=2, trials=drawn_in(2, others))
+    early = save_run(tmp_path / "runs" / "early", "bad", 0, others=others, stop=stop, **drawn)
+    site = nw_eval.write_site([whole, early], tmp_path / "site")
+    assert (site.runs, site.left_out, site.exit_code) == (2, (), 0)
+    page = Reader(site.page)
+    by_name = [row for row in page.rows if row[0] == "bad"]
+    assert by_name[0][1] == "0.000"
+    assert "stopped early" in by_name[0]
+    assert page.rows[1][0] == "good"
+    assert "stopped after 2 of at most 36 trials" in by_name[1]
+    alone = nw_eval.write_site([early], tmp_path / "alone")
+    assert (alone.runs, alone.left_out) == (1, ())
+    assert "stopped after 2 of at most 36 trials" in alone.page.read_text()
+
+
+def drawn_in(first, others):
+    """Return how many of the first drawn trials are of each scene."""
+    suite = new_suite(
+        {
+            "nw-eval": 1, "trials": STARTS, "seed": 7, "name": "tiny", "robot": "go1",
+            "policy": "stand", "scenes": ["flat/room", *others],
+        }
+    )  # fmt: skip
+    info = RunInfo(
+        id="x",
+        started="",
+        suite_file="tiny.yaml",
+        suite=suite.model_dump(by_alias=True, mode="json"),
+        suite_digest=suite.digest,
+        policy=PolicyInfo(name="bad", checkpoint_digest=b"bad".hex().ljust(64, "0")),
+        scenes={
+            name: SceneInfo(digest=DIGEST, task="flat", trials=STARTS)
+            for name in ("flat/room", *others)
+        },
+        code=CodeInfo(version="0.1.0", digest="ee" * 32),
+        machine=MachineInfo(host="ci", cpu="Some CPU", cores=2, system="Linux", python="3.11"),
+        drawn_from=STARTS,
+        drawn_for="candidate",
+    )
+    met = [trial.scene for trial in saved_trials(info, suite) if trial.place < first]
+    return {name: met.count(name) for name in sorted(set(met))}
+
+
+def test_a_glob_over_runs_finds_pages_and_badges_of_before_and_skips_them(tmp_path, capsys):
+    save_run(tmp_path / "lb" / "one", "good", 12)
+    save_run(tmp_path / "lb" / "two", "bad", 3)
+    (tmp_path / "lb" / "notes.txt").write_text("mine")
+
+    def report(*options):
+        found = sorted(str(path) for path in (tmp_path / "lb").iterdir())
+        with pytest.raises(SystemExit) as end:
+            main(["report", *found, "--no-pictures", *options])
+        return end.value.code, capsys.readouterr()
+
+    first, again = report(), report()
+    assert (first[0], again[0]) == (0, 0)
+    assert first[1].out == again[1].out == f"index of 2 runs: {tmp_path / 'lb' / 'index.html'}\n"
+    assert "skipped 1 path without a run:" in first[1].err
+    skipped = (
+        "5 paths without a run: badge-tiny.json, badge.json, index-runs, index.html and 1 more"
+    )
+    assert skipped in again[1].err
+    code, printed = report("--site", str(tmp_path / "site"))
+    assert (code, "skipped 5 paths" in printed.err) == (0, True)
+    with pytest.raises(UsageError, match="is not the folder of a run"):
+        nw_eval.index_runs([tmp_path / "lb" / "notes.txt", tmp_path / "lb" / "badge.json"])
+    with pytest.raises(UsageError, match="gone"):
+        nw_eval.index_runs([tmp_path / "lb" / "one", tmp_path / "lb" / "gone"])

@@ -15,7 +15,8 @@ import pytest
 from onnx import numpy_helper
 
 from nw_eval import api
-from nw_eval.api import watching
+from nw_eval.api import reports, watching
+from nw_eval.api.reports import written
 from nw_eval.api.watching import checkpoints_in, training_step
 from nw_eval.cli.verbs.watch import checkpoint_line
 from nw_eval.engine.listener import NullListener
@@ -66,7 +67,7 @@ def watched(training, **settings):
     return api.watch(training, suite="one.yaml", **settings)
 
 
-def test_the_latest_comes_first_and_each_is_gated_against_the_best_before_it(training):
+def test_the_latest_comes_first_and_each_is_gated_against_the_best_before_it(training, monkeypatch):
     good(training / "model_2.onnx")
     bad(training / "model_10.onnx")
     (training / "model_7.onnx").write_bytes(b"no graph")
@@ -94,7 +95,12 @@ def test_the_latest_comes_first_and_each_is_gated_against_the_best_before_it(tra
     assert (found.folder / two.run / "report.html").is_file()
     # What is there is not run again, and what comes is judged against the best.
     bad(training / "model_20.onnx")
+    pages = []
+    monkeypatch.setattr(
+        reports, "written", lambda *run, **how: pages.append(run) or written(*run, **how)
+    )
     more = watched(training, progress=lambda made: heard.append(made.step))
+    assert len(pages) == 1, "a report is written once"
     assert heard == [10, 7, 2, 20]
     assert (more.checkpoints[-1].verdict, more.checkpoints[-1].against) == ("REGRESSED", 2)
     assert more.exit_code == 1

@@ -184,7 +184,7 @@ def test_an_option_is_understood_by_its_name_before_with_a_notice(name, then, no
     if now not in flags:
         assert name.startswith("twin ")  # Not all of them take workers.
         return
-    value = "3"
+    value = (flags[now].choices or ("3",))[-1]
     needed = [
         word
         for option in options_of(LEAVES[name])

@@ -135,7 +135,7 @@ def test_the_scenes_and_the_verdict_of_make_run_are_what_is_printed_today() -> N
     assert own in text
     assert nothing in text
     without = re.sub(
-        r"; on the starts of this panel \(seed \d+\) it is known: \d\.\d+\.",
+        r"; in this seed set \(seed \d+\) it is known: \d\.\d+\.",
         ".",
         " ".join(printed[_verdict(printed) :]),
     )

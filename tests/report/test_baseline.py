@@ -84,7 +84,7 @@ def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(
         "upper bound 0.410) in 80 of 320 trials \u00b7 success 1.000"
     )
     assert second.endswith(
-        "on the starts of this panel (seed 7) it is known: 1.000. Power at this size: an "
+        "in this seed set (seed 7) it is known: 1.000. Power at this size: an "
         "equally good policy passes in \\> 99 %, regresses in \\< 1 %, undecided in \\< 1 %; one "
         "that is 0.05 worse passes in 64 %, regresses in 36 %, undecided in \\< 1 %; one that is "
         "0.1 worse passes in 4 %, regresses in 90 %, undecided in 6 % (simulated)."
@@ -131,9 +131,9 @@ def test_every_report_says_of_which_starts_it_speaks(
 def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make, found: Comparison) -> None:
     pinned, fresh = page(found), page(found, panel="fresh")
     assert "The seed set is pinned, the suite's own." in pinned
-    assert "--panel fresh draws the checkpoint's own" in pinned
+    assert "--seed-set fresh draws the checkpoint's own" in pinned
     assert "The seed set is fresh: it follows from what the checkpoint computes" in fresh
-    assert "on the starts of this fresh panel (seed 7) it is known" in fresh
+    assert "in this fresh seed set (seed 7) it is known" in fresh
     assert "same starts), fresh |" in " ".join(fresh.split())
 
 

@@ -11,7 +11,7 @@ import pytest
 from nw_eval.errors import StoreError
 from nw_eval.gate.absolute import judge
 from nw_eval.reporting.markdown import render_markdown, write_report
-from nw_eval.reporting.tables.success import tasks_table
+from nw_eval.reporting.tables import tasks_table
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.suite import Gate
@@ -53,7 +53,7 @@ def test_the_first_line_is_the_verdict_and_the_second_what_it_speaks_of(
     assert first.startswith("# PASS · success 0.988 (95 % bounds 0.8")
     assert first.endswith("bar 0.75) · completed 38 of 40 trials in 2 scenes · 60 s on 2 workers")
     assert second == (
-        "The bounds of success are for new starts in these scenes; on the starts of this panel "
+        "The bounds of success are for new starts in these scenes; in this seed set "
         "(seed 7) it is known: 0.988."
     )
 
@@ -78,8 +78,8 @@ def test_what_completed_is_told_of_the_trials_that_count(
     toy = Gate(success_rate=0.75, tiers={"toy": "informational"})
     assert "completed 3 of 3 · 5 trials in 2 scenes" in render(rows, {"a": 3, "toy": 2}, toy)
     assert "completed 3 of 3 · 3 of 9 trials in 1 scene" in render(rows[:3], {"a": 9})
-    # Where some are missing, the panel's success is not known.
-    assert "panel" not in render(rows[:3], {"a": 9}).splitlines()[2]
+    # Where some are missing, the seed set's success is not known.
+    assert "seed set" not in render(rows[:3], {"a": 9}).splitlines()[2]
 
 
 def test_how_sure_one_may_be_is_told_as_far_as_it_applies(
@@ -89,7 +89,7 @@ def test_how_sure_one_may_be_is_told_as_far_as_it_applies(
     planned = {"a": 20, "b": 20}
     plain = render(rows, planned).split("## How sure")[1]
     assert "new starts in these scenes" in plain
-    assert "picks luck too: --panel fresh draws the checkpoint's own" in plain
+    assert "picks luck too: --seed-set fresh draws the checkpoint's own" in plain
     for absent in ("critical", "neverwhere", "worse"):
         assert absent not in plain
     critical = Gate(success_rate=0.75, tiers={"*": "critical"})

@@ -110,3 +110,16 @@ def test_names_from_anywhere_are_no_formula_in_the_picture(found, tmp_path):
     broken = vars(found) | {"suite": "$x^{", "scenes": scenes, "partings": ()}
     draw_comparison(PolicyComparison(**broken), tmp_path / "seen.png")
     assert (tmp_path / "seen.png").stat().st_size > 1000
+
+
+def test_a_table_of_many_policies_goes_on_beneath_within_120_columns(found):
+    names = [f"a-policy-with-a-long-name-{k}" for k in range(9)]
+    scenes = tuple(replace(scene, means=tuple(k / 10 for k in range(9))) for scene in found.scenes)
+    policies = tuple(policy(name, 0.5, 1, 9) for name in names)
+    many = replace(found, policies=policies, scenes=scenes, tasks=(), partings=())
+    lines = comparison_text(many).splitlines()
+    assert max(map(len, lines)) <= 120
+    first = [line.split() for line in lines if line.startswith("hurdles/a")]
+    assert len(first) == 3
+    assert [cell for line in first for cell in line[1:]] == ["10", *(f"0.{k}00" for k in range(9))]
+    assert all(any(name in line for line in lines) for name in names)

@@ -332,18 +332,12 @@ def composed(results: Sequence[Row], read: Mapping[str, ReadLog]) -> LogEvidence
     rows = sorted(results, key=lambda row: row.trial_id)
     logs = [(row, read[row.trial_id]) for row in rows if row.trial_id in read]
     shown = [(row, log) for row, log in logs if not log.fault]
-    places = [
-        _place(scene, [log for row, log in shown if row.scene == scene])
-        for scene in sorted({row.scene for row, _ in shown})
-    ]
     seen = {row.trial_id: log.clip for row, log in shown if log.clip is not None}
     worst = clipped_trials([row for row in rows if row.trial_id in seen])
     clips = tuple(_clip(row, seen[row.trial_id]) for row in worst)
     remarks = (
-        _left_out(rows, [row for row, _ in shown]),
         *_faults("The log of {} shows nothing: {}.", [(r, log.fault) for r, log in logs]),
         *_faults("The pictures of {} cannot be shown: {}.", [(r, log.unseen) for r, log in logs]),
-        _moved(max((spread for _, spread in places), default=0.0)),
         _blind(rows, clips),
     )
     return LogEvidence(
@@ -351,14 +345,17 @@ def composed(results: Sequence[Row], read: Mapping[str, ReadLog]) -> LogEvidence
             WalkedPath(trial_id=row.trial_id, points=np.array(log.walked, dtype=np.float64))
             for row, log in shown
         ),
-        places=tuple(place for place, _ in places),
+        places=tuple(
+            _place(scene, [log for row, log in shown if row.scene == scene])
+            for scene in sorted({row.scene for row, _ in shown})
+        ),
         clips=clips,
         remarks=tuple(filter(None, remarks)),
+        of_paths=_left_out(rows, [row for row, _ in shown]),
     )
 
 
-def _place(scene: str, logs: Sequence[ReadLog]) -> tuple[PlaceView, float]:
-    """Return a scene, and how far, in m, a trial's waypoint is from the one that is drawn."""
+def _place(scene: str, logs: Sequence[ReadLog]) -> PlaceView:
     count = len(logs[0].waypoints)
     alike = [log.waypoints for log in logs if len(log.waypoints) == count]
     trails = np.array(alike, dtype=np.float64).reshape(len(alike), count, 2)
@@ -371,8 +368,13 @@ def _place(scene: str, logs: Sequence[ReadLog]) -> tuple[PlaceView, float]:
         picture = PlacePicture(
             mime="image/webp", data=place.picture, west=west, east=east, south=south, north=north
         )
-    view = PlaceView(scene=scene, waypoints=trail, reach=logs[0].reach, picture=picture)
-    return view, float(spread)
+    return PlaceView(
+        scene=scene,
+        waypoints=trail,
+        reach=logs[0].reach,
+        picture=picture,
+        note=_moved(float(spread)),
+    )
 
 
 def _clip(row: Row, clip: ReadClip) -> Clip:
@@ -421,8 +423,8 @@ def _moved(spread: float) -> str:
     if spread < _SAME:
         return ""
     return (
-        "Waypoints of a scene differ between trials; its picture from above shows their mean, "
-        f"from which they are up to {100 * spread:.0f} cm away."
+        "Waypoints differ between trials: each is drawn at its mean, from which it is up to "
+        f"{100 * spread:.0f} cm away."
     )
 
 

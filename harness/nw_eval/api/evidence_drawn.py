@@ -7,6 +7,7 @@ made only built-in scenes are opened: nothing that its files name.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -14,10 +15,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from nw_eval.api.evidence import KeptEvidence, WantedLog
-from nw_eval.api.evidence_log import SECONDS, Box, ReadClip, box_round, clip_of, sized
+from nw_eval.api.evidence_log import PERIOD, SECONDS, Box, ReadClip, box_round, clip_of, sized
 from nw_eval.errors import NwEvalError
 from nw_eval.reporting.html.evidence import Film, LogEvidence, PlacePicture, PlaceView
 from nw_eval.results.provenance import code_info
@@ -27,11 +29,12 @@ if TYPE_CHECKING:
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.rollout.library import Library
+    from nw_eval.rollout.mcap.reader import LogReader
     from nw_eval.scenes import Scene
 
 MOST_FILMS = 3
-"""Trials that are shown from outside; each takes a second or two of processor time."""
-_FILM_BYTES = 160_000
+"""Trials that are shown from outside; each takes three seconds of processor time."""
+_FILM_BYTES = 240_000
 _VIEW = (256, 144)
 """Pixels of a picture from outside."""
 _TOP_BYTES = 30_000
@@ -321,17 +324,41 @@ def _film_of(path: Path, library: Library) -> ReadClip | None:
         states = logged.log.states()
         if not states:
             return None
+        times = [state.step / logged.control_rate for state in states]
         spectator = Spectator(trial.scene, None if trial.scene.splat is None else trial.shown())
-        first = states[-1].step - SECONDS * logged.control_rate
-        for state in states:
-            time = state.step / logged.control_rate
-            # The last states of a trial lie closer together than pictures need.
-            is_new = not frames or time - frames[-1][0] > 0.1 or state is states[-1]
-            if state.step >= first and is_new:
-                world.restore(state.world)
-                view = spectator.beside(world, trail, width=width, height=height)
-                frames.append((time, sized(Image.fromarray(view))))
-    return clip_of(frames, topic="", most_bytes=_FILM_BYTES)
+        for time, pose in _poses(logged.log, times[-1], world.robot.joints).items():
+            # What moves besides the robot is where it was at the last state.
+            world.restore(states[max(0, bisect_right(times, time + 1e-6) - 1)].world)
+            world.pose(*pose)
+            view = spectator.beside(world, trail, width=width, height=height)
+            frames.append((time, sized(Image.fromarray(view))))
+    return clip_of(frames, topic="", end=times[-1], most_bytes=_FILM_BYTES) if frames else None
+
+
+_Pose = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+"""Position (3,) m and quaternion (4,) of the trunk, and (J,) rad."""
+
+
+def _poses(log: LogReader, end: float, joints: Sequence[str]) -> dict[float, _Pose]:
+    """Return a robot's poses in the last seconds of a log, by time, s.
+
+    They are those at whole periods, when cameras take pictures, and that at the end.
+    """
+    trunk: dict[float, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+    turned: dict[float, NDArray[np.float64]] = {}
+    for topic, time_ns, message in log.messages("/robot/odom", "/robot/joints"):
+        time = time_ns * 1e-9
+        since = time / PERIOD
+        is_whole = abs(since - round(since)) < 1e-3 and time > end - SECONDS + 1e-6
+        if not is_whole and abs(time - end) > 1e-6:
+            continue
+        if topic == "/robot/odom":
+            p, q = message.pose.position, message.pose.orientation
+            trunk[time] = np.array([p.x, p.y, p.z]), np.array([q.w, q.x, q.y, q.z])
+        else:
+            angles = {joint.name: joint.position for joint in message.joints}
+            turned[time] = np.array([angles[name] for name in joints])
+    return {time: (*trunk[time], turned[time]) for time in sorted(trunk.keys() & turned.keys())}
 
 
 def _from_above(scene: Scene, box: Sequence[float]) -> bytes:

@@ -225,7 +225,8 @@ def _clip(pictures: LatestPictures, end_ns: int, most_bytes: int) -> dict[str, A
         topic, shown = pictures.shown(end_ns)
         if not shown:
             return {}
-        clip = clip_of(shown, topic=clean(topic, at_most=200), most_bytes=most_bytes)
+        name = clean(topic, at_most=200)
+        clip = clip_of(shown, topic=name, end=end_ns * _SECOND, most_bytes=most_bytes)
     except Exception as error:  # noqa: BLE001 - As above; the rest of the log may be whole.
         return {"unseen": _why(error)}
     return {"clip": clip} if clip else {"unseen": f"they need over {most_bytes} bytes"}
@@ -360,24 +361,25 @@ PERIOD = 0.1
 _HOLD = 1200  # ms that the last picture stands
 _LARGE, _SMALL = 256, 160  # pixels of the longer side: pictures shrink to it, or grow towards it
 # Quality, and of how many pictures one is kept: the first attempt that fits.
-_ATTEMPTS = ((60, 1), (35, 1), (35, 2), (15, 2), (15, 4))
+_ATTEMPTS = ((60, 1), (35, 1), (15, 1), (15, 2), (15, 4))
 
 
 def clip_of(
-    pictures: Sequence[tuple[float, Image]], *, topic: str, most_bytes: int
+    pictures: Sequence[tuple[float, Image]], *, topic: str, end: float, most_bytes: int
 ) -> ReadClip | None:
     """Return a clip, or None if it fits in no quality.
 
     Args:
         pictures: (seconds, image as `sized` gives it) in the order of time, at least one.
         topic: where they are in the log.
+        end: of the trial, s: clips that begin at one time begin again at one time.
         most_bytes: of the clip and its last picture together.
     """
     last = pictures[-1][1]
     frames = [(time, picture.resize(last.size)) for time, picture in pictures]
     for quality, step in _ATTEMPTS:
         kept = frames[::-1][::step][::-1]  # The last one stays.
-        data, still = _webp(kept, quality), _webp(kept[-1:], quality)
+        data, still = _webp(kept, quality, end=end), _webp(kept[-1:], quality, end=end)
         if len(data) + len(still) <= most_bytes:
             return ReadClip(
                 data=data,
@@ -402,8 +404,10 @@ def sized(picture: Image) -> Image:
     return picture.convert("RGB").resize((width, height), how)
 
 
-def _webp(frames: Sequence[tuple[float, Image]], quality: int) -> bytes:
-    stands = [round(1000 * (later - time)) for (time, _), (later, _) in pairwise(frames)]
+def _webp(frames: Sequence[tuple[float, Image]], quality: int, *, end: float) -> bytes:
+    times = [*(time for time, _ in frames), end]
+    stands = [round(1000 * (later - time)) for time, later in pairwise(times)]
+    stands[-1] += _HOLD
     file = BytesIO()
     frames[0][1].save(
         file,
@@ -411,7 +415,7 @@ def _webp(frames: Sequence[tuple[float, Image]], quality: int) -> bytes:
         quality=quality,
         save_all=True,
         append_images=[image for _, image in frames[1:]],
-        duration=[*stands, _HOLD],
+        duration=stands,
         loop=0,
     )
     return file.getvalue()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -129,8 +129,12 @@ def prepare_pages() -> None:
         compile_templates()
 
 
-def report_here(run: Path) -> RunReport:
+def report_here(run: Path, *, how: Callable[[Path], RunReport] | None = None) -> RunReport:
     """As `report`, of a run that this machine has just made: earlier ones may have its logs, too.
+
+    Args:
+        run: its folder.
+        how: judges it; None = `as_begun`.
 
     Raises:
         StoreError: as `report`.
@@ -138,7 +142,7 @@ def report_here(run: Path) -> RunReport:
     from nw_eval.api.evidence import KeptEvidence
     from nw_eval.results.run_folder import RunFolder
 
-    judged = as_begun(run)
+    judged = (how or as_begun)(run)
     kept = KeptEvidence.of_run(judged.info)
     return written(judged, RunFolder(path=judged.folder).report_md, kept=kept)
 
@@ -314,13 +318,11 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     Raises:
         StoreError: they cannot be written.
     """
-    from nw_eval.api.evidence import KeptEvidence, gather_evidence
-    from nw_eval.api.evidence_drawn import with_drawn
+    from nw_eval.api.evidence import gather_evidence
     from nw_eval.files.cache import followed, is_stream
     from nw_eval.gate.cause import read_cause_file
     from nw_eval.reporting.html.page import render_html
     from nw_eval.reporting.markdown import render_markdown, write_report
-    from nw_eval.results.evidence_check import present_logs
     from nw_eval.results.run_folder import RunFolder
 
     page, html = _pages(out)
@@ -329,15 +331,8 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     # Links in a run's folder may be untrusted.
     is_own = out == folder.report_md
     only = None if is_own or not is_stream(out) else out
-    evidence = with_drawn(
-        gather_evidence(folder, judged.rows, kept),
-        folder,
-        judged.rows,
-        present_logs(folder, judged.rows),
-        digests={name: scene.digest for name, scene in judged.info.scenes.items()},
-        kept=KeptEvidence.of_run(judged.info),
-        is_own=kept is not None,
-    )
+    evidence = gather_evidence(folder, judged.rows, kept)
+    evidence = _drawn(evidence, folder, judged.info, judged.rows, is_own=kept is not None)
     cause = read_cause_file(folder.cause)
     texts = {
         html: render_html(*facts, evidence, cause, judged.rivals),
@@ -354,7 +349,26 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     )
 
 
-def write_anew(judged: RunReport, path: Path, *, logs: bool) -> None:
+def _drawn(
+    evidence: LogEvidence, folder: RunFolder, info: RunInfo, rows: Sequence[Row], *, is_own: bool
+) -> LogEvidence:
+    """Return evidence with pictures that no log has."""
+    from nw_eval.api.evidence import KeptEvidence
+    from nw_eval.api.evidence_drawn import with_drawn
+    from nw_eval.results.evidence_check import present_logs
+
+    return with_drawn(
+        evidence,
+        folder,
+        rows,
+        present_logs(folder, rows),
+        digests={name: scene.digest for name, scene in info.scenes.items()},
+        kept=KeptEvidence.of_run(info),
+        is_own=is_own,
+    )
+
+
+def write_anew(judged: RunReport, path: Path, *, logs: bool, draws: bool) -> None:
     """Write the HTML page of a run of `as_published`; nothing of its folder's pages is read.
 
     Args:
@@ -362,6 +376,7 @@ def write_anew(judged: RunReport, path: Path, *, logs: bool) -> None:
         path: of the page.
         logs: whether to show what its logs hold, as far as its rows have their digests. Pictures
             are made anew of what confined processes read.
+        draws: whether to show its worst trials from outside, too, and built-in scenes from above.
 
     Raises:
         StoreError: the page cannot be written, or cause.json is damaged.
@@ -381,6 +396,8 @@ def write_anew(judged: RunReport, path: Path, *, logs: bool) -> None:
     if logs:
         known = [row if row.mcap_sha256 else replace(row, mcap_path="") for row in judged.rows]
         evidence = gather_evidence(folder, known)
+        if draws:
+            evidence = _drawn(evidence, folder, judged.info, known, is_own=False)
     cause = read_cause_file(folder.cause)
     facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
     write_report(path, render_html(*facts, evidence, cause, judged.rivals))

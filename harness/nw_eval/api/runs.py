@@ -312,8 +312,8 @@ def _check_limits(request: Request, door: str) -> None:
         )
 
 
-def judged(folder: RunFolder) -> RunReport:
-    """Judge a run that has just ended.
+def judged(folder: RunFolder, *, how: Callable[[Path], RunReport] | None = None) -> RunReport:
+    """Judge a run that has just ended; arguments as of `report_here`.
 
     Raises:
         StoreError: its folder was removed, or the report cannot be written.
@@ -322,7 +322,7 @@ def judged(folder: RunFolder) -> RunReport:
 
     try:
         with TracebackIn(folder.path):
-            outcome = report_here(folder.path)
+            outcome = report_here(folder.path, how=how)
     except UsageError:  # As if nothing had run: it is no run's folder any more.
         Presence(folder.journal).check()
         raise

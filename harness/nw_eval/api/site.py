@@ -54,6 +54,8 @@ class RunIndex:
     page: Path
     badges: tuple[Path, ...] = ()
     """Of all suites together first, then of each."""
+    skipped: tuple[Path, ...] = ()
+    """What was named and is no run: pages and badges lie beside the runs that a glob means."""
 
     @property
     def typed_page(self) -> Path:
@@ -89,14 +91,14 @@ def index_runs(
         pictures: whether built-in scenes are drawn, by their splats.
 
     Raises:
-        UsageError: one is no run's folder, or there is none.
+        UsageError: one does not exist, or none is a run's folder; others are skipped.
         StoreError: the page cannot be written.
     """
     from nw_eval.api.reports import as_published, fault_of
     from nw_eval.reporting.html.runs import render_index
     from nw_eval.reporting.markdown import write_report
 
-    folders = _folders(runs, "list")
+    folders, skipped = _folders(runs, "list")
     page = Path(os.path.commonpath([folder.parent for folder in folders])) / PAGE
     page = out or page
     judged: list[RunReport] = []
@@ -115,20 +117,33 @@ def index_runs(
     write_report(page if out is None else followed(page), text)
     stem = BADGE if page.stem == "index" else f"{page.stem}-{BADGE}"
     badges = () if is_stream(page) else _badges(listed, page.parent, stem)
-    return RunIndex(runs=tuple(judged), unread=tuple(unread), page=page, badges=badges)
+    return RunIndex(
+        runs=tuple(judged), unread=tuple(unread), page=page, badges=badges, skipped=skipped
+    )
 
 
-def _folders(runs: Sequence[str | Path], what: str) -> list[Path]:
-    """Return the folders of runs, each once.
+def _folders(runs: Sequence[str | Path], what: str) -> tuple[list[Path], tuple[Path, ...]]:
+    """Return the folders of runs, each once, and what is there and is no run.
 
     Raises:
-        UsageError: one is no run's folder, or there is none.
+        UsageError: one does not exist, or none is a run's folder.
     """
     from nw_eval.results.run_folder import open_run_folder
 
-    if not runs:
-        raise UsageError(f"no run to {what}", fix="name the folders of some")
-    return list(dict.fromkeys(open_run_folder(Path(run)).path.resolve() for run in runs))
+    folders: dict[Path, None] = {}
+    skipped: list[Path] = []
+    fault = UsageError(f"no run to {what}", fix="name the folders of some")
+    for path in map(Path, runs):
+        try:
+            folders[open_run_folder(path).path.resolve()] = None
+        except UsageError as error:
+            if not os.path.lexists(path):
+                raise
+            fault = error
+            skipped.append(path)
+    if not folders:
+        raise fault
+    return list(folders), tuple(skipped)
 
 
 def _listed(judged: RunReport, page: Path) -> ListedRun:
@@ -140,7 +155,7 @@ def _listed(judged: RunReport, page: Path) -> ListedRun:
     digest = sha256(os.fsencode(judged.folder)).hexdigest()[:8]
     name = f"{re.sub(r'[^A-Za-z0-9_-]+', '-', judged.folder.name)[:80]}-{digest}.html"
     beside = f"{page.stem}-runs"
-    write_anew(judged, page.with_name(beside) / name, logs=False)
+    write_anew(judged, page.with_name(beside) / name, logs=False, draws=False)
     return ListedRun(
         folder=str(judged.typed_folder),
         href=quote(f"{beside}/{name}"),
@@ -155,7 +170,7 @@ def _badges(runs: Sequence[ListedRun], folder: Path, stem: str) -> tuple[Path, .
     Raises:
         StoreError: one cannot be written.
     """
-    from nw_eval.reporting.html.badges import badges
+    from nw_eval.reporting.html.board import badges
 
     found = badges(runs, stem=stem)
     for name, text in found.items():
@@ -173,12 +188,14 @@ class WrittenSite:
         runs: that it shows.
         left_out: a sentence for each run that it does not.
         badges: of all suites together first, then of each.
+        skipped: what was named and is no run.
     """
 
     page: Path
     runs: int
     left_out: tuple[str, ...]
     badges: tuple[Path, ...] = ()
+    skipped: tuple[Path, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -198,18 +215,19 @@ def write_site(
 
     Beside it are an index of the runs, as `index_runs` writes it, and badges. Every page is written
     anew from rows that are checked. A run that is not as it was when it ended, or holds links, is
-    named and left out. The same runs give the same bytes. A site that is there already is replaced;
-    nothing else is.
+    named and left out. One that was stopped before it met all scenes stands there without a rank.
+    The same runs give the same bytes. A site that is there already is replaced; nothing else is.
 
     Args:
         runs: their folders, in any order.
         out: a folder: new, empty, or a site of ours.
         title: of the page.
         confidence: of each interval alone; of all ranks of a suite together.
-        pictures: whether built-in scenes are drawn, by their splats.
+        pictures: whether built-in scenes are drawn, by their splats, and failed trials from
+            outside.
 
     Raises:
-        UsageError: one is no run's folder, there is none, or the folder holds something else.
+        UsageError: one does not exist, none is a run's folder, or the folder holds something else.
         StoreError: the site cannot be written.
     """
     from nw_eval.api.comparisons import check_share
@@ -219,7 +237,7 @@ def write_site(
     from nw_eval.reporting.markdown import write_report
 
     check_share(confidence)
-    folders = _folders(runs, "show")
+    folders, skipped = _folders(runs, "show")
     folder = _emptied(Path(out))
     judged: list[RunReport] = []
     left_out: list[str] = []
@@ -238,7 +256,7 @@ def write_site(
     judged.sort(
         key=lambda run: (str(run.info.suite.get("name", "")), run.info.policy.name, run.info.id)
     )
-    hrefs = _rendered(judged, folder, left_out)
+    hrefs = _rendered(judged, folder, left_out, draws=pictures)
     shown = [run for run in judged if run.folder in hrefs]
     drawn = _Pictures(draws=pictures)
     sections = [
@@ -258,9 +276,10 @@ def write_site(
     write_report(folder / RUNS_PAGE, history)
     return WrittenSite(
         page=folder / PAGE,
-        runs=sum(len(each.runs) for each in sections),
+        runs=sum(len(each.runs) + len(each.stopped) for each in sections),
         left_out=tuple(left_out),
         badges=_badges(listed, folder, BADGE),
+        skipped=skipped,
     )
 
 
@@ -299,7 +318,9 @@ def _suite_of(run: RunReport) -> str:
     return str(run.info.suite.get("name", "suite"))
 
 
-def _rendered(judged: Sequence[RunReport], site: Path, left_out: list[str]) -> dict[Path, str]:
+def _rendered(
+    judged: Sequence[RunReport], site: Path, left_out: list[str], *, draws: bool
+) -> dict[Path, str]:
     """Write a report of each run, and return its address from the page, by the run's folder."""
     from nw_eval.api.reports import fault_of, write_anew
 
@@ -309,12 +330,24 @@ def _rendered(judged: Sequence[RunReport], site: Path, left_out: list[str]) -> d
         slug = f"{number:03d}-{re.sub(r'[^A-Za-z0-9_-]+', '-', words)[:60]}"
         href = f"{REPORTS}/{slug}/report.html"
         try:
-            write_anew(run, site / href, logs=True)
+            write_anew(run, site / href, logs=True, draws=draws)
         except Exception as error:  # noqa: BLE001 - As for reading it.
             left_out.append(f"{clean(run.folder.name)}: {fault_of(error)}")
         else:
             hrefs[run.folder] = href
     return hrefs
+
+
+@dataclass
+class _Group:
+    """Runs that compare: with the first of them, whose scenes may be more than it has met."""
+
+    first: Entrant
+    note: str
+    """Why its runs do not compare with those of an earlier group of their suite."""
+    runs: list[tuple[RunReport, Entrant]]
+    stopped: list[RunReport] = field(default_factory=list["RunReport"])
+    """Before they had results of all scenes."""
 
 
 def _sections(
@@ -325,11 +358,11 @@ def _sections(
 ) -> list[BoardSection]:
     """Return runs that compare with one another, each in a section; some may be left out."""
     from nw_eval.api.reports import fault_of
-    from nw_eval.gate.side_by_side import check_alike, entrant_of_run
+    from nw_eval.gate.side_by_side import entrant_of_run
     from nw_eval.reporting.html.board import BoardRun, BoardSection
 
-    groups: list[list[tuple[RunReport, Entrant]]] = []
-    notes: list[str] = []
+    groups: list[_Group] = []
+    stopped: list[tuple[RunReport, Entrant]] = []
     for run in judged:
         try:
             entrant = entrant_of_run(run.folder.name, run.info, run.rows)
@@ -337,29 +370,25 @@ def _sections(
             left_out.append(f"{clean(run.folder.name)}: {fault_of(error)}")
             continue
         met = {name[0] for name in entrant.results}
-        if lacking := sorted(set(entrant.key.scenes) - met):
-            left_out.append(f"{run.folder.name}: it has no result from scene {lacking[0]}")
-            continue
-        note = ""
-        for group in groups:
-            if group[0][1].suite != entrant.suite:
-                continue
-            try:
-                check_alike([group[0][1], entrant])
-            except IncomparableError as error:
-                note = error.message
-                continue
-            group.append((run, entrant))
-            break
+        lacking = sorted(set(entrant.key.scenes) - met)
+        if not lacking:
+            _join(groups, run, entrant)
+        elif met and run.info.stop is not None and run.verdict.success is not None:
+            stopped.append((run, entrant))
         else:
-            groups.append([(run, entrant)])
-            notes.append(note)
+            left_out.append(f"{run.folder.name}: it has no result from scene {lacking[0]}")
+    for run, entrant in stopped:
+        _join(groups, run, entrant, is_stopped=True)
+
+    def shown(run: RunReport) -> BoardRun:
+        return BoardRun(info=run.info, verdict=run.verdict, href=hrefs[run.folder])
+
     found = [
-        (each, comparison, note)
-        for group, note in zip(groups, notes, strict=True)
-        for each, comparison in _compared(group, confidence, left_out)
+        (each, comparison, group.note, () if place else group.stopped)
+        for group in groups
+        for place, (each, comparison) in enumerate(_compared(group.runs, confidence, left_out))
     ]
-    suites = [group[0][1].suite for group, _, _ in found]
+    suites = [runs[0][1].suite for runs, *_ in found]
     return [
         BoardSection(
             title=f"{suites[place]} ({suites[: place + 1].count(suites[place])})"
@@ -367,14 +396,40 @@ def _sections(
             else suites[place],
             note=note,
             comparison=comparison,
-            runs=tuple(
-                BoardRun(info=run.info, verdict=run.verdict, href=hrefs[run.folder])
-                for run, _ in group
-            ),
+            runs=tuple(shown(run) for run, _ in runs),
+            stopped=tuple(map(shown, stopped)),
             pictures={},
         )
-        for place, (group, comparison, note) in enumerate(found)
+        for place, (runs, comparison, note, stopped) in enumerate(found)
     ]
+
+
+def _join(
+    groups: list[_Group], run: RunReport, entrant: Entrant, *, is_stopped: bool = False
+) -> None:
+    """Put a run to those that it compares with, or into a group of its own."""
+    from nw_eval.gate.side_by_side import check_alike
+
+    note = ""
+    for group in groups:
+        if group.first.suite != entrant.suite:
+            continue
+        try:
+            check_alike([group.first, entrant])
+        except IncomparableError as error:
+            note = error.message
+            continue
+        if is_stopped:
+            group.stopped.append(run)
+        else:
+            group.runs.append((run, entrant))
+        return
+    alone = entrant
+    if is_stopped:  # Over what it has met.
+        met = {name[0] for name in entrant.results}
+        scenes = {name: each for name, each in entrant.key.scenes.items() if name in met}
+        alone = replace(entrant, key=entrant.key.model_copy(update={"scenes": scenes}))
+    groups.append(_Group(entrant, note, [(run, alone)]))
 
 
 def _compared(

@@ -389,19 +389,23 @@ class _Watch:
 
     def _judged(self, checkpoint: Path, folder: Path, step: int) -> RunReport:
         """Run all trials of a checkpoint, or those that are missing, and judge them."""
-        from nw_eval.api.reports import judge
-        from nw_eval.api.runs import run
+        from nw_eval.api.plans import plan
+        from nw_eval.api.reports import as_begun, judge
+        from nw_eval.api.runs import judged, roll_out
+        from nw_eval.api.saved_run import continued
         from nw_eval.results.journal import has_begun
         from nw_eval.results.labels import fitting
-        from nw_eval.results.run_folder import RunFolder
+        from nw_eval.rollout.confined.start import prepare
 
         begun = has_begun(folder / "journal.jsonl")
         request = replace(self.request, checkpoint=checkpoint, baseline="none")
         own = replace(request, suite=None) if begun else request
         training = _printable(Path(self.training.resolve().name))
         labels = fitting({"training_run": training, "step": str(step)})
-        made = run(
-            own,
+        if not own.allow_code:
+            prepare()
+        ran = roll_out(
+            continued(folder, own) if begun else plan(own),
             workers=self.workers,
             out=None if begun else folder,
             resume=folder if begun else None,
@@ -410,9 +414,14 @@ class _Watch:
             listener=self.listener,
         )
         bank = self._bank()
-        if bank is None or made.verdict.verdict in {"INFRASTRUCTURE", "INVALID"}:
-            return made
-        return judge(folder, baseline=str(bank), out=RunFolder(path=folder).report_md)
+
+        def against_best(run: Path) -> RunReport:
+            found = as_begun(run)
+            if bank is None or found.verdict.verdict in {"INFRASTRUCTURE", "INVALID"}:
+                return found
+            return judge(run, baseline=str(bank))
+
+        return judged(ran, how=against_best)  # Its pages are written once.
 
     def _best(self) -> WatchedCheckpoint | None:
         """Return the checkpoint with the largest mean success; of equal ones, the first."""

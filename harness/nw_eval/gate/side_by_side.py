@@ -26,7 +26,7 @@ from nw_eval.results.bank import BankKey, Panel, SavedBank, Start, key_of
 from nw_eval.results.column import Settings
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.real import RealResult
-from nw_eval.results.row import Row
+from nw_eval.results.row import Row, task_shown
 from nw_eval.scores import BUILT_IN, ScoreSpec
 from nw_eval.stats.agreement import Measured
 from nw_eval.stats.betting import Ranks, possible_ranks
@@ -356,7 +356,8 @@ def _tasks(
     """Return success by task; a scene's is that of any of its trials."""
     places: dict[str, list[int]] = {}
     for place, names in enumerate(starts.values()):
-        places.setdefault(entrant.results[names[0]].task, []).append(place)
+        first = entrant.results[names[0]]
+        places.setdefault(task_shown(first.scene, first.task), []).append(place)
     return tuple(
         ComparedTask(
             task=task,

@@ -135,7 +135,7 @@ fresh: the candidate met other starts."""
 
 Claim = Literal["fresh", "panel"]
 """Of which starts a comparison speaks: of fresh ones in the same scenes, or of those of the
-baseline's panel alone (`gate.claim`)."""
+baseline's seed set alone (`gate.claim: panel`)."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -53,7 +53,7 @@ def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     sentence = "The bounds of success are for new starts in these scenes"
     if verdict.whole and _met_all(verdict, run):
         # The simulator gives the same bits every time: on these starts nothing is estimated.
-        sentence += f"; on the starts of this {_panel(run)} it is known: {verdict.success:.3f}"
+        sentence += f"; in this {_seed_set(run)} it is known: {verdict.success:.3f}"
     if verdict.against is not None and verdict.against.curve is not None:
         return f"{sentence}. {in_a_sentence(verdict.against.curve)}."
     return f"{sentence}."
@@ -69,6 +69,14 @@ def part_of_suite(verdict: Verdict, run: RunInfo) -> str:
     seen = sum(item.n > 0 for item in verdict.per_scene)
     every = len(run.scenes) + len(run.left_out)
     return f"{seen} of the suite's {plural(every, 'scene')}" if 0 < seen < every else ""
+
+
+def stopped_early(run: RunInfo) -> str:
+    """Return after how many of its trials a run was stopped; nothing if it was not."""
+    if run.stop is None:
+        return ""
+    most = sum(scene.trials for scene in run.scenes.values())
+    return f"stopped after {sum(run.stop.trials.values())} of at most {most} trials"
 
 
 def _scores(verdict: Verdict) -> list[str]:
@@ -129,15 +137,15 @@ def _again(again: Recheck | None) -> list[str]:
     return [f"{over}{again.in_words}"]
 
 
-def _panel(run: RunInfo) -> str:
-    """Return which starts the policy met: pinned ones where nothing else is said."""
+def _seed_set(run: RunInfo) -> str:
+    """Return which seed set the policy met: the suite's own where nothing else is said."""
     seed = run.suite.get("seed")
-    kind = "fresh panel" if run.panel == "fresh" else "panel"
+    kind = "fresh seed set" if run.panel == "fresh" else "seed set"
     return kind if seed is None else f"{kind} (seed {seed})"
 
 
 def _met_all(verdict: Verdict, run: RunInfo) -> bool:
-    """Whether success is that of all starts of the panel, not only of those that were drawn."""
+    """Whether success is that of the whole seed set, not only of the starts that were drawn."""
     again = None if verdict.against is None else verdict.against.again
     if again is not None and again.taken_over:
         return True
@@ -153,7 +161,7 @@ def _duration(seconds: float) -> str:
 _PINNED = (
     "The seed set is pinned, the suite's own. On it success is known, not estimated: the "
     "same trial gives the same bits. Whoever picks the best of many checkpoints on one seed "
-    "set picks luck too: --panel fresh draws the checkpoint's own, to confirm the choice on."
+    "set picks luck too: --seed-set fresh draws the checkpoint's own, to confirm the choice on."
 )
 _FRESH = (
     "The seed set is fresh: it follows from what the checkpoint computes: no user chose "

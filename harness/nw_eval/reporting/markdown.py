@@ -31,16 +31,7 @@ def render_markdown(
     cause: Cause | None = None,
     rivals: Rivals = NO_RIVALS,
 ) -> str:
-    """Return the report.
-
-    Args:
-        run: the run's provenance.
-        rows: one for each trial, in any order.
-        verdict: what the gate says of them.
-        folder: the run's folder as a reader would type it; replay commands start with it.
-        cause: what its drop is due to, where that was asked.
-        rivals: trials of the baseline's policy from the same starts, by the run's trials.
-    """
+    """Return the report; arguments as of `all_tables`."""
     tables = all_tables(run, rows, verdict, folder, cause=cause, rivals=rivals)
     return render_page(run, verdict, tables)
 

@@ -248,6 +248,14 @@ class Row:
         return self.status == "ok" and self.outcome != "policy_failed" and not self.mcap_path
 
 
+def task_shown(scene: str, task: str) -> str:
+    """Return what tables call the task of a scene.
+
+    That without a course has the key `hurdles` in rows: trials are named by it.
+    """
+    return "flat" if scene.startswith("flat/") else task
+
+
 def self_contradiction(row: Row) -> str | None:
     """Return in what a row contradicts itself, as none that a trial makes does, or None.
 

@@ -276,6 +276,20 @@ class World(Body):
         self.steps, self.start_yaw = other.steps, other.start_yaw
         self._forces = other._forces
 
+    def pose(self, position: Array, quat: Array, joint_positions: Array) -> None:
+        """Put the robot's bodies where they are drawn; forces and velocities stay as they are.
+
+        Args:
+            position: (3,) m of the trunk in the world.
+            quat: (4,) of the trunk.
+            joint_positions: (J,) rad.
+        """
+        self._require_open()
+        data = self._data
+        data.qpos[self._place], data.qpos[self._turn] = position, quat
+        data.qpos[self._joints] = joint_positions
+        mujoco.mj_kinematics(self._model, data)
+
     # What there is to know.
 
     def at_physics_rate(self) -> PhysicsRate:

@@ -73,7 +73,7 @@ def test_a_page_says_how_many_walks_it_draws_of_how_many(trials):
     rows = trials({"a": {0: 3, 2: 5}})
     whole = ReadLog(walked=((0.0, 0.0), (1.0, 0.0)), waypoints=((1.0, 0.0),))
     evidence = composed(rows, {row.trial_id: whole for row in rows[1:5]})
-    assert evidence.remarks[0] == (
+    assert evidence.of_paths == (
         "Paths of 4 of 8 trials are drawn: of 2 of the 3 that did not complete, and of 2 of the "
         "5 that did."
     )

@@ -64,8 +64,8 @@ def noise(count):
 
 def test_a_clip_keeps_to_its_room_and_still_ends_with_the_last_picture():
     pictures = noise(20)
-    large = clip_of(pictures, topic="/camera/ego", most_bytes=10**7)
-    small = clip_of(pictures, topic="/camera/ego", most_bytes=60_000)
+    large = clip_of(pictures, topic="/camera/ego", end=2.0, most_bytes=10**7)
+    small = clip_of(pictures, topic="/camera/ego", end=2.0, most_bytes=60_000)
     assert len(small.data) + len(small.still) <= 60_000 < len(large.data)
     with Image.open(BytesIO(large.data)) as moving:
         assert moving.n_frames == 20
@@ -78,7 +78,7 @@ def test_a_clip_keeps_to_its_room_and_still_ends_with_the_last_picture():
         for _, image in pictures
     ]
     assert int(np.argmax(likeness)) == 19
-    assert clip_of(pictures, topic="/camera/ego", most_bytes=500) is None
+    assert clip_of(pictures, topic="/camera/ego", end=2.0, most_bytes=500) is None
 
 
 def logged(topic, time, image, form="photo"):

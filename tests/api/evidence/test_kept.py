@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import shutil
 from dataclasses import replace
+from io import BytesIO
 
 import pytest
+from PIL import Image
 
 from nw_eval import api
 from nw_eval.api import evidence
@@ -172,6 +174,16 @@ def test_a_folder_that_cannot_be_written_costs_nothing(store, recorded):
     assert len(gathered(recorded.folder, recorded.rows, store).paths) == len(recorded.rows)
 
 
+def played(moving):
+    """Return the milliseconds that each picture stands."""
+    stands = []
+    for place in range(moving.n_frames):
+        moving.seek(place)
+        moving.load()
+        stands.append(moving.info["duration"])
+    return stands
+
+
 def test_scenes_and_worst_trials_are_drawn_in_their_colours_and_once(store, recorded, monkeypatch):
     folder = RunFolder(path=recorded.folder)
 
@@ -194,6 +206,14 @@ def test_scenes_and_worst_trials_are_drawn_in_their_colours_and_once(store, reco
     for clip in first.clips:
         assert clip.outside is not None
         assert clip.outside.data != clip.data
+        with (
+            Image.open(BytesIO(clip.outside.data)) as beside,
+            Image.open(BytesIO(clip.data)) as seen,
+        ):
+            # Ten pictures a second, and both begin again at the same time.
+            assert beside.n_frames == round(clip.seconds / 0.1) + 2
+            assert played(beside)[:-1] == [100] * (beside.n_frames - 2) + [played(beside)[-2]]
+            assert sum(played(beside)) == pytest.approx(sum(played(seen)), abs=2)
     (place,) = first.places
     assert place.picture.is_coloured
     assert first.remarks == recorded.evidence.remarks

@@ -73,6 +73,20 @@ def test_policies_are_ranked_with_their_scenes_and_where_they_part():
     assert found.waypoints == 12
 
 
+def test_a_scene_with_nothing_in_the_way_is_no_course_of_hurdles():
+    """Rows call its task so, as its trials are named by that."""
+
+    def with_a_room(entrant):
+        name = next(iter(entrant.results))
+        room = ("flat/carpet_room", *name[1:])
+        start = replace(entrant.results[name], scene=room[0], task="hurdles")
+        key = entrant.key.model_copy(update={"scenes": {**entrant.key.scenes, room[0]: "aa"}})
+        return replace(entrant, results={**entrant.results, room: start}, key=key)
+
+    tasks = side_by_side([with_a_room(GOOD), with_a_room(LAME)]).tasks
+    assert [(each.task, each.scenes) for each in tasks] == [("flat", 1), ("hurdles", 2)]
+
+
 def test_success_by_task_weighs_the_scenes_of_a_task_equally():
     def with_a_gap(one):
         low = {("gaps/one", *name[1:]): at for name, at in one.results.items() if "low" in name[0]}

@@ -77,6 +77,10 @@ class Element:
                 yield from part._below()
 
 
+NO_BREAK = "\u00a0"
+"""Between a number and its unit; here as any other space."""
+
+
 class _Reader(HTMLParser):
     def __init__(self) -> None:
         super().__init__()
@@ -84,7 +88,8 @@ class _Reader(HTMLParser):
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         assert len(dict(attrs)) == len(attrs), (tag, attrs)
-        self.open[-1].parts.append(element := Element(tag, dict(attrs)))
+        told = {name: value and value.replace(NO_BREAK, " ") for name, value in attrs}
+        self.open[-1].parts.append(element := Element(tag, told))
         if tag not in _EMPTY:
             self.open.append(element)
 
@@ -95,7 +100,7 @@ class _Reader(HTMLParser):
         assert self.open.pop().tag == tag, f"</{tag}> closes another element"
 
     def handle_data(self, data: str) -> None:
-        self.open[-1].parts.append(data)
+        self.open[-1].parts.append(data.replace(NO_BREAK, " "))
 
 
 @pytest.fixture

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from nw_eval.gate.absolute import judge
-from nw_eval.reporting.html.runs import ListedRun, render_index
-from nw_eval.reporting.html.trend import MOST, Result, chart
+from nw_eval.reporting.html.runs import LEFT, MOST, RIGHT, ListedRun, Result, chart, render_index
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.stats.interval import Interval
 from nw_eval.suite import Gate
@@ -132,6 +131,22 @@ def test_names_of_lines_that_end_together_stand_below_each_other() -> None:
     assert min(b - a for a, b in pairwise(heights)) >= 15.0
     assert heights[0] > 0.0
     assert heights[-1] < 250.0
+
+
+@pytest.mark.parametrize("span", [0.0, 0.4, 7, 50, 170, 2000, 9000, 40_000, 3e5, 4e6, 9e7, 1e9])
+def test_ticks_of_dates_are_within_the_axis_and_no_two_are_alike(span: float) -> None:
+    """Of a run every minute each tick says another minute."""
+    first = 1_764_234_567.25
+    runs = [
+        Result(at=at, success=1.0, interval=Interval(0.9, 1.0), name="x")
+        for at in (first, first + span)
+    ]
+    drawn = chart("date", [("a", runs)])
+    assert drawn is not None
+    texts = [text for _, text in drawn.ticks]
+    assert 1 <= len(texts) == len(set(texts)) <= 6
+    assert len(texts) > 1 or span < 1.0
+    assert all(LEFT <= x <= RIGHT for x, _ in drawn.ticks)
 
 
 def test_ticks_are_round_steps_within_the_axis() -> None:

@@ -85,6 +85,17 @@ def test_a_reader_without_eyes_finds_a_way_through(
     assert page.one("html").attributes["lang"] == "en"
 
 
+def test_no_number_is_parted_from_its_unit_and_commands_keep_their_spaces(
+    make_page: Make, rows: list[Any]
+) -> None:
+    body = make_page(rows, LogEvidence(clips=(CLIP,))).partition("</style>")[2]
+    text = re.sub(r"<script>.*?</script>|<[^>]*>", "\n", body, flags=re.DOTALL)
+    text = text.replace("&nbsp;", "\u00a0")
+    assert len(re.findall("[0-9]\u00a0%", text)) > 5
+    assert not re.findall(r"[0-9] (?:%|s|ms|m)(?![\w/])", text)
+    assert "nw-eval replay &#39;reports/run one/mcap" in text
+
+
 def test_every_trial_has_a_line_with_the_command_that_replays_it(
     make_page: Make, read: Make, rows: list[Any]
 ) -> None:

@@ -59,7 +59,7 @@ class Save:
     run: Path | None = None
     """The folder of a finished run to save as a baseline; nothing is run."""
     renew: bool = False
-    """Replace the baseline that is there, with its panels of all classes of machine."""
+    """Replace the baseline that is there, with its results of all classes of machine."""
     robot: str | None = None
     """Robot in place of the suite's: a name or a folder, as for `run`."""
     render: Backend | None = None
@@ -131,7 +131,7 @@ class Show:
 class Check:
     """Say whether a baseline still holds here: suite, scenes, protocol, simulator, policy.
 
-    Exit code 5 if it does not. Says, too, whether it has a panel of this class of machine.
+    Exit code 5 if it does not. Says, too, whether it has results of this class of machine.
     """
 
     baseline: tyro.conf.Positional[str]
@@ -302,7 +302,7 @@ def _facts(shown: ShownBaseline) -> Iterator[str]:
         yield f"note       {clean(manifest.note)}"
     for number, (panel, info) in enumerate(zip(bank.panels, manifest.panels, strict=True), 1):
         by = f" by {clean(info.by)}" if info.by else ""
-        yield f"panel {number}    {clean(info.saved)}{by}: {machine_words(info.machine)}"
+        yield f"machine {number}  {clean(info.saved)}{by}: {machine_words(info.machine)}"
         if number > 1:
             yield f"           {_against_first(panel, bank.panels[0])}"
 
@@ -310,7 +310,7 @@ def _facts(shown: ShownBaseline) -> Iterator[str]:
 def _against_first(panel: Panel, first: Panel) -> str:
     pairs = list(zip(panel.starts, first.starts, strict=True))
     moved = sum(a.trajectory != b.trajectory for a, b in pairs)
-    return f"{moved} of {len(pairs)} starts went another way than on panel 1"
+    return f"{moved} of {len(pairs)} starts went another way than on machine 1"
 
 
 def _scenes(bank: SavedBank) -> Iterator[tuple[str, ...]]:
@@ -464,8 +464,8 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
         yield f"{saved.file} has all of this already: {whole}"
     elif saved.action == "panel":
         machine = machine_words(manifest.panels[-1].machine)
-        panels = plural(len(manifest.panels), "panel")
-        yield f"saved {saved.file}, which has this class of machine now, too ({panels}): {machine}"
+        classes = plural(len(manifest.panels), "class", "classes")
+        yield f"saved {saved.file}, which has this class of machine now, too ({classes}): {machine}"
     elif saved.action == "renewed":
         yield f"renewed {saved.file}: {whole}"
     else:
@@ -488,8 +488,8 @@ def _checked(checked: CheckedBaseline) -> Iterator[str]:
     if checked.unchecked is not None:
         yield f"its policy was not compared: {clean(checked.unchecked)}"
     if checked.has_panel:
-        yield "it has a panel of this class of machine"
+        yield "it has results of this class of machine"
         return
-    yield "it has no panel of this class of machine; its first one differs in:"
+    yield "it has no results of this class of machine; its first one differs in:"
     yield from field_lines(checked.machine)
     yield f"add one with `{clean(save)}`"

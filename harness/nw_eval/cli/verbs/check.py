@@ -49,11 +49,11 @@ def forecast_page(forecast: Forecast) -> str:
     if forecast.shard is not None:
         count = f"{forecast.shard}, of {which}"
     width = max(len(scene.name) for scene in scenes)
-    panel = f"protocol {suite.protocol}, robot {suite.robot}, seed {suite.seed}, {duration:g} s"
+    facts = f"protocol {suite.protocol}, robot {suite.robot}, seed {suite.seed}, {duration:g} s"
     lines = [
         f"suite     {suite.name}  ({suite.source.file}, {suite.content_digest[:16]})",
-        f"panel     {suite.digest[:16]}: {panel}",
-        "          suites of one panel meet the same starts in a scene",
+        f"seed set  {suite.digest[:16]}: {facts}",
+        "          suites of one seed set meet the same starts in a scene",
         f"gate      {_bar(suite.gate)}{_drop(suite.gate, forecast.baseline, bundle.name)}",
         f"policy    {bundle.name}  ({bundle.card.adapter}, {bundle.origin})",
         *([f"          {SCOPE}"] if bundle.code_sha256 else []),

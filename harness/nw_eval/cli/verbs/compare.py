@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import fill
@@ -42,6 +43,7 @@ class Compare:
 
 
 _WIDTH = 100
+_MOST_WIDE = 120  # characters of a table
 
 
 def comparison_text(found: PolicyComparison) -> str:
@@ -51,7 +53,25 @@ def comparison_text(found: PolicyComparison) -> str:
     parts: list[str] = []
     for table in comparison_tables(found):
         right = [place for place, name in enumerate(table.columns) if name in table.numbers]
-        lines = aligned([table.columns, *table.rows], right=right)
+        lines = _folded([table.columns, *table.rows], right=right)
         note = [fill(table.note, _WIDTH)] if table.note else []
         parts.append("\n".join([table.title, "", *lines, *([""] if note else []), *note]))
     return "\n\n".join(parts)
+
+
+def _folded(rows: Sequence[Sequence[str]], *, right: Collection[int]) -> list[str]:
+    """Return the lines of a table; one that is too wide goes on beneath, with its first column."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    blocks: list[list[int]] = [[]]
+    for column in range(1, len(widths)):
+        shown = [widths[0], *(widths[each] for each in blocks[-1]), widths[column]]
+        if blocks[-1] and sum(shown) + 2 * (len(shown) - 1) > _MOST_WIDE:
+            blocks.append([])
+        blocks[-1].append(column)
+    lines: list[str] = []
+    for block in blocks:
+        columns = [0, *block]
+        ends = [place for place, column in enumerate(columns) if column in right]
+        lines += [""] if lines else []
+        lines += aligned([[row[each] for each in columns] for row in rows], right=ends)
+    return lines

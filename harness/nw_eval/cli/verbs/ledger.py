@@ -34,7 +34,7 @@ class Ledger:
         return 0
 
 
-_LISTED = 10  # candidates, or panels, that have a line of their own
+_LISTED = 10  # candidates, or seed sets, that have a line of their own
 
 
 def ledger_page(report: LedgerReport) -> str:
@@ -114,20 +114,20 @@ def _best(report: LedgerReport) -> Iterator[str]:
     if not report.best_of_many:
         return
     yield ""
-    yield "the best of many on one panel shows more than it is; simulated from what was seen:"
+    yield "the best of many on one seed set shows more than it is; simulated from what was seen:"
     largest = sorted(report.best_of_many, key=lambda each: (-each.candidates, each.suite_digest))
     for each in largest[:_LISTED]:
         yield f"  {_luck(each)}"
     if len(largest) > _LISTED:
-        yield f"  and {len(largest) - _LISTED} more panels"
+        yield f"  and {len(largest) - _LISTED} more seed sets"
 
 
 def _luck(each: BestOfMany) -> str:
-    panel = f"suite {clean(each.suite)}, {each.panel} panel ({each.suite_digest[:8]})"
+    where = f"suite {clean(each.suite)}, {each.panel} seed set ({each.suite_digest[:8]})"
     # By its digest too: checkpoints of one card share the name.
     name = f"{clean(each.best, at_most=80)} ({each.digest[:8]})"
     best = f"the best, {name}, shows {each.shown:.3f}"
-    words = f"{panel}: of {each.candidates} candidates {best}, all of them {each.mean:.3f}"
+    words = f"{where}: of {each.candidates} candidates {best}, all of them {each.mean:.3f}"
     if each.overstated is not None:
         words += (
             f"; were none better than another, the best would show {each.overstated:.3f} too much"
@@ -137,7 +137,7 @@ def _luck(each: BestOfMany) -> str:
             f"; were all exactly at the bar {each.bar:g}, at least one would pass in "
             f"{_percent(each.any_passes)}"
         )
-    return words + "; `--panel fresh` judges the one that was chosen on starts of its own"
+    return words + "; `--seed-set fresh` judges the one that was chosen on starts of its own"
 
 
 def _number(value: float) -> str:

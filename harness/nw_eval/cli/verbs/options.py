@@ -18,6 +18,7 @@ import tyro
 
 from nw_eval.errors import NwEvalError, UsageError
 from nw_eval.request import Request
+from nw_eval.words import PanelKind
 
 # One idea has one option, and one help, in all verbs that have it.
 Suite = tyro.conf.Positional[
@@ -58,6 +59,7 @@ class Options(Request):
     policy: Annotated[str | None, tyro.conf.arg(aliases=["-p"])] = None
     trials: Annotated[int | None, tyro.conf.arg(aliases=["-n"])] = None
     scenes: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="GLOB ...")] = None
+    panel: Annotated[PanelKind | None, tyro.conf.arg(name="seed-set")] = None
     workers: Annotated[int | None, tyro.conf.arg(aliases=["-j"])] = None
     """Worker processes; the number of cores when absent."""
 

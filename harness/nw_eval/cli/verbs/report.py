@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 import tyro
 
+from nw_eval.clean import clean
 from nw_eval.cli.verbs.options import Publishing
+
+_NAMED = 4  # of what was skipped
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +26,8 @@ class Report(Publishing):
     leaves_verdict: ClassVar = True  # In a file, whatever becomes of the print.
 
     runs: tyro.conf.Positional[tuple[Path, ...]]
-    """The folder of a run, or of several."""
+    """The folder of a run, or of several. Of several what is no run is skipped: a glob may find
+    pages and badges of before."""
     out: Path | None = None
     """Where to write the Markdown, with the page in HTML beside it; the run's own report.md and
     report.html when absent. Of several runs, where to write their page; when absent, index.html
@@ -78,6 +83,7 @@ class Report(Publishing):
             )
         title = self.title or "Leaderboard"
         found = api.write_site(self.runs, folder, title=title, pictures=self.pictures)
+        _tell_skipped(found.skipped)
         for sentence in found.left_out:
             tell(f"warning: left out: {sentence}")
         print(f"leaderboard of {plural(found.runs, 'run')}: {found.page}")
@@ -97,9 +103,21 @@ class Report(Publishing):
                 fix="name one, or drop them",
             )
         found = api.index_runs(self.runs, out=self.out, title=self.title, pictures=self.pictures)
+        _tell_skipped(found.skipped)
         for sentence in found.unread:
             tell(f"warning: not read: {sentence}")
         print(f"index of {plural(len(found.runs), 'run')}: {found.typed_page}")
         if self.open:
             show(found.page)
         return found.exit_code
+
+
+def _tell_skipped(paths: Sequence[Path]) -> None:
+    """Say what a glob has found beside the runs, such as pages and badges of before."""
+    from nw_eval.cli.terminal.last_words import tell
+    from nw_eval.plural import plural
+
+    if paths:
+        names = ", ".join(clean(path.name, at_most=80) for path in paths[:_NAMED])
+        more = f" and {len(paths) - _NAMED} more" if len(paths) > _NAMED else ""
+        tell(f"skipped {plural(len(paths), 'path')} without a run: {names}{more}")

@@ -187,6 +187,8 @@ RENAMED = {"agree": "sim2real", "blame": "attribute"}
 
 _WORKERS = {"--threads": "--workers"}
 RENAMED_FLAGS = {
+    "run": {"--panel": "--seed-set"},
+    "check": {"--panel": "--seed-set"},
     "plan": {"--png": "--out"},
     "watch": {"--card": "--policy"},
     "bisect": {"--starts": "--baseline-trials"},

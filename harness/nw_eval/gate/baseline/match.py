@@ -335,7 +335,7 @@ def fresh_seed(candidate: PolicyInfo, suite: Suite) -> int:
 
     It is the first 63 bits of sha256("fresh/<checkpoint digest>/<card digest>/<suite digest>"), the
     digest being that of the suite with seed 0. So it cannot be chosen: a checkpoint has one fresh
-    panel in a suite, whatever panel is pinned there.
+    seed set in a suite, whatever seed set is pinned there.
 
     Args:
         candidate: who is judged.

@@ -1,13 +1,19 @@
-"""A leaderboard: policies by suites and tasks, and every suite scene by scene."""
+"""A leaderboard: policies by suites and tasks, and every suite scene by scene; and badges.
+
+A badge is a JSON of `https://shields.io/badges/endpoint-badge`, with the result of the latest run.
+"""
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from nw_eval.clean import clean
 from nw_eval.gate.side_by_side import PolicyComparison
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.headline import part_of_suite
+from nw_eval.reporting.headline import part_of_suite, stopped_early
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.runs import ListedRun, level_of
 from nw_eval.reporting.side_by_side import ranks_text
@@ -41,6 +47,21 @@ class BoardRun:
         return ListedRun(folder="", href=None, info=self.info, verdict=self.verdict).at
 
     @property
+    def stopped(self) -> str:
+        """After how many trials it was stopped; nothing if it was not."""
+        return stopped_early(self.info)
+
+    @property
+    def bar(self) -> Bar | None:
+        """The drawing of its success by its verdict."""
+        return ListedRun(folder="", href=None, info=self.info, verdict=self.verdict).bar
+
+    @property
+    def means(self) -> dict[str, float | None]:
+        """Its success by scene."""
+        return {item.scene: item.mean for item in self.verdict.per_scene}
+
+    @property
     def identity(self) -> tuple[str, str]:
         """The policy: its name, and the digest of its checkpoint."""
         return self.info.policy.name, self.info.policy.checkpoint_digest
@@ -55,6 +76,7 @@ class BoardSection:
         note: why they do not; empty where they do.
         comparison: of their policies, in the order of `runs`.
         runs: one for each.
+        stopped: runs that ended before they had met all scenes, and have no rank.
         pictures: JPEGs by scene, as far as there are any.
     """
 
@@ -62,6 +84,7 @@ class BoardSection:
     note: str
     comparison: PolicyComparison
     runs: tuple[BoardRun, ...]
+    stopped: tuple[BoardRun, ...] = ()
     pictures: Mapping[str, bytes]
 
     @property
@@ -73,7 +96,8 @@ class BoardSection:
     @property
     def has_splits(self) -> bool:
         """Whether any of the policies says in which scenes it was trained."""
-        return any(each.split for run in self.runs for each in run.info.scenes.values())
+        runs = (*self.runs, *self.stopped)
+        return any(each.split for run in runs for each in run.info.scenes.values())
 
     def split(self, place: int, scene: str) -> str:
         """Return whether a policy was trained in a scene: `train` or `eval`, or nothing."""
@@ -110,12 +134,21 @@ class BoardSection:
 
 @dataclass(frozen=True, kw_only=True)
 class BoardStanding:
-    """A policy in one column: success, its interval, its ranks (of a task none), and its report."""
+    """A policy in one column: success, its interval, its ranks (of a task none), and its report.
+
+    One that was stopped early has no rank.
+    """
 
     mean: float
     interval: Interval
     rank: str
     href: str
+    is_stopped: bool = False
+
+    @property
+    def order(self) -> tuple[bool, float]:
+        """The best first, those without a rank last."""
+        return self.is_stopped, -self.mean
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,8 +212,22 @@ def _lines(sections: Sequence[BoardSection]) -> tuple[list[str], list[BoardLine]
                     BoardStanding(
                         mean=found.mean,
                         interval=found.interval,
-                        rank=section.rank(place) if task is None else "",
+                        rank=f"rank {section.rank(place)}"
+                        if task is None and section.rank(place)
+                        else "",
                         href=run.href,
+                    ),
+                )
+            for run in section.stopped if task is None else ():
+                called.setdefault(run.identity, run.name)
+                standings.setdefault(run.identity, {}).setdefault(
+                    len(columns),
+                    BoardStanding(
+                        mean=run.verdict.success or 0.0,
+                        interval=run.verdict.interval,
+                        rank="stopped early",
+                        href=run.href,
+                        is_stopped=True,
                     ),
                 )
             columns.append(section.title if task is None else f"{section.title}: {task.task}")
@@ -188,7 +235,10 @@ def _lines(sections: Sequence[BoardSection]) -> tuple[list[str], list[BoardLine]
     order = sorted(
         standings,
         key=lambda key: (
-            [-standings[key][c].mean if c in standings[key] else 1.0 for c in range(len(columns))],
+            [
+                standings[key][c].order if c in standings[key] else (True, 1.0)
+                for c in range(len(columns))
+            ],
             key,
         ),
     )
@@ -200,3 +250,54 @@ def _lines(sections: Sequence[BoardSection]) -> tuple[list[str], list[BoardLine]
         )
         for name, digest in order
     ]
+
+
+_COLOURS = {
+    "PASS": "brightgreen",
+    "RAN": "blue",
+    "INCONCLUSIVE": "yellow",
+    "REGRESSED": "red",
+    "INFRASTRUCTURE": "lightgrey",
+    "INVALID": "lightgrey",
+}
+"""By the verdict's word, the best first: the badge of all suites has the colour of the worst."""
+
+
+def badges(runs: Sequence[ListedRun], *, stem: str = "badge") -> dict[str, str]:
+    """Return the text of each badge by the name of its file: `STEM.json`, `STEM-SUITE.json`.
+
+    Args:
+        runs: in any order; of each suite the latest one counts.
+        stem: of the files' names.
+    """
+    latest = {run.suite: run for run in sorted(runs, key=lambda run: run.order)}
+    found: dict[str, str] = {}
+    for suite, run in sorted(latest.items()):
+        slug = re.sub(r"[^A-Za-z0-9_.-]+", "-", suite)[:64]
+        found.setdefault(f"{stem}-{slug}.json", _badge(suite, _words(run), run.verdict.verdict))
+    words = [run.verdict.verdict for run in latest.values()]
+    if not words:
+        return {}
+    if len(latest) == 1:
+        message = _words(next(iter(latest.values())))
+    else:
+        counted = [(words.count(word), word) for word in _COLOURS if word in words]
+        message = ", ".join(f"{count} {word}" for count, word in counted)
+    worst = max(words, key=list(_COLOURS).index)
+    return {f"{stem}.json": _badge("nw-eval", message, worst), **found}
+
+
+def _words(run: ListedRun) -> str:
+    success = run.verdict.success
+    mean = "" if success is None else f" {success:.3f}"
+    return f"{run.verdict.verdict}, {run.policy}{mean}"
+
+
+def _badge(label: str, message: str, word: str) -> str:
+    facts = {
+        "schemaVersion": 1,
+        "label": clean(label, at_most=64),
+        "message": clean(message, at_most=120),
+        "color": _COLOURS[word],
+    }
+    return f"{json.dumps(facts, indent=2)}\n"

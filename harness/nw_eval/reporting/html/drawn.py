@@ -327,6 +327,7 @@ class PlanView:
     outlines: tuple[str, ...]
     """As SVG's `polygon` takes them."""
     picture: DrawnPicture | None
+    note: str
     paths: tuple[DrawnPath, ...]
     """Those that completed first, so that the others lie above them."""
 
@@ -376,6 +377,7 @@ def _view(
         reach=0 if reach is None else round(100 * reach),
         outlines=() if place is None else tuple(_polygon(each) for each in place.outlines),
         picture=None if picture is None else _placed(picture),
+        note="" if place is None else place.note,
         paths=tuple(_drawn(row, path.points) for row, path in ordered),
     )
 

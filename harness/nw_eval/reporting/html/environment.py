@@ -8,17 +8,20 @@ wherever a template prints it; none of them could load or run anything even if t
 
 from __future__ import annotations
 
+import re
 from base64 import b64encode
 from functools import cache, lru_cache
 from hashlib import sha256
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from nw_eval.clean import clean
 
 _LONGEST = 4000  # characters of a text
+_UNITS = "%|ms|s|min|h|mm|cm|m|kg|rad|Hz|N m|N|W|J|[kM]B|[KMG]iB"
+_BEFORE_UNIT = re.compile(rf"(?<=[0-9]) (?=(?:{_UNITS})(?![\w/]))")
 
 
 def render(template: str, **values: Any) -> str:
@@ -49,7 +52,7 @@ def compile_templates() -> None:
 
 @cache
 def _environment() -> Environment:
-    return Environment(
+    environment = Environment(
         loader=PackageLoader("nw_eval.reporting"),
         autoescape=True,
         finalize=_visible,
@@ -57,6 +60,8 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["typed"] = _typed
+    return environment
 
 
 def data_uri(data: bytes, mime: str) -> str:
@@ -66,12 +71,18 @@ def data_uri(data: bytes, mime: str) -> str:
 
 
 def _visible(value: Any) -> Any:
-    return _cleaned(value) if type(value) is str else value
+    return _kept_together(value) if type(value) is str else value
+
+
+def _typed(text: str) -> str:
+    """Return what is to be copied and typed: its spaces stay what they are."""
+    return escape(clean(text, at_most=_LONGEST))
 
 
 @lru_cache(maxsize=1024)
-def _cleaned(text: str) -> str:
-    return clean(text, at_most=_LONGEST)
+def _kept_together(text: str) -> str:
+    """Return a text that can be seen, in which no number is parted from its unit."""
+    return _BEFORE_UNIT.sub("\u00a0", clean(text, at_most=_LONGEST))
 
 
 def _source(environment: Environment, name: str) -> str:

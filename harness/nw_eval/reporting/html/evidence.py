@@ -66,6 +66,8 @@ class PlaceView:
     outlines: tuple[NDArray[np.floating], ...] = ()
     """Closed polygons of what stands or is missing there, each of shape (n, 2), metres."""
     picture: PlacePicture | None = None
+    note: str = ""
+    """A sentence on what the view shows; empty where none is needed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +116,8 @@ class LogEvidence:
     """The worst trial first; what exceeds `CLIP_BYTES` is left out from the end."""
     remarks: tuple[str, ...] = ()
     """Sentences on what could not be shown and why; may hold a third party's text."""
+    of_paths: str = ""
+    """Of which trials paths are drawn; empty if of all."""
 
 
 NO_EVIDENCE = LogEvidence()

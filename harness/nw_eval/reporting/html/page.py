@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from nw_eval.gate.cause import Cause
 from nw_eval.gate.verdict import Verdict
-from nw_eval.reporting.headline import blind_spot, headline_parts, how_sure
+from nw_eval.reporting.headline import blind_spot, headline_parts, how_sure, stopped_early
 from nw_eval.reporting.html.drawn import course, gauges, plan_views
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.evidence import (
@@ -67,6 +67,7 @@ def render_html(
     pictures, pictures_left_out = pictures_that_fit(evidence)
     failing = course(rows, verdict)
     views = plan_views(rows, evidence, pictures)
+    of_views = [*([evidence.of_paths] if evidence.of_paths else []), *pictures_left_out]
     word, *parts = headline_parts(verdict, run, intervals=False)
     return render(
         "report.html.j2",
@@ -76,6 +77,7 @@ def render_html(
         parts=parts,
         blind_spot=blind_spot(verdict, run),
         reasons=verdict.reasons,
+        stopped=stopped_early(run),
         gauges=gauges(verdict),
         how_sure=how_sure(verdict, run),
         tables=named_tables(run, rows, verdict, cause),
@@ -86,7 +88,8 @@ def render_html(
         worst=worst_cards(judged(rows, verdict), clips, run, folder, rivals),
         places={name: number for number, name in enumerate(views, 1)},
         links={label_name(key): url for key, url in links_of(run.labels).items()},
-        remarks=(*evidence.remarks, *clips_left_out, *pictures_left_out),
+        remarks=(*evidence.remarks, *clips_left_out, *([] if views else of_views)),
+        of_views=of_views,
         spent=throughput(rows, run),
         trials=trial_lines(listed_trials(rows), run, folder),
         trials_in_all=len(rows),

@@ -6,8 +6,9 @@ and how every scene went from run to run. Any two of its runs can be put side by
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from types import MappingProxyType
@@ -18,10 +19,10 @@ from nw_eval.gate.verdict import Verdict
 from nw_eval.plural import plural
 from nw_eval.reporting.headline import headline_parts, part_of_suite
 from nw_eval.reporting.html.environment import render
-from nw_eval.reporting.html.trend import Chart, Result, chart
 from nw_eval.reporting.tables.table import Bar
 from nw_eval.results.labels import links_of
 from nw_eval.results.provenance import RunInfo
+from nw_eval.stats.interval import Interval
 
 _WIDTH, _HEIGHT = 120.0, 28.0
 """Of a trend's drawing."""
@@ -247,8 +248,8 @@ class SuiteTrends:
         return tuple(each for each in drawn if each is not None)
 
     @property
-    def panels(self) -> int:
-        """How many panels of starts the runs met; between two of these starts differ too."""
+    def seed_sets(self) -> int:
+        """How many seed sets the runs met; between two of these initial states differ too."""
         return len({(run.info.suite_digest, run.info.drawn_from) for run in self.runs})
 
 
@@ -382,3 +383,169 @@ def render_training(
 
 _LEFT, _ACROSS, _FLOOR, _UP = 48.0, 620.0, 220.0, 200.0
 """Of the drawing of a training: where its axes begin, and how long they are."""
+
+
+LEFT, RIGHT, TOP, FLOOR = 46.0, 560.0, 12.0, 232.0
+"""Of the axes: names of lines stand to the right of them."""
+STYLES = 6
+"""Colours; the next lines have these again, dashed."""
+MOST = 14
+"""Lines of a drawing, which names have room beside."""
+_NAME = 26  # characters of a name beside its line
+_LINE = 15.0  # between two names
+_TICKS = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """A run in a drawing.
+
+    Attributes:
+        at: the training step, or s since 1970.
+        success: the mean, in [0, 1].
+        interval: its bounds.
+        name: of the run; it says the step of one.
+    """
+
+    at: float
+    success: float
+    interval: Interval
+    name: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnResult:
+    """A point, in units of the drawing."""
+
+    x: float
+    y: float
+    low: float
+    high: float
+    says: str
+    """Shown beside it when a pointer is over it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrawnLine:
+    """A policy's results in order, and its name beside the last one."""
+
+    name: str
+    style: int
+    """Which of the colours, from 0."""
+    dashed: bool
+    points: tuple[DrawnResult, ...]
+    name_y: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chart:
+    """A drawing. `axis` says what goes to the right; `left_out` counts policies without room."""
+
+    axis: str
+    ticks: tuple[tuple[float, str], ...]
+    lines: tuple[DrawnLine, ...]
+    left_out: int
+
+
+def chart(axis: str, results: Sequence[tuple[str, Sequence[Result]]]) -> Chart | None:
+    """Return the drawing of several policies' results; None without any.
+
+    Args:
+        axis: `training step` or `date`.
+        results: names and results of policies, those first that are to be drawn if there are more
+            than `MOST`.
+    """
+    kept = [(name, sorted(found, key=lambda each: each.at)) for name, found in results if found]
+    if not kept:
+        return None
+    drawn = kept[:MOST]
+    times = [each.at for _, found in drawn for each in found]
+    first, last = min(times), max(times)
+
+    def x(at: float) -> float:
+        share = (at - first) / (last - first) if last > first else 0.5
+        return round(LEFT + (RIGHT - LEFT) * share, 1)
+
+    says = _date if axis == "date" else _nothing
+    lines = [
+        DrawnLine(
+            name=name if len(name) <= _NAME else f"{name[: _NAME - 3]}...",
+            style=place % STYLES,
+            dashed=place >= STYLES,
+            points=tuple(_point(each, x, says) for each in found),
+            name_y=0.0,
+        )
+        for place, (name, found) in enumerate(drawn)
+    ]
+    marks = _steps(first, last) if axis == "training step" else _dates(first, last)
+    return Chart(
+        axis=axis,
+        ticks=tuple((x(at), text) for at, text in marks),
+        lines=tuple(_named(lines)),
+        left_out=len(kept) - len(drawn),
+    )
+
+
+def _point(each: Result, x: Callable[[float], float], says: Callable[[float], str]) -> DrawnResult:
+    low, high = (_y(bound) for bound in (each.interval.low, each.interval.high))
+    text = f"{each.name}{says(each.at)}: success {each.success:.3f}"
+    return DrawnResult(x=x(each.at), y=_y(each.success), low=low, high=high, says=text)
+
+
+def _y(share: float) -> float:
+    return round(FLOOR - (FLOOR - TOP) * share, 1)
+
+
+def _named(lines: Sequence[DrawnLine]) -> list[DrawnLine]:
+    """Return lines whose names stand as near to their last points as they do without touching."""
+    order = sorted(range(len(lines)), key=lambda i: (lines[i].points[-1].y, i))
+    heights = [lines[i].points[-1].y + 4.0 for i in order]
+    for i in range(1, len(heights)):  # Downwards, then back up.
+        heights[i] = max(heights[i], heights[i - 1] + _LINE)
+    most = FLOOR + 8.0
+    for i in range(len(heights) - 1, -1, -1):
+        heights[i] = min(heights[i], most)
+        most = heights[i] - _LINE
+    at = dict(zip(order, heights, strict=True))
+    return [replace(line, name_y=round(at[i], 1)) for i, line in enumerate(lines)]
+
+
+def _steps(first: float, last: float) -> list[tuple[float, str]]:
+    """Return round numbers from the first step to the last one, each with its text."""
+    if last <= first:
+        return [(first, f"{first:.0f}")]
+    units = (factor * 10**k for k in range(16) for factor in (1, 2, 5))
+    unit = next(unit for unit in units if (last - first) / unit <= _TICKS)
+    least = -(-first // unit)
+    found = [unit * (least + i) for i in range(int((last - least * unit) // unit) + 1)]
+    return [(at, f"{at:.0f}") for at in found]
+
+
+def _nothing(_: float) -> str:
+    return ""
+
+
+def _date(at: float) -> str:
+    return f", {datetime.fromtimestamp(at, UTC):%Y-%m-%d %H:%M} UTC"
+
+
+_MINUTE, _HOUR, _DAY = 60, 3600, 86400
+_APART = (
+    *(1, 2, 5, 10, 15, 30),
+    *(_MINUTE * count for count in (1, 2, 5, 10, 15, 30)),
+    *(_HOUR * count for count in (1, 2, 3, 6, 12)),
+    *(_DAY * count for count in (1, 2, 4, 7, 14, 30, 60, 120, 365, 730, 1460, 3650)),
+)
+"""Seconds between two ticks."""
+
+
+def _dates(first: float, last: float) -> list[tuple[float, str]]:
+    """Return round times from the first to the last, each with its text; no two texts are alike."""
+    if last <= first:
+        return [(first, f"{datetime.fromtimestamp(first, UTC):%Y-%m-%d %H:%M}")]
+    unit = next((each for each in _APART if (last - first) / each <= _TICKS), 10 * _APART[-1])
+    form = "%Y-%m-%d" if unit >= _DAY else "%m-%d %H:%M" if unit >= _MINUTE else "%H:%M:%S"
+    least = math.ceil(first / unit)
+    found = [float(unit * at) for at in range(least, math.floor(last / unit) + 1)]
+    # A moment between two of them has a tick of its own.
+    return [(at, f"{datetime.fromtimestamp(at, UTC):{form}}") for at in found or [first]]
