@@ -166,7 +166,7 @@ class Panel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SavedBank:
+class BaselineResults:
     """A baseline as its file has it; `panels` are in the manifest's order."""
 
     manifest: Manifest
@@ -208,7 +208,7 @@ class Against:
     """The baseline that a run is compared with."""
 
     info: BaselineInfo
-    bank: SavedBank
+    bank: BaselineResults
     content: bytes
     """Of its file, of which the run's folder gets a copy."""
     control: ControlArm | None = None

@@ -15,10 +15,10 @@ from nw_eval.errors import IncomparableError, TrialError
 from nw_eval.plural import plural
 from nw_eval.results.bank import (
     BankPolicy,
+    BaselineResults,
     Manifest,
     Panel,
     PanelInfo,
-    SavedBank,
     Start,
     Stratum,
     key_of,
@@ -40,7 +40,7 @@ from nw_eval.words import OUTCOMES
 
 def bank_of_run(
     rows: Sequence[Row], run: RunInfo, *, name: str, card: str = "", by: str = "", note: str = ""
-) -> SavedBank:
+) -> BaselineResults:
     """Return the baseline that a finished run is: every start of its seed set has a result.
 
     Args:
@@ -98,7 +98,9 @@ def bank_of_run(
             ),
         ),
     )
-    bank = SavedBank(manifest=manifest, panels=(Panel(machine=machine, starts=tuple(starts)),))
+    bank = BaselineResults(
+        manifest=manifest, panels=(Panel(machine=machine, starts=tuple(starts)),)
+    )
     if fault := fault_of(bank):
         raise IncomparableError(
             f"run {run.id} makes no baseline: {fault}",
@@ -107,7 +109,7 @@ def bank_of_run(
     return bank
 
 
-def with_panel(bank: SavedBank, other: SavedBank) -> SavedBank:
+def with_panel(bank: BaselineResults, other: BaselineResults) -> BaselineResults:
     """Return a baseline and another one's results, of the same key, policy and starts.
 
     Args:
@@ -163,7 +165,7 @@ def place_of(start: Start) -> tuple[Stratum, int]:
     return start.stratum, start.seed_index
 
 
-def fault_of(bank: SavedBank) -> str | None:
+def fault_of(bank: BaselineResults) -> str | None:
     """Return the first thing that is wrong with a baseline, or None."""
     fault = _fault_of_manifest(bank.manifest) or _fault_of_machines(bank)
     if fault is not None:
@@ -185,7 +187,7 @@ def _fault_of_manifest(manifest: Manifest) -> str | None:
     return None
 
 
-def _fault_of_machines(bank: SavedBank) -> str | None:
+def _fault_of_machines(bank: BaselineResults) -> str | None:
     machines = [panel.machine for panel in bank.panels]
     if len(machines) > MOST_PANELS:
         return f"it has {len(machines)} panels, over {MOST_PANELS}"

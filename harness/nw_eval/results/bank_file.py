@@ -18,7 +18,7 @@ from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, StoreError, UsageError, nearest
 from nw_eval.files.inside import what_is
 from nw_eval.files.shipped import shipped
-from nw_eval.results.bank import Manifest, Panel, SavedBank, Start
+from nw_eval.results.bank import BaselineResults, Manifest, Panel, Start
 from nw_eval.results.bank_build import MOST_PANELS, SHARED, fault_of
 from nw_eval.results.tables import PlainTable, read_small_table, write_small_table
 
@@ -33,7 +33,7 @@ _MANIFEST = "bank"
 _RESTORE = "restore it from git, or replace it: `nw-eval baseline save` with --renew"
 
 
-def write_bank(path: Path, bank: SavedBank) -> None:
+def write_bank(path: Path, bank: BaselineResults) -> None:
     """Write a baseline. Equal baselines give equal bytes with one version of Arrow.
 
     Args:
@@ -52,7 +52,7 @@ def write_bank(path: Path, bank: SavedBank) -> None:
     write_small_table(path, bank_table(bank), {_MANIFEST: text})
 
 
-def bank_table(bank: SavedBank) -> pa.Table:
+def bank_table(bank: BaselineResults) -> pa.Table:
     """Return the starts of all machines' results, one after another, as an Arrow table.
 
     Its columns are the number of the class of machine in the manifest, those of a row, and the
@@ -88,7 +88,7 @@ def bank_table(bank: SavedBank) -> pa.Table:
     return pa.Table.from_pylist(lines, schema=schema)
 
 
-def read_bank(path: Path) -> SavedBank:
+def read_bank(path: Path) -> BaselineResults:
     """Read a baseline, which may be untrusted.
 
     Raises:
@@ -105,7 +105,7 @@ def read_bank(path: Path) -> SavedBank:
     return bank_of(read_small_table(path, fix=_RESTORE), path)
 
 
-def bank_of(table: PlainTable, path: Path) -> SavedBank:
+def bank_of(table: PlainTable, path: Path) -> BaselineResults:
     """Return the baseline that a table is, if it is one.
 
     Args:
@@ -129,7 +129,7 @@ def bank_of(table: PlainTable, path: Path) -> SavedBank:
         Panel(machine=info.machine, starts=tuple(starts))
         for info, starts in zip(manifest.panels, groups, strict=False)
     ]
-    bank = SavedBank(manifest=manifest, panels=tuple(panels))
+    bank = BaselineResults(manifest=manifest, panels=tuple(panels))
     if fault := fault_of(bank):
         raise _unusable(path, fault)
     if fault := _misnamed(path, manifest):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from nw_eval.errors import StoreError
 from nw_eval.gate.verdict import Recheck
 from nw_eval.plural import plural
-from nw_eval.results.bank import Panel, SavedBank, Start, machine_of, trajectory
+from nw_eval.results.bank import BaselineResults, Panel, Start, machine_of, trajectory
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row, from_dict
 from nw_eval.suite.model import new_suite
@@ -35,7 +35,7 @@ class _Place:
     digest: str
 
 
-def known_rows(run: RunInfo, bank: SavedBank) -> tuple[Row, ...]:
+def known_rows(run: RunInfo, bank: BaselineResults) -> tuple[Row, ...]:
     """Return a baseline's results as rows, taken over (`Row.cached`): they cost this run no time.
 
     They are for judging only. What a baseline does not hold of a trial, its steps and digests, they
@@ -79,7 +79,7 @@ def known_rows(run: RunInfo, bank: SavedBank) -> tuple[Row, ...]:
     return tuple(rows)
 
 
-def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank) -> Recheck:
+def recheck(rows: Sequence[Row], run: RunInfo, bank: BaselineResults) -> Recheck:
     """Compare trials of the baseline's own policy with what the baseline says of these starts.
 
     On a class of machine that the baseline has been run on, values and bits must be equal. On
@@ -125,7 +125,7 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank) -> Recheck:
     )
 
 
-def contradictions(rows: Iterable[Row], bank: SavedBank, panel: Panel) -> tuple[str, ...]:
+def contradictions(rows: Iterable[Row], bank: BaselineResults, panel: Panel) -> tuple[str, ...]:
     """Return sentences where trials have the bits of a baseline, and another result; or nothing.
 
     The same states and actions are the same trial: its result is no matter of the machine.

@@ -14,7 +14,7 @@ from nw_eval.rollout.mcap.messages import SimState
 from nw_eval.rollout.prepare import OpenTrial, open_trial
 from nw_eval.rollout.replaying.logged import read_logged_trial
 from nw_eval.rollout.replaying.policy_switch import driver, lead, run_on
-from nw_eval.rollout.replaying.reports import BlameReport, Ending, Try
+from nw_eval.rollout.replaying.reports import AttributionReport, Ending, Try
 from nw_eval.rollout.replaying.takeover import second_job
 from nw_eval.rollout.result import StageClock
 from nw_eval.scores.own import is_code
@@ -32,14 +32,14 @@ COARSE = 8
 """Intervals into which the moments are divided first."""
 
 
-def blame(
+def attribute(
     path: Path,
     *,
     policy: str | None = None,
     checkpoint: Path | None = None,
     allow_code: bool = False,
     library: Library | None = None,
-) -> BlameReport:
+) -> AttributionReport:
     """Return from when on a recorded trial was lost to a baseline.
 
     The trial goes its recorded way once, the baseline looks on, and its states are kept; each try
@@ -70,7 +70,7 @@ def blame(
             return tries[step].completes
 
         order = search(sorted(states), completes)
-    return BlameReport(
+    return AttributionReport(
         trial=job.trial.id,
         was=Ending.of(recorded.verdict, policy=driver(recorded.job), position=None),
         baseline=driver(job),
