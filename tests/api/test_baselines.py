@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api, cli
+from nw_eval.cli.verbs.baseline import saved_page
 from nw_eval.engine.listener import NullListener
 from nw_eval.errors import IncomparableError, StoreError, TrialError, UsageError
 from nw_eval.files.shipped import shipped
@@ -41,6 +42,8 @@ def first_save(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         saved = api.save_baseline("quick.yaml", trials=4, note="the first", workers=2)
+        assert saved.run == work()
+        assert f"its rows and logs: {saved.run}; a page" in saved_page(saved)
     assert saved.action == "new"
     return folder
 

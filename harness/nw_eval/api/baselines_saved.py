@@ -9,7 +9,7 @@ import getpass
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -42,6 +42,9 @@ class SavedBaseline:
     """The baseline that is there now; for `kept` the one that would be."""
     change: BaselineChange | None = None
     """What differs from the one that was there."""
+    run: Path | None = None
+    """The folder of the run that its results are from: rows and logs; None where no trial was
+    asked for, as the baseline had all of it."""
 
 
 @keywords_were(starts="trials", from_run="run")
@@ -122,7 +125,8 @@ def save_baseline(
         by=author(),
         note=note or (earlier.manifest.note if earlier else ""),
     )
-    return _written(file, earlier, found, renew=renew)
+    ran = Path(run) if run is not None else place.work if place is not None else None
+    return replace(_written(file, earlier, found, renew=renew), run=ran)
 
 
 def _check_decided(wanted: dict[str, Any]) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from nw_eval.errors import NwEvalError, StoreError, UsageError
+from nw_eval.files.cache import is_full
 from nw_eval.files.inside import what_is
 
 _FIX = "name another folder"
@@ -103,4 +104,5 @@ def unwritable(out: Path, error: OSError) -> UsageError | StoreError:
     message = f"cannot write {out}: {error.strerror or error}"
     if error.errno in _NO_NAME:
         return UsageError(message, fix=_FIX)
-    return StoreError(message, fix="free disk space, or choose another folder")
+    fix = "choose another folder"
+    return StoreError(message, fix=f"free disk space, or {fix}" if is_full(error) else fix)

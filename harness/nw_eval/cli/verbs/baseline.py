@@ -463,6 +463,9 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
         yield f"renewed {saved.file}: {whole}"
     else:
         yield f"{saved.file} is as it was; --renew replaces it"
+    if saved.run is not None:
+        run = str(saved.run)
+        yield f"its rows and logs: {clean(run)}; a page of them: nw-eval report {clean(quote(run))}"
 
 
 def _checked(checked: CheckedBaseline) -> Iterator[str]:
