@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from types import MappingProxyType
+from warnings import warn
 
 __version__ = "0.2.0"
 
@@ -19,9 +20,9 @@ _ROOMS = MappingProxyType(
             "ActingPolicy",
             "BarPlan",
             "BisectedSeries",
-            "BlamePlan",
-            "BlamedTrial",
-            "Blames",
+            "AttributionPlan",
+            "AttributedTrial",
+            "Attribution",
             "CacheCleanup",
             "CacheUse",
             "CardDraft",
@@ -55,9 +56,9 @@ _ROOMS = MappingProxyType(
             "WatchedTraining",
             "WrittenSite",
             "WrittenSplat",
-            "agree",
+            "sim2real",
             "bisect",
-            "blame",
+            "attribute",
             "cache_info",
             "check",
             "check_baseline",
@@ -148,10 +149,10 @@ _ROOMS = MappingProxyType(
         "onboarding.probe.summary": ("CardSummary",),
         "onboarding.robot_check": ("CheckedRobot", "RobotSummary"),
         "request": ("Request",),
-        "results.bank": ("BankChange", "SavedBank"),
+        "results.bank": ("BaselineChange", "BaselineResults"),
         "results.row": ("Row",),
         "rollout.replaying.rescored": ("LogScores",),
-        "rollout.replaying.reports": ("BlameReport", "ReplayReport", "TakeoverReport"),
+        "rollout.replaying.reports": ("AttributionReport", "ReplayReport", "TakeoverReport"),
         "scenes.overview": ("SceneFigures",),
         "sensors.gallery": ("SeenCard",),
         "splat.files.format": ("SplatFormat",),
@@ -163,6 +164,20 @@ _ROOMS = MappingProxyType(
 )
 """Where each public name is at home."""
 
+_RENAMED = MappingProxyType(
+    {
+        "BankChange": "BaselineChange",
+        "BlamePlan": "AttributionPlan",
+        "BlameReport": "AttributionReport",
+        "BlamedTrial": "AttributedTrial",
+        "Blames": "Attribution",
+        "SavedBank": "BaselineResults",
+        "agree": "sim2real",
+        "blame": "attribute",
+    }
+)
+"""Names until 0.1, which are understood for one release."""
+
 _HOMES = {name: room for room, names in _ROOMS.items() for name in names}
 
 # One table says the names; the stub says them to whoever cannot run it.
@@ -170,6 +185,10 @@ __all__ = ["__version__", *_HOMES]  # noqa: PLE0604  # pyright: ignore[reportUns
 
 
 def __getattr__(name: str) -> object:
+    if name in _RENAMED:
+        now = _RENAMED[name]
+        warn(f"nw_eval.{name} is now nw_eval.{now}", DeprecationWarning, stacklevel=2)
+        return globals()[now] if now in globals() else __getattr__(now)
     if name not in _HOMES:
         raise AttributeError(f"module 'nw_eval' has no attribute {name!r}")
     value = getattr(import_module(f"nw_eval.{_HOMES[name]}"), name)

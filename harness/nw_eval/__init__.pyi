@@ -1,12 +1,16 @@
 # What `nw_eval` has, for editors and type checkers; `__init__.py` imports it when it is used.
 
+from typing import Any, TypeAlias
+
+from typing_extensions import deprecated
+
 from nw_eval.api import (
     ActingPolicy,
+    AttributedTrial,
+    Attribution,
+    AttributionPlan,
     BarPlan,
     BisectedSeries,
-    BlamedTrial,
-    BlamePlan,
-    Blames,
     CacheCleanup,
     CacheUse,
     CardDraft,
@@ -40,9 +44,8 @@ from nw_eval.api import (
     WatchedTraining,
     WrittenSite,
     WrittenSplat,
-    agree,
+    attribute,
     bisect,
-    blame,
     cache_info,
     check,
     check_baseline,
@@ -96,6 +99,7 @@ from nw_eval.api import (
     show_robot,
     show_scene,
     show_suite,
+    sim2real,
     splat_convert,
     splat_info,
     splat_render,
@@ -133,9 +137,9 @@ from nw_eval.onboarding.probe.report import ProbeReport
 from nw_eval.onboarding.probe.summary import CardSummary
 from nw_eval.onboarding.robot_check import CheckedRobot, RobotSummary
 from nw_eval.request import Request
-from nw_eval.results.bank import BankChange, SavedBank
+from nw_eval.results.bank import BaselineChange, BaselineResults
 from nw_eval.results.row import Row
-from nw_eval.rollout.replaying.reports import BlameReport, ReplayReport, TakeoverReport
+from nw_eval.rollout.replaying.reports import AttributionReport, ReplayReport, TakeoverReport
 from nw_eval.rollout.replaying.rescored import LogScores
 from nw_eval.scenes.overview import SceneFigures
 from nw_eval.sensors.gallery import SeenCard
@@ -147,17 +151,31 @@ from nw_eval.viewing.recording.track import WrittenRecording
 
 __version__: str
 
+# Names until 0.1, which are understood for one release.
+@deprecated("nw_eval.agree is now nw_eval.sim2real")
+def agree(*args: Any, **keywords: Any) -> Agreement: ...
+@deprecated("nw_eval.blame is now nw_eval.attribute")
+def blame(*args: Any, **keywords: Any) -> Attribution: ...
+
+BankChange: TypeAlias = BaselineChange
+BlamePlan: TypeAlias = AttributionPlan
+BlameReport: TypeAlias = AttributionReport
+BlamedTrial: TypeAlias = AttributedTrial
+Blames: TypeAlias = Attribution
+SavedBank: TypeAlias = BaselineResults
+
 __all__ = [
     "ActingPolicy",
     "Agreement",
+    "AttributedTrial",
+    "Attribution",
+    "AttributionPlan",
+    "AttributionReport",
     "Axis",
-    "BankChange",
     "BarPlan",
+    "BaselineChange",
+    "BaselineResults",
     "BisectedSeries",
-    "BlamePlan",
-    "BlameReport",
-    "BlamedTrial",
-    "Blames",
     "CacheCleanup",
     "CacheUse",
     "Card",
@@ -200,7 +218,6 @@ __all__ = [
     "Row",
     "RunIndex",
     "RunReport",
-    "SavedBank",
     "SavedBaseline",
     "SceneError",
     "SceneFigures",
@@ -229,9 +246,8 @@ __all__ = [
     "WrittenSite",
     "WrittenSplat",
     "__version__",
-    "agree",
+    "attribute",
     "bisect",
-    "blame",
     "cache_info",
     "check",
     "check_baseline",
@@ -285,6 +301,7 @@ __all__ = [
     "show_robot",
     "show_scene",
     "show_suite",
+    "sim2real",
     "splat_convert",
     "splat_info",
     "splat_render",

@@ -10,7 +10,15 @@ import pytest
 import nw_eval
 from nw_eval.cli import main
 from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.results.bank import BankKey, BankPolicy, Manifest, Panel, PanelInfo, SavedBank, Start
+from nw_eval.results.bank import (
+    BankKey,
+    BankPolicy,
+    BaselineResults,
+    Manifest,
+    Panel,
+    PanelInfo,
+    Start,
+)
 from nw_eval.results.bank_file import write_bank
 
 SCENES = {"hurdles/a": "11" * 32, "hurdles/b": "22" * 32}
@@ -48,7 +56,7 @@ def save(folder, name, completed, **changes):
         policy=BankPolicy(name="walker", card_digest="bb", checkpoint_digest="cc"),
         panels=(panel,),
     )
-    bank = SavedBank(manifest=manifest, panels=(Panel(machine=MACHINE, starts=starts),))
+    bank = BaselineResults(manifest=manifest, panels=(Panel(machine=MACHINE, starts=starts),))
     path = folder / f"{name}.parquet"
     write_bank(path, bank)
     return path
@@ -76,7 +84,7 @@ def test_five_policies_are_compared_over_the_scenes_that_they_met(banks, tmp_pat
         + "p0,hurdles/a,10,0.1\np0,hurdles/b,10,0.3\n"
         + "".join(f"p{k},hurdles/a,{10 * k},0.{2 * k}\n" for k in range(1, 5)),
     )
-    found = nw_eval.agree(real, banks)
+    found = nw_eval.sim2real(real, banks)
     assert {each.policy: each.value for each in found.gaps} == pytest.approx(
         {"p0": 0.1 - 0.2, "p1": 0.3 - 0.2, "p2": 0.6 - 0.4, "p3": 0.7 - 0.6, "p4": 0.9 - 0.8}
     )
@@ -131,27 +139,27 @@ def test_the_terminal_has_the_figures_beside_a_perfect_simulators(banks, tmp_pat
 )
 def test_a_csv_that_cannot_be_used_is_named_with_its_line(banks, tmp_path, text, message):
     with pytest.raises(UsageError, match=message):
-        nw_eval.agree(csv(tmp_path, text), banks)
+        nw_eval.sim2real(csv(tmp_path, text), banks)
 
 
 def test_a_csv_that_is_none_and_runs_that_are_none_are_usage(banks, tmp_path):
     with pytest.raises(UsageError, match=r"cannot read .*nowhere"):
-        nw_eval.agree(tmp_path / "nowhere.csv", banks)
+        nw_eval.sim2real(tmp_path / "nowhere.csv", banks)
     with pytest.raises(UsageError, match="is no CSV"):
-        nw_eval.agree(banks[0], banks)
+        nw_eval.sim2real(banks[0], banks)
     with pytest.raises(UsageError, match="no run to compare the robot with"):
-        nw_eval.agree(csv(tmp_path, HEADING), [])
+        nw_eval.sim2real(csv(tmp_path, HEADING), [])
 
 
 def test_simulators_that_differ_are_not_one_simulator(banks, tmp_path):
     other = save(tmp_path, "late", (9, 9), simulator={"mujoco": "4.0.1"})
     with pytest.raises(IncomparableError, match=r"its mujoco is 4\.0\.1, there none"):
-        nw_eval.agree(csv(tmp_path, HEADING + "p0,hurdles/a,10,1\n"), [*banks, other])
+        nw_eval.sim2real(csv(tmp_path, HEADING + "p0,hurdles/a,10,1\n"), [*banks, other])
 
 
 def test_agreement_imports_no_simulation(banks, tmp_path):
     code = (
-        "import sys, nw_eval; nw_eval.agree(sys.argv[1], sys.argv[2:]); "
+        "import sys, nw_eval; nw_eval.sim2real(sys.argv[1], sys.argv[2:]); "
         "print({'mujoco', 'torch', 'numba', 'onnxruntime', 'matplotlib'} & {*sys.modules})"
     )
     real = csv(tmp_path, HEADING + "p0,hurdles/a,10,1\n")

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api, cli
+from nw_eval.cli.verbs.baseline import saved_page
 from nw_eval.engine.listener import NullListener
 from nw_eval.errors import IncomparableError, StoreError, TrialError, UsageError
 from nw_eval.files.shipped import shipped
@@ -39,7 +40,9 @@ def first_save(tmp_path_factory):
     (folder / "quick.yaml").write_text(SUITE)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        saved = api.save_baseline("quick.yaml", starts=4, note="the first", workers=2)
+        saved = api.save_baseline("quick.yaml", trials=4, note="the first", workers=2)
+        assert saved.run == work()
+        assert f"its rows and logs: {saved.run}; a page" in saved_page(saved)
     assert saved.action == "new"
     return folder
 
@@ -104,10 +107,10 @@ def test_a_save_that_was_interrupted_goes_on_where_it_was_and_saves_the_same_ban
     journal = work() / "journal.jsonl"
     journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:2]))
     with pytest.raises(KeyboardInterrupt):
-        api.save_baseline("quick.yaml", starts=4, workers=1, listener=Impatient())
+        api.save_baseline("quick.yaml", trials=4, workers=1, listener=Impatient())
     assert not file.exists()
     assert 3 <= len(journal.read_bytes().splitlines()) < 5
-    saved = api.save_baseline("quick.yaml", starts=4, workers=1)
+    saved = api.save_baseline("quick.yaml", trials=4, workers=1)
     assert saved.action == "new"
     assert saved.bank.panels == before.panels
     assert len(journal.read_bytes().splitlines()) == 5
@@ -119,7 +122,7 @@ def test_a_save_says_how_long_it_takes_and_after_ctrl_c_goes_on_with_the_same_co
 ):
     file = Path("reports/baselines/quick/stand.parquet")
     file.unlink()
-    saved = api.save_baseline("quick.yaml", starts=30, workers=2, note="the first", cache=False)
+    saved = api.save_baseline("quick.yaml", trials=30, workers=2, note="the first", cache=False)
     whole = saved.bank
     file.unlink()
     shutil.rmtree(work())
@@ -163,7 +166,7 @@ def test_a_save_that_is_interrupted_before_its_first_trial_says_that_it_begins_a
     shutil.rmtree(work())
     listener = Impatient()
     with pytest.raises(KeyboardInterrupt):
-        api.save_baseline("quick.yaml", starts=4, workers=1, listener=listener)
+        api.save_baseline("quick.yaml", trials=4, workers=1, listener=listener)
     assert listener.said[-1] == "no trial has ended yet; the same command begins again"
 
 
@@ -176,7 +179,7 @@ def test_a_run_that_is_not_whole_leaves_no_file():
         run / "run.json", read_run_info(run / "run.json").model_copy(update={"rows_digest": ""})
     )
     with pytest.raises(TrialError, match="has 2 of its 4 trials"):
-        api.save_baseline("quick.yaml", from_run=run, name="half")
+        api.save_baseline("quick.yaml", run=run, name="half")
     assert not Path("reports/baselines/quick/half.parquet").exists()
 
 
@@ -230,7 +233,7 @@ def test_what_renews_a_bank_of_a_policy_outside_the_project_asks_where_it_lies(
     far = Path(shutil.copytree(shipped("policies") / "stand", tmp_path / "far away" / "still"))
     card = far / "policy.yaml"
     card.write_text(card.read_text().replace("name: stand", "name: still"))
-    api.save_baseline("quick.yaml", policy=str(far), starts=2, workers=2)
+    api.save_baseline("quick.yaml", policy=str(far), trials=2, workers=2)
     (project / "quick.yaml").write_text(SUITE.replace("seed: 5", "seed: 6"))
     shown = printed(capsys, "check", "still", "--suite", "quick.yaml", code=5)
     assert "renew it with `nw-eval baseline save quick.yaml --policy PATH --renew`" in shown
@@ -266,7 +269,7 @@ def test_banks_are_listed_with_what_is_wrong_with_one(capsys):
 
 @pytest.mark.usefixtures("project")
 def test_two_banks_are_compared_scene_by_scene(capsys):
-    api.save_baseline("quick.yaml", from_run=run_of("newer", mujoco="4.9.9"), name="newer")
+    api.save_baseline("quick.yaml", run=run_of("newer", mujoco="4.9.9"), name="newer")
     shown = printed(capsys, "diff", "stand", "newer")
     assert "simulator mujoco  4.0.0 -> 4.9.9" in shown
     assert "flat/carpet_room  0.000  0.000  +0.000  0 of 4            none" in shown
@@ -276,10 +279,10 @@ def test_two_banks_are_compared_scene_by_scene(capsys):
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"from_run": "there", "starts": 3}, "--run and --trials: the run has decided that"),
+        ({"run": "there", "trials": 3}, "--run and --trials: the run has decided that"),
         ({"name": "a/b"}, "a baseline's name: 'a/b' is no name"),
-        ({"starts": 0}, "--trials 0 is too low; give at least 1"),
-        ({"from_run": "nowhere"}, "nowhere is not the folder of a run"),
+        ({"trials": 0}, "--trials 0 is too low; give at least 1"),
+        ({"run": "nowhere"}, "nowhere is not the folder of a run"),
     ],
 )
 @pytest.mark.usefixtures("project")
@@ -292,7 +295,7 @@ def test_a_run_of_another_suite_is_refused(project):
     run = run_of("there")
     (project / "slow.yaml").write_text(SUITE.replace("name: quick", "name: slow"))
     with pytest.raises(UsageError, match="there is a run of suite 'quick', not 'slow'"):
-        api.save_baseline("slow.yaml", from_run=run)
+        api.save_baseline("slow.yaml", run=run)
 
 
 @pytest.mark.usefixtures("project")
@@ -315,6 +318,6 @@ def test_a_bank_that_is_damaged_is_written_over_only_when_asked():
     run = run_of("there")
     file.write_bytes(file.read_bytes()[:-9])
     with pytest.raises(StoreError, match=r"is damaged: .*, or replace it"):
-        api.save_baseline("quick.yaml", from_run=run)
-    assert api.save_baseline("quick.yaml", from_run=run, renew=True).action == "new"
+        api.save_baseline("quick.yaml", run=run)
+    assert api.save_baseline("quick.yaml", run=run, renew=True).action == "new"
     assert read_bank(file).manifest.starts == 4

@@ -74,7 +74,8 @@ def test_a_run_of_more_trials_runs_those_and_one_of_the_others(filled, place):
     # The pages name a log as RUN/mcap/SCENE/TRIAL.mcap, whether its trial was taken over or not.
     for row in more.rows:
         named = more.folder / "mcap" / row.scene / f"{row.trial_id}.mcap"
-        assert named.is_file() is not row.cached
+        assert named.is_file()
+        assert named.is_symlink() is row.cached
         assert kind_of(str(named), policy=None, scene=None) == "log"
         assert list(open_shelf(named).logs) == [row.trial_id]
     taken = next(row for row in more.rows if row.cached)
@@ -85,6 +86,10 @@ def test_a_run_of_more_trials_runs_those_and_one_of_the_others(filled, place):
         api.replay(named.with_stem("nosuch"))
     gated = api.judge(more.folder)
     assert rows_digest(gated.rows) == rows_digest(more.rows)
+    assert api.verify(more.folder, offline=True).files.findings == ()
+    resumed = api.run(None, resume=more.folder)
+    assert rows_digest(resumed.rows) == rows_digest(more.rows)
+    assert named.is_symlink()
 
 
 def test_labels_name_a_run_and_change_none_of_its_results(filled, place):
@@ -132,7 +137,7 @@ def test_a_result_that_was_tampered_with_is_found_and_no_result_is_believed(fill
 @pytest.mark.usefixtures("forged")
 def test_a_bank_is_not_saved_of_results_that_differ(place):
     with pytest.raises(TrialError, match=r"came out otherwise .*; remove reports/bank-tiny-"):
-        api.save_baseline("tiny.yaml", starts=1, workers=1)
+        api.save_baseline("tiny.yaml", trials=1, workers=1)
     assert not (place / "reports" / "baselines").exists()
 
 

@@ -175,9 +175,9 @@ def test_a_run_over_the_cap_makes_no_bank(ran, place):
     strict = api.run(place / "strict.yaml", out=place / "strict", workers=1)
     assert strict.exit_code == 3
     with pytest.raises(IncomparableError, match="1 of 2 trials left the captured volume"):
-        api.save_baseline(place / "strict.yaml", from_run=strict.folder, root=place / "banks")
-    api.save_baseline(place / "fog.yaml", from_run=ran.folder, root=place / "banks")
+        api.save_baseline(place / "strict.yaml", run=strict.folder, root=place / "banks")
+    api.save_baseline(place / "fog.yaml", run=ran.folder, root=place / "banks")
 
 
 def test_verify_finds_the_same_numbers_again(ran):
-    assert api.verify(ran.folder, sample="1").exit_code == 0
+    assert api.verify(ran.folder, trials="1").exit_code == 0

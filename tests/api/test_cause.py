@@ -96,7 +96,7 @@ def test_policies_that_see_in_other_ways_cannot_be_exchanged():
 
 
 @pytest.mark.parametrize(("changes", "answer"), [(WEAK, "control"), (SHORT_SIGHTED, "perception")])
-def test_blame_names_what_a_policy_lost_by(changed, suite, tmp_path, capsys, changes, answer):
+def test_attribute_names_what_a_policy_lost_by(changed, suite, tmp_path, capsys, changes, answer):
     worse = changed("worse", changes)
     run = tmp_path / "run"
     nw_eval.run(suite, policy=str(worse), out=run, workers=1)

@@ -13,10 +13,10 @@ from nw_eval.cli import main
 from nw_eval.errors import IncomparableError, UsageError
 from nw_eval.results.bank import (
     BankPolicy,
+    BaselineResults,
     Manifest,
     Panel,
     PanelInfo,
-    SavedBank,
     Start,
     key_of,
     machine_of,
@@ -127,7 +127,7 @@ def better_bank(info):
         policy=BankPolicy(name="shipped", card_digest="bb", checkpoint_digest="cc"),
         panels=(panel,),
     )
-    return SavedBank(manifest=manifest, panels=(Panel(machine=machine, starts=starts),))
+    return BaselineResults(manifest=manifest, panels=(Panel(machine=machine, starts=starts),))
 
 
 def test_two_runs_and_a_bank_stand_side_by_side(reports):

@@ -430,7 +430,7 @@ def test_a_part_alone_has_no_verdict(parts, written, tmp_path):
     with pytest.raises(UsageError, match=refused):
         api.record_verdict(shown, tmp_path / "ledger.jsonl")
     with pytest.raises(UsageError, match=refused):
-        api.save_baseline("hurdles", from_run=parts[0])
+        api.save_baseline("hurdles", run=parts[0])
 
     # A part that met no critical scene, and one of informational scenes alone, ran as any other.
     for tier in ("critical", "informational"):

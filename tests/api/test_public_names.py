@@ -13,6 +13,8 @@ import pytest
 
 import nw_eval
 from nw_eval import api
+from nw_eval.api.renamed import keywords_were
+from nw_eval.cli.verbs.table import RENAMED
 
 STUB = Path(nw_eval.__file__).with_suffix(".pyi")
 VERBS = {name: each for name in api.__all__ if inspect.isfunction(each := getattr(api, name))}
@@ -45,11 +47,15 @@ def test_editors_are_shown_the_names_that_there_are():
     shown = {
         node.module.removeprefix("nw_eval."): {alias.name for alias in node.names}
         for node in tree.body
-        if isinstance(node, ast.ImportFrom)
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("nw_eval")
     }
     assert shown == {room: set(names) for room, names in nw_eval._ROOMS.items()}
     (listed,) = [node.value for node in tree.body if isinstance(node, ast.Assign)]
     assert set(ast.literal_eval(listed)) == set(nw_eval.__all__)
+    old = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    marked = [node for node in tree.body if isinstance(node, ast.AnnAssign) and node.value]
+    old |= {ast.unparse(node.target) for node in marked}
+    assert old == {*nw_eval._RENAMED}
 
 
 @pytest.mark.parametrize("name", nw_eval.__all__)
@@ -67,6 +73,55 @@ def test_every_verb_is_public_and_a_name_that_is_not_is_an_attribute_error():
     assert set(api.__all__) - {"Message"} <= set(nw_eval.__all__)
     with pytest.raises(AttributeError, match="'nw_eval' has no attribute 'rnu'"):
         nw_eval.rnu  # noqa: B018
+
+
+@pytest.mark.parametrize("old", nw_eval._RENAMED)
+def test_an_old_name_is_the_new_one_with_a_warning_that_says_it(old):
+    now = nw_eval._RENAMED[old]
+    with pytest.warns(DeprecationWarning, match=f"nw_eval.{old} is now nw_eval.{now}$") as told:
+        assert getattr(nw_eval, old) is getattr(nw_eval, now)
+    assert told[0].filename == __file__
+    assert old not in dir(nw_eval)
+
+
+def test_verbs_that_were_renamed_on_the_command_line_are_renamed_in_python():
+    assert {was: nw_eval._RENAMED[was] for was in RENAMED} == RENAMED
+    assert {*RENAMED.values()} <= {*api.__all__}
+
+
+@pytest.mark.parametrize(
+    ("verb", "positional", "old", "now"),
+    [
+        ("attribute", ("run",), "at_most", "trials"),
+        ("bisect", ("suite", ()), "starts", "baseline_trials"),
+        ("check_scenes", ((),), "suite", "out"),
+        ("plan_trials", ("suite",), "png", "out"),
+        ("save_baseline", ("suite",), "starts", "trials"),
+        ("save_baseline", ("suite",), "from_run", "run"),
+        ("sweep", (None, ()), "against", "baseline"),
+        ("verify", ("run",), "sample", "trials"),
+        ("verify_baseline", ("baseline",), "share", "trials"),
+        ("watch", ("folder",), "card", "policy"),
+    ],
+)
+def test_an_old_keyword_is_the_new_one_with_a_warning_that_says_it(verb, positional, old, now):
+    assert now in inspect.signature(VERBS[verb]).parameters
+    both = {old: None, now: None}
+    with pytest.raises(TypeError, match=f"got both '{old}' and '{now}', its name now"):
+        VERBS[verb](*positional, **both)
+
+
+def test_a_call_with_an_old_keyword_goes_to_the_new_one():
+    @keywords_were(against="baseline")
+    def sweep(request, *, baseline=None):
+        return request, baseline
+
+    with pytest.warns(
+        DeprecationWarning, match=r"sweep\(against=\) is now sweep\(baseline=\)"
+    ) as told:
+        assert sweep("r", against="stand") == ("r", "stand")
+    assert told[0].filename == __file__
+    assert sweep("r", baseline="stand") == ("r", "stand")
 
 
 @pytest.mark.parametrize("verb", VERBS)

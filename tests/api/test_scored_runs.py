@@ -81,7 +81,7 @@ def test_the_baselines_own_policy_is_invalid_where_the_baseline_lacks_a_gated_sc
     head = head.replace("duration: 0.4", "duration: 3.0")  # Half of the waypoints.
     gate = "gate:\n  max_drop: 0.3\n  rounds: 2\n"
     (folder / "scored.yaml").write_text(head + gate)
-    saved = api.save_baseline("scored.yaml", starts=2, workers=1)
+    saved = api.save_baseline("scored.yaml", trials=2, workers=1)
     same = api.run("scored.yaml", baseline=str(saved.file), out=folder / "same", workers=1)
     assert (same.verdict.verdict, same.verdict.against.basis) == ("PASS", "same")
     (folder / "scored.yaml").write_text(head + gate + "  scores: {mean_power: {max_drop: 60}}\n")
@@ -97,7 +97,7 @@ def test_a_baseline_whose_scores_were_changed_is_invalid_for_its_own_policy(fold
     head = SUITE.partition("scores:")[0].replace("policy: stand", "policy: go1-parkour")
     gate = "gate:\n  max_drop: 0.3\n  rounds: 2\n  scores: {mean_power: {max_drop: 60}}\n"
     (folder / "scored.yaml").write_text(head + gate)
-    saved = api.save_baseline("scored.yaml", starts=2, workers=1)
+    saved = api.save_baseline("scored.yaml", trials=2, workers=1)
     honest = read_bank(saved.file)
     (panel,) = honest.panels
     doubled = tuple(

@@ -49,7 +49,7 @@ def series(tmp_path, monkeypatch):
 @pytest.mark.nightly
 def test_the_first_checkpoint_that_fell_is_found_and_a_search_goes_on_where_it_was(series):
     heard = []
-    settings = {"good": "good.onnx", "bad": "last.onnx", "starts": 12, "workers": 2}
+    settings = {"good": "good.onnx", "bad": "last.onnx", "baseline_trials": 12, "workers": 2}
     found = api.bisect(
         "one.yaml", series, progress=lambda name, word: heard.append((name, word)), **settings
     )
@@ -93,7 +93,7 @@ def test_a_checkpoint_that_falls_by_a_gated_score_alone_is_flagged_and_the_score
         card.read_text().replace("kp: 20", "kp: 30").replace("name: go1-parkour", "name: stiff")
     )
     found = api.bisect(
-        "one.yaml", ["second.onnx"], good="good.onnx", bad="./stiff", starts=16, workers=2
+        "one.yaml", ["second.onnx"], good="good.onnx", bad="./stiff", baseline_trials=16, workers=2
     )
     assert dict(found.found.words) == {0: "PASS", 1: "REGRESSED"}
     assert found.exit_code == 1
@@ -114,11 +114,11 @@ def test_what_is_no_checkpoint_is_refused_before_anything_runs(series):
 
 @pytest.mark.slow
 def test_a_bank_of_that_name_that_is_of_another_checkpoint_is_not_taken_for_the_good_one(series):
-    api.save_baseline("one.yaml", checkpoint="last.onnx", name="good", starts=1)
+    api.save_baseline("one.yaml", checkpoint="last.onnx", name="good", trials=1)
     with pytest.raises(
         IncomparableError, match=r"good\.parquet is there already, and is no baseline"
     ):
-        api.bisect("one.yaml", series, good="good.onnx", bad="last.onnx", starts=1)
+        api.bisect("one.yaml", series, good="good.onnx", bad="last.onnx", baseline_trials=1)
 
 
 def test_a_trainings_folder_stands_for_its_checkpoints_between_the_two_ends(tmp_path):

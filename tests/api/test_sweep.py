@@ -32,7 +32,7 @@ def suite(tmp_path):
 def test_a_sweep_walks_two_policies_along_an_axis_and_writes_what_it_found(suite, tmp_path):
     out = tmp_path / "sweep"
     found = api.sweep(
-        Request(suite=suite), ["friction=0.05,1.25"], against="stand", out=out, workers=1
+        Request(suite=suite), ["friction=0.05,1.25"], baseline="stand", out=out, workers=1
     )
     ((walker, stander),) = found.axes
     assert (walker.policy, stander.policy) == ("go1-parkour", "stand")

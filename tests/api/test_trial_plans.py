@@ -13,7 +13,15 @@ from PIL import Image
 from nw_eval import api
 from nw_eval.cli import main
 from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.results.bank import BankKey, BankPolicy, Manifest, Panel, PanelInfo, SavedBank, Start
+from nw_eval.results.bank import (
+    BankKey,
+    BankPolicy,
+    BaselineResults,
+    Manifest,
+    Panel,
+    PanelInfo,
+    Start,
+)
 from nw_eval.results.bank_file import read_bank, write_bank
 from nw_eval.results.ended import write_trials
 from nw_eval.results.journal import Journal, JournalHeader
@@ -161,7 +169,7 @@ def bank(plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
         key=lambda start: (start.scene, start.seed_index),
     )
     panel = Panel(machine={"cpu": "x"}, starts=tuple(starts))
-    write_bank(path, SavedBank(manifest=manifest, panels=(panel,)))
+    write_bank(path, BaselineResults(manifest=manifest, panels=(panel,)))
     return path
 
 
@@ -191,7 +199,7 @@ def test_each_gated_score_is_forecast(suite: Path, bank: Path, tmp_path: Path) -
     )
     manifest = plain.manifest.model_copy(update={"scores": ("mean_power",)})
     scored = tmp_path / "shipped.parquet"
-    write_bank(scored, SavedBank(manifest=manifest, panels=(replace(panel, starts=starts),)))
+    write_bank(scored, BaselineResults(manifest=manifest, panels=(replace(panel, starts=starts),)))
     planned = api.plan_trials(gated, baseline=str(scored), detect=0.4, workers=2)
     assert isinstance(planned, api.TrialPlan)
     (found,) = planned.scores

@@ -19,10 +19,10 @@ import numpy as np
 from nw_eval.api.saved_run import saved_suite, saved_trials
 from nw_eval.results.bank import (
     BankPolicy,
+    BaselineResults,
     Manifest,
     Panel,
     PanelInfo,
-    SavedBank,
     Start,
     key_of,
     machine_of,
@@ -152,7 +152,7 @@ def drawn_bank(run, starts, cells, rng):
         policy=BankPolicy(name="old", card_digest="b1" * 32, checkpoint_digest="bb" * 32),
         panels=(info,),
     )
-    return SavedBank(manifest=manifest, panels=(Panel(machine=machine, starts=tuple(kept)),))
+    return BaselineResults(manifest=manifest, panels=(Panel(machine=machine, starts=tuple(kept)),))
 
 
 def write(folder, rounds, starts, frictions, chance, scenes=64):

@@ -7,12 +7,15 @@ import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
+from email.message import Message
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from tyro.extras import get_parser
 
 from nw_eval import cli
-from nw_eval.cli.verbs import forms, parse, parsers, program_page
+from nw_eval.cli.verbs import _config, forms, parse, program_page, table
 from nw_eval.cli.verbs.help import options_of
 from nw_eval.cli.verbs.table import (
     GROUPS,
@@ -21,6 +24,7 @@ from nw_eval.cli.verbs.table import (
     RENAMED,
     RENAMED_FLAGS,
     VERBS,
+    docs_line,
 )
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -113,6 +117,8 @@ def test_the_same_letter_and_the_same_word_stand_for_one_option_in_all_verbs():
         ("baseline sav", "no command 'sav'; did you mean save?"),
         ("baseline", "no command; give one of save, list, show"),
         ("run --baselin x", "nw-eval run has no option --baselin; did you mean --baseline?"),
+        ("run smoke --against X", "has no option --against; did you mean --baseline? (`nw-eval"),
+        ("run smoke --card X", "nw-eval run has no option --card; did you mean --policy?"),
         ("run smoke --zzzz", "has no option --zzzz; `nw-eval run --help` lists them"),
         ("check --trails 3", "nw-eval check has no option --trails; did you mean --trials?"),
         ("run smoke hurdles", "nw-eval run takes no argument 'hurdles'"),
@@ -142,11 +148,34 @@ def test_wrong_arguments_are_answered_in_a_line_that_names_them(words, said, cap
 def test_the_pages_of_the_docs_can_read_the_options_of_each_verb():
     found = {
         name: {flag for action in parser._actions for flag in action.option_strings}
-        for name, parser in parsers()
+        for name, parser in (
+            (name, get_parser(form, prog=name, config=_config())) for name, form in LEAVES.items()
+        )
     }
     for name, form in LEAVES.items():
         own = {flag for option in options_of(form) for flag in option.flags}
         assert found[name] == {*own, "-h", "--help"}
+
+
+def test_the_docs_are_a_file_that_is_there_or_the_address_of_the_package_or_not_named(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(metadata, "metadata", lambda _: Message())
+    monkeypatch.chdir(DOCS.parent)
+    assert docs_line("how-to/view.md") == []
+    assert docs_line("how-to/viewing.md") == ["Docs: docs/how-to/viewing.md"]
+    monkeypatch.chdir(tmp_path)
+    [line] = docs_line("how-to/viewing.md")
+    assert Path(line.removeprefix("Docs: ")).is_file()
+    monkeypatch.setattr(table, "_CHECKOUT", tmp_path)  # As of a wheel.
+    assert docs_line("how-to/viewing.md") == []
+    assert "Docs:" not in program_page("")
+    package = Message()
+    package["Project-URL"] = "Paper, https://example.org/paper"
+    package["Project-URL"] = "Documentation, https://example.org/docs/"
+    monkeypatch.setattr(metadata, "metadata", lambda _: package)
+    assert docs_line("how-to/viewing.md") == ["Docs: https://example.org/docs/how-to/viewing"]
+    assert docs_line() == ["Docs: https://example.org/docs/"]
 
 
 def test_a_switch_that_is_on_is_told_by_what_turns_it_off():

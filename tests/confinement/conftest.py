@@ -44,6 +44,7 @@ def attempts(*, inside, outside, logs):
     attempt("write a log", lambda: (logs / "log").write_text("mine"))
     attempt("move a log", lambda: (logs / "log").rename(logs / "moved"))
     attempt("move a log out", lambda: (logs / "moved").rename(outside / "moved"))
+    attempt("write by a link to a log", lambda: (logs / "taken.mcap").write_text("mine"))
     attempt("link to outside", lambda: (logs / "link").symlink_to(outside))
     attempt("socket", socket.socket)
     attempt("run", lambda: subprocess.run([sys.executable, "-c", ""]))

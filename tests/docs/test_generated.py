@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tyro.extras import get_parser
 
 import nw_eval
 from nw_eval import api
-from nw_eval.cli.verbs import parsers
+from nw_eval.cli.verbs import _config, forms
 from nw_eval.files.yaml_file import json_schema_of
 from nw_eval.results.parquet import SCHEMA
 from nw_eval.robots.folder import RobotFile
@@ -70,7 +71,8 @@ def sections(verbs: str) -> dict[str, str]:
 
 def every_parser() -> Iterator[tuple[str, ArgumentParser]]:
     """Every verb, those of families by two words, with its parser."""
-    for name, parser in parsers():
+    for name, form in forms():
+        parser = get_parser(form, prog=name, config=_config())
         inner = [action.choices for action in parser._actions if isinstance(action.choices, dict)]
         yield name, parser
         for part, each in (found for choices in inner for found in choices.items()):

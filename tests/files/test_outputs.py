@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import errno
 import os
 import resource
 import signal
@@ -44,7 +45,7 @@ ELSEWHERE = {
     "results/tables.py": "closes a pipe",
     "rollout/mcap/file.py": "writes a partial log as a trial goes on, and renames it",
     "rollout/replaying/film.py": "runs confined, in a scratch folder",
-    "api/robots.py": "fills a temporary folder that appears by one rename",
+    "api/robots.py": "fills the folder of `new_folder`",
     "api/cause.py": "writes into a temporary folder",
     "api/surfaces.py": "is given the temporary path by `_writer`",
     "api/evidence.py": "marks a file of the cache as used",
@@ -321,6 +322,24 @@ def writers_of(path):
             others = (call for call in calls if is_writer(call) and not named(call) & names)
             found += [f"{call.lineno}: {ast.unparse(call)[:80]}" for call in others]
     return found
+
+
+@pytest.mark.parametrize(
+    ("number", "fix"),
+    [
+        (errno.ENOSPC, "free disk space or choose another folder with --out"),
+        (errno.EACCES, "choose another folder with --out"),
+    ],
+)
+def test_only_a_full_disk_is_answered_by_freeing_it(tmp_path, monkeypatch, number, fix):
+    def fails(*_, **__):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("nw_eval.files.cache.NamedTemporaryFile", fails)
+    monkeypatch.setattr("nw_eval.files.cache.TemporaryDirectory", fails)
+    with pytest.raises(StoreError) as caught, atomic_path(tmp_path / "report.md"):
+        pass
+    assert caught.value.fix == fix
 
 
 def test_nobody_else_opens_a_file_for_writing():

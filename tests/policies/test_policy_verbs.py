@@ -273,6 +273,9 @@ def test_init_of_a_shipped_bundle_finds_its_size_and_keeps_existing_cards(tmp_pa
     assert "332" in card_page(api.show_policy(str(tmp_path)))
     with pytest.raises(UsageError, match="exists already"):
         api.init_policy(weights, robot="go1")
+    for given in (weights, tmp_path / "gone"):
+        with pytest.raises(UsageError, match="unknown robot 'go3'"):
+            api.init_policy(given, robot="go3")
     api.init_policy(weights, robot="go1", out=tmp_path / "other.yaml")
     assert load_card(tmp_path / "other.yaml").adapter == "onnx"
 

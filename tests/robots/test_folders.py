@@ -582,7 +582,7 @@ def test_a_suite_of_checked_scenes_names_the_folder_of_their_robot_from_its_own(
     (tmp_path / "suites").mkdir()
     monkeypatch.chdir(tmp_path)
     for suite in (Path("suites/beside.yaml"), Path("here.yaml")):
-        api.check_scenes(["flat/carpet_room"], robot="./hopper", suite=suite, policy="stand")
+        api.check_scenes(["flat/carpet_room"], robot="./hopper", out=suite, policy="stand")
         own = load_suite(suite)
         assert find_robot(own.robot, own.base) == find_robot("./hopper")
 

@@ -125,6 +125,10 @@ def test_out_gets_the_model_and_its_meshes_and_nothing_else(model, tmp_path):
     assert not (model.parent / "robot.yaml").exists()
     with pytest.raises(UsageError, match="exists already"):
         api.init_robot(model, out=tmp_path / "new")
+    deeper = api.init_robot(model, out=tmp_path / "robots" / "b2")
+    assert deeper.file == tmp_path / "robots" / "b2" / "robot.yaml"
+    with pytest.raises(UsageError, match=r"dog\.xml is no folder"):
+        api.init_robot(model, out=model / "b2")
 
 
 def test_meshes_beside_the_folder_of_a_urdf_make_that_above_the_robots(tmp_path):

@@ -53,11 +53,18 @@ def published(tmp_path, monkeypatch):
     server.server_close()
 
 
-def test_it_is_fetched_once_and_is_a_scene_that_says_where_it_is_from(published):
+def test_it_is_fetched_once_and_is_a_scene_that_says_where_it_is_from(published, tmp_path):
     address, scan = published
     fetched = fetched_scan("real:one", scan, address=f"{address}/map.png")
     again = fetched_scan("real:one", scan, address=f"{address}/gone")
     assert again.folder == fetched.folder
+    gone, other = tmp_path / "gone.png", tmp_path / "other.png"
+    with pytest.raises(SceneError, match=r"gone\.png: No such file"):
+        fetched_scan("real:one", scan, file=gone)
+    other.write_bytes(b"x")
+    with pytest.raises(SceneError, match=r"other\.png is not the file that is known"):
+        fetched_scan("real:one", scan, file=other)
+    assert fetched_scan("real:one", scan, file=fetched.folder / "map.png").folder == fetched.folder
     scene = load_folder(fetched.folder)
     assert scene.name == "real/one"
     assert scene.licence == "MIT, ETH Zurich, Takahiro Miki"

@@ -64,5 +64,5 @@ def test_no_suite_is_written_where_something_is_wrong(folder, tmp_path):
 def test_a_suite_that_is_there_stays_as_it_is(folder, tmp_path):
     (tmp_path / "mine.yaml").write_text("mine")
     with pytest.raises(UsageError, match=r"mine\.yaml is there already"):
-        api.check_scenes([str(folder)], suite=tmp_path / "mine.yaml")
+        api.check_scenes([str(folder)], out=tmp_path / "mine.yaml")
     assert (tmp_path / "mine.yaml").read_text() == "mine"

@@ -29,4 +29,4 @@ def test_a_package_that_is_not_there_is_answered_with_the_extra(monkeypatch):
     monkeypatch.setattr(packages, "import_module", fail)
     with pytest.raises(PrerequisiteError) as e:
         packages.package("pupil_apriltags")
-    assert e.value.fix == "pip install nw-eval[twin]"
+    assert e.value.fix == "pip install 'nw-eval[twin]'"

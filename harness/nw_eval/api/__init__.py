@@ -6,6 +6,7 @@ sensors, policies, rollout, engine) and the one that reads them (results, stats,
 
 from __future__ import annotations
 
+from nw_eval.api.attribution import AttributedTrial, Attribution, AttributionPlan, attribute
 from nw_eval.api.baselines import (
     CheckedBaseline,
     ListedBaseline,
@@ -17,10 +18,9 @@ from nw_eval.api.baselines import (
 )
 from nw_eval.api.baselines_saved import SavedBaseline, save_baseline
 from nw_eval.api.baselines_verified import VerifiedBaseline, verify_baseline
-from nw_eval.api.blaming import BlamedTrial, BlamePlan, Blames, blame
 from nw_eval.api.cache import CacheCleanup, CacheUse, cache_info, prune_cache, verify_cache
 from nw_eval.api.cause import FoundCause, find_cause
-from nw_eval.api.comparisons import agree, compare
+from nw_eval.api.comparisons import compare, sim2real
 from nw_eval.api.hub import PushedScene, fetch_policy, fetch_robot, fetch_scene, push_scene
 from nw_eval.api.ledgers import read_ledger, record_verdict
 from nw_eval.api.merges import merge
@@ -87,11 +87,11 @@ from nw_eval.request import Request
 
 __all__ = [
     "ActingPolicy",
+    "AttributedTrial",
+    "Attribution",
+    "AttributionPlan",
     "BarPlan",
     "BisectedSeries",
-    "BlamePlan",
-    "BlamedTrial",
-    "Blames",
     "CacheCleanup",
     "CacheUse",
     "CardDraft",
@@ -126,9 +126,8 @@ __all__ = [
     "WatchedTraining",
     "WrittenSite",
     "WrittenSplat",
-    "agree",
+    "attribute",
     "bisect",
-    "blame",
     "cache_info",
     "check",
     "check_baseline",
@@ -182,6 +181,7 @@ __all__ = [
     "show_robot",
     "show_scene",
     "show_suite",
+    "sim2real",
     "splat_convert",
     "splat_info",
     "splat_render",

@@ -14,7 +14,13 @@ from nw_eval.errors import IncomparableError, NwEvalError, PolicyError
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
-    from nw_eval.results.bank import BankChange, BankKey, BankPolicy, FieldChange, SavedBank
+    from nw_eval.results.bank import (
+        BankKey,
+        BankPolicy,
+        BaselineChange,
+        BaselineResults,
+        FieldChange,
+    )
 
 _READERS = 4
 """Files that are read at a time: each by a process of its own, which mostly starts."""
@@ -28,7 +34,7 @@ class ListedBaseline:
     suite: str
     """The folder that it lies in."""
     name: str
-    bank: SavedBank | None = None
+    bank: BaselineResults | None = None
     mean: float | None = None
     """Mean success over scenes."""
     problem: str | None = None
@@ -40,7 +46,7 @@ class ShownBaseline:
     """One baseline, and where it lies."""
 
     file: Path
-    bank: SavedBank
+    bank: BaselineResults
 
 
 def list_baselines() -> tuple[ListedBaseline, ...]:
@@ -69,7 +75,9 @@ def show_baseline(baseline: str | Path, *, suite: str | None = None) -> ShownBas
     return ShownBaseline(file=file, bank=read_bank(file))
 
 
-def diff_baselines(then: str | Path, now: str | Path, *, suite: str | None = None) -> BankChange:
+def diff_baselines(
+    then: str | Path, now: str | Path, *, suite: str | None = None
+) -> BaselineChange:
     """Compare two banks: what they hold for, and what happened from their starts, by scene.
 
     Args:
@@ -121,7 +129,7 @@ class Here:
         digest = digest_of([key, dict(header.scene_digests), dict(header.engine)])
         return _REPORTS / f"bank-{self.plan.suite.name}-{digest[:8]}"
 
-    def is_in(self, bank: SavedBank, starts: int) -> bool:
+    def is_in(self, bank: BaselineResults, starts: int) -> bool:
         """Whether a baseline has all of it, so that nothing need be run."""
         from nw_eval.results.bank import key_changes, policy_changes
 
@@ -212,7 +220,7 @@ class CheckedBaseline:
     """A baseline against what it would be here and now."""
 
     file: Path
-    bank: SavedBank
+    bank: BaselineResults
     changes: tuple[FieldChange, ...]
     """What must match and does not; none of it, and the baseline holds."""
     has_panel: bool

@@ -9,17 +9,18 @@ import getpass
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from nw_eval.api.renamed import keywords_were
 from nw_eval.errors import IncomparableError, StoreError, TrialError, UsageError
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api.baselines import Here
     from nw_eval.engine.listener import Listener
-    from nw_eval.results.bank import BankChange, SavedBank
+    from nw_eval.results.bank import BaselineChange, BaselineResults
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
 
@@ -36,20 +37,24 @@ class SavedBaseline:
     """new: there was none. panel: it has this class of machine now, too. unchanged: it had all of
     this. renewed: it was replaced. kept: it would hold for something else, or say something else,
     and is unchanged, because no renewal was asked for."""
-    bank: SavedBank
+    bank: BaselineResults
     """The baseline that is there now; for `kept` the one that would be."""
-    change: BankChange | None = None
+    change: BaselineChange | None = None
     """What differs from the one that was there."""
+    run: Path | None = None
+    """The folder of the run that its results are from: rows and logs; None where no trial was
+    asked for, as the baseline had all of it."""
 
 
+@keywords_were(starts="trials", from_run="run")
 def save_baseline(
     suite: str | Path,
     *,
     policy: str | None = None,
-    starts: int | None = None,
+    trials: int | None = None,
     name: str | None = None,
     note: str = "",
-    from_run: str | Path | None = None,
+    run: str | Path | None = None,
     renew: bool = False,
     root: Path | None = None,
     workers: int | None = None,
@@ -65,10 +70,10 @@ def save_baseline(
     Args:
         suite: a suite file or the name of a shipped one.
         policy: as for `run`; the suite's own if None.
-        starts: in each scene; if None, as many as the baseline has, and 60 for a new one.
+        trials: in each scene; if None, as many as the baseline has, and 60 for a new one.
         name: the baseline's; the policy's if None.
         note: why it is saved; if empty, as before.
-        from_run: the folder of a run to take the results from; nothing is run.
+        run: the folder of a run to take the results from; nothing is run.
         renew: whether a baseline that is there is replaced, with the results of all machines.
         root: the folder of baselines; `reports/baselines` if None.
         workers: processes; one for each core if None.
@@ -89,37 +94,38 @@ def save_baseline(
     from nw_eval.results.bank_file import bank_of_run
     from nw_eval.suite import load_suite
 
-    if starts is not None and starts < 1:
-        raise UsageError(f"--trials {starts} is too low", fix="give at least 1")
-    place, run, rows = None, None, ()
-    if from_run is None:
+    if trials is not None and trials < 1:
+        raise UsageError(f"--trials {trials} is too low", fix="give at least 1")
+    place, info, rows = None, None, ()
+    if run is None:
         place = here(suite, policy=policy, **changes)
         folder, own = place.plan.suite.name, place.policy.name
     else:
-        _check_decided({"policy": policy, "trials": starts, "workers": workers, **changes})
+        _check_decided({"policy": policy, "trials": trials, "workers": workers, **changes})
         folder = load_suite(suite).name
-        run, rows = _finished_results(Path(from_run), folder)
-        own = run.policy.name
+        info, rows = _finished_results(Path(run), folder)
+        own = info.policy.name
     file = _file(root, folder, name or own)
     earlier = _earlier(file, renew=renew)
     if place is not None:
-        starts = starts or (earlier.manifest.starts if earlier else STARTS)
+        starts = trials or (earlier.manifest.starts if earlier else STARTS)
         if earlier is not None and not renew and place.is_in(earlier, starts):
             return SavedBaseline(file=file, action="unchanged", bank=earlier)
-        run, rows = _new_results(
+        info, rows = _new_results(
             place.with_starts(starts), workers=workers, cache=cache, listener=listener
         )
-    assert run is not None, "results are of a run, new or finished"
-    _check_seen(rows, run)
+    assert info is not None, "results are of a run, new or finished"
+    _check_seen(rows, info)
     found = bank_of_run(
         rows,
-        run,
+        info,
         name=file.stem,
-        card=card_reference(run.policy.card),
+        card=card_reference(info.policy.card),
         by=author(),
         note=note or (earlier.manifest.note if earlier else ""),
     )
-    return _written(file, earlier, found, renew=renew)
+    ran = Path(run) if run is not None else place.work if place is not None else None
+    return replace(_written(file, earlier, found, renew=renew), run=ran)
 
 
 def _check_decided(wanted: dict[str, Any]) -> None:
@@ -164,7 +170,7 @@ def _file(root: Path | None, suite: str, name: str) -> Path:
     return (root or BANKS) / suite / (name + SUFFIX)
 
 
-def _earlier(file: Path, *, renew: bool) -> SavedBank | None:
+def _earlier(file: Path, *, renew: bool) -> BaselineResults | None:
     """Return the baseline that is there; None if there is none, or an unreadable one is replaced.
 
     Raises:
@@ -181,7 +187,7 @@ def _earlier(file: Path, *, renew: bool) -> SavedBank | None:
 
 
 def _written(
-    file: Path, earlier: SavedBank | None, found: SavedBank, *, renew: bool
+    file: Path, earlier: BaselineResults | None, found: BaselineResults, *, renew: bool
 ) -> SavedBaseline:
     """Write a baseline unless it would silently become another one."""
     from nw_eval.files.cache import followed

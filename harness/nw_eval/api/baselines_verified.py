@@ -8,7 +8,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.errors import IncomparableError, PolicyError, TrialError, UsageError
+from nw_eval.api.renamed import keywords_were
+from nw_eval.errors import IncomparableError, PolicyError, TrialError
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
     from nw_eval.api.baselines import Here
     from nw_eval.engine.listener import Listener
-    from nw_eval.results.bank import SavedBank
+    from nw_eval.results.bank import BaselineResults
     from nw_eval.results.row import Row
 
 SHARE = "10%"
@@ -28,7 +29,7 @@ class VerifiedBaseline:
     """What starts of a baseline came to when its own policy ran them again."""
 
     file: Path
-    bank: SavedBank
+    bank: BaselineResults
     seed: int
     """Drew the starts: an int of 48 bits."""
     drawn: int
@@ -52,11 +53,11 @@ class VerifiedBaseline:
         return TrialError.exit_code if self.faults or self.ran < self.drawn else 0
 
 
+@keywords_were(share="trials")
 def verify_baseline(
     baseline: str | Path,
     *,
-    share: str | None = None,
-    trials: int | None = None,
+    trials: str | int | None = None,
     seed: int | None = None,
     suite: str | Path | None = None,
     policy: str | None = None,
@@ -70,8 +71,7 @@ def verify_baseline(
 
     Args:
         baseline: its name, `<suite>/<name>`, or its path.
-        share: of all its starts, such as `10%`, at least one; 10 % if neither this nor `trials`.
-        trials: how many instead.
+        trials: how many, or the share of all its starts, such as `10%`, at least one; 10 % if None.
         seed: draws them, an int; one that cannot be predicted if None.
         suite: the suite's file; the suite of the baseline's own by name if None.
         policy: where its policy lies; where the baseline says if None.
@@ -80,7 +80,7 @@ def verify_baseline(
         changes: of `Request`: checkpoint, render, time_limit, memory_limit, allow_code.
 
     Raises:
-        UsageError: there is no such baseline or suite, or `share` or `trials` is of no use.
+        UsageError: there is no such baseline or suite, or `trials` is of no use.
         SuiteError, PolicyError: the suite, or the baseline's policy, cannot be used.
         StoreError: the baseline is damaged.
         IncomparableError: it does not hold here, or its policy is another one.
@@ -91,9 +91,7 @@ def verify_baseline(
     from nw_eval.suite import load_suite
 
     check_workers(workers)
-    if share is not None and trials is not None:
-        raise UsageError("--share and --trials exclude each other", fix="drop one of them")
-    sample = share or SHARE if trials is None else str(trials)
+    sample = SHARE if trials is None else str(trials)
     check_sample(sample)
     shown = show_baseline(baseline, suite=None if suite is None else load_suite(suite).name)
     bank, own = shown.bank, shown.bank.manifest.policy
@@ -125,7 +123,7 @@ def verify_baseline(
     )
 
 
-def _check(bank: SavedBank, place: Here) -> None:
+def _check(bank: BaselineResults, place: Here) -> None:
     """Refuse a baseline of something else.
 
     Raises:
@@ -184,7 +182,9 @@ def _is_here(reference: str) -> bool:
     return True
 
 
-def _differing(rows: Sequence[Row], bank: SavedBank, machine: dict[str, str]) -> tuple[str, ...]:
+def _differing(
+    rows: Sequence[Row], bank: BaselineResults, machine: dict[str, str]
+) -> tuple[str, ...]:
     """Return what differs from the results that a run on a class of machine is compared with."""
     from nw_eval.gate.baseline.match import differences
 

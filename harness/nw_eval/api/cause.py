@@ -75,10 +75,10 @@ def find_cause(
         listener: hears of progress.
 
     Raises:
-        UsageError, StoreError, IncomparableError: as `blame`; no trial was ended by all four.
+        UsageError, StoreError, IncomparableError: as `attribute`; no trial was ended by all four.
         PolicyError: the policies cannot be taken apart, or not put together crosswise.
     """
-    from nw_eval.api.blaming import baseline_bundle
+    from nw_eval.api.attribution import baseline_bundle
     from nw_eval.api.cause import apart, write_crossed
     from nw_eval.api.plans import check_workers
     from nw_eval.api.saved_run import check_whole, continued

@@ -125,7 +125,7 @@ def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
     return entrant_of_bank(source, bank, panel)
 
 
-def agree(
+def sim2real(
     real: str | Path,
     runs: Sequence[str | Path],
     *,

@@ -175,6 +175,7 @@ def init_policy(
     from nw_eval.rollout.confined.access import inspecting_rules
     from nw_eval.rollout.confined.isolated import call_isolated
 
+    found = find_robot(robot)
     others: tuple[str, ...] = ()
     folder = checkpoint.parent
     if what_is(checkpoint) == "folder":
@@ -183,7 +184,7 @@ def init_policy(
     card = out or folder / CARD_FILE
     if what_is(followed(card)) == "file":
         raise UsageError(f"{card} exists already", fix="move it away, or name another with --out")
-    found, statistics = find_robot(robot), statistics_beside(checkpoint)
+    statistics = statistics_beside(checkpoint)
     draft = partial(
         call_isolated,
         draft_of,

@@ -230,7 +230,7 @@ def _found(log: Path) -> Path:
         UsageError: there is none.
     """
     from nw_eval.errors import UsageError
-    from nw_eval.results.run_folder import taken_over_log
+    from nw_eval.results.log_links import taken_over_log
 
     found = taken_over_log(log)
     if not found.is_file():

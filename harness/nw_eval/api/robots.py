@@ -6,7 +6,6 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -105,7 +104,7 @@ def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
         StoreError: it cannot be written.
     """
     from nw_eval.errors import UsageError
-    from nw_eval.files.cache import atomic_path, followed
+    from nw_eval.files.cache import atomic_path, check_place, followed
     from nw_eval.files.inside import what_is
     from nw_eval.onboarding.notation import lines_to_check
     from nw_eval.onboarding.robot_draft import draft_robot
@@ -113,6 +112,8 @@ def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
 
     if out is not None and os.path.lexists(out):
         raise UsageError(f"{out} exists already", fix="move it away, or name another with --out")
+    if out is not None:
+        check_place(out)
     beside = model.parent / ROBOT_FILE
     if out is None and what_is(beside) != "nothing":
         raise UsageError(f"{beside} exists already", fix="move it away, or give --out FOLDER")
@@ -130,19 +131,14 @@ def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
 
 def _copy(root: Path, files: tuple[str, ...], out: Path) -> None:
     """Copy files of a folder into a new one, which appears by one rename."""
-    from nw_eval.errors import StoreError
+    from nw_eval.files.cache import new_folder
     from nw_eval.files.inside import inside
 
-    try:
-        with TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as scratch:
-            folder = Path(scratch) / out.name
-            for name in files:
-                target = inside(folder, name)
-                target.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(inside(root, name), target)
-            folder.rename(out)
-    except OSError as error:
-        raise StoreError(f"cannot write {out}: {error.strerror}") from None
+    with new_folder(out) as folder:
+        for name in files:
+            target = inside(folder, name)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(inside(root, name), target)
 
 
 def check_robot(robot: str, *, out: Path | None = None) -> CheckedRobot:

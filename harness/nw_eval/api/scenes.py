@@ -9,6 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.api.renamed import keywords_were
+
 if TYPE_CHECKING:
     from nw_eval.built_in.splits import Split
     from nw_eval.engine.listener import Listener
@@ -115,11 +117,12 @@ def show_scene(reference: str, *, out: Path | None = None) -> SceneFigures:
     return figures(scene)
 
 
+@keywords_were(suite="out")
 def check_scenes(
     references: Sequence[str],
     *,
     robot: str = "go1",
-    suite: Path | None = None,
+    out: Path | None = None,
     policy: str | None = None,
 ) -> tuple[CheckedScene, ...]:
     """Return what is wrong with scenes; one that cannot be read is a finding, too.
@@ -127,7 +130,7 @@ def check_scenes(
     Args:
         references: built-in names, scene folders, `neverwhere:` and `hub:` as suites have them.
         robot: whose stance, camera and length count.
-        suite: a file to write, a suite of these scenes that is ready to run, unless one of them
+        out: a file to write, a suite of these scenes that is ready to run, unless one of them
             has errors; None = none is written.
         policy: of that suite; one that nw-eval has a card of for the robot if None.
 
@@ -143,18 +146,18 @@ def check_scenes(
 
     if not references:
         raise UsageError("no scene to check", fix="name one, or its folder")
-    if policy is not None and suite is None:
+    if policy is not None and out is None:
         raise UsageError(f"--policy {policy} needs --out", fix="add --out, or drop it")
-    if suite is not None and what_is(followed(suite)) == "file":
-        raise UsageError(f"{suite} is there already", fix="name another file, or remove it")
+    if out is not None and what_is(followed(out)) == "file":
+        raise UsageError(f"{out} is there already", fix="name another file, or remove it")
     checked: list[CheckedScene] = []
     for reference in references:
         found = inspect_scene(reference, robot=robot)
         checked.append(
             CheckedScene(reference=reference, findings=found.findings, survey=found.survey)
         )
-    if suite is not None and not any(scene.has_errors for scene in checked):
-        _write_suite(suite, references, robot, policy)
+    if out is not None and not any(scene.has_errors for scene in checked):
+        _write_suite(out, references, robot, policy)
     return tuple(checked)
 
 

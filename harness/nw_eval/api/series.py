@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nw_eval.api.renamed import keywords_were
+
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
     from nw_eval.engine.listener import Listener
@@ -48,6 +50,7 @@ class BisectedSeries:
         return 3 if "INCONCLUSIVE" in self.found.words.values() else 0
 
 
+@keywords_were(starts="baseline_trials")
 def bisect(
     suite: str | Path,
     checkpoints: Sequence[str | Path],
@@ -56,7 +59,7 @@ def bisect(
     bad: str | Path,
     policy: str | None = None,
     everyone: bool = False,
-    starts: int | None = None,
+    baseline_trials: int | None = None,
     out: Path | None = None,
     workers: int | None = None,
     cache: bool = True,
@@ -80,7 +83,7 @@ def bisect(
         bad: the checkpoint that is known to be worse, younger than the series.
         policy: whose card the weights are for; the suite's own if None.
         everyone: judge all of them in place of searching.
-        starts: in each scene, of a baseline that is saved.
+        baseline_trials: in each scene, of a baseline that is saved.
         out: the folder of the runs; a search that was interrupted goes on in it. If None, one in
             `reports/` that is named by the suite.
         workers: processes; one for each core if None.
@@ -107,7 +110,7 @@ def bisect(
         _check_place(one)
     folder = out or _REPORTS / f"bisect-{read.name}"
     means = _Means(workers=workers, cache=cache, listener=listener)
-    bank = _bank_of(good, request, read.name, starts, means)
+    bank = _bank_of(good, request, read.name, baseline_trials, means)
     runs: dict[int, RunReport] = {}
 
     def word(place: int) -> Decision:
@@ -220,7 +223,7 @@ def _bank_of(
         suite if request.suite is None else request.suite,
         policy=wanted.policy,
         checkpoint=wanted.checkpoint,
-        starts=starts,
+        trials=starts,
         name=re.sub(r"[^A-Za-z0-9_.]+", "-", Path(good).stem),
         note="the good end of a bisection",
         render=request.render,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.api.plans import check_workers, plan
+from nw_eval.api.renamed import keywords_were
 from nw_eval.api.reports import judge
 from nw_eval.api.runs import roll_out
 from nw_eval.errors import StoreError, UsageError
@@ -42,12 +43,13 @@ class SweptSuite:
     interrupted: bool
 
 
+@keywords_were(against="baseline")
 def sweep(
     request: Request,
     axes: Sequence[str],
     *,
     out: Path | None = None,
-    against: str | None = None,
+    baseline: str | None = None,
     workers: int | None = None,
     cache: bool = True,
     confidence: float = 0.95,
@@ -62,7 +64,7 @@ def sweep(
         request: suite, policy, trials, scenes and seed as for `run`; neither shard nor baseline.
         axes: such as `friction=0.3..1.2` (7 values), `payload=0..6:4`, `push=0,0.5,1`.
         out: a new or empty folder; `reports/<suite>-sweep-<number>` if None.
-        against: another policy, which meets the same trials.
+        baseline: another policy, which meets the same trials.
         workers: processes; one for each core if None.
         cache: as for `run`.
         confidence: of each interval alone, and of all comparisons along a curve together.
@@ -82,7 +84,7 @@ def sweep(
     if not request.allow_code:
         prepare()
     own = replace(request, baseline="none", record="none")
-    rivals = [own] if against is None else [own, replace(own, policy=against, checkpoint=None)]
+    rivals = [own] if baseline is None else [own, replace(own, policy=baseline, checkpoint=None)]
     bases = [plan(each) for each in rivals]
     labels = _labels([base.bundle.name for base in bases])
     plans = [

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nw_eval.api.renamed import keywords_were
 from nw_eval.errors import IncomparableError, UsageError
 
 if TYPE_CHECKING:
@@ -69,13 +70,14 @@ class BarPlan:
     """Why no policy can pass the suite as it is; none where one can."""
 
 
+@keywords_were(png="out")
 def plan_trials(
     suite: str | Path | Suite,
     *,
     detect: float | None = None,
     baseline: str | None = None,
     run: str | Path | None = None,
-    png: Path | None = None,
+    out: Path | None = None,
     workers: int | None = None,
 ) -> TrialPlan | BarPlan:
     """Return how many trials it takes to flag a drop, and what else the suite's gate sees.
@@ -91,7 +93,7 @@ def plan_trials(
             one that there is of it.
         run: a run's folder instead of a baseline: what it scored is taken for the baseline's
             success.
-        png: file to draw the curve into.
+        out: file to draw the curve into.
         workers: processes to reckon minutes with; one for each core if None.
 
     Raises:
@@ -114,7 +116,7 @@ def plan_trials(
 
         asked_for = baseline == NO_BASELINE
         if gate.success_rate is not None and (asked_for or not bank_files(resolved.suite.name)):
-            if png is not None:
+            if out is not None:
                 raise UsageError(
                     "--out without a baseline: the curve is of drops against one",
                     fix="name a baseline with --baseline, or a run of the suite with --run",
@@ -144,8 +146,8 @@ def plan_trials(
     )
     if run is None and gate.scores:
         planned = replace(planned, scores=_of_scores(resolved, baseline or gate.baseline))
-    if png is not None:
-        _draw(planned, png)
+    if out is not None:
+        _draw(planned, out)
     return planned
 
 

@@ -14,6 +14,7 @@ from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from nw_eval.api.renamed import keywords_were
 from nw_eval.errors import NwEvalError, StoreError, UsageError
 
 if TYPE_CHECKING:
@@ -98,11 +99,12 @@ class VerifiedRun:
 _ROOT = re.compile(r"[0-9a-f]{64}")
 
 
+@keywords_were(sample="trials")
 def verify(
     run: str | Path,
     *,
     offline: bool = False,
-    sample: str = SAMPLE,
+    trials: str | int = SAMPLE,
     seed: int | None = None,
     root: str | None = None,
     policy: str | None = None,
@@ -118,8 +120,8 @@ def verify(
     Args:
         run: the run's folder; it may go on, or have been interrupted.
         offline: look at its files only, and run nothing.
-        sample: how many trials with a result are run again: a share such as `5%`, or a number. At
-            least one is.
+        trials: how many of those with a result are run again: a share such as `5%`, or a number.
+            At least one is.
         seed: draws them; one that cannot be predicted if None.
         root: the Merkle root that the run had, kept elsewhere.
         policy: the bundle that made it, where it has moved since, or is served elsewhere.
@@ -140,6 +142,7 @@ def verify(
     from nw_eval.results.run_folder import RunFolder, open_run_folder
 
     check_workers(workers)
+    sample = str(trials)
     check_sample(sample)
     if root is not None and not _ROOT.fullmatch(root):
         raise UsageError(f"--root {root!r} is no Merkle root", fix="give its 64 hex digits")

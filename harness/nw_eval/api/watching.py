@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from nw_eval.api.renamed import keywords_were
 from nw_eval.errors import IncomparableError, PolicyError, StoreError, UsageError
 
 if TYPE_CHECKING:
@@ -113,11 +114,12 @@ class WatchedTraining:
         return codes.get(verdict, UsageError.exit_code)
 
 
+@keywords_were(card="policy")
 def watch(
     folder: str | Path,
     *,
     suite: str | Path,
-    card: str | None = None,
+    policy: str | None = None,
     pattern: str = "*",
     every: int = 1,
     once: bool = False,
@@ -142,7 +144,7 @@ def watch(
         folder: that the training writes to; files below it with one of `SUFFIXES` and a number in
             their name, or in their folder's, are its checkpoints.
         suite: a suite file or the name of a shipped one.
-        card: whose card the weights are for: a bundle's name, folder or card; the suite's own
+        policy: whose card the weights are for: a bundle's name, folder or card; the suite's own
             policy if None.
         pattern: a glob that their names match.
         every: evaluate each n-th, in order of their steps, from the first.
@@ -176,7 +178,7 @@ def watch(
             f"every {every}, interval {interval:g}, idle {idle}: one is too low",
             fix="give an `every` of 1 or more, and seconds above 0",
         )
-    request = Request.of(suite, policy=card, **changes)
+    request = Request.of(suite, policy=policy, **changes)
     watched = _Watch(folder, request, out, where or Surfaces(), workers, cache, listener)
     for reason in watched.obstacles:
         if listener is not None:
@@ -439,7 +441,7 @@ class _Watch:
         assert self.request.suite is not None, "a watch is of a suite"
         return save_baseline(
             self.request.suite,
-            from_run=self.folder / best.run,
+            run=self.folder / best.run,
             name=Path(best.run).name,
             note=f"the best of {self.training.name} so far",
             root=self.folder / "baselines",

@@ -136,7 +136,7 @@ def joined(address: str, *, cores: int | None) -> Generator[Joined]:
         except ImportError as error:
             raise PrerequisiteError(
                 "--engine ray needs the package ray, which is not installed",
-                fix='pip install "nw-eval[ray]"',
+                fix="pip install 'nw-eval[ray]'",
             ) from error
         found = Joined(ray=ray)
         if not ray.is_initialized():

@@ -30,6 +30,7 @@ from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.policies.bundle import senses_by_code
 from nw_eval.results.ended import of_plan, wanted, write_trials
 from nw_eval.results.journal import Journal, has_begun
+from nw_eval.results.log_links import drop_links, link_logs
 from nw_eval.results.provenance import CacheInfo, StopInfo, read_run_info, write_run_info
 from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
 from nw_eval.robots import get_robot
@@ -135,6 +136,7 @@ def carry_out(
             of_plan(journal.rows, plan.trials, checkpoint=info.policy.checkpoint_digest)
             if resume is not None:
                 info = _with_earlier_sessions(info, folder)
+                drop_links(folder.path)
             began = perf_counter()
             if prelude is not None:
                 info = prelude(folder, info)
@@ -306,6 +308,7 @@ def _finish(
     trials = wanted(plan.trials, info.stop)
     rows, _ = of_plan(rows, trials, checkpoint=info.policy.checkpoint_digest)
     ended = write_trials(folder, info, rows)
+    link_logs(folder.path, rows)
     write_run_info(
         folder.run_json,
         ended.model_copy(

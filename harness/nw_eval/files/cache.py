@@ -357,8 +357,15 @@ def _root() -> Path:
         ) from None
 
 
+def is_full(error: OSError) -> bool:
+    """Return whether there is no room: no other error goes away if disk space is freed."""
+    return error.errno in {errno.ENOSPC, errno.EDQUOT}
+
+
 def _unwritable(path: Path, error: OSError) -> StoreError:
-    fix = "free disk space or choose another folder with --out"
+    fix = "choose another folder with --out"
+    if is_full(error):
+        fix = f"free disk space or {fix}"
     with suppress(StoreError):
         root = _root()
         if path.is_relative_to(root):
@@ -466,4 +473,5 @@ def unwritable(out: Path, error: OSError) -> UsageError | StoreError:
     message = f"cannot write {out}: {error.strerror or error}"
     if error.errno in _NO_NAME:
         return UsageError(message, fix=_FIX)
-    return StoreError(message, fix="free disk space, or choose another folder")
+    fix = "choose another folder"
+    return StoreError(message, fix=f"free disk space, or {fix}" if is_full(error) else fix)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import IncomparableError, UsageError, nearest
-from nw_eval.results.bank import BankKey, Panel, SavedBank, Start, key_of
+from nw_eval.results.bank import BankKey, BaselineResults, Panel, Start, key_of
 from nw_eval.results.column import Settings
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.real import RealResult
@@ -71,7 +71,7 @@ def entrant_of_run(source: str, run: RunInfo, rows: Iterable[Row]) -> Entrant:
     )
 
 
-def entrant_of_bank(source: str, bank: SavedBank, panel: Panel) -> Entrant:
+def entrant_of_bank(source: str, bank: BaselineResults, panel: Panel) -> Entrant:
     """Return what a baseline compares with, on one class of machine."""
     return Entrant(
         source=source,

@@ -65,7 +65,7 @@ class Curve:
         self._events = _event_file(folder / "tensorboard", first=upto or 0)
         self._unlogged = len(self._rows)
         if self._events is None and say is not None:
-            say("no events for TensorBoard: `pip install nw-eval[tensorboard]` brings it")
+            say("no events for TensorBoard: `pip install 'nw-eval[tensorboard]'` brings it")
 
     @property
     def path(self) -> Path:

@@ -539,6 +539,11 @@ def _muwanx(data: Data, _: RobotSpec, others: Sequence[Data]) -> ExporterMetadat
         terms = tuple(_muwanx_term(w) for w in words)
         if any((term.history or 1) > 1 for term in terms):
             notes.append("the JSON beside it does not say which frame comes first")
+        if any("subtract_default" not in w for w in words if w.get("name") == "JointPositions"):
+            notes.append(
+                "the JSON beside it does not say whether joint positions count from the default "
+                "pose (`subtract_default`); the card has it so"
+            )
         if any(w.get("transpose") is True for w in words):
             notes.append(
                 "`transpose` in the JSON beside it was not read: frames of a joint in a row"

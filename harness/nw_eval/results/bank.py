@@ -171,7 +171,7 @@ class Panel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SavedBank:
+class BaselineResults:
     """A baseline as its file has it; `panels` are in the manifest's order."""
 
     manifest: Manifest
@@ -213,7 +213,7 @@ class Against:
     """The baseline that a run is compared with."""
 
     info: BaselineInfo
-    bank: SavedBank
+    bank: BaselineResults
     content: bytes
     """Of its file, of which the run's folder gets a copy."""
     control: ControlArm | None = None
@@ -279,11 +279,11 @@ class SceneChange:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BankChange:
+class BaselineChange:
     """What differs between an earlier and a later baseline of a suite."""
 
-    then: SavedBank
-    now: SavedBank
+    then: BaselineResults
+    now: BaselineResults
     fields: tuple[FieldChange, ...]
     """What must match and does not, the number of starts included."""
     machine: tuple[FieldChange, ...]
@@ -297,11 +297,11 @@ class BankChange:
         return frozenset(field.part for field in self.fields)
 
 
-def bank_change(then: SavedBank, now: SavedBank) -> BankChange:
+def bank_change(then: BaselineResults, now: BaselineResults) -> BaselineChange:
     """Compare two baselines on a class of machine that both have, or on their first ones."""
     before, after = _panels(then, now)
     strata = sorted({*before.by_stratum, *after.by_stratum})
-    return BankChange(
+    return BaselineChange(
         then=then,
         now=now,
         fields=(
@@ -358,12 +358,12 @@ def mean_of(starts: Sequence[Start]) -> float:
     return fmean(score(start) or 0.0 for start in starts)
 
 
-def bank_mean(bank: SavedBank) -> float:
+def bank_mean(bank: BaselineResults) -> float:
     """Return B: the mean over scenes and cells of the means over starts, on the first machine."""
     return fmean(mean_of(starts) for starts in bank.panels[0].by_stratum.values())
 
 
-def _panels(then: SavedBank, now: SavedBank) -> tuple[Panel, Panel]:
+def _panels(then: BaselineResults, now: BaselineResults) -> tuple[Panel, Panel]:
     for panel in now.panels:
         if (earlier := then.panel_of(panel.machine)) is not None:
             return earlier, panel
@@ -387,7 +387,7 @@ def _scene_change(scene: str, cell: Settings, before: Panel, after: Panel) -> Sc
     )
 
 
-def _starts(bank: SavedBank) -> Mapping[str, str]:
+def _starts(bank: BaselineResults) -> Mapping[str, str]:
     return {"starts": str(bank.manifest.starts)}
 
 

@@ -28,10 +28,10 @@ from nw_eval.files.shipped import shipped
 from nw_eval.plural import plural
 from nw_eval.results.bank import (
     BankPolicy,
+    BaselineResults,
     Manifest,
     Panel,
     PanelInfo,
-    SavedBank,
     Start,
     Stratum,
     key_of,
@@ -62,7 +62,7 @@ _MANIFEST = "bank"
 _RESTORE = "restore it from git, or replace it: `nw-eval baseline save` with --renew"
 
 
-def write_bank(path: Path, bank: SavedBank) -> None:
+def write_bank(path: Path, bank: BaselineResults) -> None:
     """Write a baseline. Equal baselines give equal bytes with one version of Arrow.
 
     Args:
@@ -81,7 +81,7 @@ def write_bank(path: Path, bank: SavedBank) -> None:
     write_small_table(path, bank_table(bank), {_MANIFEST: text})
 
 
-def bank_table(bank: SavedBank) -> pa.Table:
+def bank_table(bank: BaselineResults) -> pa.Table:
     """Return the starts of all machines' results, one after another, as an Arrow table.
 
     Its columns are the number of the class of machine in the manifest, those of a row, and the
@@ -117,7 +117,7 @@ def bank_table(bank: SavedBank) -> pa.Table:
     return pa.Table.from_pylist(lines, schema=schema)
 
 
-def read_bank(path: Path) -> SavedBank:
+def read_bank(path: Path) -> BaselineResults:
     """Read a baseline, which may be untrusted.
 
     Raises:
@@ -134,7 +134,7 @@ def read_bank(path: Path) -> SavedBank:
     return bank_of(read_small_table(path, fix=_RESTORE), path)
 
 
-def bank_of(table: PlainTable, path: Path) -> SavedBank:
+def bank_of(table: PlainTable, path: Path) -> BaselineResults:
     """Return the baseline that a table is, if it is one.
 
     Args:
@@ -158,7 +158,7 @@ def bank_of(table: PlainTable, path: Path) -> SavedBank:
         Panel(machine=info.machine, starts=tuple(starts))
         for info, starts in zip(manifest.panels, groups, strict=False)
     ]
-    bank = SavedBank(manifest=manifest, panels=tuple(panels))
+    bank = BaselineResults(manifest=manifest, panels=tuple(panels))
     if fault := fault_of(bank):
         raise _unusable(path, fault)
     if fault := _misnamed(path, manifest):
@@ -321,7 +321,7 @@ def _hint(name: str, suite: str, root: Path) -> str:
 
 def bank_of_run(
     rows: Sequence[Row], run: RunInfo, *, name: str, card: str = "", by: str = "", note: str = ""
-) -> SavedBank:
+) -> BaselineResults:
     """Return the baseline that a finished run is: every start of its seed set has a result.
 
     Args:
@@ -379,7 +379,9 @@ def bank_of_run(
             ),
         ),
     )
-    bank = SavedBank(manifest=manifest, panels=(Panel(machine=machine, starts=tuple(starts)),))
+    bank = BaselineResults(
+        manifest=manifest, panels=(Panel(machine=machine, starts=tuple(starts)),)
+    )
     if fault := fault_of(bank):
         raise IncomparableError(
             f"run {run.id} makes no baseline: {fault}",
@@ -388,7 +390,7 @@ def bank_of_run(
     return bank
 
 
-def with_panel(bank: SavedBank, other: SavedBank) -> SavedBank:
+def with_panel(bank: BaselineResults, other: BaselineResults) -> BaselineResults:
     """Return a baseline and another one's results, of the same key, policy and starts.
 
     Args:
@@ -444,7 +446,7 @@ def place_of(start: Start) -> tuple[Stratum, int]:
     return start.stratum, start.seed_index
 
 
-def fault_of(bank: SavedBank) -> str | None:
+def fault_of(bank: BaselineResults) -> str | None:
     """Return the first thing that is wrong with a baseline, or None."""
     fault = _fault_of_manifest(bank.manifest) or _fault_of_machines(bank)
     if fault is not None:
@@ -466,7 +468,7 @@ def _fault_of_manifest(manifest: Manifest) -> str | None:
     return None
 
 
-def _fault_of_machines(bank: SavedBank) -> str | None:
+def _fault_of_machines(bank: BaselineResults) -> str | None:
     machines = [panel.machine for panel in bank.panels]
     if len(machines) > MOST_PANELS:
         return f"it has {len(machines)} panels, over {MOST_PANELS}"

@@ -22,6 +22,7 @@ from nw_eval.files.inside import OutsideError, inside, what_is
 from nw_eval.plural import plural
 from nw_eval.results.evidence import Digests, log_sha256, read_digests, row_leaves, run_leaf
 from nw_eval.results.journal import read_journal
+from nw_eval.results.log_links import is_own_link, linked_name
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import COLUMNS, Row, rows_digest, texts_of
 from nw_eval.results.run_folder import RunFolder
@@ -449,13 +450,28 @@ def _unnamed_logs(folder: RunFolder, rows: Iterable[Row]) -> Iterator[str]:
     Where a trial ended in an error, its worker may have left a log that it could not speak of.
     """
     named: set[str] = set()
+    taken: dict[str, str] = {}
     for row in rows:
         named.add(row.mcap_path)
+        if (link := linked_name(row)) is not None:
+            taken[link] = row.mcap_sha256
         if row.status == "error":
             named.add(folder.relative(folder.mcap(row.scene, row.trial_id)))
     for log in sorted(folder.logs.rglob("*.mcap")):
-        if (name := folder.relative(log)) not in named:
+        if (name := folder.relative(log)) in named:
+            continue
+        if name not in taken or not _is_taken_over(log, name, taken[name]):
             yield name
+
+
+def _is_taken_over(log: Path, name: str, digest: str) -> bool:
+    """Return whether a log is that of a trial that was taken over: its link, or a copy through it.
+
+    What the link leads to is compared as the log of its row.
+    """
+    if log.is_symlink():
+        return is_own_link(log, name)
+    return what_is(log) == "file" and log_sha256(log) == digest != ""
 
 
 def lost_logs(rows: Iterable[Row]) -> list[str]:

@@ -32,6 +32,7 @@ from nw_eval.results.bank import Against
 from nw_eval.results.ended import PlannedTrial, write_gathered
 from nw_eval.results.evidence import Gathered
 from nw_eval.results.journal import JournalHeader, write_journal
+from nw_eval.results.log_links import link_logs
 from nw_eval.results.provenance import (
     CacheInfo,
     PartInfo,
@@ -418,6 +419,7 @@ def _fill(
     write_journal(folder.journal, JournalHeader.of_run(info), gathered.passing(texts_of(rows)))
     ended = write_gathered(folder, info, gathered)
     write_run_info(folder.run_json, ended)
+    link_logs(folder.path, rows)
     return ended, lost
 
 

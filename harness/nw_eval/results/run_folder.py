@@ -12,6 +12,7 @@ from pathlib import Path, PurePosixPath
 
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.inside import OutsideError, inside, what_is
+from nw_eval.results.log_links import is_own_link
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,20 +141,6 @@ class RunFolder:
         return path.relative_to(self.path).as_posix()
 
 
-def taken_over_log(log: Path) -> Path:
-    """Return where the log of a trial lies that is named as RUN/mcap/SCENE/TRIAL.mcap.
-
-    That of a trial that was reused from an earlier run lies in `RunFolder.cached`. A path is
-    returned as it is where a file is there, or none is in either place.
-    """
-    for place in range(len(log.parts) - 2, 0, -1):
-        if log.parts[place] == "mcap" and what_is(log) == "nothing":
-            beside = Path(*log.parts[:place], "cached", *log.parts[place + 1 :])
-            if what_is(beside) == "file":
-                return beside
-    return log
-
-
 def create_run_folder(
     root: Path,
     *,
@@ -230,8 +217,10 @@ def check_plain(folder: RunFolder) -> None:
     try:
         for path, facts in _read_files(folder):
             fault, name = "", folder.relative(path)
-            if not stat.S_ISREG(facts.st_mode):
-                kind = "a symbolic link" if stat.S_ISLNK(facts.st_mode) else "no plain file"
+            is_link = stat.S_ISLNK(facts.st_mode)
+            # What a link of ours leads to is among the files; whose row has it, digests say.
+            if not stat.S_ISREG(facts.st_mode) and not (is_link and is_own_link(path, name)):
+                kind = "a symbolic link" if is_link else "no plain file"
                 fault = f"{name} is {kind}"
             elif facts.st_nlink > 1 and path.suffix != ".mcap":
                 fault = f"{name} is a hard link: the file has another name, too"

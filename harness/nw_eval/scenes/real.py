@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from types import MappingProxyType
 from urllib.error import URLError
@@ -148,6 +149,8 @@ def fetched_scan(
     name, place = reference.removeprefix(REAL), _place_of(reference, scan)
     found = kept(place, scan.commit)
     if found is not None:
+        if file is not None:
+            _check_known(reference, scan, sha256(_given(file, scan)).hexdigest(), str(file))
         return found
     origin = scan.address if address is None else address
 
@@ -156,12 +159,7 @@ def fetched_scan(
         source.write_bytes(
             _downloaded(reference, scan, origin) if file is None else _given(file, scan)
         )
-        if digest_of(source) != scan.sha256:
-            raise SceneError(
-                f"{reference}: {file or origin} is not the file that is known: its SHA-256 is "
-                f"{digest_of(source)}, not {scan.sha256}",
-                fix="fetch it again, or give the file of commit " + scan.commit[:12],
-            )
+        _check_known(reference, scan, digest_of(source), str(file or origin))
         found = read_elevation(source, cell=scan.cell, white=scan.white, black=scan.black)
         vertices, faces = elevation_mesh(found)
         (folder / "collision.ply").write_bytes(_ply(vertices, faces))
@@ -180,6 +178,20 @@ def fetched_scan(
             f"{reference} cannot be kept: {error.strerror or error}",
             fix="free space, or set NW_EVAL_CACHE to a folder that can be written",
         ) from error
+
+
+def _check_known(reference: str, scan: RealScan, digest: str, origin: str) -> None:
+    """Refuse another file than the one that is known.
+
+    Raises:
+        SceneError: its digest is another one.
+    """
+    if digest != scan.sha256:
+        raise SceneError(
+            f"{reference}: {origin} is not the file that is known: its SHA-256 is {digest}, not "
+            f"{scan.sha256}",
+            fix="fetch it again, or give the file of commit " + scan.commit[:12],
+        )
 
 
 def _given(file: Path, scan: RealScan) -> bytes:

@@ -37,7 +37,7 @@ def package(name: str) -> Any:
             ) from error
         raise PrerequisiteError(
             f"a twin needs the package {name.partition('.')[0]}: {error}",
-            fix="pip install nw-eval[twin]",
+            fix="pip install 'nw-eval[twin]'",
         ) from error
 
 

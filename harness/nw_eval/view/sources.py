@@ -13,7 +13,8 @@ from typing import Literal
 from nw_eval.catalogue import is_built_in
 from nw_eval.errors import NwEvalError, UsageError
 from nw_eval.files.inside import what_is
-from nw_eval.results.run_folder import RunFolder, open_run_folder, taken_over_log
+from nw_eval.results.log_links import taken_over_log
+from nw_eval.results.run_folder import RunFolder, open_run_folder
 from nw_eval.scenes.folder import SCENE_FILE
 from nw_eval.view.trace import Trace, read_trace
 from nw_eval.viewing.browser import SplatPoints
@@ -165,7 +166,8 @@ def _logs(source: Path) -> dict[str, Path]:
     if not source.exists():
         raise UsageError(f"there is nothing at {source}", fix="name a log or a run's folder")
     folder: RunFolder = open_run_folder(source)
-    found = [path for place in (folder.logs, folder.cached) for path in place.rglob("*.mcap")]
+    paths = (path for place in (folder.logs, folder.cached) for path in place.rglob("*.mcap"))
+    found = [path for path in paths if what_is(path) == "file"]
     if not found:
         raise UsageError(f"{source} has no logs", fix="name a run that wrote some")
     return {path.stem: path for path in sorted(found, key=lambda path: path.stem)}

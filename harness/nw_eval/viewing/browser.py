@@ -130,7 +130,7 @@ def _viser() -> Any:
         return import_module("viser")
     except ImportError as error:
         raise PrerequisiteError(
-            f"the page needs the package viser: {error}", fix="pip install nw-eval[view]"
+            f"the page needs the package viser: {error}", fix="pip install 'nw-eval[view]'"
         ) from error
 
 

@@ -126,7 +126,7 @@ def test_what_was_forged_with_all_its_sums_is_found_by_running_it_again(run):
     }
     forge(run, rows=rows)
     run.mcap("flat/carpet_room", THIRD).unlink()
-    verified = api.verify(run.path, sample="100%", seed=1, policy="stand", workers=1)
+    verified = api.verify(run.path, trials="100%", seed=1, policy="stand", workers=1)
     assert verified.repeats.seed == 1
     assert [each.what for each in verified.files.findings] == ["missing"], "the third's log"
     first, second, third = verified.repeats.trials

@@ -249,7 +249,7 @@ def test_what_is_no_run_no_sample_and_no_root_is_refused(run, tmp_path):
     with pytest.raises(UsageError, match="not the folder of a run"):
         api.verify(tmp_path)
     with pytest.raises(UsageError, match="no share of the trials"):
-        api.verify(run.path, sample="0%")
+        api.verify(run.path, trials="0%")
     with pytest.raises(UsageError, match="64 hex digits"):
         api.verify(run.path, root="abc")
     run.write_info(suite_digest="ab" * 32)

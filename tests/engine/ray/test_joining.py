@@ -11,7 +11,7 @@ from nw_eval.errors import PrerequisiteError, UsageError
 
 def test_without_ray_the_extra_is_named(tiny, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(PrerequisiteError, match=r'pip install "nw-eval\[ray\]"'):
+    with pytest.raises(PrerequisiteError, match=r"pip install 'nw-eval\[ray\]'"):
         api.run(tiny, engine="ray", out=tmp_path / "run")
     assert not (tmp_path / "run").exists()
 

@@ -10,11 +10,11 @@ from nw_eval.gate.baseline.match import drawn_order
 from nw_eval.results.bank import (
     Against,
     BankPolicy,
+    BaselineResults,
     ControlArm,
     Manifest,
     Panel,
     PanelInfo,
-    SavedBank,
     Start,
     key_of,
     machine_of,
@@ -100,10 +100,12 @@ def make_run() -> Callable[..., RunInfo]:
 
 
 @pytest.fixture
-def make_bank() -> Callable[..., SavedBank]:
+def make_bank() -> Callable[..., BaselineResults]:
     """A bank that holds for a run, from the baseline's successes on every start of each scene."""
 
-    def make(run: RunInfo, scores: Scores, *, outcome: str = "fell", **changes: Any) -> SavedBank:
+    def make(
+        run: RunInfo, scores: Scores, *, outcome: str = "fell", **changes: Any
+    ) -> BaselineResults:
         starts = tuple(
             Start(
                 scene=stratum_of(name)[0],
@@ -140,7 +142,7 @@ def make_bank() -> Callable[..., SavedBank]:
         }
         manifest = Manifest(**{**facts, **changes})
         panels = tuple(Panel(machine=info.machine, starts=starts) for info in manifest.panels)
-        return SavedBank(manifest=manifest, panels=panels)
+        return BaselineResults(manifest=manifest, panels=panels)
 
     return make
 
@@ -191,7 +193,7 @@ def drawn(run: RunInfo, scores: Visits, first: int | None = None) -> list[Row]:
 def make_against() -> Callable[..., Against]:
     """A bank as runs are compared with it."""
 
-    def make(bank: SavedBank, control: ControlArm | None = None) -> Against:
+    def make(bank: BaselineResults, control: ControlArm | None = None) -> Against:
         info = BaselineInfo(name=bank.manifest.name, path="shipped.parquet", sha256="5a" * 32)
         return Against(info=info, bank=bank, content=b"", control=control)
 
@@ -202,7 +204,9 @@ def make_against() -> Callable[..., Against]:
 def make_control() -> Callable[..., ControlArm]:
     """Trials of a bank's own policy beside a candidate; arguments as for `drawn`."""
 
-    def make(run: RunInfo, bank: SavedBank, scores: Visits, first: int | None = None) -> ControlArm:
+    def make(
+        run: RunInfo, bank: BaselineResults, scores: Visits, first: int | None = None
+    ) -> ControlArm:
         own = bank.manifest.policy
         policy = PolicyInfo(
             name=own.name, card_digest=own.card_digest, checkpoint_digest=own.checkpoint_digest

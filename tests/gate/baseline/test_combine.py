@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from nw_eval.gate.verdict import Comparison, Verdict
-    from nw_eval.results.bank import SavedBank
+    from nw_eval.results.bank import BaselineResults
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
 
@@ -104,7 +104,7 @@ def of_the_baseline_itself(make_run: Make, *, ran: float, **changes: Any) -> tup
     return run, Gate(success_rate=ran)
 
 
-def in_bits(rows: list[Row], bank: SavedBank) -> SavedBank:
+def in_bits(rows: list[Row], bank: BaselineResults) -> BaselineResults:
     """Return a bank that has the bits of some rows at their starts."""
     ways = {(row.scene, row.seed_index): trajectory(row) for row in rows}
     starts = tuple(
@@ -118,7 +118,7 @@ def in_bits(rows: list[Row], bank: SavedBank) -> SavedBank:
 def judged_by(make_against: Make) -> Make:
     """The verdict on rows against a bank."""
 
-    def judged(bank: SavedBank, rows: list[Row], run: RunInfo, gate: Gate) -> Verdict:
+    def judged(bank: BaselineResults, rows: list[Row], run: RunInfo, gate: Gate) -> Verdict:
         return judge_run(rows, run, gate, make_against(bank))
 
     return judged

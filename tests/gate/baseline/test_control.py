@@ -21,7 +21,7 @@ from nw_eval.suite.model import Validity
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.results.bank import Against, ControlArm, SavedBank
+    from nw_eval.results.bank import Against, BaselineResults, ControlArm
     from nw_eval.results.provenance import RunInfo
 
     Make = Callable[..., Any]
@@ -33,13 +33,13 @@ LOW = dict.fromkeys(SCENES, [1.0, 0.5] * 30)
 
 
 @pytest.fixture
-def bank(make_run: Make, make_bank: Make) -> SavedBank:
+def bank(make_run: Make, make_bank: Make) -> BaselineResults:
     """A baseline that was perfect on the machine that it was saved on."""
     return make_bank(make_run(SCENES, 20, drawn_from=60), dict.fromkeys(SCENES, [1.0] * 60))
 
 
 @pytest.fixture
-def run(make_run: Make, bank: SavedBank, make_against: Make) -> RunInfo:
+def run(make_run: Make, bank: BaselineResults, make_against: Make) -> RunInfo:
     """A run on another class of machine, on which the baseline's policy has shown other bits."""
     here = make_run(SCENES, 20, drawn_from=60)
     info = make_against(bank).info.model_copy(update={"checked": "control"})
@@ -48,7 +48,7 @@ def run(make_run: Make, bank: SavedBank, make_against: Make) -> RunInfo:
 
 
 @pytest.fixture
-def beside(run: RunInfo, bank: SavedBank, make_against: Make, make_control: Make) -> Make:
+def beside(run: RunInfo, bank: BaselineResults, make_against: Make, make_control: Make) -> Make:
     """The baseline as the run is compared with it, by what its policy scores there."""
 
     def make(scores: Any, first: int | None = None) -> Against:
@@ -58,7 +58,7 @@ def beside(run: RunInfo, bank: SavedBank, make_against: Make, make_control: Make
 
 
 def test_an_equal_policy_where_both_drifted_is_not_regressed_though_the_bank_would_convict_it(
-    run: RunInfo, bank: SavedBank, beside: Make, drawn_rows: Make, make_against: Make
+    run: RunInfo, bank: BaselineResults, beside: Make, drawn_rows: Make, make_against: Make
 ) -> None:
     rows = drawn_rows(run, LOW)
     info = make_against(bank).info.model_copy(update={"checked": "bits"})
@@ -139,7 +139,7 @@ def test_trials_of_the_control_that_are_missing_hold_the_ruling_back(
 
 
 def test_without_a_control_s_trials_nothing_is_ruled(
-    run: RunInfo, bank: SavedBank, drawn_rows: Make, make_against: Make, beside: Make
+    run: RunInfo, bank: BaselineResults, drawn_rows: Make, make_against: Make, beside: Make
 ) -> None:
     rows = drawn_rows(run, dict.fromkeys(SCENES, 0.0))
     for against in (make_against(bank), beside(PERFECT, first=0)):
@@ -194,7 +194,12 @@ def test_a_trial_that_left_the_captured_volume_is_no_pair(
 
 @pytest.mark.parametrize("arm", ["candidate", "control", "both"])
 def test_where_one_arm_left_the_captured_volume_the_pair_is_in_no_mean_and_the_other_arm_is_known(
-    arm: str, run: RunInfo, bank: SavedBank, beside: Make, drawn_rows: Make, make_against: Make
+    arm: str,
+    run: RunInfo,
+    bank: BaselineResults,
+    beside: Make,
+    drawn_rows: Make,
+    make_against: Make,
 ) -> None:
     rows, control = drawn_rows(run, {**PERFECT, "b": [0.5] * 60}), beside(PERFECT).control
     scene = rows[0].scene
@@ -257,7 +262,7 @@ def test_a_claim_about_the_panel_alone_has_no_control(
 
 
 def test_rows_of_a_candidate_are_no_control(
-    run: RunInfo, bank: SavedBank, beside: Make, make_against: Make
+    run: RunInfo, bank: BaselineResults, beside: Make, make_against: Make
 ) -> None:
     control: ControlArm | None = beside(PERFECT).control
     assert control is not None
@@ -270,7 +275,7 @@ def test_rows_of_a_candidate_are_no_control(
 
 
 def test_the_same_bits_with_another_result_contradict_a_bank_and_other_bits_do_not(
-    bank: SavedBank, beside: Make
+    bank: BaselineResults, beside: Make
 ) -> None:
     control: ControlArm | None = beside(dict.fromkeys(SCENES, 0.5), first=4).control
     assert control is not None

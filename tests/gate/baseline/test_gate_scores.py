@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from nw_eval.gate.baseline.combine import judge_run
-from nw_eval.results.bank import Against, SavedBank
+from nw_eval.results.bank import Against, BaselineResults
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.scores import specs_of
@@ -34,7 +34,7 @@ def with_scores(
     ]
 
 
-def bank_with(bank: SavedBank, **values: float) -> SavedBank:
+def bank_with(bank: BaselineResults, **values: float) -> BaselineResults:
     panels = tuple(
         replace(
             panel,
@@ -43,7 +43,7 @@ def bank_with(bank: SavedBank, **values: float) -> SavedBank:
         for panel in bank.panels
     )
     manifest = bank.manifest.model_copy(update={"scores": tuple(values)})
-    return SavedBank(manifest=manifest, panels=panels)
+    return BaselineResults(manifest=manifest, panels=panels)
 
 
 @pytest.fixture

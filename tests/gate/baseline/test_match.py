@@ -14,7 +14,7 @@ from nw_eval.results.provenance import SceneInfo
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.results.bank import SavedBank
+    from nw_eval.results.bank import BaselineResults
     from nw_eval.results.provenance import RunInfo
 
     Make = Callable[..., Any]
@@ -31,11 +31,11 @@ def run(make_run: Make) -> RunInfo:
 
 
 @pytest.fixture
-def bank(run: RunInfo, make_bank: Make) -> SavedBank:
+def bank(run: RunInfo, make_bank: Make) -> BaselineResults:
     return make_bank(run, {"a": [1.0] * 30, "b": [1.0] * 30})
 
 
-def refusal(run: RunInfo, bank: SavedBank) -> str:
+def refusal(run: RunInfo, bank: BaselineResults) -> str:
     with pytest.raises(IncomparableError) as caught:
         check_match(run, bank)
     assert caught.value.exit_code == 5
@@ -47,7 +47,7 @@ def refusal(run: RunInfo, bank: SavedBank) -> str:
     return message.removeprefix(prefix).removesuffix(RENEW)
 
 
-def test_a_bank_of_the_same_world_matches(run: RunInfo, bank: SavedBank) -> None:
+def test_a_bank_of_the_same_world_matches(run: RunInfo, bank: BaselineResults) -> None:
     check_match(run, bank)
     # The class of machine is no part of it, nor are the number of trials and the gate.
     elsewhere = {**run.engine, "cpu": "haswell", "torch": "2.9", "code": "0" * 16}
@@ -63,7 +63,7 @@ def test_a_bank_of_the_same_world_matches(run: RunInfo, bank: SavedBank) -> None
     ],
 )
 def test_what_names_the_starts_is_named_with_both_values(
-    make_run: Make, bank: SavedBank, settings: dict[str, Any], words: str
+    make_run: Make, bank: BaselineResults, settings: dict[str, Any], words: str
 ) -> None:
     assert refusal(make_run(["a", "b"], 10, suite=settings), bank) == words
 
@@ -83,7 +83,7 @@ def test_what_names_the_starts_is_named_with_both_values(
     ],
 )
 def test_of_a_suite_of_which_a_bank_knows_the_digest_only_what_can_be_told_is_told(
-    make_run: Make, bank: SavedBank, settings: dict[str, Any], words: str
+    make_run: Make, bank: BaselineResults, settings: dict[str, Any], words: str
 ) -> None:
     run = make_run(["a", "b"], 10, suite=settings)
     digests = f"{run.suite_digest[:8]}, the baseline's {bank.manifest.key.suite_digest[:8]}"
@@ -92,7 +92,7 @@ def test_of_a_suite_of_which_a_bank_knows_the_digest_only_what_can_be_told_is_to
 
 @pytest.mark.parametrize("name", ["mujoco", "embreex", "renderer"])
 def test_another_version_of_the_simulator_is_another_world(
-    run: RunInfo, bank: SavedBank, name: str
+    run: RunInfo, bank: BaselineResults, name: str
 ) -> None:
     newer = run.model_copy(update={"engine": {**run.engine, name: "9.9"}})
     assert refusal(newer, bank) == f"its {name} is 9.9, the baseline's {run.engine[name]}"
@@ -103,7 +103,7 @@ def test_another_version_of_the_simulator_is_another_world(
 
 
 def test_scenes_are_named_that_are_in_one_and_not_in_the_other_or_have_changed(
-    run: RunInfo, bank: SavedBank, make_run: Make
+    run: RunInfo, bank: BaselineResults, make_run: Make
 ) -> None:
     assert refusal(make_run(["a", "b", "c"], 10), bank) == "scene c is not in the baseline"
     fewer = make_run(["a"], 10)
@@ -115,13 +115,13 @@ def test_scenes_are_named_that_are_in_one_and_not_in_the_other_or_have_changed(
 
 
 def test_a_run_that_was_asked_for_some_scenes_is_compared_in_those(
-    make_run: Make, bank: SavedBank
+    make_run: Make, bank: BaselineResults
 ) -> None:
     run = make_run(["a"], 10, request=Request(suite="hurdles", scenes=("a",)))
     check_match(run, bank)
 
 
-def test_every_fault_is_told_at_once(make_run: Make, bank: SavedBank) -> None:
+def test_every_fault_is_told_at_once(make_run: Make, bank: BaselineResults) -> None:
     run = make_run(["a", "c"], 10, suite={"seed": 5}, engine={})
     words = refusal(run, bank)
     for part in ("seed is 5", "scene c is not", "scene b is in the baseline", "mujoco is none"):
@@ -129,7 +129,7 @@ def test_every_fault_is_told_at_once(make_run: Make, bank: SavedBank) -> None:
 
 
 def test_fresh_starts_are_of_another_seed_and_of_no_other_difference(
-    make_run: Make, bank: SavedBank
+    make_run: Make, bank: BaselineResults
 ) -> None:
     check_match(make_run(["a", "b"], 10, panel="fresh", suite={"seed": 5}), bank)
     same = refusal(make_run(["a", "b"], 10, panel="fresh"), bank)
@@ -157,7 +157,7 @@ def test_the_command_names_the_suite_and_the_policy_as_they_can_be_typed_here(
 
 @pytest.mark.parametrize("whose", [f"leaning 1.1 {'a' * 64}", f"leaning 1.0 {'b' * 64}"])
 def test_a_score_of_another_version_or_code_than_the_baselines_is_not_compared(
-    run: RunInfo, bank: SavedBank, whose: str
+    run: RunInfo, bank: BaselineResults, whose: str
 ) -> None:
     before = run.model_copy(update={"plugins": {"scores.lean": f"leaning 1.0 {'a' * 64}"}})
     manifest = bank.manifest.model_copy(update={"key": key_of(before), "scores": ("lean",)})

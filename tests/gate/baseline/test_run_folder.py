@@ -24,7 +24,7 @@ from nw_eval.results.run_folder import RunFolder
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from nw_eval.results.bank import SavedBank
+    from nw_eval.results.bank import BaselineResults
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
 
@@ -55,7 +55,7 @@ def write_run(run: RunInfo, rows: Iterable[Row]) -> str:
     return "run"
 
 
-def keep(bank: SavedBank, path: Path = BANK) -> None:
+def keep(bank: BaselineResults, path: Path = BANK) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bank(path, bank)
 
@@ -71,7 +71,7 @@ def run(make_run: Make) -> RunInfo:
 
 
 @pytest.fixture
-def bank(run: RunInfo, make_bank: Make) -> SavedBank:
+def bank(run: RunInfo, make_bank: Make) -> BaselineResults:
     return make_bank(run, {"a": [1.0] * 60, "b": [1.0] * 60, "c": [0.5, 1.0] * 30, "d": [1.0] * 60})
 
 
@@ -87,7 +87,7 @@ def gate(*words: str) -> int:
 
 
 def test_rows_that_exist_are_judged_against_a_bank_and_a_page_is_written_where_asked_for(
-    run: RunInfo, bank: SavedBank, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
+    run: RunInfo, bank: BaselineResults, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
     keep(bank)
     folder = write_run(run, drawn_rows(run, like()))
@@ -100,7 +100,7 @@ def test_rows_that_exist_are_judged_against_a_bank_and_a_page_is_written_where_a
 
 
 def test_a_drop_regresses_and_names_the_scene(
-    run: RunInfo, bank: SavedBank, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
+    run: RunInfo, bank: BaselineResults, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
     keep(bank)
     folder = write_run(run, drawn_rows(run, like(low=0.25)))
@@ -167,7 +167,7 @@ def test_the_bank_that_a_suite_names_is_the_default(
 
 
 def test_a_report_shows_the_verdict_against_the_bank_that_the_run_was_begun_with(
-    run: RunInfo, bank: SavedBank, drawn_rows: Make, make_bank: Make
+    run: RunInfo, bank: BaselineResults, drawn_rows: Make, make_bank: Make
 ) -> None:
     keep(bank)
     content = BANK.read_bytes()
@@ -195,7 +195,7 @@ def test_a_report_shows_the_verdict_against_the_bank_that_the_run_was_begun_with
 
 
 def test_a_bank_that_its_own_policy_contradicted_makes_a_run_invalid(
-    run: RunInfo, bank: SavedBank, drawn_rows: Make
+    run: RunInfo, bank: BaselineResults, drawn_rows: Make
 ) -> None:
     keep(bank)
     digest = sha256(BANK.read_bytes()).hexdigest()
@@ -238,7 +238,7 @@ def test_a_short_run_shows_the_scenes_that_it_has_not_met(
 
 
 def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused_in_a_sentence(
-    run: RunInfo, bank: SavedBank, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
+    run: RunInfo, bank: BaselineResults, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
     keep(bank)
     folder = write_run(run, drawn_rows(run, like()))
@@ -257,7 +257,7 @@ def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused_in_a_sentenc
 @pytest.mark.parametrize("rounds", [3, 20])
 def test_a_run_on_fresh_starts_that_an_older_nw_eval_ended_early_is_refused_in_a_sentence(
     rounds: int,
-    bank: SavedBank,
+    bank: BaselineResults,
     make_run: Make,
     run_rows: Make,
     capsys: pytest.CaptureFixture[str],
@@ -286,7 +286,7 @@ def test_a_run_on_fresh_starts_that_an_older_nw_eval_ended_early_is_refused_in_a
 
 
 def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(
-    run: RunInfo, bank: SavedBank, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
+    run: RunInfo, bank: BaselineResults, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
     key = bank.manifest.key
     newer = key.model_copy(update={"simulator": {**key.simulator, "mujoco": "9.9"}})
@@ -302,7 +302,7 @@ def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(
 
 
 def test_damaged_rows_and_rows_that_are_none_are_named(
-    run: RunInfo, bank: SavedBank, drawn_rows: Make
+    run: RunInfo, bank: BaselineResults, drawn_rows: Make
 ) -> None:
     keep(bank)
     folder = write_run(run, drawn_rows(run, like()))
@@ -316,7 +316,7 @@ def test_damaged_rows_and_rows_that_are_none_are_named(
         api.judge(folder, baseline="shipped")
 
 
-def test_judging_needs_no_simulator(run: RunInfo, bank: SavedBank, drawn_rows: Make) -> None:
+def test_judging_needs_no_simulator(run: RunInfo, bank: BaselineResults, drawn_rows: Make) -> None:
     keep(bank)
     folder = write_run(run, drawn_rows(run, like()))
     code = (

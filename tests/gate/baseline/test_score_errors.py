@@ -12,7 +12,7 @@ import pytest
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.judge import compare
 from nw_eval.gate.baseline.scores import with_scores
-from nw_eval.results.bank import SavedBank
+from nw_eval.results.bank import BaselineResults
 from nw_eval.scores import specs_of
 from nw_eval.suite.model import Gate
 
@@ -88,7 +88,7 @@ def gates(make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make)
                 replace(start, scores=tuple(zip(NAMES, each, strict=True)))
                 for start, each in zip(starts, before.tolist(), strict=True)
             )
-            bank = SavedBank(
+            bank = BaselineResults(
                 manifest=plain.manifest.model_copy(update={"scores": NAMES}),
                 panels=(replace(plain.panels[0], starts=scored),),
             )

@@ -463,6 +463,23 @@ def test_the_json_of_muwanx_gives_terms_gains_and_order_and_says_what_it_leaves(
         assert note in text
 
 
+@pytest.mark.parametrize("key", [True, False, None])
+def test_where_muwanx_says_no_pose_that_joints_count_from_the_card_marks_it_to_be_checked(
+    card_of, key
+):
+    term = {"name": "JointPositions", "history_steps": 3}
+    term |= {} if key is None else {"subtract_default": key}
+    config = {group: list(terms) for group, terms in MUWANX["obs_config"].items()}
+    for terms in config.values():
+        terms[:] = [term if each["name"] == "JointPositions" else each for each in terms]
+    said = json.dumps({**MUWANX, "obs_config": config})
+    text, card = card_of({"obs": 3 * 30, "command": 7}, {"walk.json": said}, name="walk.onnx")
+    joint_pos = card.observations["obs"].frame_terms[2]
+    assert joint_pos.relative is (key is not False)
+    checks = [line for line in text.splitlines() if "CHECK" in line and "subtract_default" in line]
+    assert len(checks) == (key is None)
+
+
 def test_the_card_of_a_policy_that_gives_torques_has_no_kp(card_of):
     said = json.dumps({**MUWANX, "control_type": "torque"})
     text, card = card_of(3 * 30, {"walk.json": said}, name="walk.onnx")

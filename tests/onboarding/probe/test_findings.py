@@ -7,8 +7,14 @@ import pytest
 
 from nw_eval.cards import Card
 from nw_eval.cards.networks import InputSpec
-from nw_eval.onboarding.probe.findings import Range, action_findings, input_findings
+from nw_eval.onboarding.probe.findings import (
+    Range,
+    action_findings,
+    card_findings,
+    input_findings,
+)
 from nw_eval.onboarding.probe.summary import Part
+from nw_eval.policies import load_bundle
 from nw_eval.robots import get_robot
 
 GO1 = get_robot("go1")
@@ -120,3 +126,24 @@ def test_who_is_told_nothing_and_does_not_go_on_lacks_a_term(
     (finding,) = input_findings(card, [zeros], walked(travelled=travelled))
     assert finding.kind == kind
     assert said in finding.text
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("hurdels/*", "`trained_on`: 'hurdels/*' names no built-in scene, and marks none as"),
+        ("!gaps/none", "'!gaps/none' names no built-in scene"),
+        ("hurdles/one_low_carpt", "did you mean 'hurdles/one_low_carpet'?"),
+        ("split:test", "'split:test' names no built-in scene"),
+        ("hurdles/*", ""),
+        ("split:train", ""),
+        ("hurdles/one_low_carpet~3", ""),
+        ("./my-scene", ""),
+        ("hub:lab/corridor", ""),
+    ],
+)
+def test_a_name_in_trained_on_that_is_of_no_scene_is_noted(words, said):
+    card = load_bundle("stand").card.model_copy(update={"trained_on": (words,)})
+    found = list(card_findings(card))
+    assert [each.kind for each in found] == ["note"] * bool(said)
+    assert all(said in each.text for each in found)

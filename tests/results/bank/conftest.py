@@ -4,7 +4,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from nw_eval.results.bank import BankKey, BankPolicy, Manifest, Panel, PanelInfo, SavedBank, Start
+from nw_eval.results.bank import (
+    BankKey,
+    BankPolicy,
+    BaselineResults,
+    Manifest,
+    Panel,
+    PanelInfo,
+    Start,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -13,7 +21,7 @@ LAPTOP, RUNNER = {"cpu": "znver4 1f0c77a2"}, {"cpu": "haswell 00112233"}
 
 
 @pytest.fixture
-def make_bank() -> Callable[..., SavedBank]:
+def make_bank() -> Callable[..., BaselineResults]:
     """A bank of scenes by starts, of which every fourth fell, on one or two classes of machine."""
     return _bank
 
@@ -26,7 +34,7 @@ def _bank(
     machines: tuple[dict[str, str], ...] = (LAPTOP,),
     cells: tuple[tuple[tuple[str, float], ...], ...] = ((),),
     note: str = "",
-) -> SavedBank:
+) -> BaselineResults:
     names = [f"hurdles/place_{number:02}" for number in range(scenes)]
     panel = tuple(
         Start(
@@ -67,4 +75,4 @@ def _bank(
         ),
     )
     panels = tuple(Panel(machine=machine, starts=panel) for machine in machines)
-    return SavedBank(manifest=manifest, panels=panels)
+    return BaselineResults(manifest=manifest, panels=panels)

@@ -13,22 +13,22 @@ from nw_eval.results.bank import bank_change, bank_mean
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.results.bank import SavedBank, Start
+    from nw_eval.results.bank import BaselineResults, Start
 
 HERE, THERE = {"cpu": "znver4"}, {"cpu": "haswell"}
 
 
-def with_starts(bank: SavedBank, change: Callable[[Start], Start]) -> SavedBank:
+def with_starts(bank: BaselineResults, change: Callable[[Start], Start]) -> BaselineResults:
     panels = [replace(panel, starts=tuple(map(change, panel.starts))) for panel in bank.panels]
     return replace(bank, panels=tuple(panels))
 
 
-def with_key(bank: SavedBank, **changes: Any) -> SavedBank:
+def with_key(bank: BaselineResults, **changes: Any) -> BaselineResults:
     key = bank.manifest.key.model_copy(update=changes)
     return replace(bank, manifest=bank.manifest.model_copy(update={"key": key}))
 
 
-def with_checkpoint(bank: SavedBank) -> SavedBank:
+def with_checkpoint(bank: BaselineResults) -> BaselineResults:
     policy = bank.manifest.policy.model_copy(update={"checkpoint_digest": "ee" * 32})
     return replace(bank, manifest=bank.manifest.model_copy(update={"policy": policy}))
 
@@ -42,7 +42,7 @@ def falls_at_three(start: Start) -> Start:
     return replace(start, trajectory="e" * 16, success=0.5, completed=False, outcome="fell")
 
 
-def test_a_bank_does_not_differ_from_itself(make_bank: Callable[..., SavedBank]) -> None:
+def test_a_bank_does_not_differ_from_itself(make_bank: Callable[..., BaselineResults]) -> None:
     change = bank_change(make_bank(), make_bank())
     assert change.fields == change.machine == ()
     assert all(scene.then == scene.now and not scene.moved for scene in change.scenes)
@@ -50,7 +50,7 @@ def test_a_bank_does_not_differ_from_itself(make_bank: Callable[..., SavedBank])
 
 
 def test_scenes_say_which_starts_went_another_way_and_which_ended_otherwise(
-    make_bank: Callable[..., SavedBank],
+    make_bank: Callable[..., BaselineResults],
 ) -> None:
     change = bank_change(make_bank(), with_starts(make_bank(), falls_at_three))
     first, second = change.scenes
@@ -65,7 +65,7 @@ def test_scenes_say_which_starts_went_another_way_and_which_ended_otherwise(
 
 
 def test_what_a_policy_that_failed_by_itself_reached_is_no_success(
-    make_bank: Callable[..., SavedBank],
+    make_bank: Callable[..., BaselineResults],
 ) -> None:
     def fails(start: Start) -> Start:
         return replace(start, outcome="policy_failed", success=0.5, completed=False)
@@ -97,14 +97,14 @@ def test_what_a_policy_that_failed_by_itself_reached_is_no_success(
     ],
 )
 def test_each_field_of_the_key_that_differs_is_a_line(
-    make_bank: Callable[..., SavedBank], changes: dict[str, Any], lines: list[str]
+    make_bank: Callable[..., BaselineResults], changes: dict[str, Any], lines: list[str]
 ) -> None:
     page = change_page(bank_change(make_bank(), with_key(make_bank(), **changes)))
     assert page.splitlines()[: len(lines)] == lines
 
 
 def test_a_change_of_the_simulator_is_never_charged_to_a_checkpoint(
-    make_bank: Callable[..., SavedBank],
+    make_bank: Callable[..., BaselineResults],
 ) -> None:
     moved = with_starts(make_bank(), falls_at_three)
     simulator = with_key(moved, simulator={"mujoco": "4.1.0", "renderer": "cpu gsplat-1.5"})
@@ -120,7 +120,7 @@ def test_a_change_of_the_simulator_is_never_charged_to_a_checkpoint(
 
 
 def test_panels_of_the_class_of_machine_that_both_have_are_compared(
-    make_bank: Callable[..., SavedBank],
+    make_bank: Callable[..., BaselineResults],
 ) -> None:
     both = make_bank(machines=(HERE, THERE))
     moved = with_starts(make_bank(machines=(THERE,)), falls_at_three)
@@ -132,7 +132,7 @@ def test_panels_of_the_class_of_machine_that_both_have_are_compared(
 
 
 def test_another_number_of_starts_is_a_change_of_the_suite(
-    make_bank: Callable[..., SavedBank],
+    make_bank: Callable[..., BaselineResults],
 ) -> None:
     change = bank_change(make_bank(starts=4), make_bank(starts=6))
     (field,) = change.fields

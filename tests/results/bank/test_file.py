@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from nw_eval.results.bank import SavedBank
+    from nw_eval.results.bank import BaselineResults
 
 MACHINES = ({"cpu": "znver4"}, {"cpu": "haswell", "torch": "2.6"})
 
 
-def reread(path: Path) -> SavedBank:
+def reread(path: Path) -> BaselineResults:
     """As `read_bank`, in this process: it takes no second."""
     return bank_of(small_table(path), path)
 
@@ -46,14 +46,14 @@ def rewritten(path: Path, change: Callable[[list[dict[str, Any]], dict[str, Any]
 
 
 @pytest.fixture
-def saved(tmp_path: Path, make_bank: Callable[..., SavedBank]) -> Path:
+def saved(tmp_path: Path, make_bank: Callable[..., BaselineResults]) -> Path:
     path = tmp_path / "shipped.parquet"
     write_bank(path, make_bank())
     return path
 
 
 def test_a_bank_comes_back_equal_with_panels_perturbations_and_note(
-    tmp_path: Path, make_bank: Callable[..., SavedBank]
+    tmp_path: Path, make_bank: Callable[..., BaselineResults]
 ) -> None:
     cells = ((("friction", 0.5),), (("friction", 1.0), ("payload", 2.0)))
     bank = make_bank(machines=MACHINES, cells=cells, note="before the new gait")
@@ -89,7 +89,7 @@ def test_a_bank_is_read_while_another_thread_changes_the_environment(saved: Path
 
 
 def test_equal_banks_give_equal_bytes_whatever_order_their_manifest_was_made_in(
-    tmp_path: Path, make_bank: Callable[..., SavedBank]
+    tmp_path: Path, make_bank: Callable[..., BaselineResults]
 ) -> None:
     bank = make_bank(machines=MACHINES)
     key = bank.manifest.key
@@ -104,7 +104,7 @@ def test_equal_banks_give_equal_bytes_whatever_order_their_manifest_was_made_in(
 
 
 def test_a_bank_of_sixteen_scenes_and_sixty_starts_is_small_enough_for_git(
-    tmp_path: Path, make_bank: Callable[..., SavedBank]
+    tmp_path: Path, make_bank: Callable[..., BaselineResults]
 ) -> None:
     write_bank(tmp_path / "shipped.parquet", make_bank(scenes=16, starts=60))
     trajectories = 16 * 60 * 8
@@ -154,7 +154,7 @@ def test_a_bank_that_contradicts_itself_is_not_compared_with(
 
 
 def test_panels_that_perturb_different_things_are_refused(
-    tmp_path: Path, make_bank: Callable[..., SavedBank]
+    tmp_path: Path, make_bank: Callable[..., BaselineResults]
 ) -> None:
     plain = make_bank(machines=MACHINES)
     other = make_bank(machines=MACHINES, cells=((("friction", 0.5),),))
@@ -227,7 +227,7 @@ def test_two_hundred_kinds_of_damage_are_each_refused(
 )
 def test_any_bank_comes_back_equal(
     tmp_path: Path,
-    make_bank: Callable[..., SavedBank],
+    make_bank: Callable[..., BaselineResults],
     scores: list[tuple[int, int]],
     outcome: str,
     text: str,

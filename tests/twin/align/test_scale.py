@@ -271,7 +271,7 @@ def test_photographs_say_where_they_were_taken(tmp_path):
 
 def test_a_missing_package_is_an_error_that_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pupil_apriltags", None)
-    with pytest.raises(PrerequisiteError, match=r"pip install nw-eval\[twin\]"):
+    with pytest.raises(PrerequisiteError, match=r"pip install 'nw-eval\[twin\]'"):
         find_tags(capture(np.zeros((1, 3)), []), tmp_path, "tag36h11", print)
 
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NoReturn, cast
 from nw_eval import __version__
 from nw_eval.cli.terminal.last_words import tell
 from nw_eval.cli.verbs.table import (
-    DOCS,
     EXAMPLES,
     EXIT_CODES,
     GROUPS,
@@ -18,6 +17,7 @@ from nw_eval.cli.verbs.table import (
     RENAMED,
     RENAMED_FLAGS,
     VERBS,
+    docs_line,
 )
 from nw_eval.errors import UsageError, nearest
 
@@ -88,13 +88,6 @@ def forms() -> Iterator[tuple[str, Any]]:
             yield " ".join(filter(None, (verb, part))), resolve(verb, part)
 
 
-def parsers() -> Iterator[tuple[str, Any]]:
-    """Yield each verb, in the order of the help text, with argparse's parser of its options."""
-    get_parser = resolve_name("tyro.extras:get_parser")  # Deprecated for parsing, not for reading.
-    for name, form in forms():
-        yield name, get_parser(form, prog=f"nw-eval {name}", config=_config())
-
-
 def program_page(description: str) -> str:
     """Return what `nw-eval --help` prints."""
     lines = ["usage: nw-eval COMMAND [options]", "", description, ""]
@@ -102,7 +95,7 @@ def program_page(description: str) -> str:
         lines += [f"{title}:", *(f"  {name:<12}{verb.line}" for name, verb in verbs.items()), ""]
     shown = [f"  {example}" for example in EXAMPLES]
     more = "`nw-eval COMMAND --help` says more of one, `nw-eval --version` the version."
-    return "\n".join([*lines, "Examples:", *shown, "", EXIT_CODES, "", more, f"Docs: {DOCS}"])
+    return "\n".join([*lines, "Examples:", *shown, "", EXIT_CODES, "", more, *docs_line()])
 
 
 def _family(verb: str, *, is_asked: bool) -> NoReturn:
@@ -206,7 +199,11 @@ def _refusal(
         flag = word.partition("=")[0].replace("_", "-")
         if flag not in flags:
             known = [each for each in flags if each.startswith("--")]
-            return _unknown(f"nw-eval {name} has no option {flag}", flag, known, f"nw-eval {name}")
+            # What was renamed in another verb is meant here, too, whatever looks more like it.
+            names_now = {each[flag] for each in RENAMED_FLAGS.values() if flag in each}
+            meant = sorted(names_now.intersection(known)) or [flag]
+            what = f"nw-eval {name} has no option {flag}"
+            return _unknown(what, meant[0], known, f"nw-eval {name}")
     if extra:
         takes = ", ".join(option.metavar for option in options if not option.flags) or "none"
         fix = f"its arguments: {takes}"

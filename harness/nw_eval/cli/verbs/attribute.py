@@ -16,8 +16,8 @@ from nw_eval.cli.verbs.options import AllowCode, Checkpoint, Workers
 from nw_eval.plural import plural
 
 if TYPE_CHECKING:
-    from nw_eval.api import BlamedTrial, BlamePlan, Blames
-    from nw_eval.rollout.replaying.reports import BlameReport
+    from nw_eval.api import AttributedTrial, Attribution, AttributionPlan
+    from nw_eval.rollout.replaying.reports import AttributionReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,28 +86,28 @@ class Attribute:
 
     def _since_when(self) -> int:
         from nw_eval import api
-        from nw_eval.api.blaming import AT_MOST
+        from nw_eval.api.attribution import AT_MOST
         from nw_eval.cli.terminal.last_words import tell
 
         if self.out is not None:
             self._check_out(self.out)
-        blames = api.blame(
+        attribution = api.attribute(
             self.run,
             baseline=self.baseline,
             policy=self.policy,
             checkpoint=self.checkpoint,
-            at_most=AT_MOST if self.trials is None else self.trials,
+            trials=AT_MOST if self.trials is None else self.trials,
             workers=self.workers,
             allow_code=self.allow_code,
             planned=lambda plan: tell(forecast_line(plan)),
             ended=lambda trial: tell(trial_line(trial)),
         )
-        print(blame_page(blames))
+        print(attribution_page(attribution))
         if self.out is not None:
             from nw_eval.files.cache import atomic_path, followed
 
             with atomic_path(followed(self.out)) as temporary:
-                temporary.write_text(written(blames, self.out.suffix), encoding="utf-8")
+                temporary.write_text(written(attribution, self.out.suffix), encoding="utf-8")
             print(self.out)
         return 0
 
@@ -130,7 +130,7 @@ _EVENTS = {
 _COLUMNS = ("trial", "ended", "at", "committed at", "before its end", "the baseline")
 
 
-def forecast_line(plan: BlamePlan) -> str:
+def forecast_line(plan: AttributionPlan) -> str:
     """Return what is to be done, and what it costs."""
     left = plan.failed - plan.chosen - plan.without_log
     what = f"{plan.baseline} takes over {plural(plan.chosen, 'failed trial')}"
@@ -143,40 +143,45 @@ def forecast_line(plan: BlamePlan) -> str:
     return "; ".join(words)
 
 
-def trial_line(trial: BlamedTrial) -> str:
+def trial_line(trial: AttributedTrial) -> str:
     """Return what came of one trial."""
     return clean(f"{trial.trial}: {_sentence(trial)}{_limits(trial)}")
 
 
-def blame_page(blames: Blames) -> str:
+def attribution_page(attribution: Attribution) -> str:
     """Return what came of all of them: a table, and a sentence where a cell does not do."""
-    rows = [_COLUMNS, *(_cells(trial) for trial in blames.trials)]
-    notes = [trial_line(trial) for trial in blames.trials if _needs_words(trial)]
+    rows = [_COLUMNS, *(_cells(trial) for trial in attribution.trials)]
+    notes = [trial_line(trial) for trial in attribution.trials if _needs_words(trial)]
     return "\n".join([*aligned(rows, right={2, 3, 4}), *([""] if notes else []), *notes])
 
 
-def written(blames: Blames, suffix: str) -> str:
+def written(attribution: Attribution, suffix: str) -> str:
     """Return the content of a file: JSON with every try, or Markdown."""
     if suffix == ".json":
-        words = [{"says": _sentence(trial), **_verdict(trial)} for trial in blames.trials]
-        whole = asdict(blames)
+        words = [{"says": _sentence(trial), **_verdict(trial)} for trial in attribution.trials]
+        whole = asdict(attribution)
         whole["trials"] = [each | more for each, more in zip(whole["trials"], words, strict=True)]
         return json.dumps(whole, indent=2) + "\n"
     from nw_eval.reporting.markdown import escaped, markdown_table
     from nw_eval.reporting.tables.table import Table
 
     table = Table(
-        title="Blame",
+        title="Failure attribution",
         columns=_COLUMNS,
-        rows=tuple(_cells(trial) for trial in blames.trials),
+        rows=tuple(_cells(trial) for trial in attribution.trials),
         numbers=frozenset({"at", "committed at", "before its end"}),
     )
-    notes = [f"* {escaped(trial_line(trial))}" for trial in blames.trials]
-    head = [f"# Blame: {escaped(blames.run)}", "", escaped(forecast_line(blames.plan)), ""]
+    notes = [f"* {escaped(trial_line(trial))}" for trial in attribution.trials]
+    head = [
+        f"# Failure attribution: {escaped(attribution.run)}",
+        "",
+        escaped(forecast_line(attribution.plan)),
+        "",
+    ]
     return "\n".join([*head, markdown_table(table), "", *notes]) + "\n"
 
 
-def _verdict(trial: BlamedTrial) -> dict[str, object]:
+def _verdict(trial: AttributedTrial) -> dict[str, object]:
     """Return what programs want to know without reckoning."""
     report = trial.report
     moment = None if report is None or report.committed is None else report.committed.step
@@ -188,7 +193,7 @@ def _verdict(trial: BlamedTrial) -> dict[str, object]:
     }
 
 
-def _cells(trial: BlamedTrial) -> tuple[str, ...]:
+def _cells(trial: AttributedTrial) -> tuple[str, ...]:
     report = trial.report
     if report is None:
         return (clean(trial.trial), "", "", "", "", "nothing came of it")
@@ -203,7 +208,7 @@ def _cells(trial: BlamedTrial) -> tuple[str, ...]:
     )
 
 
-def _standing(report: BlameReport) -> str:
+def _standing(report: AttributionReport) -> str:
     """Return in few words what the baseline makes of the trial."""
     if report.committed is None:
         return "fails this start as well"
@@ -212,14 +217,14 @@ def _standing(report: BlameReport) -> str:
     return "completes until then" if report.is_monotone else "completes from some moments"
 
 
-def _needs_words(trial: BlamedTrial) -> bool:
+def _needs_words(trial: AttributedTrial) -> bool:
     report = trial.report
     return (
         report is None or report.committed is None or not report.is_monotone or bool(_limits(trial))
     )
 
 
-def _limits(trial: BlamedTrial) -> str:
+def _limits(trial: AttributedTrial) -> str:
     """Return when limits were first passed in the trial, and in the baseline's from the start."""
     report = trial.report
     if report is None:
@@ -236,7 +241,7 @@ def _at(moment: float | None) -> str:
     return "never" if moment is None else f"at {moment:.3f} s"
 
 
-def _sentence(trial: BlamedTrial) -> str:
+def _sentence(trial: AttributedTrial) -> str:
     report = trial.report
     if report is None:
         return trial.fault
@@ -258,7 +263,7 @@ def _sentence(trial: BlamedTrial) -> str:
     return f"{words}; not monotone: {_spells(report)}{own}"
 
 
-def _spells(report: BlameReport) -> str:
+def _spells(report: AttributionReport) -> str:
     """Return from when on it completes, fails, completes again, as far as was tried."""
     first, *later = report.tries
     words = [f"{'completes' if first.completes else 'fails'} from 0.00 s"]
@@ -272,7 +277,7 @@ def _spells(report: BlameReport) -> str:
     return ", ".join(words)
 
 
-def _event(report: BlameReport) -> str:
+def _event(report: AttributionReport) -> str:
     """Return what ended the trial, as something that one comes before."""
     was = report.was
     if was.end == "collided" and was.reason:
@@ -280,5 +285,5 @@ def _event(report: BlameReport) -> str:
     return _EVENTS.get(was.end, clean(was.end, at_most=60))
 
 
-def _seconds(steps: int, report: BlameReport) -> str:
+def _seconds(steps: int, report: AttributionReport) -> str:
     return f"{steps / report.was.control_rate:.2f}"

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
         VerifiedBaseline,
     )
     from nw_eval.results.bank import (
-        BankChange,
+        BaselineChange,
+        BaselineResults,
         FieldChange,
         Panel,
-        SavedBank,
         SceneChange,
         Start,
         Stratum,
@@ -81,10 +81,10 @@ class Save:
             saved = api.save_baseline(
                 self.suite,
                 policy=self.policy,
-                starts=self.trials,
+                trials=self.trials,
                 name=self.name,
                 note=self.note,
-                from_run=self.run,
+                run=self.run,
                 renew=self.renew,
                 workers=self.workers,
                 cache=not self.no_cache,
@@ -193,7 +193,7 @@ class Verify:
         with RunProgress() as progress:
             verified = api.verify_baseline(
                 self.baseline,
-                share=self.trials,
+                trials=self.trials,
                 seed=self.seed,
                 suite=self.suite,
                 policy=self.policy,
@@ -313,7 +313,7 @@ def _against_first(panel: Panel, first: Panel) -> str:
     return f"{moved} of {len(pairs)} starts went another way than on machine 1"
 
 
-def _scenes(bank: SavedBank) -> Iterator[tuple[str, ...]]:
+def _scenes(bank: BaselineResults) -> Iterator[tuple[str, ...]]:
     from nw_eval.results.bank import mean_of
 
     yield "scene", "mean", "completed", "others"
@@ -331,7 +331,7 @@ def _others(starts: Sequence[Start]) -> str:
 _FLIPPED = 8  # indexes of starts that a cell names
 
 
-def change_page(change: BankChange) -> str:
+def change_page(change: BaselineChange) -> str:
     """Return what differs between two baselines: fields, then scenes, then whose doing it is."""
     fields = [*change.fields, *change.machine]
     scenes = [
@@ -353,7 +353,7 @@ def field_lines(fields: Sequence[FieldChange]) -> list[str]:
     )
 
 
-def whose_doing(change: BankChange) -> str:
+def whose_doing(change: BaselineChange) -> str:
     """Return what may be charged with what moved: the policy, something else, or neither."""
     moved = any(scene.moved for scene in change.scenes)
     others = sorted(change.parts - {"policy"}) + (["machine"] if change.machine else [])
@@ -430,7 +430,7 @@ def _scene(change: SceneChange) -> tuple[str, ...]:
     )
 
 
-def _mean(change: BankChange) -> tuple[str, ...]:
+def _mean(change: BaselineChange) -> tuple[str, ...]:
     from nw_eval.results.bank import bank_mean
 
     then, now = bank_mean(change.then), bank_mean(change.now)
@@ -470,6 +470,9 @@ def _saved(saved: SavedBaseline) -> Iterator[str]:
         yield f"renewed {saved.file}: {whole}"
     else:
         yield f"{saved.file} is as it was; --renew replaces it"
+    if saved.run is not None:
+        run = str(saved.run)
+        yield f"its rows and logs: {clean(run)}; a page of them: nw-eval report {clean(quote(run))}"
 
 
 def _checked(checked: CheckedBaseline) -> Iterator[str]:

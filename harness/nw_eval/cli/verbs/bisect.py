@@ -71,7 +71,7 @@ class BisectSeries:
                 everyone=self.everyone,
                 scenes=self.scenes,
                 trials=self.trials,
-                starts=self.baseline_trials,
+                baseline_trials=self.baseline_trials,
                 allow_code=self.allow_code,
                 out=self.out,
                 workers=self.workers,

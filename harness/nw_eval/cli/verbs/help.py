@@ -14,7 +14,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
-from nw_eval.cli.verbs.table import DOCS, OPTION_GROUPS, VERBS
+from nw_eval.cli.verbs.table import OPTION_GROUPS, VERBS, docs_line
 
 _COLUMN = 28
 """Where the words on an option begin, unless the terminal is narrow."""
@@ -138,7 +138,7 @@ def family_page(name: str, lines: Sequence[tuple[str, str]], examples: Sequence[
 def _ended(lines: list[str], examples: Sequence[str], name: str) -> str:
     page = VERBS[name.split(maxsplit=1)[0]].page
     shown = [f"  nw-eval {example}" for example in examples]
-    return "\n".join([*lines, "Examples:", *shown, "", f"Docs: {DOCS}{page}"])
+    return "\n".join([*lines, "Examples:", *shown, "", *docs_line(page)]).rstrip()
 
 
 def _words(option: Option) -> str:

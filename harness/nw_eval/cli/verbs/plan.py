@@ -96,7 +96,7 @@ class PlanTrials:
             detect=self.detect,
             baseline=self.baseline,
             run=self.run,
-            png=self.out,
+            out=self.out,
             workers=self.workers,
         )
         if isinstance(planned, api.BarPlan):

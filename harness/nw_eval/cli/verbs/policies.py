@@ -112,7 +112,8 @@ class Init:
     robot: str
     """The robot that the policy drives: a name such as go1, or the path of a folder."""
     out: Path | None = None
-    """The card to write; `policy.yaml` beside the checkpoint, or in the folder, when absent."""
+    """The card to write, a file; `policy.yaml` beside the checkpoint or in its folder when absent.
+    (The --out of `robots init` is a folder: a robot has several files.)"""
     layout: str | None = None
     """The published layout of what the policy sees, such as isaac-lab; the likeliest when absent.
     The card names those that fit."""

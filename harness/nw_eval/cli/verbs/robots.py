@@ -62,7 +62,8 @@ class Init:
     model: tyro.conf.Positional[Path]
     """MJCF (.xml) or URDF (.urdf)."""
     out: Path | None = None
-    """A new folder to copy model and meshes into."""
+    """A new folder to copy model and meshes into, and to write robot.yaml into; folders above it
+    are made. `policies init --out` is a file: the card."""
 
     def __call__(self) -> int:
         from nw_eval import api

@@ -74,9 +74,7 @@ class Check:
         from nw_eval import api
         from nw_eval.errors import SceneError
 
-        checked = api.check_scenes(
-            self.scenes, robot=self.robot, suite=self.out, policy=self.policy
-        )
+        checked = api.check_scenes(self.scenes, robot=self.robot, out=self.out, policy=self.policy)
         print(findings_text(checked))
         if any(scene.has_errors for scene in checked):
             return SceneError.exit_code

@@ -33,7 +33,7 @@ class SimToReal:
     def __call__(self) -> int:
         from nw_eval import api
 
-        found = api.agree(self.real, self.runs, confidence=self.confidence, score=self.score)
+        found = api.sim2real(self.real, self.runs, confidence=self.confidence, score=self.score)
         print(agreement_text(found))
         return 0
 

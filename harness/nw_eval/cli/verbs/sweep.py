@@ -66,7 +66,7 @@ class SweepAxes:
                 request,
                 self.axis,
                 out=self.out,
-                against=self.baseline,
+                baseline=self.baseline,
                 workers=self.workers,
                 cache=not self.no_cache,
                 confidence=self.confidence,

@@ -5,10 +5,12 @@ Nothing is imported here: `nw-eval --help` is this table.
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import NamedTuple
 
-DOCS = "docs/"
-"""Where the pages of the table are."""
+_CHECKOUT = Path(__file__).parents[4]
+"""The folder of pyproject.toml, where this is no installed package."""
 
 
 class Verb(NamedTuple):
@@ -177,6 +179,32 @@ EXAMPLES = (
     "nw-eval doctor                                  what this machine offers",
 )
 """One for each group."""
+
+
+def docs_line(page: str = "") -> list[str]:
+    """Return the line of a help page that says where a page of the docs is; none if it is unknown.
+
+    That is below the address `Documentation` of the package's metadata, or else a file of the
+    checkout that this is run from.
+
+    Args:
+        page: as the table has it; empty = all of them.
+    """
+    from importlib.metadata import PackageNotFoundError, metadata
+
+    try:
+        urls = metadata("nw-eval").get_all("Project-URL") or []
+    except PackageNotFoundError:
+        urls = []
+    for name, _, address in (each.partition(", ") for each in urls):
+        if name == "Documentation":
+            return [f"Docs: {address.rstrip('/')}/{page.removesuffix('.md')}"]
+    file = _CHECKOUT / "docs" / page
+    if not (_CHECKOUT / "pyproject.toml").is_file() or not file.exists():
+        return []
+    inside = file.is_relative_to(Path.cwd())
+    return [f"Docs: {os.path.relpath(file) if inside else file}"]
+
 
 EXIT_CODES = """Exit codes: 0 PASS, or RAN if the suite has no bar; 1 REGRESSED; 2 wrong usage
 or file; 3 INCONCLUSIVE; 4 errors left or trials missing; 5 not comparable; 130

@@ -56,7 +56,7 @@ class Verify:
             verified = api.verify(
                 self.run,
                 offline=self.offline,
-                sample=SAMPLE if self.trials is None else self.trials,
+                trials=SAMPLE if self.trials is None else self.trials,
                 seed=self.seed,
                 root=self.root,
                 policy=self.policy,

@@ -69,7 +69,7 @@ class Watch:
             watched = api.watch(
                 self.folder,
                 suite=self.suite,
-                card=self.policy,
+                policy=self.policy,
                 pattern=self.pattern,
                 every=self.every,
                 once=self.once,

@@ -31,7 +31,7 @@ from nw_eval.gate.baseline.power_forecast import Outset, about_more_trials, outs
 from nw_eval.gate.validity import over_the_cap, that_left
 from nw_eval.gate.verdict import Basis, Claim, Comparison, SceneDrop, percent_sure
 from nw_eval.plural import plural
-from nw_eval.results.bank import Against, Panel, SavedBank, Start, Stratum, score
+from nw_eval.results.bank import Against, BaselineResults, Panel, Start, Stratum, score
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.stats.bank.curve import CurvePoint, progress_from
@@ -63,7 +63,7 @@ class ComparisonSetup:
     """Scenes of the baseline that the run was not asked for."""
 
     @property
-    def bank(self) -> SavedBank:
+    def bank(self) -> BaselineResults:
         """The baseline."""
         return self.against.bank
 

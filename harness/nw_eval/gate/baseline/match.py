@@ -17,7 +17,15 @@ from shlex import quote
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.gate.verdict import Basis, Claim, Recheck
 from nw_eval.plural import plural
-from nw_eval.results.bank import Panel, SavedBank, Start, Stratum, key_of, machine_of, trajectory
+from nw_eval.results.bank import (
+    BaselineResults,
+    Panel,
+    Start,
+    Stratum,
+    key_of,
+    machine_of,
+    trajectory,
+)
 from nw_eval.results.provenance import PolicyInfo, RunInfo
 from nw_eval.results.row import Row, from_dict
 from nw_eval.stats.bank.trials import order_of_starts, order_of_trials
@@ -27,7 +35,7 @@ from nw_eval.suite.trials import DrawnStart, expand
 _NAMED = 3  # scenes or trials, and values of each, that a sentence names before it says "and more"
 
 
-def check_match(run: RunInfo, bank: SavedBank) -> None:
+def check_match(run: RunInfo, bank: BaselineResults) -> None:
     """Refuse a baseline that does not hold for a run.
 
     A run on a fresh seed set differs in its seed, and may; one that was asked for some scenes only
@@ -50,7 +58,7 @@ def check_match(run: RunInfo, bank: SavedBank) -> None:
         )
 
 
-def renewing(run: RunInfo, bank: SavedBank, *options: str) -> str:
+def renewing(run: RunInfo, bank: BaselineResults, *options: str) -> str:
     """Return the command that makes a baseline anew for the suite of a run.
 
     Args:
@@ -65,7 +73,7 @@ def renewing(run: RunInfo, bank: SavedBank, *options: str) -> str:
     return saving(bank, suite, policy, *options)
 
 
-def saving(bank: SavedBank, suite: str, policy: str, *options: str) -> str:
+def saving(bank: BaselineResults, suite: str, policy: str, *options: str) -> str:
     """Return the command that renews a suite's baseline, from a policy as it can be typed."""
     own = bank.manifest.name
     name = [] if own == bank.manifest.policy.name else ["--name", own]
@@ -73,7 +81,7 @@ def saving(bank: SavedBank, suite: str, policy: str, *options: str) -> str:
     return " ".join(quote(word) for word in [*words, *name])
 
 
-def _suite_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
+def _suite_faults(run: RunInfo, bank: BaselineResults) -> Iterable[str]:
     ours, theirs = key_of(run), bank.manifest.key
     if ours.seed != theirs.seed and run.panel == "pinned":
         yield f"its seed is {ours.seed}, the baseline's {theirs.seed}"
@@ -90,7 +98,7 @@ def _suite_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
         yield f"its suite digest is {digests}: {_what_else(alike, bank)}"
 
 
-def _what_else(suite: Suite, bank: SavedBank) -> str:
+def _what_else(suite: Suite, bank: BaselineResults) -> str:
     """Return which settings differ, as far as a baseline knows its own."""
     ours = sorted(suite.perturb.cells)
     theirs = sorted({cell for _, cell in bank.panels[0].by_stratum})
@@ -105,7 +113,7 @@ def _cells(cells: list[tuple[tuple[str, float], ...]]) -> str:
     )
 
 
-def _scene_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
+def _scene_faults(run: RunInfo, bank: BaselineResults) -> Iterable[str]:
     ours, theirs = key_of(run).scenes, bank.manifest.key.scenes
     if unknown := sorted(set(ours) - set(theirs)):
         yield f"{_scenes(unknown)} not in the baseline"
@@ -126,7 +134,7 @@ def _scenes(names: list[str]) -> str:
     return f"scene{plural} {', '.join(names[:_NAMED])}{more} {'are' if plural else 'is'}"
 
 
-def _simulator_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
+def _simulator_faults(run: RunInfo, bank: BaselineResults) -> Iterable[str]:
     ours, theirs = key_of(run).simulator, bank.manifest.key.simulator
     for name in sorted({*ours, *theirs}):
         if ours.get(name) != theirs.get(name):
@@ -134,7 +142,7 @@ def _simulator_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
             yield f"its {name} is {ours.get(name, 'none')}, the baseline's {there}"
 
 
-def _score_faults(run: RunInfo, bank: SavedBank) -> Iterable[str]:
+def _score_faults(run: RunInfo, bank: BaselineResults) -> Iterable[str]:
     ours, theirs = key_of(run).measured, bank.manifest.key.measured
     for key in sorted(ours):
         name = key.partition(".")[2]
@@ -151,7 +159,7 @@ def _short(identity: str) -> str:
 _NOTHING = sha256(b"").hexdigest()
 
 
-def basis_of(run: RunInfo, bank: SavedBank, checked: str | None) -> tuple[Basis, Panel]:
+def basis_of(run: RunInfo, bank: BaselineResults, checked: str | None) -> tuple[Basis, Panel]:
     """Return what the baseline is to the run's trials, and its results that are compared.
 
     Args:
@@ -181,7 +189,7 @@ def basis_of(run: RunInfo, bank: SavedBank, checked: str | None) -> tuple[Basis,
     return "panel", panel or bank.panels[0]
 
 
-def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, rounds: int, gate: Gate) -> Claim:
+def claim_of(run: RunInfo, bank: BaselineResults, basis: Basis, rounds: int, gate: Gate) -> Claim:
     """Return of which starts a comparison speaks: of fresh ones, unless the suite says otherwise.
 
     Of the seed set itself it may only where the order was drawn for this candidate from all of it:
@@ -211,7 +219,7 @@ def claim_of(run: RunInfo, bank: SavedBank, basis: Basis, rounds: int, gate: Gat
     )
 
 
-def is_baseline(policy: PolicyInfo, bank: SavedBank) -> bool:
+def is_baseline(policy: PolicyInfo, bank: BaselineResults) -> bool:
     """Return whether a policy is the baseline itself, as far as its digests can say."""
     theirs = bank.manifest.policy
     # An object in a process has whatever name its caller gives it; some servers give no digest.
@@ -221,7 +229,7 @@ def is_baseline(policy: PolicyInfo, bank: SavedBank) -> bool:
     return bool(verified) and ours == (theirs.checkpoint_digest, theirs.card_digest)
 
 
-def _unlike(run: RunInfo, bank: SavedBank) -> str:
+def _unlike(run: RunInfo, bank: BaselineResults) -> str:
     """Return in what this class of machine differs from the baseline's nearest one."""
     ours = machine_of(run)
     differing = [
@@ -364,7 +372,7 @@ class _Place:
     digest: str
 
 
-def known_rows(run: RunInfo, bank: SavedBank) -> tuple[Row, ...]:
+def known_rows(run: RunInfo, bank: BaselineResults) -> tuple[Row, ...]:
     """Return a baseline's results as rows, taken over (`Row.cached`): they cost this run no time.
 
     They are for judging only. What a baseline does not hold of a trial, its steps and digests, they
@@ -408,7 +416,7 @@ def known_rows(run: RunInfo, bank: SavedBank) -> tuple[Row, ...]:
     return tuple(rows)
 
 
-def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank) -> Recheck:
+def recheck(rows: Sequence[Row], run: RunInfo, bank: BaselineResults) -> Recheck:
     """Compare trials of the baseline's own policy with what the baseline says of these starts.
 
     On a class of machine that the baseline has been run on, values and bits must be equal. On
@@ -454,7 +462,7 @@ def recheck(rows: Sequence[Row], run: RunInfo, bank: SavedBank) -> Recheck:
     )
 
 
-def contradictions(rows: Iterable[Row], bank: SavedBank, panel: Panel) -> tuple[str, ...]:
+def contradictions(rows: Iterable[Row], bank: BaselineResults, panel: Panel) -> tuple[str, ...]:
     """Return sentences where trials have the bits of a baseline, and another result; or nothing.
 
     The same states and actions are the same trial: its result is no matter of the machine.

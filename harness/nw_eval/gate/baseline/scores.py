@@ -38,7 +38,7 @@ from nw_eval.gate.baseline.judge import ComparisonSetup, setup_of
 from nw_eval.gate.baseline.match import renewing
 from nw_eval.gate.verdict import ScoreFinding, Verdict, Word, percent_sure
 from nw_eval.plural import plural
-from nw_eval.results.bank import Against, SavedBank, Start, Stratum
+from nw_eval.results.bank import Against, BaselineResults, Start, Stratum
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.scores import ScoreSpec
@@ -184,7 +184,7 @@ def _finding(
     return replace(found, word=word, reasons=tuple(reasons))
 
 
-def lacks_score(bank: SavedBank, name: str) -> str:
+def lacks_score(bank: BaselineResults, name: str) -> str:
     """Return that a baseline was saved before its suite measured a score."""
     return f"the baseline {bank.manifest.name} has no {name}"
 
@@ -370,7 +370,7 @@ _CHANGES = (0.0, 0.5, 1.0, 1.5, 2.0)
 
 
 def forecast_scores(
-    bank: SavedBank, declared: Mapping[str, ScoreSpec], gate: Gate
+    bank: BaselineResults, declared: Mapping[str, ScoreSpec], gate: Gate
 ) -> tuple[ScoreForecast, ...]:
     """Return what the gate makes of each score that it compares with a baseline.
 

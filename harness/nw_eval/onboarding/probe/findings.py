@@ -15,12 +15,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.built_in.entries import parted
 from nw_eval.cards import Card, motors_follow
-from nw_eval.cards.card import ConstantCommand
+from nw_eval.cards.card import LEFT_OUT, ConstantCommand
 from nw_eval.cards.joints import short_name
 from nw_eval.cards.networks import input_parts, resolve_inputs
 from nw_eval.cards.observations import ProprioObservation, SplatRgbObservation
-from nw_eval.errors import NwEvalError
+from nw_eval.catalogue import is_meant
+from nw_eval.catalogue import names as scene_names
+from nw_eval.errors import NwEvalError, nearest
 from nw_eval.onboarding.probe.following import (
     Followed,
     Motion,
@@ -91,6 +94,22 @@ class Range:
     def size(self) -> int:
         """How many numbers the policy gets of it."""
         return len(self.part.indices)
+
+
+def card_findings(card: Card) -> Iterator[ProbeFinding]:
+    """Yield names in `trained_on` that are of no built-in scene: they mark no scene as trained in.
+
+    Scenes of one's own (a path, `hub:`, `real:`) belong to no split, whether they are named or not.
+    """
+    for words in card.trained_on:
+        pattern, _ = parted(words.removeprefix(LEFT_OUT))
+        if pattern[:1] in ".~/" or (":" in pattern and not pattern.startswith("split:")):
+            continue
+        if not any(is_meant(name, pattern) for name in scene_names()):
+            hint = nearest(pattern, scene_names())
+            guess = f"; {hint}" if hint.startswith("did you mean") else ""
+            text = f"`trained_on`: {words!r} names no built-in scene, and marks none as trained in"
+            yield ProbeFinding(kind="note", text=f"{text}{guess}")
 
 
 def measure(part: Part, recording: Recording) -> Range:

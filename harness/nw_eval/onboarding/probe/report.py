@@ -22,6 +22,7 @@ from nw_eval.onboarding.probe.findings import (
     Range,
     action_findings,
     body_findings,
+    card_findings,
     compare,
     input_findings,
     measure,
@@ -222,6 +223,7 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
     ranges = [measure(part, recording) for part in parts_of(card, robot, specs)]
     followed: list[Followed] = []
     findings = [
+        *card_findings(card),
         *observation_findings(ranges, recording),
         *input_findings(card, ranges, recording),
         *network_findings(card, recording, ranges),

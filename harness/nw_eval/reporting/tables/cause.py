@@ -7,7 +7,7 @@ from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import Table
 
 _ANSWERS = {
-    "no drop": "nothing to blame",
+    "no drop": "no drop to explain",
     "perception": "perception",
     "control": "control",
     "both": "perception and control",

@@ -1,4 +1,4 @@
-"""Replays, takeovers and searches for the blame in a confined process.
+"""Replays, takeovers and failure attributions in a confined process.
 
 A log may be untrusted, and what it names too. This process reads the log's words and makes the
 scene, whose cache is out of the other's reach.
@@ -28,8 +28,8 @@ from nw_eval.rollout.job import kernels_of
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.replaying.film import Film, contact_sheet
 from nw_eval.rollout.replaying.logged import agreed, check_inside, check_start, read_logged_trial
-from nw_eval.rollout.replaying.reports import BlameReport, ReplayReport, TakeoverReport
-from nw_eval.rollout.replaying.takeover import OPTION, blame, replay, second_job, take_over
+from nw_eval.rollout.replaying.reports import AttributionReport, ReplayReport, TakeoverReport
+from nw_eval.rollout.replaying.takeover import OPTION, attribute, replay, second_job, take_over
 from nw_eval.suite.model import SHOWN
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from nw_eval.words import Kernels
 
 _LOG, _VIDEO = "trial.mcap", "trial.mp4"
-Blamed = BlameReport | NwEvalError
+Attributed = AttributionReport | NwEvalError
 """What came of one log: an error costs no other one."""
 TIME_LIMIT = 3600.0
 """Seconds; a trial of 12 s takes 5 to 30, its video some minutes."""
@@ -203,15 +203,15 @@ class _Running(NamedTuple):
     deadline: float
 
 
-def blame_apart(
+def attribute_apart(
     logs: Sequence[Path],
     *,
     policy: str | None,
     checkpoint: Path | None,
     allow_code: bool,
     workers: int,
-) -> Iterator[tuple[int, Blamed]]:
-    """Yield what `blame` says of logs, each in a process of its own, as they end.
+) -> Iterator[tuple[int, Attributed]]:
+    """Yield what `attribute` says of logs, each in a process of its own, as they end.
 
     Args:
         logs: of trials.
@@ -243,7 +243,7 @@ def blame_apart(
                     yield place, error
                     continue
                 call = IsolatedCall(
-                    _blame,
+                    _attribute,
                     subject=str(log),
                     rules=ready.rules,
                     renders=ready.renders,
@@ -266,17 +266,17 @@ def blame_apart(
             each.call.close()
 
 
-def _answer(call: IsolatedCall, log: Path) -> Blamed:
+def _answer(call: IsolatedCall, log: Path) -> Attributed:
     try:
-        return TypeAdapter(BlameReport).validate_python(call.answer(0.0))
+        return TypeAdapter(AttributionReport).validate_python(call.answer(0.0))
     except ValidationError:
         return PolicyError(f"{log}: the search gave no answer that can be read")
     except NwEvalError as error:
         return error
 
 
-def _blame(*, log: str, checkpoint: str | None, **asked: Any) -> dict[str, Any]:
-    return asdict(blame(Path(log), checkpoint=_path(checkpoint), **asked))
+def _attribute(*, log: str, checkpoint: str | None, **asked: Any) -> dict[str, Any]:
+    return asdict(attribute(Path(log), checkpoint=_path(checkpoint), **asked))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""What a replay, a takeover and a search for the blame came to."""
+"""What a replay, a takeover and a failure attribution found."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class Try:
     steps: int
     """Control steps of the trial then."""
     limits: Mapping[str, float] = field(default_factory=dict[str, float])
-    """When limits were first passed in the trial then, s, by score: see `BlameReport`."""
+    """When limits were first passed in the trial then, s, by score: see `AttributionReport`."""
 
     @property
     def completes(self) -> bool:
@@ -132,7 +132,7 @@ class Try:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BlameReport:
+class AttributionReport:
     """A recorded trial that failed, and what a baseline makes of its moments."""
 
     trial: str

@@ -1,8 +1,8 @@
 """Runs a recorded trial again: as it was, or with another policy that takes over.
 
 A replay starts where the trial did or at a state in its middle, and compares bits; a takeover goes
-on from exactly the recorded state. To find the blame, a baseline takes a failed trial over at many
-moments, until the last is known that it completes.
+on from exactly the recorded state. To attribute a failure, a baseline takes over the failed trial
+at many moments, until the last is known that it completes.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from nw_eval.rollout.replaying.policy_switch import (
     switch_of,
 )
 from nw_eval.rollout.replaying.reports import (
-    BlameReport,
+    AttributionReport,
     Difference,
     Ending,
     ReplayReport,
@@ -315,14 +315,14 @@ COARSE = 8
 """Intervals into which the moments are divided first."""
 
 
-def blame(
+def attribute(
     path: Path,
     *,
     policy: str | None = None,
     checkpoint: Path | None = None,
     allow_code: bool = False,
     library: Library | None = None,
-) -> BlameReport:
+) -> AttributionReport:
     """Return from when on a recorded trial was lost to a baseline.
 
     The trial goes its recorded way once, the baseline looks on, and its states are kept; each try
@@ -353,7 +353,7 @@ def blame(
             return tries[step].completes
 
         order = search(sorted(states), completes)
-    return BlameReport(
+    return AttributionReport(
         trial=job.trial.id,
         was=Ending.of(recorded.verdict, policy=driver(recorded.job), position=None),
         baseline=driver(job),

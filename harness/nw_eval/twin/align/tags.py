@@ -257,7 +257,7 @@ def _apriltag(family: str) -> Detect:
     except ImportError:
         raise PrerequisiteError(
             "finding tags needs pupil-apriltags, which is not installed",
-            fix="pip install nw-eval[twin]",
+            fix="pip install 'nw-eval[twin]'",
         ) from None
 
     class LastingDetector(Detector):
@@ -285,7 +285,8 @@ def _aruco(name: str) -> Detect:
         import cv2
     except ImportError:
         raise PrerequisiteError(
-            "finding markers needs OpenCV, which is not installed", fix="pip install nw-eval[twin]"
+            "finding markers needs OpenCV, which is not installed",
+            fix="pip install 'nw-eval[twin]'",
         ) from None
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX

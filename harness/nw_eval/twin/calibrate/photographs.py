@@ -161,7 +161,7 @@ def _why(path: Path, error: Exception) -> str:
     if path.suffix.lower() in _NOT_READ:
         return f"{kind} is not read here: export as JPEG"
     if path.suffix.lower() in _HEIC and find_spec("pillow_heif") is None:
-        return f"{kind} needs the package pillow-heif: pip install nw-eval[twin]"
+        return f"{kind} needs the package pillow-heif: pip install 'nw-eval[twin]'"
     if isinstance(error, Image.DecompressionBombError):
         return f"over {MOST_MEGAPIXELS} million pixels, which none may have: make it smaller"
     if isinstance(error, UnidentifiedImageError):

@@ -1,4 +1,4 @@
-"""Blame finds the last moment of a failed trial from which a baseline completes it."""
+"""Attribution finds the last moment of a failed trial from which a baseline completes it."""
 
 import json
 from pathlib import Path
@@ -10,13 +10,13 @@ import pytest
 from onnx import numpy_helper
 
 from nw_eval import api
-from nw_eval.api.blaming import baseline_bundle
-from nw_eval.cli.verbs.attribute import blame_page, forecast_line, trial_line, written
+from nw_eval.api.attribution import baseline_bundle
+from nw_eval.cli.verbs.attribute import attribution_page, forecast_line, trial_line, written
 from nw_eval.errors import IncomparableError, StoreError, UsageError
 from nw_eval.policies import load_bundle
 from nw_eval.rollout.replaying import takeover as searching
-from nw_eval.rollout.replaying.reports import BlameReport, Ending, Try
-from nw_eval.rollout.replaying.takeover import blame, most_tries, search, take_over
+from nw_eval.rollout.replaying.reports import AttributionReport, Ending, Try
+from nw_eval.rollout.replaying.takeover import attribute, most_tries, search, take_over
 
 WAS = Ending(
     policy="new",
@@ -60,58 +60,62 @@ def tries(*words):
     )
 
 
-def blamed(*words):
-    report = BlameReport(trial="t-001", was=WAS, baseline="old", tries=tries(*words), stride=1)
-    return api.BlamedTrial(trial="t-001", scene="t", report=report)
+def attributed(*words):
+    report = AttributionReport(
+        trial="t-001", was=WAS, baseline="old", tries=tries(*words), stride=1
+    )
+    return api.AttributedTrial(trial="t-001", scene="t", report=report)
 
 
 def test_the_sentence_says_when_and_how_long_before_what():
-    line = trial_line(blamed((0, True), (216, True), (217, False), (245, False)))
+    line = trial_line(attributed((0, True), (216, True), (217, False), (245, False)))
     assert line == "t-001: committed at 4.32 s, 0.60 s before contact face"
 
 
 def test_a_baseline_that_fails_the_start_too_is_said_to():
-    line = trial_line(blamed((0, False), (100, False)))
+    line = trial_line(attributed((0, False), (100, False)))
     assert "not the candidate's fault alone: old fails this start as well (fell at 2.00 s)" in line
 
 
 def test_what_is_not_monotone_is_said_to_be():
-    line = trial_line(blamed((0, True), (50, False), (100, True), (150, False)))
+    line = trial_line(attributed((0, True), (50, False), (100, True), (150, False)))
     assert "not monotone: completes from 0.00 s, fails from 1.00 s" in line
     assert "completes again from 2.00 s, fails from 3.00 s" in line
     assert "as well" not in line
-    late = trial_line(blamed((0, False), (100, True), (150, False)))
+    late = trial_line(attributed((0, False), (100, True), (150, False)))
     assert "fails from 0.00 s, completes from 2.00 s, fails" in late
     assert late.endswith("old fails this start as well")
 
 
 def test_a_baseline_that_saves_it_until_the_end_is_said_to():
     assert "completes from all of 2 moments, 4.90 s too" in trial_line(
-        blamed((0, True), (245, True))
+        attributed((0, True), (245, True))
     )
 
 
 def test_files_hold_every_try_and_the_page_a_table():
-    plan = api.BlamePlan(
+    plan = api.AttributionPlan(
         chosen=2, failed=5, without_log=1, baseline="old", tries=14, minutes=1.5, workers=2
     )
-    lost = api.BlamedTrial(trial="t-002", scene="t", report=None, fault="it is damaged")
-    blames = api.Blames(run="r", plan=plan, trials=(blamed((0, True), (216, False)), lost))
+    lost = api.AttributedTrial(trial="t-002", scene="t", report=None, fault="it is damaged")
+    attribution = api.Attribution(
+        run="r", plan=plan, trials=(attributed((0, True), (216, False)), lost)
+    )
     assert "2 more are left out, --trials 4" in forecast_line(plan)
     assert "1 failed trial without a log" in forecast_line(plan)
-    read = json.loads(written(blames, ".json"))
+    read = json.loads(written(attribution, ".json"))
     assert [each["committed_s"] for each in read["trials"]] == [0.0, None]
     assert len(read["trials"][0]["report"]["tries"]) == 2
     row = "| t-001 | collided (contact face) | 4.92 s | 0.00 s | 4.92 s |"
-    assert row in " ".join(written(blames, ".md").split())
-    assert blame_page(blames).splitlines()[-1] == "t-002: it is damaged"
+    assert row in " ".join(written(attribution, ".md").split())
+    assert attribution_page(attribution).splitlines()[-1] == "t-002: it is damaged"
 
 
 def test_one_who_stands_still_is_lost_when_there_is_no_time_left(record, library, monkeypatch):
     monkeypatch.setattr(searching, "COARSE", 2)
     path, result = record("stand", duration=4.0)
     assert not result.waypoints_reached
-    report = blame(path, policy="go1-parkour", library=library)
+    report = attribute(path, policy="go1-parkour", library=library)
     assert report.was.digests == (result.state_digest, result.action_digest)
     assert report.is_monotone
     # It walks 2.5 m at 0.8 m/s, and needs about a second less than there is.
@@ -149,7 +153,7 @@ def test_when_limits_were_first_passed_is_said_of_the_trial_and_of_the_baselines
             workers=1,
         )  # fmt: skip
         logs[policy] = tmp_path / policy / run.rows[0].mcap_path
-    (found,) = api.blame(tmp_path / "stand", baseline="go1-parkour", workers=1).trials
+    (found,) = api.attribute(tmp_path / "stand", baseline="go1-parkour", workers=1).trials
     moments = {
         policy: api.log_scores(log, scores=["expect_gentle", "limit_time"]).moments
         for policy, log in logs.items()
@@ -165,7 +169,7 @@ def test_when_limits_were_first_passed_is_said_of_the_trial_and_of_the_baselines
 
 
 def test_of_a_trial_that_measures_no_scores_no_limit_is_told():
-    assert "limits" not in trial_line(blamed((0, True), (216, False)))
+    assert "limits" not in trial_line(attributed((0, True), (216, False)))
 
 
 def test_the_scores_of_a_trial_that_was_taken_over_are_of_all_of_it(record, library):
@@ -201,7 +205,7 @@ def test_where_there_is_no_bank_a_policy_is_meant():
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path):
     with pytest.raises((StoreError, UsageError), match=str(tmp_path)):
-        api.blame(tmp_path, baseline="stand")
+        api.attribute(tmp_path, baseline="stand")
 
 
 def weakened(path: Path, noise: float) -> Path:
@@ -218,7 +222,7 @@ def weakened(path: Path, noise: float) -> Path:
 
 
 @pytest.mark.nightly
-def test_real_failures_of_a_weakened_checkpoint_are_blamed(tmp_path):
+def test_real_failures_of_a_weakened_checkpoint_are_attributed(tmp_path):
     weak = weakened(tmp_path / "weak.onnx", 0.25)
     request = api.Request(
         suite="hurdles",
@@ -231,10 +235,10 @@ def test_real_failures_of_a_weakened_checkpoint_are_blamed(tmp_path):
     report = api.run(request, out=tmp_path / "run")
     failed = [row for row in report.rows if not row.completed]
     assert failed
-    blames = api.blame(tmp_path / "run", baseline="go1-parkour")
-    assert [each.trial for each in blames.trials]
-    assert len(blames.trials) == len(failed)
-    found = [each.report for each in blames.trials]
+    attribution = api.attribute(tmp_path / "run", baseline="go1-parkour")
+    assert [each.trial for each in attribution.trials]
+    assert len(attribution.trials) == len(failed)
+    found = [each.report for each in attribution.trials]
     assert all(found)
     saved = [each for each in found if each.committed is not None and each.is_monotone]
     assert saved

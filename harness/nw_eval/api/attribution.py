@@ -7,35 +7,37 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_eval.api.renamed import keywords_were
+
 if TYPE_CHECKING:
     from nw_eval.errors import NwEvalError
     from nw_eval.policies import Bundle
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.replaying.reports import BlameReport
+    from nw_eval.rollout.replaying.reports import AttributionReport
 
 AT_MOST = 10
-"""Trials that are blamed unless more are asked for: each takes as long as some ten others."""
+"""Trials that are looked at unless more are asked for: each takes as long as some ten others."""
 
 _START = 5.0  # Wall seconds until a process has its libraries.
 
 
 @dataclass(frozen=True, kw_only=True)
-class BlamedTrial:
+class AttributedTrial:
     """A trial of a run that failed, and what a baseline makes of it."""
 
     trial: str
     scene: str
-    report: BlameReport | None
+    report: AttributionReport | None
     """None where nothing came of it."""
     fault: str = ""
     """Why not."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class BlamePlan:
-    """What is to be blamed, and about how long it takes."""
+class AttributionPlan:
+    """Which failures are looked at, and about how long it takes."""
 
     chosen: int
     failed: int
@@ -52,27 +54,28 @@ class BlamePlan:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Blames:
+class Attribution:
     """What a baseline makes of a run's failures."""
 
     run: str
-    plan: BlamePlan
-    trials: tuple[BlamedTrial, ...]
+    plan: AttributionPlan
+    trials: tuple[AttributedTrial, ...]
     """The worst first, as in the run's report."""
 
 
-def blame(
+@keywords_were(at_most="trials")
+def attribute(
     run: Path,
     *,
     baseline: str,
     policy: str | None = None,
     checkpoint: Path | None = None,
-    at_most: int = AT_MOST,
+    trials: int = AT_MOST,
     workers: int | None = None,
     allow_code: bool = False,
-    planned: Callable[[BlamePlan], None] | None = None,
-    ended: Callable[[BlamedTrial], None] | None = None,
-) -> Blames:
+    planned: Callable[[AttributionPlan], None] | None = None,
+    ended: Callable[[AttributedTrial], None] | None = None,
+) -> Attribution:
     """Return for failed trials of a run from when on a baseline does not complete them any more.
 
     Each trial goes its recorded way once, in a confined process, and the baseline takes over at
@@ -83,7 +86,7 @@ def blame(
         baseline: a baseline, whose policy takes over; or a policy.
         policy: where the baseline's policy lies, if not where the baseline says.
         checkpoint: weights in place of those that its card names.
-        at_most: trials; the worst first.
+        trials: how many; the worst first.
         workers: processes; one for each core if None.
         allow_code: whether Python code that the card names may be imported.
         planned: told what is to be done, before anything is.
@@ -91,7 +94,7 @@ def blame(
 
     Raises:
         UsageError: it is no run's folder, there is neither baseline nor policy of that name,
-            `at_most` is no number of trials, or no failed trial has a log.
+            `trials` is no number of trials, or no failed trial has a log.
         StoreError: run or baseline are damaged.
         IncomparableError: the baseline's policy is not the one that is there.
         PolicyError: the policy cannot be used.
@@ -102,10 +105,10 @@ def blame(
     from nw_eval.results.evidence_check import present_logs
     from nw_eval.robots import find_robot, know_robot
     from nw_eval.rollout.confined.vetting import vet_bundle
-    from nw_eval.rollout.replaying.apart import blame_apart
+    from nw_eval.rollout.replaying.apart import attribute_apart
 
-    if at_most < 1:
-        raise UsageError(f"--trials {at_most} is too low", fix="give at least 1 trial")
+    if trials < 1:
+        raise UsageError(f"--trials {trials} is too low", fix="give at least 1 trial")
     folder, info, rows = _read(run)
     bundle = baseline_bundle(baseline, info, policy=policy, checkpoint=checkpoint)
     robot = None if info.request is None else info.request.robot
@@ -117,13 +120,13 @@ def blame(
     vet_bundle(bundle, named, allow_code=allow_code)
     failed = worst_trials(rows)
     logs = present_logs(folder, failed)
-    chosen = [row for row in failed if row.trial_id in logs][:at_most]
+    chosen = [row for row in failed if row.trial_id in logs][:trials]
     if not chosen:
         raise UsageError(
             f"{run} has no failed trial with a log", fix="name a run that has, with its mcap/"
         )
     count = worker_count(workers, len(chosen))
-    plan = BlamePlan(
+    plan = AttributionPlan(
         chosen=len(chosen),
         failed=len(failed),
         without_log=len(failed) - len(logs),
@@ -134,28 +137,28 @@ def blame(
     )
     if planned is not None:
         planned(plan)
-    found: dict[int, BlamedTrial] = {}
+    found: dict[int, AttributedTrial] = {}
     paths = [logs[row.trial_id] for row in chosen]
-    for place, what in blame_apart(
+    for place, what in attribute_apart(
         paths,
         policy=bundle.reference,
         checkpoint=checkpoint,
         allow_code=allow_code,
         workers=count,
     ):
-        found[place] = _blamed(chosen[place], paths[place], what)
+        found[place] = _attributed(chosen[place], paths[place], what)
         if ended is not None:
             ended(found[place])
-    return Blames(run=str(run), plan=plan, trials=tuple(found[n] for n in range(len(chosen))))
+    return Attribution(run=str(run), plan=plan, trials=tuple(found[n] for n in range(len(chosen))))
 
 
-def _blamed(row: Row, log: Path, what: BlameReport | NwEvalError) -> BlamedTrial:
+def _attributed(row: Row, log: Path, what: AttributionReport | NwEvalError) -> AttributedTrial:
     from nw_eval.errors import NwEvalError
 
     report, fault = (None, str(what)) if isinstance(what, NwEvalError) else (what, "")
     if report is not None and report.trial != row.trial_id:
         report, fault = None, f"{log} is the log of another trial"
-    return BlamedTrial(trial=row.trial_id, scene=row.scene, report=report, fault=fault)
+    return AttributedTrial(trial=row.trial_id, scene=row.scene, report=report, fault=fault)
 
 
 def _read(run: Path) -> tuple[RunFolder, RunInfo, Sequence[Row]]:
