@@ -261,7 +261,7 @@ def _through_lens(lens: Any, records: Any, first: Any, end: Any) -> Any:
     """Turn boxes of a pinhole's picture into boxes of pixels; records without a pixel go.
 
     Args:
-        lens: None, or (tables, ...) of lens_map.py.
+        lens: None, or (tables, ...) of render.py.
         records: float32 records.
         first: the first one.
         end: behind the last one.
@@ -336,7 +336,7 @@ def draw(
         columns: float32 pixel-centre coordinates of the window's columns, eight of slack.
         rows: as above, of its rows.
         options: (eps2d, antialiased, floor of the compensation squared, most alpha, None for EWA
-            or True along the ray, None for a pinhole or (tables, blur, place) of lens_map.py,
+            or True along the ray, None for a pinhole or (tables, blur, place) of render.py,
             numbers of the alpha curve, background (3,) float32, chunks in a slab, None for colours
             or True for surfaces, of which `out` has red, green and blue as `_as_surfaces` says).
             Through a lens the view is its pinhole's, and columns and rows are of all pixels.

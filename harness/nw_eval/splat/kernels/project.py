@@ -134,7 +134,7 @@ def project_chunk(  # noqa: C901, PLR0912 - two projections in one loop.
         antialiased: whether opacity is compensated for it.
         least_compensation: floor of the compensation's square.
         ray: None for EWA, anything else along the ray: two compiled kernels.
-        lens: None, or float32 `blur` of lens_map.py: then boxes are of whole pinhole pixels.
+        lens: None, or float32 `blur` of render.py: then boxes are of whole pinhole pixels.
         records: float32, 16 per record, with eight records of slack.
         count: records that are there already.
 
@@ -322,7 +322,7 @@ def widest(eps2d: Any, lens: Any) -> Any:
 
 @inlined
 def _low_pass(lens: Any, xx: Any, xy: Any, yy: Any, eps2d: Any, x: Any, y: Any) -> Any:
-    """Return a footprint's covariance behind the low-pass; through a lens by lens_map.py's text."""
+    """Return a footprint's covariance behind the low-pass; through a lens by render.py's text."""
     if lens is None:
         return xx + eps2d, xy, yy + eps2d
     square = fma(x, x, y * y)

@@ -15,5 +15,5 @@ initial.py     Gaussians to begin with: at points, such as those of a mesh, and 
 images.py      a photograph, what is known of its depth, and what is rendered
 rasteriser.py  pictures and gradients; kernels/ its compiled half
 loss.py        what training minimises; PSNR and SSIM of views that no step saw
-population.py  Gaussians with their moments; density.py how they come and go; floaters
+density.py     Gaussians with their moments, how they come and go; floaters
 """
