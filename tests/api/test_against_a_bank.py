@@ -473,7 +473,7 @@ def test_a_fresh_panel_follows_from_the_checkpoint_and_from_nothing_else():
         assert own_starts == list(range(len(own_starts))), "trials 0, 1, ... of each scene"
     Path("quick.yaml").write_text(SUITE.replace("seed: 5", "seed: 6"))
     assert api.plan("quick.yaml", policy="./soft", panel="fresh").suite.seed == soft.suite.seed
-    with pytest.raises(UsageError, match="--seed 3 with --panel fresh"):
+    with pytest.raises(UsageError, match="--seed 3 with --seed-set fresh"):
         api.plan("quick.yaml", panel="fresh", seed=3)
 
     Path("quick.yaml").write_text(SUITE)

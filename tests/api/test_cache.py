@@ -228,7 +228,7 @@ def test_a_scene_is_known_by_what_is_in_it_and_by_its_looks(place):
         for name, content in (files | changed).items():
             (room / name).write_text(content)
         [job, *_], known = jobs_and_known(place, suite="there.yaml")
-        return known._conditions.key(job)
+        return known.conditions.key(job)
 
     assert key_of() == key_of()
     renamed = files["scene.yaml"].replace("name: here", "name: there")

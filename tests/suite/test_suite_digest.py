@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from nw_eval.cards.observations import Source
+from nw_eval.suite.model import Source
 from nw_eval.suite import Suite, new_suite
 
 BASE: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""One trial as a job and as what came of it: plain values that travel between processes.
+"""One trial as a job and as a result: plain values that travel between processes.
 
 The result says where the trial's time went, by stage.
 """

@@ -24,7 +24,6 @@ from nw_eval.files.pictures import open_picture
 from nw_eval.lens import Intrinsics
 from nw_eval.rollout.mcap.batch import BLANK_TIME, Form
 from nw_eval.rollout.mcap.messages import Observation, Term, stamp
-from nw_eval.sensors.drawing.pictures import PALETTE
 
 PixelForm = Literal["photo", "drawing", "grey", "classes", "metres", "numbers"]
 """What a pixel is, and how it is kept: sRGB bytes as JPEG; sRGB bytes of few colours as PNG; a byte
@@ -64,6 +63,9 @@ def image_message(
         case "drawing":
             name, data = "png", _file(image, "PNG")
         case "classes":
+            # Sensors load the simulator, which reading a log must not.
+            from nw_eval.sensors.drawing.pictures import PALETTE
+
             name, data = "png", _file(image, "PNG", palette=PALETTE.tobytes())
         case _:
             assert_never(form)
