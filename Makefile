@@ -57,7 +57,7 @@ bench: $(VENV)/.installed-dev
 
 # What has not changed since is taken over from the cache. The suite's own policy is the latest run: the badge shows it.
 LEADERBOARD := build/leaderboard
-BOARD_POLICIES := stand go1-parkour go1-act-depth go1-act-rgb
+BOARD_POLICIES := stand go1-parkour go1-act-depth go1-act-rgb-ray go1-act-rgb
 
 leaderboard: $(VENV)/.installed
 	for policy in $(BOARD_POLICIES); do \

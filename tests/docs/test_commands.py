@@ -196,6 +196,7 @@ NOT_RUN = MappingProxyType(
         "nw-eval train student student-rgb": "hours",
         "nw-eval train student student-rgb-further": "an hour",
         "nw-eval train student student-rgb-ray": "an hour",
+        "nw-eval train student student-rgb-ray-further": "an hour",
         "nw-eval train student --resume runs/student-rgb": "hours",
         "nw-eval run hurdles --policy runs/student-rgb/policies/round-16": (
             "the policy is there after hours; tests/learn/student runs smaller ones"

@@ -44,6 +44,7 @@ def test_the_list_has_shipped_bundles_example_cards_and_the_projects_own(tmp_pat
         "examples/walk-these-ways-go1",
         "go1-act-depth",
         "go1-act-rgb",
+        "go1-act-rgb-ray",
         "go1-parkour",
         "mine",
         "stand",

@@ -80,7 +80,14 @@ def test_a_student_that_sees_nothing_is_none():
 
 @pytest.mark.parametrize(
     "preset",
-    ["student-rgb", "student-rgb-further", "student-rgb-ray", "student-depth", "student-rgb-small"],
+    [
+        "student-rgb",
+        "student-rgb-further",
+        "student-rgb-ray",
+        "student-rgb-ray-further",
+        "student-depth",
+        "student-rgb-small",
+    ],
 )
 def test_the_configs_that_are_shipped_can_be_trained(preset, teacher):
     config = load_config(TRAINING / f"{preset}.yaml", StudentConfig)
