@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from nw_eval.suite.model import Source
 from nw_eval.suite import Suite, new_suite
+from nw_eval.suite.model import Source
 
 BASE: dict[str, Any] = {
     "nw-eval": 1,
