@@ -2,7 +2,7 @@
 
 Numba's cache looks at the file of the function that it compiles and at no file that this one
 imports from: an edit in the vector layer would leave a stale blend in the cache. Therefore the
-name of a file there carries a hash of every source in the kernel's folder.
+name of a file there carries a hash of every source in the kernel's folder, and of `nw_eval.simd`.
 
 Numba reads what it has kept with pickle, which runs whatever is in it, and runs the machine code: a
 file that another user wrote is an attack, one that is cut short a crash. So the folder is private,
@@ -45,11 +45,18 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _AS_WRITTEN: dict[str, Any] = {"boundscheck": False, "error_model": "numpy"}
 
 
+_VECTORS = Path(__file__).parent / "simd"
+
+
 def hash_sources(folder: Path) -> str:
-    """Return what changes whenever a source in a folder changes, or what compiles it."""
+    """Return what changes whenever a source of kernels changes, or what compiles it.
+
+    Args:
+        folder: of the kernels. The vectors that all kernels are made of count, too.
+    """
     versions = (platform.python_version(), numba.__version__, llvmlite.__version__, np.__version__)
     digest = hashlib.sha256(" ".join(versions).encode())
-    for path in sorted(folder.glob("*.py")):
+    for path in (*sorted(folder.glob("*.py")), *sorted(_VECTORS.glob("*.py"))):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
 

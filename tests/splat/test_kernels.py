@@ -23,7 +23,7 @@ from nw_eval.splat.kernels.blend import (
     clear,
 )
 from nw_eval.splat.kernels.project import RECORD
-from nw_eval.splat.kernels.simd import broadcast
+from nw_eval.simd.lanes import broadcast
 from nw_eval.splat.store import memory_store, unpack
 
 EPS2D = np.float32(0.3)

@@ -218,12 +218,18 @@ def _compiled() -> tuple[str, ...]:
     from nw_eval.files.cache import cache_dir
 
     versions = (platform.python_version(), *map(metadata.version, ("numba", "llvmlite", "numpy")))
-    digest = hashlib.sha256(" ".join(versions).encode())
-    for path in sorted((Path(__file__).parents[1] / "splat" / "kernels").glob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    known = f"{digest.hexdigest()[:16]}.{binding.get_host_cpu_name()}.compiled"
-    folder = cache_dir() / "kernels"
-    return tuple(kind for kind in KERNELS if (folder / f"splat-{kind}.{known}").is_file())
+    package, folder = Path(__file__).parents[1], cache_dir() / "kernels"
+
+    def is_compiled(kind: str, sources: Path) -> bool:
+        digest = hashlib.sha256(" ".join(versions).encode())
+        vectors = sorted((package / "simd").glob("*.py"))
+        for path in (*sorted(sources.glob("*.py")), *vectors):
+            digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+        known = f"{digest.hexdigest()[:16]}.{binding.get_host_cpu_name()}.compiled"
+        return (folder / f"{sources.parent.name}-{kind}.{known}").is_file()
+
+    drawing, networks = package / "splat" / "kernels", package / "networks"
+    return tuple(k for k in KERNELS if is_compiled(k, networks if k == "networks" else drawing))
 
 
 def _gpus() -> Iterator[str]:

@@ -119,6 +119,9 @@ class Card(CardModel):
     """For `python:` adapters, the interpreter that runs the code, such as `.venv/bin/python`: an
     environment of its own, which needs Python 3.11 or later and NumPy. A relative path starts from
     the card's folder; no part of the digest. None = this one."""
+    runtime: Literal["native", "nw-eval"] = "native"
+    """What runs ONNX files: `native`, ONNX Runtime, whose results depend on the processor in their
+    last digits; or `nw-eval`, whose results are the same on every processor."""
     options: dict[str, Any] = Field(default_factory=dict[str, Any])
     """What only this adapter understands; each adapter says what that is."""
     control: Control
@@ -176,6 +179,10 @@ class Card(CardModel):
             raise ValueError(f"{message}; remove it, or write `adapter: python:module:Class`")
         if self.python is not None and self.networks:
             raise ValueError("`networks` feed no policy with a `python` of its own; remove one")
+        others = {self.adapter, *(net.adapter for net in self.networks.values())} - {"onnx"}
+        if self.runtime == "nw-eval" and others:
+            message = f"`runtime: nw-eval` runs ONNX files, not adapter `{min(others)}`"
+            raise ValueError(f"{message}; remove it, or export the policy as ONNX")
         if self.adapter != "zero" and not self.observations:
             raise ValueError("`observations` is empty; name what the checkpoint sees")
         self._check_terms()

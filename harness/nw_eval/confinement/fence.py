@@ -26,6 +26,7 @@ from pathlib import Path
 from nw_eval.confinement import kernel, seccomp
 from nw_eval.confinement.family import die_with_parent, leave_terminal
 from nw_eval.confinement.seccomp import Network
+from nw_eval.words import Kernels
 
 # Programs' and libraries' own files; what the loader and the C library ask; what NumPy, torch and
 # onnxruntime ask about the processor. Nothing of a user, and no list of other processes.
@@ -196,6 +197,8 @@ class Rules:
     """The interpreter that runs it, where that is not this one."""
     off: str = ""
     """Why there is neither fence nor limit; empty = there are."""
+    kernels: tuple[Kernels, ...] = ()
+    """What is loaded before: the cache of kernels is out of its reach then."""
 
 
 def confine(rules: Rules, *, output: int | None = None) -> Fence:

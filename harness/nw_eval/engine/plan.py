@@ -139,7 +139,7 @@ class Plan:
 
     @property
     def kernels(self) -> tuple[Kernels, ...]:
-        """Which kernels of the CPU draw its pictures."""
+        """Which kernels of the CPU draw its pictures and run its networks."""
         return kernels_of(self.suite.robot, self.bundle.card, self.suite.render.projection)
 
     @property

@@ -324,11 +324,11 @@ def start(settings: WorkerStart, output: Connection) -> None:
     """
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if settings.renders:
+    if kernels := {*settings.renders, *settings.rules.kernels}:
         with suppress(Exception):  # The trial that wants them says what is wrong.
             from nw_eval.splat.warmup import warmup
 
-            warmup(kernels=settings.renders)
+            warmup(kernels=kernels)
     global _awaits_splats  # noqa: PLW0603 - as a process is started, so it stays.
     _awaits_splats = settings.awaits_splats
     confine(settings.rules, output=output.fileno())

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
     from nw_eval.cards.joint_control import Action
+    from nw_eval.networks import Program
     from nw_eval.policies.bundle import Bundle
     from nw_eval.policies.policy import Policy
 
@@ -290,6 +291,25 @@ class AskedPolicy:
         self.ask({"call": "restore", "state": state})
 
 
+def programs_over(line: PolicyLine, bundle: Bundle) -> dict[str, Program]:
+    """Return what the ONNX files of a bundle were planned into by the process behind a line.
+
+    Raises:
+        PolicyError: a file cannot be planned.
+    """
+    from nw_eval.networks import Program
+
+    number = line.number()
+    try:
+        answer = line.ask({"call": "plan", "bundle": pickled(bundle)}, policy=number)
+        packed = unpack(answer["programs"])
+        return {name: Program.unpacked(array.tobytes()) for name, array in packed.items()}
+    except (KeyError, TypeError, ValueError):
+        line.lost()
+    finally:
+        line.forget(number)
+
+
 class ApartPolicy(AskedPolicy):
     """A policy in a process of its own.
 
@@ -408,7 +428,7 @@ def _meant(bundle: Bundle, joints: int, *, allow_code: bool) -> dict[str, Any]:
     """
     card = bundle.card
     if card.python is None:
-        return {"bundle": bytes(ForkingPickler.dumps((bundle, allow_code)))}
+        return {"bundle": pickled((bundle, allow_code))}
     if not allow_code:
         raise code_refused(bundle)
     return {
@@ -488,7 +508,7 @@ def serve_policies(
     if output is not None:
         output.close()
     line = MessageLine(questions.fileno(), answers.fileno())
-    others = {"held": _held, "try": _try}
+    others = {"held": _held, "plan": _plan, "try": _try}
     with suppress(OSError, ValueError):  # The answer has no reader, or the request makes no sense.
         Server(line, memory.fileno(), opened=_opened, others=others, describe=_described).serve()
     os._exit(LEFT)
@@ -509,6 +529,11 @@ def _opened(words: Mapping[str, Any]) -> tuple[Policy, dict[str, Any]]:
     return policy, answer
 
 
+def pickled(value: Any) -> bytes:
+    """Return a value as `_loaded` reads it in the policy's process."""
+    return bytes(ForkingPickler.dumps(value))
+
+
 def _loaded(data: bytes) -> Any:
     """Return what the caller has sent, whom this process trusts, and not the other way round."""
     loads: Callable[[bytes], Any] = vars(ForkingPickler)["loads"]
@@ -517,6 +542,14 @@ def _loaded(data: bytes) -> Any:
 
 def _held(policy: Any, _: Mapping[str, Any]) -> dict[str, Any]:
     return {"arrays": pack(policy.held)}
+
+
+def _plan(_: Any, words: Mapping[str, Any]) -> dict[str, Any]:
+    from nw_eval.policies.onnx import plan_files
+
+    programs = plan_files(_loaded(words["bundle"]))
+    packed = {name: np.frombuffer(each.packed(), np.uint8) for name, each in programs.items()}
+    return {"programs": pack(packed)}
 
 
 def _try(_: Any, words: Mapping[str, Any]) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from nw_eval.robots import get_robot
 
 if TYPE_CHECKING:
     from nw_eval.hub.reference import Fetched
+    from nw_eval.networks import Program
 
 SIZE_LIMIT = 2**30
 """Bytes. The largest policy of this field is some 100 MB."""
@@ -79,6 +80,9 @@ class Bundle:
     """The files of the networks that feed the checkpoint, by name."""
     network: str = ""
     """Which network of its card this is the bundle of; empty for the policy itself."""
+    programs: Mapping[str, Program] = field(default_factory=dict)
+    """Where `runtime: nw-eval` runs the networks, what their files were planned into, if that has
+    been done: by the name of the network, the checkpoint's under an empty one."""
     instance: object | None = None
     """The policy itself, where it is an object of this process (`instance_bundle`)."""
 
@@ -200,6 +204,7 @@ class Bundle:
         if self.instance is not None and not self.checkpoint_sha256:
             return ""
         fields = self._meaning()
+        fields.pop("runtime", None)  # What runs a network changes no more than an export of it.
         del fields["name"]
         feeding = {name: _computed(self.of_network(name)) for name in self.networks}
         # Not sorted: one input takes the observations in their order.
@@ -216,6 +221,8 @@ class Bundle:
             del fields["networks"]  # Cards have the digest that they had before there were any.
         if not fields["cameras"]:
             del fields["cameras"]  # As above.
+        if fields["runtime"] == "native":
+            del fields["runtime"]  # As above.
         if self.card.adapter == "remote":
             # Where the same policy is served changes nothing; which one it is, `digest` says.
             options = fields["options"].items()

@@ -1,8 +1,8 @@
-"""ONNX checkpoints, run by onnxruntime on one thread."""
+"""ONNX checkpoints, run by onnxruntime on one thread or, as a card's `runtime` says, by nw-eval."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -30,6 +30,8 @@ from nw_eval.policies.safety import check_onnx
 if TYPE_CHECKING:
     import onnxruntime as ort
 
+    from nw_eval.networks import Program
+
 _DTYPES: dict[str, Any] = {
     "tensor(float)": np.float32,
     "tensor(double)": np.float64,
@@ -44,7 +46,8 @@ class OnnxNetwork:
     """An ONNX graph, with the recurrent state that it passes from step to step.
 
     The graph is loaded from bytes that were verified, without external data files and without
-    custom operators, so it can do arithmetic and nothing else. Inputs that an output feeds (`h_in`
+    custom operators, so it can do arithmetic and nothing else; or it was planned into a program,
+    which is data. Inputs that an output feeds (`h_in`
     and `h_out`, or what the card's `recurrent` says) begin a trial as zeros.
     """
 
@@ -56,15 +59,12 @@ class OnnxNetwork:
         """
         self._name = bundle.name
         self._subject = bundle.subject
-        file = bundle.checkpoint_sha256, str(bundle.checkpoint), bundle.read_checkpoint()
-        graph = _GraphFile(*file)
-        session = _open(graph)
-        self._session: ort.InferenceSession | None = session
-        specs = tuple(_spec(bundle, node) for node in session.get_inputs())
-        outputs = session.get_outputs()
+        runner = _Planned(bundle) if bundle.card.runtime == "nw-eval" else _Native(bundle)
+        self._runner: _Native | _Planned | None = runner
+        specs, outputs = runner.inputs, runner.outputs
         self._fed_by = _recurrent(bundle, specs, outputs)
         self._recurrent = tuple(spec for spec in specs if spec.name in self._fed_by)
-        self.is_function = not self._recurrent and not _draws(graph)
+        self.is_function = not self._recurrent and not runner.draws
         """Whether equal inputs give equal outputs, whatever came before."""
         self._memory: Arrays = {}
         self.inputs = tuple(spec for spec in specs if spec.name not in self._fed_by)
@@ -73,15 +73,14 @@ class OnnxNetwork:
         except PolicyError as error:
             raise PolicyError(f"{bundle.where}: {clean(error)}") from None
         feeding = [self._fed_by[spec.name] for spec in self._recurrent]
-        free = [node for node in outputs if node.name not in feeding]
-        names = [str(node.name) for node in free]
+        names = [name for name in outputs if name not in feeding]
         if not names:
             raise PolicyError(
                 f"{bundle.where}: every output of the checkpoint feeds an input, none is an action",
                 fix="say on the card which ones do: `recurrent: {input: output}`",
             )
         places = [place_of(one, names, bundle) for one in wanted]
-        self.wanted = tuple((names[place], tuple(free[place].shape)) for place in places)
+        self.wanted = tuple((names[place], outputs[names[place]]) for place in places)
         self._outputs = [*dict.fromkeys([*(name for name, _ in self.wanted), *feeding])]
         self.reset(0)
 
@@ -99,17 +98,14 @@ class OnnxNetwork:
 
     def run(self, observation: Observation) -> tuple[NDArray[Any], ...]:
         """Run the graph once."""
-        if self._session is None:
+        if self._runner is None:
             raise TrialError(f"{self._subject} is closed", fix="open it again")
         feeds = self._assemble(observation)
         feeds.update(self._memory)
         try:
-            values = self._session.run(self._outputs, feeds)
+            results = self._runner.run(self._outputs, feeds)
         except Exception as error:
             raise TrialError(f"{self._subject} failed: {clean(error, at_most=200)}") from error
-        results = {
-            name: np.asarray(value) for name, value in zip(self._outputs, values, strict=True)
-        }
         for spec in self._recurrent:
             self._memory[spec.name] = results[self._fed_by[spec.name]]
         return tuple(results[name] for name, _ in self.wanted)
@@ -132,7 +128,54 @@ class OnnxNetwork:
 
     def close(self) -> None:
         """Free the graph."""
-        self._session = None
+        self._runner = None
+
+
+class _Native:
+    """A graph that onnxruntime runs."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        graph = _graph_file(bundle)
+        self._session = _open(graph)
+        self.draws = _draws(graph)
+        """Whether it draws numbers."""
+        self.inputs = tuple(_spec(bundle, node) for node in self._session.get_inputs())
+        self.outputs = {str(n.name): tuple(n.shape) for n in self._session.get_outputs()}
+
+    def run(self, names: list[str], feeds: Arrays) -> dict[str, NDArray[Any]]:
+        values = self._session.run(names, feeds)
+        return {name: np.asarray(value) for name, value in zip(names, values, strict=True)}
+
+
+class _Planned:
+    """A graph that nw-eval runs."""
+
+    draws = False
+
+    def __init__(self, bundle: Bundle) -> None:
+        from nw_eval.networks.network import Network
+
+        program = bundle.programs.get(bundle.network) or _program(_graph_file(bundle))
+        self._network = Network(program)
+        self.inputs = tuple(
+            InputSpec(name=name, shape=slot.shape, dtype=np.dtype(slot.dtype))
+            for name, slot in program.inputs.items()
+        )
+        self.outputs = {name: slot.shape for name, slot in program.outputs.items()}
+
+    def run(self, names: list[str], feeds: Arrays) -> dict[str, NDArray[Any]]:
+        results = self._network(feeds)
+        return {name: results[name].copy() for name in names}
+
+
+def plan_files(bundle: Bundle) -> dict[str, Program]:
+    """Return the programs of all ONNX files of a bundle, the checkpoint's under an empty name.
+
+    Raises:
+        PolicyError: a file cannot be used, or has an operator that nw-eval does not run.
+    """
+    alone = {"": bundle} | {name: bundle.of_network(name) for name in bundle.networks}
+    return {name: _program(_graph_file(each)) for name, each in alone.items()}
 
 
 class OnnxPolicy(ActingNetwork):
@@ -151,7 +194,9 @@ class OnnxPolicy(ActingNetwork):
         super().__init__(network, joints=joints, policy=bundle.name)
 
 
-def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict[str, str]:
+def _recurrent(
+    bundle: Bundle, specs: Sequence[InputSpec], outputs: Mapping[str, tuple[Any, ...]]
+) -> dict[str, str]:
     """Return the inputs that an output feeds: those that the card says, or the names show.
 
     Raises:
@@ -159,7 +204,8 @@ def _recurrent(bundle: Bundle, specs: Sequence[InputSpec], outputs: Any) -> dict
     """
     inputs = {spec.name: spec.shape for spec in specs}
     targets = {
-        node.name: tuple(s if isinstance(s, int) else None for s in node.shape) for node in outputs
+        name: tuple(side if isinstance(side, int) else None for side in shape)
+        for name, shape in outputs.items()
     }
     named = bundle.card.recurrent
     if named is None:
@@ -194,6 +240,31 @@ class _GraphFile:
     sha256: str
     where: str
     data: bytes = field(compare=False, repr=False)
+
+
+def _graph_file(bundle: Bundle) -> _GraphFile:
+    return _GraphFile(bundle.checkpoint_sha256, str(bundle.checkpoint), bundle.read_checkpoint())
+
+
+@lru_cache(maxsize=4)
+def _program(graph: _GraphFile) -> Program:
+    from nw_eval.networks import UnsupportedError
+    from nw_eval.networks.plan import plan
+    from nw_eval.policies.networks.onnx_reading import read_graph
+
+    check_onnx(graph.data, graph.where)
+    try:
+        return plan(read_graph(graph.data))
+    except UnsupportedError as error:
+        raise PolicyError(
+            f"{graph.where}: `runtime: nw-eval` does not run it: {clean(error, at_most=200)}",
+            fix="write `runtime: native`, or export it with the operators of docs/reference/networks.md",
+        ) from None
+    except ValueError as error:
+        raise PolicyError(
+            f"{graph.where}: not a usable ONNX file: {clean(error, at_most=200)}",
+            fix="export it again as one file with standard operators",
+        ) from None
 
 
 @lru_cache(maxsize=8)

@@ -18,6 +18,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Generator
 from contextlib import contextmanager
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, Literal, assert_never
 
@@ -27,7 +28,7 @@ from nw_eval.cards.joint_control import Action
 from nw_eval.cards.networks import InputSpec, is_built_in
 from nw_eval.errors import CodeError, NwEvalError, PolicyError, TrialError
 from nw_eval.files.importable import importable
-from nw_eval.policies.apart import ApartPolicy, code_refused, current_line
+from nw_eval.policies.apart import ApartPolicy, code_refused, current_line, programs_over
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.policy import Observation, Policy, raised
@@ -40,6 +41,9 @@ PROGRAMS = frozenset({"torchscript", "torch-export"})
 def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
     """Load a bundle's checkpoint, and its networks: in the policy's process, where there is one.
 
+    With `runtime: nw-eval` that process reads the files and plans them; what they compute is data
+    then, which is checked and runs here.
+
     Args:
         bundle: from `load_bundle`.
         allow_code: whether `python:` adapters may import the user's code.
@@ -49,7 +53,9 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
             fit the card.
     """
     line = current_line()
-    if line is not None and bundle.card.adapter != "zero":
+    if line is not None and bundle.card.runtime == "nw-eval":
+        bundle = replace(bundle, programs=programs_over(line, bundle))
+    elif line is not None and bundle.card.adapter != "zero":
         joints = bundle.joints
         return ApartPolicy(bundle, line, joints=joints, allow_code=allow_code)
     policy = _open_checkpoint(bundle, allow_code=allow_code)

@@ -65,7 +65,7 @@ class TrialJob:
 
 
 def kernels_of(robot: str, card: Card, *projections: Projection) -> tuple[Kernels, ...]:
-    """Return which kernels of the CPU draw what a robot's cameras see, as a card mounts them.
+    """Return which kernels of the CPU draw what a robot's cameras see, and run a card's networks.
 
     A perturbation may bend a lens that the robot's folder says is straight: that takes the time to
     compile, and no more.
@@ -81,7 +81,8 @@ def kernels_of(robot: str, card: Card, *projections: Projection) -> tuple[Kernel
 
     lenses = [mount.intrinsics for mount in mounted_robot(get_robot(robot), card).cameras.values()]
     is_bent = any(lens is not None and lens.distortion is not None for lens in lenses)
-    return (*dict.fromkeys(projections), *(("lens",) if is_bent else ()))
+    networks = ("networks",) if card.runtime == "nw-eval" else ()
+    return (*dict.fromkeys(projections), *(("lens",) if is_bent else ()), *networks)
 
 
 Stage = Literal["setup", "physics", "render", "sense", "policy", "log"]

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
 _KERNELS = Path(__file__).parent / "kernels"
+_NETWORKS = Path(__file__).parents[1] / "networks"
 
 
 def warmup(
@@ -34,7 +35,7 @@ def warmup(
     Args:
         backend: whose.
         surfaces: also those of `CpuRenderer.surface`.
-        kernels: those of the CPU, by what they draw; all of them if nothing is said.
+        kernels: those of the CPU, by what they are for; all of them if nothing is said.
 
     Returns:
         Seconds that it took: when compiled about 15 for what all share and one kind, 10 for each
@@ -55,6 +56,8 @@ def warmup(
     )
     camera = Camera.from_fovy(width=16, height=16, fovy=1.0, T_world_camera=np.eye(4))
     store = memory_store(gaussians)
+    if "networks" in kernels:
+        _warm_networks()
     if backend != "cpu":
         open_renderer(store, backend).render(camera)
         return time.perf_counter() - started
@@ -62,6 +65,9 @@ def warmup(
 
     straight = Distortion(model="fisheye", coefficients=(0.0, 0.0, 0.0, 0.0))
     for kind in kernels:
+        if kind == "networks":
+            mark_compiled(_NETWORKS, kind)
+            continue
         if kind == "lens":
             open_renderer(store).render(replace(camera, distortion=straight))
         else:
@@ -72,11 +78,24 @@ def warmup(
     return time.perf_counter() - started
 
 
+def _warm_networks() -> None:
+    from nw_eval.networks import Graph
+    from nw_eval.networks.network import Network
+    from nw_eval.networks.plan import plan
+
+    graph = Graph()
+    given = graph.input("x", (1, 1))
+    graph.outputs = [graph.add("Tanh", given)]
+    Network(plan(graph))({"x": np.zeros((1, 1), np.float32)})
+
+
 def warm_kernels() -> tuple[Kernels, ...]:
     """Return which of the CPU's kernels `warmup` finds compiled, by this version of them."""
     from nw_eval.machine_code import is_compiled  # It knows numba.
 
-    return tuple(kind for kind in KERNELS if is_compiled(_KERNELS, kind))
+    return tuple(
+        kind for kind in KERNELS if is_compiled(_NETWORKS if kind == "networks" else _KERNELS, kind)
+    )
 
 
 def kernel_note() -> str | None:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from nw_eval.policies import Bundle
-    from nw_eval.words import Backend
+    from nw_eval.words import Backend, Kernels
 
 OPENING_SECONDS = 25
 """Of processor time to open a checkpoint in: imports take 2 to 5 s of it, 100 MB another 1."""
@@ -61,6 +61,7 @@ def opening_rules(bundle: Bundle, *, allow_code: bool, also: Sequence[Path] = ()
         memory=None if is_code else memory_to_open(_size(*bundle.files)),
         seconds=None if is_code else OPENING_SECONDS,
         off=why_off(code=allow_code and senses_by_code(bundle.card)),
+        kernels=_kernels(bundle),
     )
 
 
@@ -107,6 +108,7 @@ def running_rules(
         writes=() if logs is None else (logs.resolve(),),
         memory=memory_to_run(_size(*bundle.files), scenes=len(places)),
         off=why_off(code=allow_code and senses_by_code(bundle.card), render=render),
+        kernels=_kernels(bundle),
     )
 
 
@@ -130,6 +132,10 @@ def fence_in_server(bundle: Bundle) -> None:
     It may listen, but open no connection; its memory has no limit, each client takes some.
     """
     raise_fence(reads=_files(bundle), writes=(), network="server")
+
+
+def _kernels(bundle: Bundle) -> tuple[Kernels, ...]:
+    return ("networks",) if bundle.card.runtime == "nw-eval" else ()
 
 
 def why_off(*, code: bool, render: Backend = "cpu", in_process: bool = False) -> str:

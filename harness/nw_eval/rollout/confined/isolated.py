@@ -240,10 +240,10 @@ def _answer(
     *line: Connection,
 ) -> None:
     try:
-        if renders:
+        if kernels := {*renders, *rules.kernels}:
             from nw_eval.splat.warmup import warmup
 
-            warmup(kernels=renders)
+            warmup(kernels=kernels)
         confine(rules)
         use_line(*line)
         answer = {"value": function(**arguments)}

@@ -1,7 +1,5 @@
-"""The compiled half of the renderer, from the vector type up.
+"""The compiled half of the renderer, above the vectors of `nw_eval.simd`.
 
-simd.py       Float8 and Floats16: float32 lanes, their operators and masks
-memory.py     loads and stores of lanes and of single elements
 math8.py      exp2, log2, bit patterns and the pixel-set arithmetic; the clock of the stages
 view.py       places in the flat float32 vector of one camera and one window
 cull.py       chunks that the window can see, and those that are hidden

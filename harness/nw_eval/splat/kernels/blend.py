@@ -31,34 +31,7 @@ from llvmlite import ir
 from numba import types
 
 from nw_eval.machine_code import inlined, kernel
-from nw_eval.splat.kernels import view as at
-from nw_eval.splat.kernels.math8 import (
-    EXP2,
-    bits_of,
-    count_bits,
-    exp2,
-    pack_range,
-    taken_below,
-    word_at,
-)
-from nw_eval.splat.kernels.memory import elements, load, peek, poke, prefetch, store
-from nw_eval.splat.kernels.project import (
-    BEND,
-    COLUMNS,
-    LOG_OPACITY,
-    RECORD,
-    RED,
-    ROWS,
-    SLOPE_X,
-    SLOPE_Y,
-    THRESHOLD,
-    A,
-    B,
-    C,
-    U,
-    V,
-)
-from nw_eval.splat.kernels.simd import (
+from nw_eval.simd.lanes import (
     FLOAT,
     I64,
     Floats16,
@@ -77,6 +50,33 @@ from nw_eval.splat.kernels.simd import (
     negate,
     sqrt,
     where,
+)
+from nw_eval.simd.memory import elements, load, peek, poke, prefetch, store
+from nw_eval.splat.kernels import view as at
+from nw_eval.splat.kernels.math8 import (
+    EXP2,
+    bits_of,
+    count_bits,
+    exp2,
+    pack_range,
+    taken_below,
+    word_at,
+)
+from nw_eval.splat.kernels.project import (
+    BEND,
+    COLUMNS,
+    LOG_OPACITY,
+    RECORD,
+    RED,
+    ROWS,
+    SLOPE_X,
+    SLOPE_Y,
+    THRESHOLD,
+    A,
+    B,
+    C,
+    U,
+    V,
 )
 
 PIXELS = 16

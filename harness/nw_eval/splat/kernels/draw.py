@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from nw_eval.machine_code import inlined, kernel, part
+from nw_eval.simd.memory import load, peek, poke, store
 from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.blend import CHANNELS, SLACK_COLUMNS, blend, clear
 from nw_eval.splat.kernels.cull import is_hidden, visible_chunks
 from nw_eval.splat.kernels.math8 import bits_of, clock_nanoseconds, float_of
-from nw_eval.splat.kernels.memory import load, peek, poke, store
 from nw_eval.splat.kernels.project import (
     BLUE,
     COLUMNS,

@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 
 from nw_eval.machine_code import inlined
-from nw_eval.splat.kernels.simd import (
+from nw_eval.simd.lanes import (
     FLOAT,
     I32,
     I64,

@@ -47,11 +47,7 @@ from numba import types
 from numba.core import cgutils
 
 from nw_eval.machine_code import inlined, kernel
-from nw_eval.splat.kernels import view as at
-from nw_eval.splat.kernels.cull import BOUNDS, REACH
-from nw_eval.splat.kernels.math8 import log2, pack_range, taken_below
-from nw_eval.splat.kernels.memory import elements, load_group, load_halves, prefetch_early
-from nw_eval.splat.kernels.simd import (
+from nw_eval.simd.lanes import (
     F8,
     I64,
     LANES,
@@ -68,6 +64,10 @@ from nw_eval.splat.kernels.simd import (
     sqrt,
     where,
 )
+from nw_eval.simd.memory import elements, load_group, load_halves, prefetch_early
+from nw_eval.splat.kernels import view as at
+from nw_eval.splat.kernels.cull import BOUNDS, REACH
+from nw_eval.splat.kernels.math8 import log2, pack_range, taken_below
 
 GEOMETRY = 10
 """Floats per Gaussian: centre (3), covariance xx xy xz yy yz zz, log2 opacity."""

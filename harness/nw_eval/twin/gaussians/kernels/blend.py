@@ -31,6 +31,20 @@ from llvmlite import ir
 from numba import types
 
 from nw_eval.machine_code import inlined
+from nw_eval.simd.lanes import (
+    I32,
+    broadcast,
+    fma,
+    intrinsic,
+    lane_list,
+    mask_bits,
+    maximum,
+    minimum,
+    minus_abs,
+    negate,
+    where,
+)
+from nw_eval.simd.memory import load, peek, poke, store
 from nw_eval.splat.kernels.blend import (
     CHANNELS,
     FLAT,
@@ -43,7 +57,6 @@ from nw_eval.splat.kernels.blend import (
     row_spans,
 )
 from nw_eval.splat.kernels.math8 import bits_of, exp2, float_of
-from nw_eval.splat.kernels.memory import load, peek, poke, store
 from nw_eval.splat.kernels.project import (
     BEND,
     BLUE,
@@ -61,19 +74,6 @@ from nw_eval.splat.kernels.project import (
     C,
     U,
     V,
-)
-from nw_eval.splat.kernels.simd import (
-    I32,
-    broadcast,
-    fma,
-    intrinsic,
-    lane_list,
-    mask_bits,
-    maximum,
-    minimum,
-    minus_abs,
-    negate,
-    where,
 )
 from nw_eval.twin.gaussians.kernels import kernel
 from nw_eval.twin.gaussians.kernels.project import INVERSE_DEPTH, LN2

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from nw_eval.machine_code import inlined
+from nw_eval.simd.memory import poke
 from nw_eval.splat.kernels import view as at
 from nw_eval.splat.kernels.math8 import float_of
-from nw_eval.splat.kernels.memory import poke
 from nw_eval.splat.kernels.project import (
     BEND,
     COLUMNS,

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from nw_eval.machine_code import inlined
-from nw_eval.splat.kernels.memory import load, store
-from nw_eval.splat.kernels.simd import fma
+from nw_eval.simd.lanes import fma
+from nw_eval.simd.memory import load, store
 from nw_eval.twin.gaussians.kernels import kernel
 from nw_eval.twin.gaussians.kernels.project import rotation
 

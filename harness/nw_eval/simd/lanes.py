@@ -5,7 +5,7 @@ LLVM picks the instructions of the machine (AVX2, AVX-512, NEON) and no C compil
 no register holds sixteen lanes, LLVM takes two: a lane gets the same bits either way. No fast-math
 flag is set anywhere: results do not depend on what LLVM would like to reassociate.
 
-This room has the types, their operators and masks; memory.py, bits.py and records.py have the rest.
+This file has the types, their operators and masks; memory.py has loads and stores.
 """
 
 # ruff: noqa: ARG001 - an intrinsic sees the types of its arguments; their values reach `generate`.
@@ -50,7 +50,7 @@ class MaskType(types.Type):
 
 
 Float8, Floats16 = FloatsType(8), FloatsType(16)
-_MASKS = {8: MaskType(8), 16: MaskType(16)}
+MASKS = {lanes: MaskType(lanes) for lanes in (4, 8, 16, 32, 64, 128)}
 
 
 @register_model(FloatsType)
@@ -176,7 +176,7 @@ def _comparison(python_operator: Callable[..., Any], sign: str) -> None:
             limit = _widen(builder, args[1], signature.args[1], left)
             return builder.fcmp_ordered(sign, args[0], limit)
 
-        return _MASKS[left.lanes](left, _vector_or_float(right)), generate
+        return MASKS[left.lanes](left, _vector_or_float(right)), generate
 
     @overload(python_operator)
     def choose(left: Any, right: Any) -> Any:
@@ -195,17 +195,23 @@ _comparison(operator.gt, ">")
 _comparison(operator.ge, ">=")
 
 
-@intrinsic
-def fma(_typing: Any, x: Any, y: Any, z: Any) -> Any:
-    """Return x * y + z, rounded once where the machine can."""
+def _multiply_add(name: str, text: str) -> Any:
+    @intrinsic
+    def apply(_typing: Any, x: Any, y: Any, z: Any) -> Any:
+        def generate(_context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            kind = signature.return_type
+            pairs = zip(args, signature.args, strict=True)
+            return call_llvm(builder, name, *[_widen(builder, a, t, kind) for a, t in pairs])
 
-    def generate(_context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        kind = signature.return_type
-        operands = [_widen(builder, a, t, kind) for a, t in zip(args, signature.args, strict=True)]
-        return call_llvm(builder, "fmuladd", *operands)
+        kind = _floats_of(x, y, z)
+        return kind(_vector_or_float(x), _vector_or_float(y), _vector_or_float(z)), generate
 
-    kind = _floats_of(x, y, z)
-    return kind(_vector_or_float(x), _vector_or_float(y), _vector_or_float(z)), generate
+    apply.__doc__ = text
+    return apply
+
+
+fma = _multiply_add("fmuladd", "Return x * y + z, rounded once where the machine can.")
+fused = _multiply_add("fma", "Return x * y + z, rounded once: without the instruction, by libm.")
 
 
 @intrinsic

@@ -16,7 +16,7 @@ from llvmlite.binding import get_host_cpu_features
 from numba import types
 from numba.core import cgutils
 
-from nw_eval.splat.kernels.simd import (
+from nw_eval.simd.lanes import (
     F8,
     F16,
     HALF16,
