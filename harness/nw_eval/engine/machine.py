@@ -21,6 +21,7 @@ import resource
 import signal
 import threading
 from contextlib import suppress
+from dataclasses import replace
 from hashlib import sha256
 from multiprocessing import Pipe
 from pathlib import Path
@@ -34,6 +35,8 @@ from nw_eval.results.provenance import usable_cores
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from types import FrameType, TracebackType
+
+    from nw_eval.confinement import Rules
 
 # What else, on one and the same processor, makes a library take other kernels: numba's own
 # settings, torch, MKL and oneDNN under it, OpenBLAS and SIMD under NumPy, the C library's sin.
@@ -213,6 +216,18 @@ class Resident:
                 finite = (most for most in known if most != resource.RLIM_INFINITY)
                 most = min([*finite, limit + _BETWEEN_LOOKS])
                 resource.prlimit(process, resource.RLIMIT_DATA, (most, most))
+
+
+def restrained(rules: Rules, limit: int | None) -> Rules:
+    """Return rules by which a process cannot reserve much more than it may hold.
+
+    Args:
+        rules: what it may do.
+        limit: bytes that it may hold; None = any.
+    """
+    most = [] if limit is None else [limit + _BETWEEN_LOOKS]
+    most += [] if rules.memory is None else [rules.memory]
+    return replace(rules, memory=min(most, default=None))
 
 
 def _mapped(process: int) -> int:
