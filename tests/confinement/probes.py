@@ -104,15 +104,15 @@ READ = (
 
 def _started_threads():
     threading.stack_size(2**16)
-    wait, count = threading.Event(), 0
+    wait = threading.Event()
     try:
-        for count in range(MOST_THREADS):
+        for _ in range(MOST_THREADS):
             threading.Thread(target=wait.wait, daemon=True).start()
     except RuntimeError:
         raise PermissionError from None
     finally:
         wait.set()
-    return count
+    return MOST_THREADS
 
 
 def _mapped(flags):
@@ -183,8 +183,8 @@ def _writes(own, outside):
     yield "write outside", lambda: secret.write_text("mine")
     yield "append outside", lambda: secret.open("a")
     yield "cut outside", lambda: os.truncate(secret, 0)
-    yield "make outside", lambda: (outside / "new").touch()
-    yield "make a folder", lambda: (outside / "folder").mkdir()
+    yield "make outside", (outside / "new").touch
+    yield "make a folder", (outside / "folder").mkdir
     yield "remove outside", secret.unlink
     yield "move outside", lambda: secret.rename(outside / "moved")
     yield "link outside", lambda: (outside / "link").hardlink_to(secret)
@@ -230,7 +230,7 @@ def _rest(own):
     yield "clone into namespaces", lambda: call((56, 220), 0x10000000 | 17, 0, 0, 0, 0)
     yield "clone3", lambda: call(435, bytes(88), 88)
     yield "fork", os.fork
-    yield "run", lambda: subprocess.run([sys.executable, "-c", ""])
+    yield "run", lambda: subprocess.run([sys.executable, "-c", ""], check=False)
     yield "spawn", lambda: os.posix_spawn(sys.executable, [sys.executable, "-c", ""], {})
     yield "execve", lambda: os.execve(sys.executable, [sys.executable, "-c", ""], {})
     yield "chroot", lambda: os.chroot("/")
@@ -239,7 +239,7 @@ def _rest(own):
 
 
 def _others():
-    """Yield every system call that the list does not have, but what never comes back or ends this."""
+    """Yield every system call that is on no list, but what never comes back or ends this."""
     from nw_eval.confinement import seccomp
 
     known = [numbers for text in seccomp.ALLOWED.values() for _, numbers in seccomp.named(text)]
@@ -262,8 +262,8 @@ def tried(*, own, outside, victim, queue):
     reads = [name.format(victim=victim, outside=outside, own=os.getpid()) for name in READ]
     probes = [
         *((f"read {name}", lambda name=name: os.read(os.open(name, 0), 1)) for name in reads),
-        ("list outside", lambda: os.listdir(outside)),
-        ("list processes", lambda: os.listdir("/proc")),
+        ("list outside", lambda: [*outside.iterdir()]),
+        ("list processes", lambda: [*Path("/proc").iterdir()]),
         *_signals(victim),
         *_queues(queue),
         *_writes(own, outside),
@@ -277,6 +277,6 @@ def tried(*, own, outside, victim, queue):
         except OSError as error:
             if error.errno is not None and error.errno not in REFUSED:
                 through[name] = errno.errorcode.get(error.errno, str(error.errno))
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 - that is not how one is refused.
             through[name] = repr(error)
     os.write(1, b"\nprobes " + json.dumps([len(probes), through]).encode() + b"\n")

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -36,7 +37,7 @@ exec "$@"
 
 
 def closed_ancestor(path):
-    """Return the topmost folder on the way to a path that others may not enter; None = there is none."""
+    """Return the topmost folder above a path that others may not enter; None = there is none."""
     ancestors = [*Path(path).resolve().parents][::-1]
     return next((folder for folder in ancestors if not folder.stat().st_mode & 0o001), None)
 
@@ -205,7 +206,5 @@ def test_a_policy_that_clings_to_life_dies_with_a_run_that_is_killed(place, as_u
         assert not left
     finally:
         for process in (*below(run.pid), run.pid):
-            try:
+            with suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
-            except ProcessLookupError:
-                pass

@@ -42,11 +42,11 @@ def give_up() -> None:
     if not _is_counted_alone():
         # So many for each process that there may be, besides what this user's others have.
         most = _threads_of_user() + most * (cores + 1)
-    for number in range(_CAPABILITIES):
-        with suppress(OSError):  # The kernel has no such, or this process may not.
-            kernel.prctl(_DROP_FROM_BOUNDS, number)
     with suppress(OSError):
         kernel.prctl(_AMBIENT, _CLEAR)
+    with suppress(OSError):  # The kernel has no more of them, or this process may not.
+        for number in range(_CAPABILITIES):
+            kernel.prctl(_DROP_FROM_BOUNDS, number)
     with suppress(OSError, KeyError):
         header, none = (ctypes.c_uint32 * 2)(_VERSION_3, 0), (ctypes.c_uint32 * 6)()
         _, capset, _ = _NUMBERS[platform.machine()]
