@@ -30,7 +30,7 @@ _NEW_USERS = 0x10000000  # CLONE_NEWUSER
 _COUNTS = 5, 14
 """The first Linux that counts in each user namespace."""
 _OWN_USERS = 2**30
-"""Users from here on are nobody's."""
+"""User IDs from here on belong to no account."""
 _THREADS, _OF_A_CORE = 256, 8
 """Threads that a process may have: JAX starts three pools with one for each core."""
 

@@ -101,7 +101,7 @@ CHECKED: Mapping[str, Mapping[int, str]] = MappingProxyType(
         },
     }
 )
-"""Of some calls, the places of arguments and the values that they may have, each with its name.
+"""Of some calls, the indices of arguments and the values that they may have, each with its name.
 
 -1 stands for the number of this process. The kernel reads the lower 32 bits of each."""
 
