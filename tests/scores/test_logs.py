@@ -91,9 +91,10 @@ class Walk:
         self.speeds = rng.normal(0.0, 5.0, shape)
         self.torques = rng.normal(0.0, 8.0, shape)
         self.targets = middle + rng.normal(0.0, 0.2, (STEPS, 12))
-        self.places = np.cumsum(rng.normal(0.01, 0.005, (STEPS, 2)), axis=0)
         self.rolls = rng.normal(0.0, 0.1, STEPS)
         self.forward = rng.normal(0.5, 0.1, STEPS)
+        # A twist that contradicts the positions would give no score.
+        self.places = np.stack([np.cumsum(self.forward * T), np.zeros(STEPS)], axis=1)
         self.turning = rng.normal(0.0, 0.1, STEPS)
 
     def write(self, path, *, efforts=True, odometry=True, order=tuple(range(12)), slow=1):

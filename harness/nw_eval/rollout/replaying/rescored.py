@@ -31,8 +31,9 @@ from nw_eval.rollout.replaying.policy_switch import (
     replay_bundle,
     switch_of,
 )
-from nw_eval.rollout.replaying.robot_log import read_robot_log
+from nw_eval.rollout.replaying.robot_log import log_file, read_robot_log
 from nw_eval.scores import (
+    BUILT_IN,
     MissingReadingError,
     ScoreSpec,
     TrialEnd,
@@ -68,6 +69,12 @@ class LogScores:
     """Declarations of all that were asked for."""
     topics: Mapping[str, str]
     """Of a robot's log: which topic each reading was taken from."""
+    unused: Mapping[str, str]
+    """Of a robot's log: why other topics were not read."""
+    fields: Mapping[str, Mapping[str, str]]
+    """Of a robot's log: by topic that was read, what became of the fields of its messages."""
+    notes: Sequence[str]
+    """Of a robot's log: what is doubtful, and what was left out."""
     recorded: Mapping[str, float]
     """Of a run's log: what the run itself measured."""
     restored: int = 0
@@ -86,7 +93,7 @@ def scores_of_log(
     """Return the scores of a log; a run's is led in a process of its own.
 
     Args:
-        path: an MCAP file.
+        path: an MCAP file, or the folder of a bag with one.
         names: of the scores; empty = all.
         robot: whose log it is; of a run's, the log says it.
         topics: of a robot's log, from which readings are taken: see `read_robot_log`.
@@ -98,7 +105,7 @@ def scores_of_log(
         UsageError: there is no such score or robot, or a robot's log names none.
         SceneError: the scene of the trial is not here.
     """
-    asked = tuple(dict.fromkeys(names))
+    asked, path = tuple(dict.fromkeys(names)), log_file(path)
     if TRIAL in LogReader(path).metadata():
         if topics or robot is not None:
             raise UsageError(
@@ -166,6 +173,9 @@ def _of_run(
         missing=missing,
         specs=specs,
         topics={},
+        unused={},
+        fields={},
+        notes=(),
         recorded={name: value for name, value in _recorded(logged).items() if name in specs},
         restored=found.restored,
     )
@@ -231,25 +241,35 @@ def _of_robot(
     values: dict[str, float] = {}
     missing: dict[str, str] = {}
     moments: dict[str, float] = {}
-    end = TrialEnd(outcome=None, seconds=read.seconds, success=float("nan"))
+    fell = None if read.fell is None else f"the trunk lies on its side at {read.fell:.4g} s"
+    end = TrialEnd(
+        outcome=None if fell is None else "fell", seconds=read.seconds, success=float("nan")
+    )
     for name in names:
-        score = score_class(name)(read.figures)
+        score, fresh = (score_class(name)(read.figures) for _ in range(2))
         try:
-            score.update(read.stretch)
+            for stretch in read.stretches:
+                for joined in score.joined:
+                    setattr(score, joined, getattr(fresh, joined))
+                score.update(stretch)
             value = score.value(end)
         except MissingReadingError as error:
             missing[name] = read.lacks(error.reading)
             continue
-        if value is None or not np.isfinite(value):
-            missing[name] = (
-                "undefined: the log does not say how the task ended"
-                if (name == "time_to_finish")
-                else "undefined in this log"
-            )
+        paused = len(read.stretches) > 1
+        if name == "time_to_finish":
+            missing[name] = "undefined: the log does not say how the task ended"
+        elif name == "distance_before_fall" and (fell or paused):
+            missing[name] = f"undefined: {fell or 'the way in a pause of the log is unknown'}"
+        elif paused and not (score.joined or name in BUILT_IN):
+            missing[name] = "undefined in a log with pauses"
+        elif value is None or not np.isfinite(value):
+            tilt = read.empty.get("tilt") if value is not None else fell
+            missing[name] = tilt or "undefined in this log"
         else:
             values[name] = float(value)
             if (moment := score.moment()) is not None:
-                moments[name] = moment
+                moments[name] = float(read.ends[round(moment / read.figures.control_period) - 1])
     return LogScores(
         log=path,
         seconds=read.seconds,
@@ -258,5 +278,8 @@ def _of_robot(
         missing=missing,
         specs=specs,
         topics=read.topics,
+        unused=read.unused,
+        fields=read.fields,
+        notes=read.notes if fell is None else (*read.notes, fell),
         recorded={},
     )

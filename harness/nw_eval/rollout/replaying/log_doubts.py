@@ -1,0 +1,271 @@
+"""What one source of a robot's log says of another: readings that contradict each other.
+
+A reading that cannot be right, or was not measured, is dropped with the reason. Where two sources
+disagree and either may be right, a note says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from nw_eval.robots import RobotSpec
+from nw_eval.scores.score import Array
+
+_WINDOW = 0.2  # s over which changes are compared with rates
+_FASTEST = 10.0  # m/s
+_LYING = 1.0  # rad of tilt
+_APART = 0.1  # rad between two attitudes
+_NEAR_ZERO = 1e-9
+
+
+@dataclass
+class Readings:
+    """The readings of a log while they are checked.
+
+    Attributes:
+        robot: whose they are.
+        topics: by source.
+        frames: of the messages of a pose or an IMU, by source: that of numbers, and of whom.
+        tracks: times, ascending (N,) s, and values (N, ...) by reading; those of the IMU beside a
+            pose begin with `imu_`.
+        empty: why other readings are not there.
+        notes: what is doubtful.
+        fell: when the trunk first lay on its side, s; None for never.
+    """
+
+    robot: RobotSpec
+    topics: Mapping[str, str]
+    frames: Mapping[str, set[tuple[str, str]]]
+    tracks: dict[str, tuple[Array, Array]] = field(default_factory=dict)
+    empty: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    fell: float | None = None
+
+    def drop(self, reading: str, reason: str) -> None:
+        """Take a reading out."""
+        if self.tracks.pop(reading, None) is not None:
+            self.empty[reading] = reason
+
+    def both(self, one: str, other: str) -> tuple[Array, Array, Array] | None:
+        """Return the times that two readings share, and both; None for under five of them."""
+        if one not in self.tracks or other not in self.tracks:
+            return None
+        (times, values), (others, more) = self.tracks[one], self.tracks[other]
+        shared, first, second = np.intersect1d(times, others, return_indices=True)
+        return (shared, values[first], more[second]) if len(shared) >= 5 else None
+
+
+class _Gap(NamedTuple):
+    """Root mean squares over windows: of a change, of what a rate says it is, and between them."""
+
+    changed: float
+    said: float
+    apart: float
+
+    def wide(self, floor: float) -> bool:
+        return self.apart > max(floor, 0.5 * max(self.changed, self.said))
+
+
+def _gap(times: Array, values: Array, rates: Array) -> _Gap | None:
+    """Compare changes of values, by time, with rates, (N, K) each; None for a log too short."""
+    steps = np.diff(times)[:, np.newaxis]
+    sums = np.vstack(
+        [np.zeros_like(rates[:1]), np.cumsum(0.5 * steps * (rates[1:] + rates[:-1]), 0)]
+    )
+    last = np.searchsorted(times, times + _WINDOW)
+    first = np.flatnonzero(last < len(times))
+    last = last[first]
+    seconds = (times[last] - times[first])[:, np.newaxis]
+    whole = (seconds < 2.0 * _WINDOW + 0.1).ravel()
+    if np.count_nonzero(whole) < 3:
+        return None
+    changed = ((values[last] - values[first]) / seconds)[whole]
+    said = ((sums[last] - sums[first]) / seconds)[whole]
+    sizes = (np.linalg.norm(each, axis=1) for each in (changed, said, changed - said))
+    return _Gap(*(float(np.sqrt(np.mean(size**2))) for size in sizes))
+
+
+def doubt(found: Readings) -> None:
+    """Drop what contradicts another source, or note it; velocity is then that in the world."""
+    _doubt_joints(found)
+    _doubt_targets(found)
+    for source in ("pose", "imu"):
+        if len(frames := found.frames.get(source, ())) > 1:
+            for reading in ("position", "rotation", "world_velocity", "rates"):
+                name = reading if source == "pose" else f"imu_{reading}"
+                found.drop(name, f"frames of {found.topics[source]} change: {sorted(frames)[:4]}")
+    _doubt_position(found)
+    _doubt_twist(found)
+    _doubt_attitude(found)
+
+
+def _doubt_joints(found: Readings) -> None:
+    topic, robot = found.topics.get("joints", ""), found.robot
+    if (pair := found.both("joint_positions", "joint_rates")) and (gap := _gap(*pair)):
+        if not gap.said and gap.changed > _NEAR_ZERO:
+            found.drop("joint_rates", f"{topic} has velocities of 0 while the joints move")
+        elif gap.wide(0.5):
+            found.notes.append(
+                f"velocities of {topic} ({gap.said:.3g} rad/s of all joints) contradict its "
+                f"positions ({gap.changed:.3g} rad/s); power is of the velocities"
+            )
+    if "torques" in found.tracks:
+        sizes = np.abs(found.tracks["torques"][1])
+        beyond = (sizes / np.array(robot.torque_limits)).max(axis=1)
+        if not sizes.any():
+            found.drop("torques", f"{topic} has efforts of 0 throughout: they are not measured")
+        elif (often := float(np.mean(beyond > 2.0))) > 0.01:
+            found.drop(
+                "torques",
+                f"efforts of {topic} are up to {beyond.max():.3g} times the limits of "
+                f"{robot.name}: not N m of its motors",
+            )
+        elif often:
+            found.notes.append(
+                f"efforts of {topic} have peaks of {beyond.max():.3g} times the limit"
+            )
+    if pair := found.both("torques", "joint_rates"):
+        power = pair[1] * pair[2]
+        gives, takes = (float(np.maximum(each, 0.0).sum(1).mean()) for each in (power, -power))
+        if takes > max(2.0 * gives, 5.0):
+            found.notes.append(
+                f"motors take in {takes:.3g} W and give {gives:.3g} W: efforts or velocities of "
+                f"{topic} may have the wrong sign"
+            )
+    if (reason := _outside(found, "joint_positions")) is not None:
+        found.drop("joint_positions", f"{topic} has {reason}")
+
+
+def _outside(found: Readings, reading: str) -> str | None:
+    """Return which joint is beyond its range most of the time."""
+    if reading not in found.tracks:
+        return None
+    low, high = np.array(found.robot.joint_ranges).T
+    middle = np.median(found.tracks[reading][1], axis=0)
+    beyond = np.maximum(low - middle, middle - high)
+    worst = int(beyond.argmax())
+    if beyond[worst] <= 0.5:
+        return None
+    return (
+        f"{found.robot.joints[worst]} at {middle[worst]:.3g} rad, outside its range of "
+        f"{low[worst]:.3g} to {high[worst]:.3g}: another unit, zero or order of joints"
+    )
+
+
+def _doubt_targets(found: Readings) -> None:
+    topic, torques = found.topics.get("targets", ""), found.tracks.pop("target_torques", None)
+    if (reason := _outside(found, "targets")) is not None:
+        found.drop("targets", f"{topic} has {reason}, or actions before scale and offset")
+    elif "targets" not in found.tracks and torques is not None:
+        found.tracks["targets"] = torques
+        found.notes.append(f"targets of {topic} are torques: their rates are in N m")
+
+
+def _doubt_position(found: Readings) -> None:
+    if "position" not in found.tracks:
+        return
+    times, places = found.tracks["position"]
+    topic = found.topics["pose"]
+    moved = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.maximum(np.diff(times), _WINDOW)
+    if len(moved) and (fastest := float(moved.max())) > _FASTEST:
+        found.drop("position", f"positions of {topic} jump by {fastest * _WINDOW:.3g} m or more")
+
+
+def _doubt_twist(found: Readings) -> None:
+    """Take the twist to the world, by the frame that the message names and the positions allow."""
+    if "world_velocity" not in found.tracks:
+        return
+    topic, (frame, child) = found.topics["pose"], next(iter(found.frames["pose"]))
+    pair = found.both("world_velocity", "rotation")
+    if pair is None:
+        return found.drop("world_velocity", f"{topic} has no attitude that its twist is turned by")
+    times, twist, rows = pair
+    turned = np.einsum("nij,nj->ni", rows.reshape(-1, 3, 3), twist)
+    in_world = bool(frame) and child == frame
+    velocity, other = (twist, turned) if in_world else (turned, twist)
+    if in_world and (spin := found.both("rates", "rotation")):
+        back = np.einsum("nji,nj->ni", spin[2].reshape(-1, 3, 3), spin[1])
+        found.tracks["rates"] = spin[0], back
+        found.notes.append(f"the twist of {topic} is in the frame {child!r}, as its messages say")
+    found.tracks["world_velocity"] = times, velocity
+    place = found.both("position", "world_velocity")
+    if place is None or (gap := _gap(times=place[0], values=place[1], rates=place[2])) is None:
+        found.notes.append(f"the twist of {topic} was not compared with positions: there are none")
+        return None
+    found.tracks["world_velocity"] = times, other
+    swapped = found.both("position", "world_velocity")
+    found.tracks["world_velocity"] = times, velocity
+    better = None if swapped is None else _gap(*swapped)
+    turned_frame = better is not None and better.apart < 0.5 * gap.apart
+    if not (gap.wide(0.1) or (turned_frame and gap.apart > max(0.03, 0.1 * gap.changed))):
+        return None
+    reason = (
+        f"the twist of {topic} (in {child or 'no frame'!r}) says {gap.said:.3g} m/s, its positions "
+        f"{gap.changed:.3g} m/s, {gap.apart:.3g} m/s apart"
+    )
+    if turned_frame:
+        reason += f"; it would agree in the frame {'of the trunk' if in_world else repr(frame)}"
+    found.drop("world_velocity", reason)
+    if not gap.changed:
+        found.drop("position", f"{topic} stays in one place, and its twist says {gap.said:.3g} m/s")
+    elif not turned_frame:
+        found.notes.append(f"{reason}: the way is that of the positions")
+    return None
+
+
+def _doubt_attitude(found: Readings) -> None:
+    """Drop roll and pitch that were not measured, or that a second source denies."""
+    for prefix, source in (("imu_", "imu"), ("", "pose")):
+        if f"{prefix}rotation" not in found.tracks:
+            continue
+        times, rows = found.tracks[f"{prefix}rotation"]
+        ups = rows[:, 6:].copy()  # of the world, in the frame of the trunk
+        tilts = np.arccos(np.clip(ups[:, 2], -1.0, 1.0))
+        topic, beside = found.topics[source], found.topics.get("imu", "")
+        reason = ""
+        if (begin := float(np.median(tilts[: max(1, len(tilts) // 10)]))) > _LYING:
+            reason = f"{topic} begins {np.degrees(begin):.0f} degrees from upright: a sensor "
+            reason += "mounted turned, or a frame whose z is down"
+        elif len(ups) > 5 and np.ptp(ups, axis=0).max() < _NEAR_ZERO:
+            reason = f"roll and pitch of {topic} never change: they are not measured"
+        elif (pair := found.both(f"{prefix}rotation", f"{prefix}acceleration")) is not None:
+            force = np.einsum("nij,nj->ni", pair[1].reshape(-1, 3, 3), pair[2]).mean(axis=0)
+            off = float(np.degrees(np.arctan2(np.hypot(*force[:2]), force[2])))
+            if np.linalg.norm(force) > 5.0 and 20.0 < off < 160.0:
+                reason = f"up is {off:.0f} degrees off by the accelerometer of {topic}"
+        if not prefix and not reason and "imu_rotation" in found.tracks:
+            reason = _denied(found, times, ups)
+        if not reason:
+            if not prefix and (tilts > _LYING).any():
+                found.fell = float(times[np.argmax(tilts > _LYING)])
+            continue
+        if prefix:
+            found.drop("imu_rotation", reason)
+            found.notes.append(f"the attitude of {beside} was not compared: {reason}")
+            continue
+        more = (
+            f"; {beside} has them: --topic pose={beside}" if "imu_rotation" in found.tracks else ""
+        )
+        found.empty["tilt"] = reason + more
+        found.tracks["rotation"] = times, np.hstack([rows[:, :6], np.full_like(ups, np.nan)])
+
+
+def _denied(found: Readings, times: Array, ups: Array) -> str:
+    """Return how the IMU's attitude contradicts that of the pose; note a constant difference."""
+    others, rows = found.tracks["imu_rotation"]
+    near = rows[np.clip(np.searchsorted(others, times), 0, len(others) - 1), 6:]
+    angles = np.arccos(np.clip((near * ups).sum(axis=1), -1.0, 1.0))
+    pose, imu = found.topics["pose"], found.topics["imu"]
+    if (apart := float(np.median(angles))) <= _APART:
+        return ""
+    said = f"roll and pitch of {pose} and {imu} are {np.degrees(apart):.0f} degrees apart"
+    ways = [each - each.mean(axis=0) for each in (ups, near, ups - near)]
+    sizes = [float(np.sqrt((way**2).sum(axis=1).mean())) for way in ways]
+    if sizes[2] > max(_APART, 0.5 * max(sizes[:2])):
+        return said
+    found.notes.append(f"{said}, about as much throughout: one may be mounted turned")
+    return ""
