@@ -17,16 +17,27 @@ import numpy as np
 import pytest
 import zstandard
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as Plain
 from mcap_protobuf.writer import Writer as Protobuf
+from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer
 
 import nw_eval
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.robots import get_robot
 from nw_eval.rollout.replaying.log_clock import common, stretches
-from nw_eval.rollout.replaying.log_messages import FIELDS, NOTED, USED, noted_in, values_of
+from nw_eval.rollout.replaying.log_messages import (
+    FIELDS,
+    NOTED,
+    USED,
+    frames_of,
+    noted_in,
+    stamp_of,
+    values_of,
+)
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[3] / "shared" / "assets"))
 GO1 = get_robot("go1")
@@ -697,8 +708,6 @@ def test_messages_of_another_encoding_are_named(tmp_path, encoding):
 
 
 def test_messages_that_are_packed_one_by_one_are_unpacked(tmp_path):
-    from mcap.reader import make_reader
-
     path, packed = plain_log(tmp_path), tmp_path / "packed.mcap"
     with path.open("rb") as stream, packed.open("wb") as out:
         writer = Plain(out)
@@ -743,12 +752,96 @@ def test_logs_that_were_found(name, expected):
 
 # The account of fields.
 
+SOURCE = {JOINT: "joints", ODOM: "pose", POSE: "pose", IMU: "imu", ARRAY: "targets"}
+LAYOUT = {"dim": [], "data_offset": 0}
 MARKED = {
-    JOINT: ("joints", "/joint_states"),
-    ODOM: ("pose", "/odom"),
-    POSE: ("pose", "/pose"),
-    IMU: ("pose", "/imu"),
-    TWIST: ("command", "/cmd_vel"),
-    STAMPED: ("command", "/cmd_vel"),
-    ARRAY: ("targets", "/joint_command"),
+    JOINT: lambda: joints(5.0),
+    ODOM: lambda: odometry(5.0, yaw=0.5, place=(1, 2, 3), twist=(4, 5, 6)),
+    POSE: lambda: {"header": header(5.0, "map"), "pose": odometry(yaw=0.5)["pose"]["pose"]},
+    IMU: lambda: imu(5.0, orientation=turn(0.1, 0.2, 0.3), turning=(1, 2, 3)),
+    TWIST: lambda: twist(0.5, 0.25),
+    STAMPED: lambda: {"header": header(5.0, "base"), "twist": twist(0.5, 0.25)},
+    ARRAY: lambda: {"layout": LAYOUT, "data": [0.5] * 12},
 }
+
+
+def leaves(message, path=()):
+    """Yield where a number, text or array of a message is."""
+    for name in message.__slots__:
+        value = getattr(message, name)
+        if hasattr(value, "__slots__"):
+            yield from leaves(value, (*path, name))
+        else:
+            yield (*path, name)
+
+
+def mark(message, path):
+    """Change one field of a message."""
+    for name in path[:-1]:
+        message = getattr(message, name)
+    value = getattr(message, path[-1])
+    if isinstance(value, str):
+        changed = value + "x"
+    elif isinstance(value, list):
+        changed = [each + ("x" if isinstance(each, str) else 0.125) for each in value] or [1]
+    else:
+        changed = value + (1 if isinstance(value, int) else 0.125)
+    setattr(message, path[-1], changed)
+
+
+def decode_one(tmp_path, kind, more=""):
+    path = tmp_path / "one.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        schema = writer.register_msgdef(kind, f"{KINDS[kind]}\n{more}{PARTS}")
+        writer.write_message("/topic", schema, {**MARKED[kind](), "mystery": 1.0}, log_time=1)
+        writer.finish()
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        return next(iter(reader.iter_decoded_messages())).decoded_message
+
+
+def used_of(message, kind):
+    source = SOURCE.get(kind, "command")
+    frames = frames_of(message, kind) if source in {"pose", "imu"} else ()
+    return values_of(source, message, kind, GO1, {}, "/topic"), stamp_of(message, kind), frames
+
+
+@pytest.mark.parametrize("kind", MARKED)
+def test_each_field_is_used_or_passed_over_or_noted(tmp_path, kind):
+    uses, plain = FIELDS[kind], used_of(decode_one(tmp_path, kind), kind)
+    covered = set()
+    for path in leaves(decode_one(tmp_path, kind)):
+        message = decode_one(tmp_path, kind)
+        mark(message, path)
+        (name,) = [each for each in uses if (".".join(path) + ".").startswith(f"{each}.")]
+        covered.add(name)
+        is_used, noted = used_of(message, kind) != plain, noted_in(message, kind)
+        assert is_used == (uses[name] == USED), path
+        assert noted == ([f"{name}, which is not read"] if uses[name] == NOTED else []), path
+    assert covered == set(uses)
+
+
+def test_a_field_that_nobody_knows_is_noted(tmp_path):
+    message = decode_one(tmp_path, JOINT, more="float64 mystery\n")
+    assert noted_in(message, JOINT) == ["mystery, which is not read"]
+    entry = JointStates()
+    entry.MergeFromString(bytes([10 << 3, 1]))  # field 10, a varint
+    assert noted_in(entry, "foxglove.JointStates") == ["a field 10 of no name"]
+
+
+@pytest.mark.parametrize("kind", ["foxglove.JointStates", "foxglove.PoseInFrame"])
+def test_each_field_of_foxglove_has_a_use(kind):
+    parts = {"joints": JointStates.DESCRIPTOR.fields_by_name["joints"].message_type}
+    whole = {"foxglove.JointStates": JointStates, "foxglove.PoseInFrame": PoseInFrame}[kind]
+    names = []
+    for each in whole.DESCRIPTOR.fields:
+        inner = parts.get(each.name) or (each.message_type if each.name == "pose" else None)
+        names += [f"{each.name}.{part.name}" for part in inner.fields] if inner else [each.name]
+    assert set(names) == set(FIELDS[kind])
+
+
+def test_the_account_is_part_of_the_answer(tmp_path):
+    found = scores(plain_log(tmp_path))
+    assert found.fields["/joint_states"]["effort"] == USED
+    assert found.fields["/joint_states"]["header.frame_id"].startswith("a joint has no frame")

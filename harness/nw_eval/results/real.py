@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,8 +38,11 @@ class RealResult:
 def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealResult, ...]:
     """Read a CSV with a heading that has the four columns, in any order; others are left out.
 
+    Cells are parted by commas, semicolons or tabs. With the latter two, numbers may have a decimal
+    comma, as spreadsheets write them.
+
     Args:
-        path: of the CSV.
+        path: of the CSV, in UTF-8, or UTF-16 with its mark.
         spec: of the score whose column is read, in its unit; None = success.
 
     Raises:
@@ -48,11 +52,16 @@ def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealRe
     columns = (*_NAMED, "success" if spec is None else spec.name)
     fix = f"write a heading `{','.join(columns)}` and a line for each policy and scene"
     try:
-        text = bounded_bytes(path, _MOST).decode("utf-8-sig")
-        lines = csv.DictReader(text.splitlines(), strict=True)
-        heading = [name.strip() for name in lines.fieldnames or ()]
+        data = bounded_bytes(path, _MOST)
+        text = data.decode("utf-16" if data[:2] in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig")
+        first = text.partition("\n")[0]
+        delimiter = max(",;\t", key=first.count)
+        lines = csv.DictReader(text.splitlines(), delimiter=delimiter, strict=True)
+        heading = [name.strip().lower() for name in lines.fieldnames or ()]
+        if twice := [name for name in columns if heading.count(name) > 1]:
+            raise UsageError(f"{path} has the column {twice[0]} twice", fix=fix)
         lines.fieldnames = heading
-        cells = [(lines.line_num, line) for line in lines]
+        cells = [(lines.line_num, line) for line in lines if any(line.values())]
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}", fix="name a CSV") from None
     except (ValueError, csv.Error) as error:
@@ -63,7 +72,12 @@ def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealRe
     faults: list[Problem] = []
     for number, line in cells:
         try:
-            found.append(_result(line, f"{path}:{number}", found, spec))
+            if None in line:
+                raise ValueError("it has more cells than the heading")
+            wanted = [(line[name] or "").strip() for name in columns]
+            if delimiter != ",":
+                wanted[-1] = wanted[-1].replace(",", ".")
+            found.append(_result(wanted, f"{path}:{number}", found, spec))
         except ValueError as error:
             faults.append(Problem(file=str(path), line=number, column=1, message=str(error)))
     if faults:
@@ -74,9 +88,10 @@ def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealRe
 
 
 def _result(
-    line: dict[str, str | None], place: str, before: list[RealResult], spec: ScoreSpec | None
+    cells: Sequence[str], place: str, before: list[RealResult], spec: ScoreSpec | None
 ) -> RealResult:
-    policy, scene, trials = ((line.get(name) or "").strip() for name in _NAMED)
+    policy, scene, trials, written = cells
+    trials = trials.removesuffix(".0").removesuffix(",0")  # pandas writes 10.0
     if not (policy and scene):
         raise ValueError("it names no policy or no scene")
     if any((each.policy, each.scene) == (policy, scene) for each in before):
@@ -84,9 +99,9 @@ def _result(
     if not (trials.isascii() and trials.isdigit() and 1 <= int(trials) <= _MOST_TRIALS):
         raise ValueError(f"trials {trials!r} is no whole number from 1 to {_MOST_TRIALS}")
     name = "success" if spec is None else spec.name
-    written = (line.get(name) or "").strip()
+    share = spec is None and written.endswith("%")
     try:
-        value = float(written)
+        value = float(written.rstrip("%")) / 100.0 if share else float(written)
     except ValueError:
         value = math.nan
     if spec is not None:
