@@ -280,7 +280,7 @@ def cli_exit(arguments, code=0):
     [
         ({}, "does not say which robot it is of"),
         ({"robot": "nobodys"}, "unknown robot"),
-        ({"robot": "go1", "topics": ["joints=/nothing"]}, "has no topic '/nothing'"),
+        ({"robot": "go1", "topics": ["joints=/nothing"]}, "topic '/nothing' is not there"),
         ({"robot": "go1", "topics": ["joints=/odom"]}, "not joints"),
         ({"robot": "go1", "topics": ["feet=/odom"]}, "--topic feet="),
         ({"robot": "go1", "topics": ["/odom"]}, "--topic /odom"),

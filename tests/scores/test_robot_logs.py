@@ -526,7 +526,7 @@ def test_efforts_in_every_second_message_are_used_at_their_rate(tmp_path):
     ]
     found = scores(write(tmp_path / "log.mcap", entries))
     assert found.values["mean_power"] == pytest.approx(24.0)
-    assert told(found, "/joint_states has no torques", "400 of 800 messages")
+    assert told(found, "/joint_states has no torques in 400 of 800 messages")
 
 
 def test_messages_of_other_joints_are_left_out_and_counted(tmp_path):

@@ -24,26 +24,16 @@ _NEAR_ZERO = 1e-9
 
 @dataclass
 class Readings:
-    """The readings of a log while they are checked.
-
-    Attributes:
-        robot: whose they are.
-        topics: by source.
-        frames: of the messages of a pose or an IMU, by source: that of numbers, and of whom.
-        tracks: times, ascending (N,) s, and values (N, ...) by reading; those of the IMU beside a
-            pose begin with `imu_`.
-        empty: why other readings are not there.
-        notes: what is doubtful.
-        fell: when the trunk first lay on its side, s; None for never.
-    """
+    """The readings of a log while they are checked."""
 
     robot: RobotSpec
-    topics: Mapping[str, str]
-    frames: Mapping[str, set[tuple[str, str]]]
+    topics: Mapping[str, str]  # by source
+    frames: Mapping[str, set[tuple[str, str]]]  # of poses: that of the numbers, and of whom
     tracks: dict[str, tuple[Array, Array]] = field(default_factory=dict)
-    empty: dict[str, str] = field(default_factory=dict)
+    """Ascending times, (N,) s, and values, (N, ...), by reading; `imu_...` is beside a pose."""
+    empty: dict[str, str] = field(default_factory=dict)  # why other readings are not there
     notes: list[str] = field(default_factory=list)
-    fell: float | None = None
+    fell: float | None = None  # s
 
     def drop(self, reading: str, reason: str) -> None:
         """Take a reading out."""
@@ -91,43 +81,54 @@ def _gap(times: Array, values: Array, rates: Array) -> _Gap | None:
 
 def doubt(found: Readings) -> None:
     """Drop what contradicts another source, or note it; velocity is then that in the world."""
-    _doubt_joints(found)
-    _doubt_targets(found)
-    for source in ("pose", "imu"):
-        if len(frames := found.frames.get(source, ())) > 1:
-            for reading in ("position", "rotation", "world_velocity", "rates"):
-                name = reading if source == "pose" else f"imu_{reading}"
-                found.drop(name, f"frames of {found.topics[source]} change: {sorted(frames)[:4]}")
-    _doubt_position(found)
+    _doubt_rates(found)
+    _doubt_torques(found)
+    _doubt_positions(found)
+    for source, frames in found.frames.items():
+        for reading in (
+            ("position", "rotation", "world_velocity", "rates") if len(frames) > 1 else ()
+        ):
+            name = reading if source == "pose" else f"imu_{reading}"
+            found.drop(name, f"frames of {found.topics[source]} change: {sorted(frames)[:4]}")
     _doubt_twist(found)
+    if pair := found.both("rotation", "rates"):
+        yaw = np.unwrap(np.arctan2(pair[1][:, 3], pair[1][:, 0]))[:, np.newaxis]
+        if (gap := _gap(pair[0], yaw, pair[2][:, 2:])) and gap.wide(0.2):
+            found.drop(
+                "rates",
+                f"yaw rates of {found.topics['pose']} ({gap.said:.3g} rad/s) contradict its "
+                f"attitude ({gap.changed:.3g} rad/s)",
+            )
     _doubt_attitude(found)
 
 
-def _doubt_joints(found: Readings) -> None:
-    topic, robot = found.topics.get("joints", ""), found.robot
-    if (pair := found.both("joint_positions", "joint_rates")) and (gap := _gap(*pair)):
-        if not gap.said and gap.changed > _NEAR_ZERO:
-            found.drop("joint_rates", f"{topic} has velocities of 0 while the joints move")
-        elif gap.wide(0.5):
-            found.notes.append(
-                f"velocities of {topic} ({gap.said:.3g} rad/s of all joints) contradict its "
-                f"positions ({gap.changed:.3g} rad/s); power is of the velocities"
-            )
+def _doubt_rates(found: Readings) -> None:
+    topic = found.topics.get("joints", "")
+    if not (pair := found.both("joint_positions", "joint_rates")) or not (gap := _gap(*pair)):
+        return
+    if not gap.said and gap.changed > _NEAR_ZERO:
+        found.drop("joint_rates", f"{topic} has velocities of 0 while the joints move")
+    elif gap.wide(0.5):
+        found.notes.append(
+            f"velocities of {topic} ({gap.said:.3g} rad/s of all joints) contradict its positions "
+            f"({gap.changed:.3g} rad/s); power is computed from velocities"
+        )
+
+
+def _doubt_torques(found: Readings) -> None:
+    topic = found.topics.get("joints", "")
     if "torques" in found.tracks:
-        sizes = np.abs(found.tracks["torques"][1])
-        beyond = (sizes / np.array(robot.torque_limits)).max(axis=1)
-        if not sizes.any():
+        shares = np.abs(found.tracks["torques"][1]) / np.array(found.robot.torque_limits)
+        if not shares.any():
             found.drop("torques", f"{topic} has efforts of 0 throughout: they are not measured")
-        elif (often := float(np.mean(beyond > 2.0))) > 0.01:
+        elif (often := float(np.mean(shares.max(axis=1) > 2.0))) > 0.01:
             found.drop(
                 "torques",
-                f"efforts of {topic} are up to {beyond.max():.3g} times the limits of "
-                f"{robot.name}: not N m of its motors",
+                f"efforts of {topic} are up to {shares.max():.3g} times the limits of "
+                f"{found.robot.name}: not N m of its motors",
             )
         elif often:
-            found.notes.append(
-                f"efforts of {topic} have peaks of {beyond.max():.3g} times the limit"
-            )
+            found.notes.append(f"efforts of {topic} peak at {shares.max():.3g} times the limit")
     if pair := found.both("torques", "joint_rates"):
         power = pair[1] * pair[2]
         gives, takes = (float(np.maximum(each, 0.0).sum(1).mean()) for each in (power, -power))
@@ -136,8 +137,6 @@ def _doubt_joints(found: Readings) -> None:
                 f"motors take in {takes:.3g} W and give {gives:.3g} W: efforts or velocities of "
                 f"{topic} may have the wrong sign"
             )
-    if (reason := _outside(found, "joint_positions")) is not None:
-        found.drop("joint_positions", f"{topic} has {reason}")
 
 
 def _outside(found: Readings, reading: str) -> str | None:
@@ -156,23 +155,25 @@ def _outside(found: Readings, reading: str) -> str | None:
     )
 
 
-def _doubt_targets(found: Readings) -> None:
-    topic, torques = found.topics.get("targets", ""), found.tracks.pop("target_torques", None)
-    if (reason := _outside(found, "targets")) is not None:
-        found.drop("targets", f"{topic} has {reason}, or actions before scale and offset")
-    elif "targets" not in found.tracks and torques is not None:
-        found.tracks["targets"] = torques
-        found.notes.append(f"targets of {topic} are torques: their rates are in N m")
-
-
-def _doubt_position(found: Readings) -> None:
-    if "position" not in found.tracks:
-        return
-    times, places = found.tracks["position"]
-    topic = found.topics["pose"]
-    moved = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.maximum(np.diff(times), _WINDOW)
-    if len(moved) and (fastest := float(moved.max())) > _FASTEST:
-        found.drop("position", f"positions of {topic} jump by {fastest * _WINDOW:.3g} m or more")
+def _doubt_positions(found: Readings) -> None:
+    """Drop joints and targets out of range, and jumps of the trunk."""
+    torques = found.tracks.pop("target_torques", None)
+    for reading, source, more in (
+        ("joint_positions", "joints", ""),
+        ("targets", "targets", ", or actions before scale and offset"),
+    ):
+        if (reason := _outside(found, reading)) is not None:
+            found.drop(reading, f"{found.topics[source]} has {reason}{more}")
+        elif source == "targets" and "targets" not in found.tracks and torques is not None:
+            found.tracks["targets"] = torques
+            found.notes.append(f"targets of {found.topics['targets']} are torques, N m")
+    if "position" in found.tracks:
+        times, places = found.tracks["position"]
+        ways = np.linalg.norm(np.diff(places, axis=0), axis=1)
+        if (ways > _FASTEST * np.maximum(np.diff(times), _WINDOW)).any():
+            found.drop(
+                "position", f"positions of {found.topics['pose']} jump by {ways.max():.3g} m"
+            )
 
 
 def _doubt_twist(found: Readings) -> None:
@@ -182,7 +183,8 @@ def _doubt_twist(found: Readings) -> None:
     topic, (frame, child) = found.topics["pose"], next(iter(found.frames["pose"]))
     pair = found.both("world_velocity", "rotation")
     if pair is None:
-        return found.drop("world_velocity", f"{topic} has no attitude that its twist is turned by")
+        found.drop("world_velocity", f"{topic} has no attitude that its twist is turned by")
+        return
     times, twist, rows = pair
     turned = np.einsum("nij,nj->ni", rows.reshape(-1, 3, 3), twist)
     in_world = bool(frame) and child == frame
@@ -195,7 +197,7 @@ def _doubt_twist(found: Readings) -> None:
     place = found.both("position", "world_velocity")
     if place is None or (gap := _gap(times=place[0], values=place[1], rates=place[2])) is None:
         found.notes.append(f"the twist of {topic} was not compared with positions: there are none")
-        return None
+        return
     found.tracks["world_velocity"] = times, other
     swapped = found.both("position", "world_velocity")
     found.tracks["world_velocity"] = times, velocity
@@ -214,44 +216,48 @@ def _doubt_twist(found: Readings) -> None:
         found.drop("position", f"{topic} stays in one place, and its twist says {gap.said:.3g} m/s")
     elif not turned_frame:
         found.notes.append(f"{reason}: the way is that of the positions")
-    return None
 
 
 def _doubt_attitude(found: Readings) -> None:
     """Drop roll and pitch that were not measured, or that a second source denies."""
-    for prefix, source in (("imu_", "imu"), ("", "pose")):
-        if f"{prefix}rotation" not in found.tracks:
-            continue
-        times, rows = found.tracks[f"{prefix}rotation"]
-        ups = rows[:, 6:].copy()  # of the world, in the frame of the trunk
-        tilts = np.arccos(np.clip(ups[:, 2], -1.0, 1.0))
-        topic, beside = found.topics[source], found.topics.get("imu", "")
-        reason = ""
-        if (begin := float(np.median(tilts[: max(1, len(tilts) // 10)]))) > _LYING:
-            reason = f"{topic} begins {np.degrees(begin):.0f} degrees from upright: a sensor "
-            reason += "mounted turned, or a frame whose z is down"
-        elif len(ups) > 5 and np.ptp(ups, axis=0).max() < _NEAR_ZERO:
-            reason = f"roll and pitch of {topic} never change: they are not measured"
-        elif (pair := found.both(f"{prefix}rotation", f"{prefix}acceleration")) is not None:
-            force = np.einsum("nij,nj->ni", pair[1].reshape(-1, 3, 3), pair[2]).mean(axis=0)
-            off = float(np.degrees(np.arctan2(np.hypot(*force[:2]), force[2])))
-            if np.linalg.norm(force) > 5.0 and 20.0 < off < 160.0:
-                reason = f"up is {off:.0f} degrees off by the accelerometer of {topic}"
-        if not prefix and not reason and "imu_rotation" in found.tracks:
-            reason = _denied(found, times, ups)
-        if not reason:
-            if not prefix and (tilts > _LYING).any():
-                found.fell = float(times[np.argmax(tilts > _LYING)])
-            continue
-        if prefix:
-            found.drop("imu_rotation", reason)
-            found.notes.append(f"the attitude of {beside} was not compared: {reason}")
-            continue
-        more = (
-            f"; {beside} has them: --topic pose={beside}" if "imu_rotation" in found.tracks else ""
-        )
-        found.empty["tilt"] = reason + more
+    if "imu_rotation" in found.tracks and (reason := _untrue(found, "imu", "imu_")):
+        found.drop("imu_rotation", reason)
+        found.notes.append(f"the attitude of {found.topics['imu']} was not compared: {reason}")
+    if "rotation" not in found.tracks:
+        return
+    times, rows = found.tracks["rotation"]
+    ups = rows[:, 6:]
+    reason = _untrue(found, "pose", "")
+    if not reason and "imu_rotation" in found.tracks:
+        reason = _denied(found, times, ups)
+    if reason:
+        if "imu_rotation" in found.tracks:
+            imu = found.topics["imu"]
+            reason += f"; {imu} has them: --topic pose={imu}"
+        found.empty["tilt"] = reason
         found.tracks["rotation"] = times, np.hstack([rows[:, :6], np.full_like(ups, np.nan)])
+    elif (lies := ups[:, 2] < np.cos(_LYING)).any():
+        found.fell = float(times[np.argmax(lies)])
+
+
+def _untrue(found: Readings, source: str, prefix: str) -> str:
+    """Return why an attitude cannot be that of the trunk; nothing where it can."""
+    topic, (_, rows) = found.topics[source], found.tracks[f"{prefix}rotation"]
+    ups = rows[:, 6:]  # of the world, in the frame of the trunk
+    begin = np.degrees(np.arccos(np.clip(np.median(ups[: max(1, len(ups) // 10), 2]), -1.0, 1.0)))
+    if begin > np.degrees(_LYING):
+        return (
+            f"{topic} begins {begin:.0f} degrees from upright: a sensor mounted turned, or a frame "
+            "whose z is down"
+        )
+    if len(ups) > 5 and np.ptp(ups, axis=0).max() < _NEAR_ZERO:
+        return f"roll and pitch of {topic} never change: they are not measured"
+    if (pair := found.both(f"{prefix}rotation", f"{prefix}acceleration")) is not None:
+        force = np.einsum("nij,nj->ni", pair[1].reshape(-1, 3, 3), pair[2]).mean(axis=0)
+        off = float(np.degrees(np.arctan2(np.hypot(*force[:2]), force[2])))
+        if np.linalg.norm(force) > 5.0 and 20.0 < off < 160.0:
+            return f"up is {off:.0f} degrees off by the accelerometer of {topic}"
+    return ""
 
 
 def _denied(found: Readings, times: Array, ups: Array) -> str:

@@ -17,7 +17,6 @@ from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.unknown_fields import UnknownFieldSet
 from mcap_ros2.decoder import DecoderFactory
 
-from nw_eval.clean import clean
 from nw_eval.errors import UsageError
 from nw_eval.robots import RobotSpec
 from nw_eval.rollout.mcap.reader import MOST_MESSAGE, ForeignMessage

@@ -246,6 +246,9 @@ def _of_robot(
         outcome=None if fell is None else "fell", seconds=read.seconds, success=float("nan")
     )
     for name in names:
+        if name == "time_to_finish":
+            missing[name] = "undefined: the log does not say how the task ended"
+            continue
         score, fresh = (score_class(name)(read.figures) for _ in range(2))
         try:
             for stretch in read.stretches:
@@ -257,15 +260,14 @@ def _of_robot(
             missing[name] = read.lacks(error.reading)
             continue
         paused = len(read.stretches) > 1
-        if name == "time_to_finish":
-            missing[name] = "undefined: the log does not say how the task ended"
-        elif name == "distance_before_fall" and (fell or paused):
+        known = value is not None and np.isfinite(value)
+        if name == "distance_before_fall" and (fell or paused):
             missing[name] = f"undefined: {fell or 'the way in a pause of the log is unknown'}"
         elif paused and not (score.joined or name in BUILT_IN):
             missing[name] = "undefined in a log with pauses"
-        elif value is None or not np.isfinite(value):
-            tilt = read.empty.get("tilt") if value is not None else fell
-            missing[name] = tilt or "undefined in this log"
+        elif value is None or not known:
+            unknown = fell if value is None else read.empty.get("tilt")
+            missing[name] = unknown or "undefined in this log"
         else:
             values[name] = float(value)
             if (moment := score.moment()) is not None:

@@ -57,13 +57,12 @@ _SOURCES: dict[str, tuple[tuple[str, ...], ...]] = {
 }
 """What is looked for, and in which messages, the best first; equally good ones stand together."""
 SOURCES = tuple(_SOURCES)
-_TOLD = frozenset(
-    "action actions cmd cmds command commands desired goal goals input joy ref reference references "
-    "setpoint setpoints target targets teleop".split()
+_TOLD = re.compile(
+    r"^(actions?|desired|goals?|input|joy|ref|references?|teleop|cmd.*"
+    r"|.*(cmds?|commands?|targets?|setpoints?))$"
 )
 """Words in the name of a topic that says where the robot is to go."""
-_GLUED = re.compile(r"^cmd|(cmds?|commands?|targets?|setpoints?)$")
-_MEASURED = frozenset("actual encoder encoders estimate feedback measured state states".split())
+_MEASURED = frozenset(["actual", "encoders", "feedback", "measured", "state", "states"])
 _MOST_SUBSTEPS = 20  # 1 kHz
 _FEWEST = 0.9 * CONTROL_RATE  # messages a second of joints and targets
 _FEWEST_POSES = 4.5  # The trunk's way is sampled at 5 Hz.
@@ -223,38 +222,21 @@ def _kinds(path: Path) -> tuple[dict[str, str], dict[str, str]]:
     return {topic: kind for topic, kind in kinds.items() if topic not in others}, others
 
 
-def _told(topic: str, *, whole: bool = True) -> bool | None:
-    """Return whether a topic's name says that it is where the robot is to go.
-
-    Args:
-        topic: its name. The last part decides, the parts before it where that says neither.
-        whole: whether the parts before it count.
-
-    Returns:
-        None where its parts contradict each other.
-    """
-    *before, last = topic.strip("/").split("/")
-    words, around = _words(last), set[str]().union(*map(_words, before))
-    if _tells(words):
-        return True
-    if whole and _tells(around):
-        return None if words & _MEASURED else True
-    return False
-
-
-def _words(part: str) -> set[str]:
-    return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", part)}
-
-
-def _tells(words: set[str]) -> bool:
-    return any(word in _TOLD or _GLUED.search(word) for word in words)
-
-
 def _fits(source: str, topic: str) -> str:
-    """Return why a topic cannot be taken for a source by itself; nothing where it can."""
-    told = _told(topic, whole=source != "pose")
-    if told is None:
-        return f"name --topic joints={topic} or targets={topic}: its name says both"
+    """Return why a topic's name is not that of a source; nothing where it may be.
+
+    Its last part decides whether it says where the robot is to go; of joints and commands, the
+    parts before it where the last says neither.
+    """
+    *before, last = (
+        {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", part)}
+        for part in topic.strip("/").split("/")
+    )
+    told = any(map(_TOLD.match, last))
+    if not told and source != "pose" and any(map(_TOLD.match, set[str]().union(*before))):
+        if last & _MEASURED:
+            return f"its name says both: --topic joints={topic} or targets={topic}"
+        told = True
     if told == (source in {"targets", "command"}):
         return ""
     return "its name says where the robot is to go" if told else "its name does not say a command"
@@ -266,14 +248,10 @@ def _chosen(
     """Return the topic of each source that has one; note why others are not taken."""
     chosen: dict[str, str] = {}
     for source, ranks in _SOURCES.items():
-        if source in topics:
-            if (topic := topics[source]) not in kinds:
-                raise UsageError(
-                    f"{path}: {topic} has {unused[topic]}"
-                    if topic in unused
-                    else f"{path} has no topic {topic!r}",
-                    fix=nearest(topic, tuple(kinds)),
-                )
+        if (topic := topics.get(source)) is not None:
+            if topic not in kinds:
+                there = f"cannot be read: {unused[topic]}" if topic in unused else "is not there"
+                raise UsageError(f"{path}: topic {topic!r} {there}", fix=nearest(topic, kinds))
             if kinds[topic] not in _kinds_of(source):
                 raise UsageError(
                     f"{path}: {topic} has {clean(kinds[topic], at_most=80)!r}, not {source}",
@@ -282,19 +260,23 @@ def _chosen(
             chosen[source] = topic
             continue
         for rank in ranks:
-            found = [
-                topic for topic in kinds if kinds[topic] in rank and topic not in topics.values()
-            ]
-            fitting = [topic for topic in found if not _fits(source, topic)]
+            free = [each for each in kinds if kinds[each] in rank and each not in topics.values()]
+            unused.update({each: reason for each in free if (reason := _fits(source, each))})
+            fitting = [each for each in free if not _fits(source, each)]
             if len(fitting) > 1:
                 raise UsageError(
                     f"{path}: {' and '.join(sorted(fitting))} could all be {source}",
                     fix=f"name one: --topic {source}={min(fitting)}",
                 )
-            unused.update({topic: _fits(source, topic) for topic in found if topic not in fitting})
             if fitting:
                 chosen[source] = fitting[0]
                 break
+    _beside(kinds, unused, chosen)
+    return chosen
+
+
+def _beside(kinds: Mapping[str, str], unused: dict[str, str], chosen: dict[str, str]) -> None:
+    """Add an IMU that the pose is compared with; note why other topics are not read."""
     imus = [topic for topic in kinds if kinds[topic] == IMU]
     if len(imus) == 1 and "pose" in chosen and chosen["pose"] not in imus:
         chosen["imu"] = imus[0]
@@ -303,7 +285,6 @@ def _chosen(
             unused.pop(topic, None)
         else:
             unused.setdefault(topic, f"{kind}, beside the topics that are used")
-    return chosen
 
 
 @dataclass
@@ -385,21 +366,24 @@ def _add_tracks(found: Readings, each: _Source, times: Array, prefix: str) -> No
     found.notes += [
         f"{n} of {count} messages of {topic} {what}" for what, n in each.noted.items() if n
     ]
+    lacks: dict[str, list[str]] = {}
     for reading in dict.fromkeys(name for values in each.values for name in values):
         said = [values.get(reading, "is missing") for values in each.values]
         whys = Counter(clean(value, at_most=200) for value in said if isinstance(value, str))
-        lack = f"has no {reading.replace('_', ' ')}: {max(whys, key=whys.__getitem__, default='')}"
+        why = max(whys, key=whys.__getitem__, default="")
+        name = reading.replace("_", " ")
         kept = [index for index in order if not isinstance(said[index], str)]
         if not kept:
-            found.empty[f"{prefix}{reading}"] = f"{topic} {lack}"
+            found.empty[f"{prefix}{reading}"] = f"{topic} has no {name}: {why}"
             continue
         if whys and reading != "target_torques":
-            found.notes.append(f"{topic} {lack}: {whys.total()} of {count} messages")
+            lacks.setdefault(f"{whys.total()} of {count} messages, {why}", []).append(name)
         last = np.append(np.diff(times[kept]) > 0.0, True)
         found.tracks[f"{prefix}{reading}"] = (
             times[kept][last],
             np.array([said[index] for index in kept])[last],
         )
+    found.notes += [f"{topic} has no {', '.join(names)} in {why}" for why, names in lacks.items()]
 
 
 def _slow(found: Readings, path: Path) -> dict[str, list[tuple[float, float]]]:
@@ -459,7 +443,10 @@ def _gridded(
         if (steps := int((end - begin) * CONTROL_RATE + 1e-6)) >= 2
     ]
     if not parts:
-        raise UsageError(f"{path}: its topics have no time in common", fix="name other topics")
+        raise UsageError(
+            f"{path}: its topics have no two control steps of 0.02 s in common",
+            fix="name other topics with --topic",
+        )
     first, last = parts[0][0], parts[-1][0] + parts[-1][1] / CONTROL_RATE
     ends = np.concatenate(
         [begin - first + np.arange(1, steps + 1) / CONTROL_RATE for begin, steps in parts]
