@@ -155,10 +155,10 @@ def test_the_terminal_has_the_figures_beside_a_perfect_simulators(banks, tmp_pat
         (HEADING + "walker,hurdles/a,10,1\n", r"policy 'walker' may be .*p0.* or .*p1"),
         (HEADING + "p0,hurdles/c,10,1\n", r"p0\.parquet has no result in scene 'hurdles/c'; did"),
         (HEADING + 'p0,"hurdles/a,10,1\n', "is no CSV"),
-        (HEADING + "p0,hurdles/a,10,0,8\n", r"csv:2:1: it has more cells than the heading"),
+        (HEADING + "p0,hurdles/a,10,0,8\n", r"csv has more cells in line 2 than in its heading"),
         (HEADING + "p0,hurdles/a,10.5,0.8\n", r"trials '10\.5' is no whole number"),
         (HEADING.replace(",", ";") + "p0;hurdles/a;1.000;0,8\n", r"trials '1\.000' is no whole"),
-        ("policy,scene,trials,success,Success\n", "has the column success twice"),
+        ("policy,scene,trials,success,Success\n", "has success twice"),
     ],
 )
 def test_a_csv_that_cannot_be_used_is_named_with_its_line(banks, tmp_path, text, message):

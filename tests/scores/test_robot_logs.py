@@ -457,6 +457,17 @@ def test_two_attitudes_are_compared(tmp_path, offset, swing):
         assert "/odom and /imu are" in found.missing["base_roll_rms"]
 
 
+def test_yaw_rates_that_contradict_the_attitude_give_no_score(tmp_path):
+    def curve(time):
+        place = (math.sin(0.5 * time), 1 - math.cos(0.5 * time), 0.3)
+        how = {"place": place, "yaw": 0.5 * time, "roll": 0.1 * math.sin(9 * time)}
+        yield "/odom", ODOM, odometry(EPOCH + time, **how)
+
+    found = poses(tmp_path, curve)
+    assert "yaw rates of /odom (0 rad/s) contradict" in found.missing["tracking_error_angular"]
+    assert found.values["tracking_error_linear"] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_fall_ends_what_is_undefined_after_one(tmp_path):
     def walk(time):
         roll = 0.02 * math.sin(7 * time) + (1.4 if time > 3.0 else 0.0)

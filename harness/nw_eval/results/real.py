@@ -52,31 +52,17 @@ def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealRe
     columns = (*_NAMED, "success" if spec is None else spec.name)
     fix = f"write a heading `{','.join(columns)}` and a line for each policy and scene"
     try:
-        data = bounded_bytes(path, _MOST)
-        text = data.decode("utf-16" if data[:2] in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig")
-        first = text.partition("\n")[0]
-        delimiter = max(",;\t", key=first.count)
-        lines = csv.DictReader(text.splitlines(), delimiter=delimiter, strict=True)
-        heading = [name.strip().lower() for name in lines.fieldnames or ()]
-        if twice := [name for name in columns if heading.count(name) > 1]:
-            raise UsageError(f"{path} has the column {twice[0]} twice", fix=fix)
-        lines.fieldnames = heading
-        cells = [(lines.line_num, line) for line in lines if any(line.values())]
+        cells = _cells(path, columns)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}", fix="name a CSV") from None
+    except LookupError as error:
+        raise UsageError(f"{path} {error.args[0]}", fix=fix) from None
     except (ValueError, csv.Error) as error:
         raise UsageError(f"{path} is no CSV: {error}", fix=fix) from None
-    if missing := [name for name in columns if name not in heading]:
-        raise UsageError(f"{path} lacks the column {missing[0]}", fix=fix)
     found: list[RealResult] = []
     faults: list[Problem] = []
-    for number, line in cells:
+    for number, wanted in cells:
         try:
-            if None in line:
-                raise ValueError("it has more cells than the heading")
-            wanted = [(line[name] or "").strip() for name in columns]
-            if delimiter != ",":
-                wanted[-1] = wanted[-1].replace(",", ".")
             found.append(_result(wanted, f"{path}:{number}", found, spec))
         except ValueError as error:
             faults.append(Problem(file=str(path), line=number, column=1, message=str(error)))
@@ -85,6 +71,29 @@ def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealRe
     if not found:
         raise UsageError(f"{path} has no results", fix=fix)
     return tuple(found)
+
+
+def _cells(path: Path, columns: Sequence[str]) -> list[tuple[int, list[str]]]:
+    """Return the number and the cells of each line that is not empty; raises LookupError, too."""
+    data = bounded_bytes(path, _MOST)
+    text = data.decode("utf-16" if data[:2] in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig")
+    delimiter = max(",;\t", key=text.partition("\n")[0].count)
+    reader = csv.reader(text.splitlines(), delimiter=delimiter, strict=True)
+    heading = [name.strip().lower() for name in next(reader, [])]
+    for name in columns:
+        if (count := heading.count(name)) != 1:
+            raise LookupError(f"lacks the column {name}" if not count else f"has {name} twice")
+    found: list[tuple[int, list[str]]] = []
+    for line in reader:
+        if len(line) > len(heading):
+            raise LookupError(f"has more cells in line {reader.line_num} than in its heading")
+        row = dict(zip(heading, map(str.strip, line), strict=False))
+        wanted = [row.get(name, "") for name in columns]
+        if delimiter != ",":
+            wanted[-1] = wanted[-1].replace(",", ".")
+        if any(map(str.strip, line)):
+            found.append((reader.line_num, wanted))
+    return found
 
 
 def _result(

@@ -27,7 +27,7 @@ class Scores:
     """
 
     log: tyro.conf.Positional[Path]
-    """A trial's MCAP file, or one with joint states and commands of a robot."""
+    """A trial's MCAP file, or one with joint states and commands of a robot, or a bag's folder."""
     score: tuple[str, ...] = ()
     """Which scores; all if none is named."""
     robot: str | None = None

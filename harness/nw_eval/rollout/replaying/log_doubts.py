@@ -204,7 +204,7 @@ def _doubt_twist(found: Readings) -> None:
     better = None if swapped is None else _gap(*swapped)
     turned_frame = better is not None and better.apart < 0.5 * gap.apart
     if not (gap.wide(0.1) or (turned_frame and gap.apart > max(0.03, 0.1 * gap.changed))):
-        return None
+        return
     reason = (
         f"the twist of {topic} (in {child or 'no frame'!r}) says {gap.said:.3g} m/s, its positions "
         f"{gap.changed:.3g} m/s, {gap.apart:.3g} m/s apart"

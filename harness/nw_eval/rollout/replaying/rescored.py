@@ -31,10 +31,11 @@ from nw_eval.rollout.replaying.policy_switch import (
     replay_bundle,
     switch_of,
 )
-from nw_eval.rollout.replaying.robot_log import log_file, read_robot_log
+from nw_eval.rollout.replaying.robot_log import RobotLog, log_file, read_robot_log
 from nw_eval.scores import (
     BUILT_IN,
     MissingReadingError,
+    Score,
     ScoreSpec,
     TrialEnd,
     score_class,
@@ -241,31 +242,20 @@ def _of_robot(
     values: dict[str, float] = {}
     missing: dict[str, str] = {}
     moments: dict[str, float] = {}
-    fell = None if read.fell is None else f"the trunk lies on its side at {read.fell:.4g} s"
-    end = TrialEnd(
-        outcome=None if fell is None else "fell", seconds=read.seconds, success=float("nan")
-    )
+    fell = "" if read.fell is None else f"the trunk lies on its side at {read.fell:.4g} s"
+    end = TrialEnd(outcome="fell" if fell else None, seconds=read.seconds, success=float("nan"))
     for name in names:
-        if name == "time_to_finish":
-            missing[name] = "undefined: the log does not say how the task ended"
-            continue
-        score, fresh = (score_class(name)(read.figures) for _ in range(2))
+        score = score_class(name)(read.figures)
         try:
-            for stretch in read.stretches:
-                for joined in score.joined:
-                    setattr(score, joined, getattr(fresh, joined))
-                score.update(stretch)
-            value = score.value(end)
+            value = _value(score, read, end)
         except MissingReadingError as error:
             missing[name] = read.lacks(error.reading)
             continue
-        paused = len(read.stretches) > 1
-        known = value is not None and np.isfinite(value)
-        if name == "distance_before_fall" and (fell or paused):
+        if name == "time_to_finish":
+            missing[name] = "undefined: the log does not say how the task ended"
+        elif name == "distance_before_fall" and (fell or len(read.stretches) > 1):
             missing[name] = f"undefined: {fell or 'the way in a pause of the log is unknown'}"
-        elif paused and not (score.joined or name in BUILT_IN):
-            missing[name] = "undefined in a log with pauses"
-        elif value is None or not known:
+        elif value is None or not np.isfinite(value):
             unknown = fell if value is None else read.empty.get("tilt")
             missing[name] = unknown or "undefined in this log"
         else:
@@ -282,6 +272,18 @@ def _of_robot(
         topics=read.topics,
         unused=read.unused,
         fields=read.fields,
-        notes=read.notes if fell is None else (*read.notes, fell),
+        notes=(*read.notes, fell) if fell else read.notes,
         recorded={},
     )
+
+
+def _value(score: Score, read: RobotLog, end: TrialEnd) -> float | None:
+    """Return the value of a score; None, too, of a package's in a log with pauses."""
+    if len(read.stretches) > 1 and not score.joined and score.spec.name not in BUILT_IN:
+        return None
+    fresh = score.state()
+    for stretch in read.stretches:
+        for joined in score.joined:
+            setattr(score, joined, fresh[joined])
+        score.update(stretch)
+    return score.value(end)

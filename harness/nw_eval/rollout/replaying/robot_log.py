@@ -413,8 +413,8 @@ def _slow(found: Readings, path: Path) -> dict[str, list[tuple[float, float]]]:
     for source, count in alone.items():
         if count:
             found.notes.append(
-                f"{plural(count, 'message')} of {found.topics[source]} left out: far from all others "
-                "in time"
+                f"{plural(count, 'message')} of {found.topics[source]} left out: far from "
+                "all others in time"
             )
     return spans
 
