@@ -248,7 +248,7 @@ def test_header_stamps_are_used_whatever_was_logged(tmp_path, logged):
     [
         (EPOCH + np.where(TIMES < 2.0, TIMES, TIMES - 1.0), "go back"),
         (np.full(len(TIMES), EPOCH), "repeat"),
-        (EPOCH / 100 + 1000 * TIMES, "times as fast"),
+        (EPOCH / 100 + 1000 * TIMES, "are 10 s apart"),
         (0.0 * TIMES, ""),
     ],
     ids=["set back", "constant", "milliseconds", "zero"],
@@ -511,14 +511,15 @@ def test_joints_that_were_not_measured_in_these_units_give_no_score(
     assert reason in scores(write(tmp_path / "log.mcap", entries)).missing[score]
 
 
-def test_velocities_of_zero_while_joints_move_give_no_power(tmp_path):
-    entries = [
-        (EPOCH + t, "/joint_states", JOINT,
-         joints(EPOCH + t, rate=0.0, position=[STAND[0] + 0.1 * math.sin(t), *STAND[1:]]))
-        for t in TIMES
-    ]  # fmt: skip
+@pytest.mark.parametrize("scale", [0.0, 180.0 / math.pi, -1.0], ids=["unset", "degrees", "sign"])
+def test_velocities_that_moving_joints_contradict_give_no_power(tmp_path, scale):
+    entries = []
+    for time in TIMES.tolist():
+        position = [angle + 0.2 * math.sin(2 * time) for angle in STAND]
+        message = joints(EPOCH + time, rate=scale * 0.4 * math.cos(2 * time), position=position)
+        entries.append((EPOCH + time, "/joint_states", JOINT, message))
     found = scores(write(tmp_path / "log.mcap", entries))
-    assert "velocities of 0 while the joints move" in found.missing["mean_power"]
+    assert "rad/s of all joints) contradict its positions" in found.missing["mean_power"]
 
 
 def test_rates_and_signs_that_contradict_each_other_are_noted(tmp_path):
@@ -618,6 +619,17 @@ def test_raw_actions_are_not_targets(tmp_path):
     ]
     missing = scores(write(tmp_path / "log.mcap", entries)).missing["action_rate"]
     assert "actions before scale and offset" in missing
+
+
+def test_an_array_of_another_size_is_no_targets(tmp_path):
+    entries = [(EPOCH + t, "/joint_states", JOINT, joints(EPOCH + t)) for t in TIMES]
+    entries += [
+        (EPOCH + t, "/action", ARRAY, {"layout": LAYOUT, "data": [0.0] * 13}) for t in TIMES
+    ]
+    path = write(tmp_path / "log.mcap", entries)
+    assert "13 numbers for the 12 joints of go1" in scores(path).missing["action_rate"]
+    with pytest.raises(UsageError, match="names one topic for two readings"):
+        scores(path, topics=["joints=/joint_states", "targets=/joint_states"])
 
 
 def test_unset_numbers_of_protobuf_are_not_zero(tmp_path):

@@ -15,8 +15,7 @@ from nw_eval.scores.score import Array
 
 _SET_BACK = 0.05  # s that messages may be out of order
 _PAUSE, _INTERVALS = 0.1, 3.0  # A longer interval is a pause: s, and in usual intervals.
-_SHORTEST = 1.0 / 3000.0  # s between messages of a robot
-_FACTOR = 20.0  # A clock that runs so many times as fast as another counts in another unit.
+_SHORTEST, _LONGEST = 1.0 / 3000.0, 3.0  # s between messages; others count in another unit.
 _SAME_CLOCK = 1.0  # s
 _STRAY = 0.05  # s between stamps and log times that is noted
 _MISSING = "are missing"
@@ -90,28 +89,19 @@ def _mapped(each: Stamps, master: Stamps) -> Array | None:
 
 
 def _faults(each: Stamps, notes: list[str]) -> tuple[str, str]:
-    """Return what is wrong with stamps and log times; note where only one can be right."""
+    """Return what is wrong with stamps and log times; note where they disagree."""
     stamps, logged = (_fault(times, steady=each.steady) for times in each[1:3])
-    if not stamps and not logged and each.steady and len(each.logged) > 9:
-        usual = [
-            float(np.median(np.diff(np.unique(times[np.isfinite(times)])))) for times in each[1:3]
-        ]
-        ratio = usual[0] / usual[1]
-        if not 1.0 / _FACTOR < ratio < _FACTOR:
-            stamps = f"run {ratio:.3g} times as fast as its log times"
-    stray = 0.0
-    if not stamps and not logged:
-        low, high = np.nanquantile(each.logged - each.header, (0.01, 0.99)).tolist()
-        stray = high - low
     if logged and not stamps:
         notes.append(f"log times of {each.topic} {logged}; its header stamps are used")
     elif stamps not in {"", _MISSING} and not logged:
         notes.append(f"header stamps of {each.topic} {stamps}; its log times are used")
-    elif stray > _STRAY:
-        notes.append(
-            f"log times of {each.topic} stray by {stray:.3g} s from its header stamps, which are "
-            "used"
-        )
+    elif not stamps and not logged:
+        low, high = np.nanquantile(each.logged - each.header, (0.01, 0.99)).tolist()
+        if (stray := high - low) > _STRAY:
+            notes.append(
+                f"log times of {each.topic} stray by {stray:.3g} s from its header stamps, which "
+                "are used"
+            )
     return stamps, logged
 
 
@@ -139,7 +129,7 @@ def _fault(times: Array, *, steady: bool) -> str:
     if len(moving) > 2 and np.quantile(moving, 0.4) < 0.2 * moving.mean():
         return "come in bursts"
     usual = float(np.median(intervals))
-    return f"are {usual:.3g} s apart" if usual < _SHORTEST else ""
+    return "" if _SHORTEST < usual < _LONGEST else f"are {usual:.3g} s apart"
 
 
 def stretches(times: Array) -> tuple[list[Span], float, int]:

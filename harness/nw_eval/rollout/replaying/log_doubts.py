@@ -106,13 +106,14 @@ def _doubt_rates(found: Readings) -> None:
     topic = found.topics.get("joints", "")
     if not (pair := found.both("joint_positions", "joint_rates")) or not (gap := _gap(*pair)):
         return
-    if not gap.said and gap.changed > _NEAR_ZERO:
-        found.drop("joint_rates", f"{topic} has velocities of 0 while the joints move")
-    elif gap.wide(0.5):
-        found.notes.append(
-            f"velocities of {topic} ({gap.said:.3g} rad/s of all joints) contradict its positions "
-            f"({gap.changed:.3g} rad/s); power is computed from velocities"
-        )
+    reason = (
+        f"velocities of {topic} ({gap.said:.3g} rad/s of all joints) contradict its positions "
+        f"({gap.changed:.3g} rad/s)"
+    )
+    if gap.changed > _NEAR_ZERO and (not gap.said or gap.wide(0.5)):
+        found.drop("joint_rates", reason)
+    elif gap.wide(0.5):  # Positions that never change were not measured.
+        found.notes.append(f"{reason}; power is computed from velocities")
 
 
 def _doubt_torques(found: Readings) -> None:
@@ -188,21 +189,20 @@ def _doubt_twist(found: Readings) -> None:
     times, twist, rows = pair
     turned = np.einsum("nij,nj->ni", rows.reshape(-1, 3, 3), twist)
     in_world = bool(frame) and child == frame
-    velocity, other = (twist, turned) if in_world else (turned, twist)
     if in_world and (spin := found.both("rates", "rotation")):
         back = np.einsum("nji,nj->ni", spin[2].reshape(-1, 3, 3), spin[1])
         found.tracks["rates"] = spin[0], back
         found.notes.append(f"the twist of {topic} is in the frame {child!r}, as its messages say")
-    found.tracks["world_velocity"] = times, velocity
-    place = found.both("position", "world_velocity")
-    if place is None or (gap := _gap(times=place[0], values=place[1], rates=place[2])) is None:
+    gaps: list[_Gap] = []
+    for velocity in (turned, twist) if in_world else (twist, turned):  # As it is meant comes last.
+        found.tracks["world_velocity"] = times, velocity
+        place = found.both("position", "world_velocity")
+        gaps += [gap] if place is not None and (gap := _gap(*place)) is not None else []
+    if not gaps:
         found.notes.append(f"the twist of {topic} was not compared with positions: there are none")
         return
-    found.tracks["world_velocity"] = times, other
-    swapped = found.both("position", "world_velocity")
-    found.tracks["world_velocity"] = times, velocity
-    better = None if swapped is None else _gap(*swapped)
-    turned_frame = better is not None and better.apart < 0.5 * gap.apart
+    other, gap = gaps
+    turned_frame = other.apart < 0.5 * gap.apart
     if not (gap.wide(0.1) or (turned_frame and gap.apart > max(0.03, 0.1 * gap.changed))):
         return
     reason = (

@@ -65,7 +65,6 @@ _PROTOBUF: dict[str, Any] = {
     "foxglove.PoseInFrame": PoseInFrame,
 }
 JOINTS, IMU = ("sensor_msgs/msg/JointState", "foxglove.JointStates"), "sensor_msgs/msg/Imu"
-_UNKNOWN = "its covariance begins with -1"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 Values = dict[str, "list[float] | str"]
 """A reading's numbers, or why a message has none, by reading."""
@@ -147,18 +146,9 @@ def frames_of(message: Any, kind: str) -> tuple[str, str]:
 def values_of(
     source: str, message: Any, kind: str, robot: RobotSpec, orders: dict[Any, Any], topic: str
 ) -> Values:
-    """Return what a message says of each reading.
+    """Return what a message of a topic that was taken for a source says of each reading.
 
-    Args:
-        source: what its topic was taken for.
-        message: as decoded.
-        kind: of message.
-        robot: whose joints are looked for.
-        orders: where joints are in messages, kept between calls.
-        topic: its name, for errors.
-
-    Raises:
-        UsageError: it cannot be of this robot.
+    `orders` keeps where joints are in messages. UsageError: it cannot be of this robot.
     """
     values = _VALUES[source](message, kind, robot, orders, topic)
     return {
@@ -216,47 +206,39 @@ def _targets(
     if kind in JOINTS:
         values = _joints(message, kind, robot, orders, topic)
         return {"targets": values["joint_positions"], "target_torques": values["torques"]}
-    numbers = list(message.data)
-    if len(numbers) != len(robot.joints):
-        raise UsageError(
-            f"{topic} has {len(numbers)} numbers, {robot.name} has {len(robot.joints)} joints",
-            fix="name another topic with --topic",
-        )
+    numbers, wanted = list(message.data), len(robot.joints)
+    if len(numbers) != wanted:
+        return {"targets": f"{len(numbers)} numbers for the {wanted} joints of {robot.name}"}
     return {"targets": numbers}
-
-
-def _imu(message: Any, *_: Any) -> Values:
-    values: Values = {
-        "rotation": _rotation(message.orientation),
-        "rates": _xyz(message.angular_velocity),
-        "acceleration": _xyz(message.linear_acceleration),
-    }
-    fields = ("orientation", "angular_velocity", "linear_acceleration")
-    for reading, field in zip(tuple(values), fields, strict=True):
-        if getattr(message, f"{field}_covariance")[0] == -1.0:
-            values[reading] = _UNKNOWN
-    return values
 
 
 def _pose(message: Any, kind: str, *_: Any) -> Values:
     if kind == IMU:
-        return _imu(message)
-    odometry = kind == "nav_msgs/msg/Odometry"
-    pose = message.pose.pose if odometry else message.pose
-    values: Values = {
-        "position": _xyz(pose.position),
-        "rotation": _rotation(pose.orientation),
+        parts = {
+            "rotation": (_rotation(message.orientation), message.orientation_covariance),
+            "rates": (_xyz(message.angular_velocity), message.angular_velocity_covariance),
+            "acceleration": (
+                _xyz(message.linear_acceleration),
+                message.linear_acceleration_covariance,
+            ),
+        }
+    elif kind == "nav_msgs/msg/Odometry":
+        pose, twist = message.pose, message.twist
+        parts = {
+            "position": (_xyz(pose.pose.position), pose.covariance),
+            "rotation": (_rotation(pose.pose.orientation), pose.covariance),
+            "world_velocity": (_xyz(twist.twist.linear), twist.covariance),
+            "rates": (_xyz(twist.twist.angular), twist.covariance),
+        }
+    else:
+        parts = {
+            "position": (_xyz(message.pose.position), (0.0,)),
+            "rotation": (_rotation(message.pose.orientation), (0.0,)),
+        }
+    return {
+        reading: value if covariance[0] != -1.0 else "its covariance begins with -1"
+        for reading, (value, covariance) in parts.items()
     }
-    if odometry:
-        twist = message.twist.twist
-        values |= {"world_velocity": _xyz(twist.linear), "rates": _xyz(twist.angular)}
-        for part, readings in (
-            (message.pose, ("position", "rotation")),
-            (message.twist, ("world_velocity", "rates")),
-        ):
-            if part.covariance[0] == -1.0:
-                values |= dict.fromkeys(readings, _UNKNOWN)
-    return values
 
 
 def _command(message: Any, kind: str, *_: Any) -> Values:
@@ -268,7 +250,7 @@ _VALUES: dict[str, Callable[..., Values]] = {
     "joints": _joints,
     "targets": _targets,
     "pose": _pose,
-    "imu": _imu,
+    "imu": _pose,
     "command": _command,
 }
 

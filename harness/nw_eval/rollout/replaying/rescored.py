@@ -10,7 +10,7 @@ A robot's log (`robot_log`) has readings only, and gives the scores that those a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
 
@@ -70,17 +70,17 @@ class LogScores:
     """Declarations of all that were asked for."""
     topics: Mapping[str, str]
     """Of a robot's log: which topic each reading was taken from."""
-    unused: Mapping[str, str]
-    """Of a robot's log: why other topics were not read."""
-    fields: Mapping[str, Mapping[str, str]]
-    """Of a robot's log: by topic that was read, what became of the fields of its messages."""
-    notes: Sequence[str]
-    """Of a robot's log: what is doubtful, and what was left out."""
     recorded: Mapping[str, float]
     """Of a run's log: what the run itself measured."""
     restored: int = 0
     """Of a run's log: how often the trial went another way here than recorded, as on a CPU of
     another kind, and went on from the next state of the log."""
+    unused: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Of a robot's log: why other topics were not read."""
+    fields: Mapping[str, Mapping[str, str]] = field(default_factory=dict[str, Mapping[str, str]])
+    """Of a robot's log: by topic that was read, what became of the fields of its messages."""
+    notes: Sequence[str] = ()
+    """Of a robot's log: what is doubtful, and what was left out."""
 
 
 def scores_of_log(
@@ -174,9 +174,6 @@ def _of_run(
         missing=missing,
         specs=specs,
         topics={},
-        unused={},
-        fields={},
-        notes=(),
         recorded={name: value for name, value in _recorded(logged).items() if name in specs},
         restored=found.restored,
     )

@@ -185,6 +185,8 @@ def read_robot_log(path: Path, *, robot: str, topics: Mapping[str, str]) -> Robo
     spec = get_robot(robot)
     if unknown := [name for name in topics if name not in _SOURCES]:
         raise UsageError(f"--topic {unknown[0]}=... is unknown", fix=nearest(unknown[0], SOURCES))
+    if len(set(topics.values())) < len(topics):
+        raise UsageError("--topic names one topic for two readings", fix="name another for one")
     try:
         kinds, unused = _kinds(path)
         chosen = _chosen(path, kinds, unused, topics)
