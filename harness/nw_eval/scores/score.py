@@ -251,6 +251,8 @@ class Score:
     """
 
     spec: ClassVar[ScoreSpec]
+    joined: ClassVar[tuple[str, ...]] = ()
+    """Attributes that join a stretch to the one before: they are as new after a pause of a log."""
 
     def __init__(self, figures: Figures) -> None:
         self.figures = figures
