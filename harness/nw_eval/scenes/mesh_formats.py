@@ -37,6 +37,35 @@ _GLTF_LOOKS = re.compile(
     r"(KHR|EXT)_(materials|texture|lights|animation)_\w+|KHR_mesh_quantization"
 )
 """Extensions that change no surface, or that are understood."""
+_GLTF_SILENT = re.compile(
+    r"KHR_materials_\w+|KHR_texture_\w+|EXT_texture_\w+|KHR_lights_\w+|EXT_lights_\w+"
+    r"|KHR_mesh_quantization|KHR_xmp\w*|KHR_draco_mesh_compression|(EXT|KHR)_meshopt_compression"
+)
+"""Extensions that are read, or of no effect: gloss, lamps, authorship, and compressed copies of what
+stands plain beside, or else its accessors are refused. A texture that is not read is remarked."""
+_LABELS = {"name", "extras", "extensions"}
+_GLTF_FIELDS: dict[str, set[str]] = {
+    "the file": _LABELS | {
+        "asset", "scene", "scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers",
+        "materials", "textures", "images", "samplers", "cameras", "skins", "animations",
+        "extensionsUsed", "extensionsRequired",
+    },
+    "nodes": _LABELS | {
+        "mesh", "skin", "children", "matrix", "rotation", "scale", "translation", "camera",
+        "weights",
+    },
+    "meshes": _LABELS | {"primitives", "weights"},
+    "primitives": _LABELS | {"attributes", "indices", "material", "mode", "targets"},
+    "materials": _LABELS | {
+        "pbrMetallicRoughness", "alphaMode", "alphaCutoff", "doubleSided", "normalTexture",
+        "occlusionTexture", "emissiveTexture", "emissiveFactor",
+    },
+}  # fmt: skip
+"""Fields that are read, remarked elsewhere (skins, morph targets, animations, alphaMode), or of no
+effect: cameras, relief and glow of materials, and `doubleSided`, for all faces are met from both
+sides, and ground from above."""
+_GLTF_ATTRIBUTES = re.compile(r"POSITION|COLOR_0|TEXCOORD_\d+|NORMAL|TANGENT|(JOINTS|WEIGHTS)_\d+")
+"""Of vertices: those that are read, directions that faces say themselves, and those of skins."""
 
 
 def read_glb(path: Path, remarks: Remarks) -> Arrays:
@@ -78,7 +107,7 @@ class _Glb:
         self.materials: dict[int | None, int] = {}
         self.pictures: dict[int, bytes] = {}
         self.size = len(data)
-        binary = data[28 + length : whole]
+        binary = self._second(data, 20 + length, whole)
         self.content: dict[str, Any] = json.loads(data[20 : 20 + length])
         self.buffers = [
             self._buffer(one.get("uri"), binary) for one in self.content.get("buffers", ())
@@ -90,6 +119,74 @@ class _Glb:
                 f"{path}: it needs {clean(', '.join(unknown), at_most=100)}",
                 fix="export it without compression of the mesh",
             )
+
+    def _second(self, data: bytes, at: int, whole: int) -> bytes:
+        """Return the bytes of the file's second part; others are passed over, and remarked."""
+        found = b""
+        while at + 8 <= whole:
+            size, kind = struct.unpack_from("<I4s", data, at)
+            if kind == b"BIN\0" and not found:
+                found = data[at + 8 : min(at + 8 + size, whole)]
+            else:
+                self.remarks.unread.append(
+                    f"a part {clean(repr(kind), at_most=20)} of {size} bytes"
+                )
+            at += 8 + size
+        return found
+
+    def _account(self, met: set[int]) -> None:
+        """Remark what of the file is not read: nodes, by number, stand in the scene."""
+        content, unread = self.content, self.remarks.unread
+        nodes: list[dict[str, Any]] = content.get("nodes", [])
+        if apart := [i for i, one in enumerate(nodes) if "mesh" in one and i not in met]:
+            scenes = content.get("scenes", ())
+            others = f" of {len(scenes)} scenes" if len(scenes) > 1 else ""
+            self.remarks.dropped[f"nodes with meshes that are not in its scene{others}"] += len(
+                apart
+            )
+        if moves := content.get("animations"):
+            unread.append(f"{len(moves)} animations: nodes stand as they are without")
+        materials: list[dict[str, Any]] = content.get("materials", [])
+        for mode in ("MASK", "BLEND"):
+            if some := [one for one in materials if one.get("alphaMode") == mode]:
+                first = clean(str(some[0].get("name", "")), at_most=40)
+                unread.append(
+                    f"alphaMode {mode} of {len(some)} materials ({first}): it is solid here"
+                )
+        names: set[str] = set()
+        waiting: list[Any] = [content]
+        while waiting:
+            one = waiting.pop()
+            if isinstance(one, dict):
+                held = one.get("extensions")
+                names |= set(held) if isinstance(held, dict) else set()
+                waiting += [value for key, value in one.items() if key != "extras"]
+            elif isinstance(one, list):
+                waiting += one if one and isinstance(one[0], (dict, list)) else []
+        names |= {str(one) for one in content.get("extensionsUsed", ())}
+        if left := sorted(name for name in names if not _GLTF_SILENT.fullmatch(name)):
+            unread.append(f"extensions {clean(', '.join(left), at_most=200)}")
+        for where, rows in (
+            ("the file", [content]),
+            ("nodes", nodes),
+            ("meshes", content.get("meshes", [])),
+            ("primitives", [p for m in content.get("meshes", ()) for p in m["primitives"]]),
+            ("materials", materials),
+        ):
+            keys = {key for row in rows for key in row} - _GLTF_FIELDS[where]
+            if where == "primitives":
+                given = {key for row in rows for key in row["attributes"]}
+                keys |= {key for key in given if not _GLTF_ATTRIBUTES.fullmatch(key)}
+            if keys:
+                unread.append(f"of {where}: {clean(', '.join(sorted(keys)), at_most=200)}")
+        clamped = [
+            s
+            for s in content.get("samplers", ())
+            for k in ("wrapS", "wrapT")
+            if s.get(k, 10497) != 10497
+        ]
+        if clamped and self.remarks.paint is not None:
+            unread.append("that textures do not repeat (wrapS, wrapT): they do here")
 
     def _buffer(self, uri: str | None, binary: bytes) -> bytes:
         """Return the bytes of a buffer: the file's second part, or what is written in the JSON."""
@@ -149,6 +246,7 @@ class _Glb:
                 count += len(points)
                 triangles += len(corners)
                 check_count(self.path, max(count, triangles))  # A mesh may stand at many places.
+        self._account(met)
         return np.concatenate(vertices), np.concatenate(faces)
 
     def _parts(self, mesh: dict[str, Any]) -> Iterator[tuple[Arrays, dict[str, Any]]]:
@@ -305,6 +403,12 @@ _OBJ_SILENT = (
     "vt", "vn", "g", "o", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "bevel", "c_interp",
     "d_interp", "lod", "shadow_obj", "trace_obj",
 )  # fmt: skip
+_MTL_SILENT = (
+    "Ka", "Ks", "Ke", "Ns", "Ni", "Tf", "illum", "sharpness", "Pr", "Pm", "Ps", "Pc", "Pcr",
+    "aniso", "anisor", "map_Ka", "map_Ks", "map_Ke", "map_Ns", "map_bump", "bump", "norm", "refl",
+    "map_Pr", "map_Pm", "map_Ps", "map_aat",
+)  # fmt: skip
+"""Of an MTL, of no effect: gloss, glow and relief, which a splat of plain colours does not have."""
 _OBJ_DROPPED = {
     "p": "points", "l": "lines",
     **dict.fromkeys(("vp", "cstype", "bmat", "step", "curv", "curv2", "surf", "parm", "trim",
@@ -338,6 +442,9 @@ def read_obj(path: Path, remarks: Remarks) -> Arrays:
         elif kind not in _OBJ_SILENT:
             remarks.dropped[f"unknown lines {clean(kind, at_most=20)!r}"] += 1
     check_count(path, max(len(points), len(polygons)))
+    weights = [words[3] for one in points if len(words := one.split(None, 6)) == 4]
+    if weighted := len([one for one in weights if not re.fullmatch(r"1(\.0*)?", one)]):
+        remarks.unread.append(f"the weight of {weighted} vertices, of curved surfaces only")
     vertices = numbers_of(path, points, point_lines, "v")
     widths = np.array([len(line.split()) for line in polygons], dtype=np.int64)
     if len(widths) and widths.min() < 3:
@@ -408,6 +515,9 @@ class _ObjLooks:
         read: dict[str, Material] = {}
         for library in dict.fromkeys(self.libraries):
             read |= _materials(path, library, remarks)
+        if lost := sorted(name for name in self.names if name and name not in read):
+            named = clean(", ".join(lost[:5]), at_most=100)
+            remarks.unread.append(f"{len(lost)} materials that no library has, white here: {named}")
         if len(self.names) > 10 * TEXTURES:
             raise SceneError(f"{path}: {len(self.names)} materials", fix="join them into an atlas")
         paint.materials += [read.get(name, Material()) for name in self.names]
@@ -417,6 +527,8 @@ class _ObjLooks:
             wide = len(rows) // len(points)
             shades = np.clip(rows.reshape(-1, wide)[:, 3:6], 0.0, 1.0)
             colours = shades[corners[cut]]
+        elif any(one.strip().count(" ") >= 5 for one in points):
+            remarks.unread.append("colours of vertices, which not all vertices have")
         paint.add(
             len(cut),
             colours=colours,
@@ -458,6 +570,7 @@ def _materials(path: Path, library: str, remarks: Remarks) -> dict[str, Material
     content = bytes_beside(path, library, remarks)
     found: dict[str, Material] = {}
     name, factor, picture = "", (1.0, 1.0, 1.0), ""
+    left: set[str] = set()
 
     def keep() -> None:
         texture = bytes_beside(path, picture, remarks) if picture else None
@@ -485,7 +598,17 @@ def _materials(path: Path, library: str, remarks: Remarks) -> dict[str, Material
             # `-s 1 1 1 name`: what stands before the name is how it is laid on.
             rest = rest.strip()
             picture = rest.rpartition(" ")[2] if rest.startswith("-") else rest
+            if rest.startswith("-"):
+                left.add(f"map_Kd {rest.removesuffix(picture).strip()}")
+        elif word in {"d", "Tr"} and rest.strip() == ("1" if word == "d" else "0"):
+            pass  # Opaque.
+        elif word and word[0] != "#" and word not in _MTL_SILENT:
+            left.add(word)
     keep()
+    if left:
+        remarks.unread.append(
+            f"of {clean(library, at_most=60)}: {clean(', '.join(sorted(left)), at_most=200)}"
+        )
     return found
 
 
