@@ -37,7 +37,6 @@ _SETTING = re.compile(r"[\w .-]{1,40}[:=]\s*\S")
 _PROSE = re.compile(
     r"(generat|creat|export|made|written|author|date|software|source|version|https?)", re.IGNORECASE
 )
-"""How comments begin that say who wrote a file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,27 +156,17 @@ class Ply:
         return out
 
     def remarks(self, element: str, used: Collection[str], silent: Collection[str]) -> list[str]:
-        """Return what of an element nobody reads, by name.
-
-        Args:
-            element: that is read.
-            used: names of its properties that are read.
-            silent: names of those that change nothing.
-        """
+        """Return which properties of an element are neither `used` nor, of no effect, `silent`."""
         names = (*(self.elements[element].dtype.names or ()), *self.lists.get(element, {}))
         left = [clean(n, at_most=40) for n in names if n not in used and n not in silent]
         return [f"properties of {element} that are not read: {', '.join(left)}"] if left else []
 
-    def unread_comments(self, used: Collection[str]) -> list[str]:
-        """Return comments of the form `name: value` that nobody reads, prose of the writer aside.
-
-        Args:
-            used: first words of those that are read.
-        """
+    def unread_comments(self, used: re.Pattern[str]) -> list[str]:
+        """Return comments `name: value` that are not `used`, nor say who wrote the file."""
         return [
             f"comment that is not read: {clean(one, at_most=80)}"
             for one in self.comments
-            if _SETTING.match(one) and not _PROSE.match(one) and not one.startswith(tuple(used))
+            if _SETTING.match(one) and not _PROSE.match(one) and not used.fullmatch(one)
         ]
 
 

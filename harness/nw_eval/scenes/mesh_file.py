@@ -302,17 +302,23 @@ def _read_stl(path: Path, remarks: Remarks) -> Arrays:
     return corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
 
 
+_STL_WORDS = "solid|endsolid|facet|endfacet|outer|endloop|vertex"
+
+
 def _check_turns(
-    normals: NDArray[np.float64], corners: NDArray[np.float64], remarks: Remarks
+    normals: NDArray[np.float64] | None, corners: NDArray[np.float64], remarks: Remarks
 ) -> None:
     """Remark that stored normals (F, 3) contradict the order of corners (F, 3, 3), which counts."""
+    if normals is None or normals.size != 3 * len(corners):
+        return
+    normals = normals.reshape(-1, 3)
     with np.errstate(all="ignore"):
         turn = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         against = int(((turn * normals).sum(axis=1) < 0).sum())
     if against:
         remarks.unread.append(
-            f"the normals of {against} of {len(normals)} facets, which point to the other side than "
-            "the order of their corners says"
+            f"the normals of {against} of {len(normals)} facets, which contradict the order of "
+            "their corners"
         )
 
 
@@ -341,17 +347,16 @@ def _read_ascii_stl(path: Path, data: bytes, remarks: Remarks) -> Arrays:
                     fix="triangulate it before it is exported",
                 )
             begun = None
-        elif word and word not in {"solid", "endsolid", "outer", "endloop"}:
-            remarks.dropped[f"unknown lines {clean(word, at_most=20)!r}"] += 1
     if begun is not None:
         raise SceneError(f"{path}: a facet does not end", fix=CUT_SHORT)
     if len(rows) % 3:
         raise SceneError(f"{path}: a vertex stands outside of a facet", fix=AGAIN)
     check_count(path, len(rows))
     vertices = numbers_of(path, rows, lines, "vertex")
-    stored = fast_numbers(normals, np.float64)
-    if stored is not None and len(stored) == len(rows):
-        _check_turns(stored.reshape(-1, 3), vertices.reshape(-1, 3, 3), remarks)
+    _check_turns(fast_numbers(normals, np.float64), vertices.reshape(-1, 3, 3), remarks)
+    others = re.findall(rf"^[ \t]*(?!(?:{_STL_WORDS})\b)(\S+)", text, re.MULTILINE | re.IGNORECASE)
+    for other in others:
+        remarks.dropped[f"unknown lines {clean(other, at_most=20)!r}"] += 1
     return vertices, np.arange(len(rows)).reshape(-1, 3)
 
 
@@ -359,6 +364,7 @@ def _read_ascii_stl(path: Path, data: bytes, remarks: Remarks) -> Arrays:
 
 _PLY_SURFACES = ("face", "tristrips")
 _PLY_TEXTURE = re.compile(r"TextureFile\s+\S", re.IGNORECASE)
+_PLY_SAID = re.compile(r"(TextureFile|.*\bunits?\b).*", re.IGNORECASE)
 
 
 def _read_ply(path: Path, remarks: Remarks) -> Arrays:
@@ -376,7 +382,7 @@ def _read_ply(path: Path, remarks: Remarks) -> Arrays:
     faces = [np.zeros((0, 3), np.int64)]
     looks = _PlyLooks(ply, remarks)
     remarks.unread += ply.remarks("vertex", {"x", "y", "z", *looks.used}, _PLY_SILENT)
-    remarks.unread += ply.unread_comments(("TextureFile",))
+    remarks.unread += ply.unread_comments(_PLY_SAID)
     for element in _PLY_SURFACES:
         lists = ply.lists.get(element, {})
         found = lists.get("vertex_indices") or lists.get("vertex_index")

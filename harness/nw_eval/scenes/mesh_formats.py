@@ -38,32 +38,20 @@ _GLTF_LOOKS = re.compile(
 )
 """Extensions that change no surface, or that are understood."""
 _GLTF_SILENT = re.compile(
-    r"KHR_materials_\w+|KHR_texture_\w+|EXT_texture_\w+|KHR_lights_\w+|EXT_lights_\w+"
-    r"|KHR_mesh_quantization|KHR_xmp\w*|KHR_draco_mesh_compression|(EXT|KHR)_meshopt_compression"
+    r"(KHR|EXT)_(materials|texture|lights|meshopt)_\w+|KHR_(mesh_quantization|xmp|draco)\w*"
 )
-"""Extensions that are read, or of no effect: gloss, lamps, authorship, and compressed copies of what
-stands plain beside, or else its accessors are refused. A texture that is not read is remarked."""
-_LABELS = {"name", "extras", "extensions"}
-_GLTF_FIELDS: dict[str, set[str]] = {
-    "the file": _LABELS | {
-        "asset", "scene", "scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers",
-        "materials", "textures", "images", "samplers", "cameras", "skins", "animations",
-        "extensionsUsed", "extensionsRequired",
-    },
-    "nodes": _LABELS | {
-        "mesh", "skin", "children", "matrix", "rotation", "scale", "translation", "camera",
-        "weights",
-    },
-    "meshes": _LABELS | {"primitives", "weights"},
-    "primitives": _LABELS | {"attributes", "indices", "material", "mode", "targets"},
-    "materials": _LABELS | {
-        "pbrMetallicRoughness", "alphaMode", "alphaCutoff", "doubleSided", "normalTexture",
-        "occlusionTexture", "emissiveTexture", "emissiveFactor",
-    },
-}  # fmt: skip
-"""Fields that are read, remarked elsewhere (skins, morph targets, animations, alphaMode), or of no
-effect: cameras, relief and glow of materials, and `doubleSided`, for all faces are met from both
-sides, and ground from above."""
+"""Extensions that are read, or of no effect: gloss, lamps, authorship, and compressed copies of
+what stands plain beside, or else its accessors are refused. Textures not read are remarked."""
+_GLTF_FIELDS = re.compile(
+    r"asset|scenes?|nodes|mesh(es)?|accessors|bufferViews|buffers|materials?|textures|images|name"
+    r"|samplers|cameras?|skins?|animations|extensions(Used|Required)?|extras|children|matrix|mode"
+    r"|rotation|scale|translation|weights|primitives|attributes|indices|targets|alphaMode"
+    r"|alphaCutoff|doubleSided|pbrMetallicRoughness|(normal|occlusion|emissive)Texture"
+    r"|emissiveFactor"
+)
+"""Fields of the file, nodes, meshes, primitives and materials that are read, remarked elsewhere
+(skins, morph targets, animations, alphaMode), or of no effect: cameras, relief and glow, and
+`doubleSided`, for rays and feet meet faces from both sides."""
 _GLTF_ATTRIBUTES = re.compile(r"POSITION|COLOR_0|TEXCOORD_\d+|NORMAL|TANGENT|(JOINTS|WEIGHTS)_\d+")
 """Of vertices: those that are read, directions that faces say themselves, and those of skins."""
 
@@ -139,54 +127,33 @@ class _Glb:
         content, unread = self.content, self.remarks.unread
         nodes: list[dict[str, Any]] = content.get("nodes", [])
         if apart := [i for i, one in enumerate(nodes) if "mesh" in one and i not in met]:
-            scenes = content.get("scenes", ())
-            others = f" of {len(scenes)} scenes" if len(scenes) > 1 else ""
-            self.remarks.dropped[f"nodes with meshes that are not in its scene{others}"] += len(
+            self.remarks.dropped["nodes with meshes that are not in its default scene"] += len(
                 apart
             )
         if moves := content.get("animations"):
             unread.append(f"{len(moves)} animations: nodes stand as they are without")
         materials: list[dict[str, Any]] = content.get("materials", [])
-        for mode in ("MASK", "BLEND"):
-            if some := [one for one in materials if one.get("alphaMode") == mode]:
-                first = clean(str(some[0].get("name", "")), at_most=40)
-                unread.append(
-                    f"alphaMode {mode} of {len(some)} materials ({first}): it is solid here"
-                )
-        names: set[str] = set()
-        waiting: list[Any] = [content]
-        while waiting:
-            one = waiting.pop()
-            if isinstance(one, dict):
-                held = one.get("extensions")
-                names |= set(held) if isinstance(held, dict) else set()
-                waiting += [value for key, value in one.items() if key != "extras"]
-            elif isinstance(one, list):
-                waiting += one if one and isinstance(one[0], (dict, list)) else []
-        names |= {str(one) for one in content.get("extensionsUsed", ())}
-        if left := sorted(name for name in names if not _GLTF_SILENT.fullmatch(name)):
-            unread.append(f"extensions {clean(', '.join(left), at_most=200)}")
-        for where, rows in (
-            ("the file", [content]),
-            ("nodes", nodes),
-            ("meshes", content.get("meshes", [])),
-            ("primitives", [p for m in content.get("meshes", ()) for p in m["primitives"]]),
-            ("materials", materials),
-        ):
-            keys = {key for row in rows for key in row} - _GLTF_FIELDS[where]
-            if where == "primitives":
-                given = {key for row in rows for key in row["attributes"]}
-                keys |= {key for key in given if not _GLTF_ATTRIBUTES.fullmatch(key)}
-            if keys:
-                unread.append(f"of {where}: {clean(', '.join(sorted(keys)), at_most=200)}")
-        clamped = [
-            s
-            for s in content.get("samplers", ())
-            for k in ("wrapS", "wrapT")
-            if s.get(k, 10497) != 10497
+        modes = [
+            str(one["alphaMode"]) for one in materials if one.get("alphaMode", "OPAQUE") != "OPAQUE"
         ]
-        if clamped and self.remarks.paint is not None:
+        if modes:
+            words = clean(", ".join(sorted(set(modes))), at_most=60)
+            unread.append(f"alphaMode {words} of {len(modes)} materials, which are solid here")
+        ways = {
+            s.get(way, 10497) for s in content.get("samplers", ()) for way in ("wrapS", "wrapT")
+        }
+        if ways - {10497} and self.remarks.paint is not None:
             unread.append("that textures do not repeat (wrapS, wrapT): they do here")
+        meshes: list[dict[str, Any]] = content.get("meshes", [])
+        rows = [content, *nodes, *meshes, *materials, *(p for m in meshes for p in m["primitives"])]
+        names = {key for row in rows for key in row if not _GLTF_FIELDS.fullmatch(key)}
+        names |= {key for row in rows for key in row.get("attributes", ())
+                  if not _GLTF_ATTRIBUTES.fullmatch(key)}  # fmt: skip
+        used = {str(one) for one in content.get("extensionsUsed", ())}
+        used |= {key for row in rows for key in row.get("extensions", ())}
+        names |= {name for name in used if not _GLTF_SILENT.fullmatch(name)}
+        if names:
+            unread.append(clean(", ".join(sorted(names)), at_most=200))
 
     def _buffer(self, uri: str | None, binary: bytes) -> bytes:
         """Return the bytes of a buffer: the file's second part, or what is written in the JSON."""
@@ -403,12 +370,12 @@ _OBJ_SILENT = (
     "vt", "vn", "g", "o", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "bevel", "c_interp",
     "d_interp", "lod", "shadow_obj", "trace_obj",
 )  # fmt: skip
-_MTL_SILENT = (
-    "Ka", "Ks", "Ke", "Ns", "Ni", "Tf", "illum", "sharpness", "Pr", "Pm", "Ps", "Pc", "Pcr",
-    "aniso", "anisor", "map_Ka", "map_Ks", "map_Ke", "map_Ns", "map_bump", "bump", "norm", "refl",
-    "map_Pr", "map_Pm", "map_Ps", "map_aat",
-)  # fmt: skip
-"""Of an MTL, of no effect: gloss, glow and relief, which a splat of plain colours does not have."""
+_MTL_READ = re.compile(
+    r"|#.*|(newmtl|Kd)\b.*|map_Kd\s+[^-\s].*|d\s+1(\.0*)?|Tr\s+0(\.0*)?"
+    r"|((map_)?(K[ase]|N[si]|P[rms]|bump)|Tf|Pcr?|illum|sharpness|anisor?|norm|refl|map_aat)\b.*"
+)
+"""Lines of an MTL that are read, say that something is opaque, or are of no effect: gloss, glow and
+relief, which a splat of plain colours does not have."""
 _OBJ_DROPPED = {
     "p": "points", "l": "lines",
     **dict.fromkeys(("vp", "cstype", "bmat", "step", "curv", "curv2", "surf", "parm", "trim",
@@ -442,9 +409,7 @@ def read_obj(path: Path, remarks: Remarks) -> Arrays:
         elif kind not in _OBJ_SILENT:
             remarks.dropped[f"unknown lines {clean(kind, at_most=20)!r}"] += 1
     check_count(path, max(len(points), len(polygons)))
-    weights = [words[3] for one in points if len(words := one.split(None, 6)) == 4]
-    if weighted := len([one for one in weights if not re.fullmatch(r"1(\.0*)?", one)]):
-        remarks.unread.append(f"the weight of {weighted} vertices, of curved surfaces only")
+    remarks.unread += _weights(points)
     vertices = numbers_of(path, points, point_lines, "v")
     widths = np.array([len(line.split()) for line in polygons], dtype=np.int64)
     if len(widths) and widths.min() < 3:
@@ -474,6 +439,13 @@ def read_obj(path: Path, remarks: Remarks) -> Arrays:
         path, remarks, cut, points, polygons, corners, np.repeat(own[: len(widths)], widths)
     )
     return vertices, corners[cut]
+
+
+def _weights(points: list[str]) -> list[str]:
+    """Return that vertices have a fourth number that is not 1, which curved surfaces alone use."""
+    fourth = [words[3] for one in points if len(words := one.split(None, 6)) == 4]
+    count = len([one for one in fourth if not re.fullmatch(r"1(\.0*)?", one)])
+    return [f"the weight of {count} vertices"] if count else []
 
 
 class _ObjLooks:
@@ -570,7 +542,6 @@ def _materials(path: Path, library: str, remarks: Remarks) -> dict[str, Material
     content = bytes_beside(path, library, remarks)
     found: dict[str, Material] = {}
     name, factor, picture = "", (1.0, 1.0, 1.0), ""
-    left: set[str] = set()
 
     def keep() -> None:
         texture = bytes_beside(path, picture, remarks) if picture else None
@@ -579,8 +550,10 @@ def _materials(path: Path, library: str, remarks: Remarks) -> dict[str, Material
             factor=(1.0, 1.0, 1.0) if texture is not None else factor, texture=texture
         )
 
-    for line in (content or b"").decode("utf-8-sig", errors="replace").splitlines():
-        word, _, rest = line.strip().replace("\t", " ").partition(" ")
+    text = (content or b"").decode("utf-8-sig", errors="replace")
+    lines = [line.strip() for line in text.splitlines()]
+    for line in lines:
+        word, _, rest = line.replace("\t", " ").partition(" ")
         if word == "newmtl":
             keep()
             name, factor, picture = rest.strip(), (1.0, 1.0, 1.0), ""
@@ -598,17 +571,10 @@ def _materials(path: Path, library: str, remarks: Remarks) -> dict[str, Material
             # `-s 1 1 1 name`: what stands before the name is how it is laid on.
             rest = rest.strip()
             picture = rest.rpartition(" ")[2] if rest.startswith("-") else rest
-            if rest.startswith("-"):
-                left.add(f"map_Kd {rest.removesuffix(picture).strip()}")
-        elif word in {"d", "Tr"} and rest.strip() == ("1" if word == "d" else "0"):
-            pass  # Opaque.
-        elif word and word[0] != "#" and word not in _MTL_SILENT:
-            left.add(word)
     keep()
-    if left:
-        remarks.unread.append(
-            f"of {clean(library, at_most=60)}: {clean(', '.join(sorted(left)), at_most=200)}"
-        )
+    if left := [one for one in dict.fromkeys(lines) if not _MTL_READ.fullmatch(one)]:
+        words = clean("; ".join(left), at_most=200)
+        remarks.unread.append(f"of {clean(library, at_most=60)}: {words}")
     return found
 
 

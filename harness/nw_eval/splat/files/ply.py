@@ -1,8 +1,9 @@
 """Splats in PLY files (3DGS's own, SuperSplat's compressed one, nerfstudio's export) and .splat.
 
 **3DGS** has one row of floats for each Gaussian. Columns x y z, f_dc_0..2, f_rest_0.., opacity
-(logit), scale_0..2 (logarithms), rot_0..3 (w x y z); found by name, others are noted by name. f_rest comes in
-two arrangements. Everyone's is channel-major: all red coefficients, then green, then blue. The
+(logit), scale_0..2 (logarithms), rot_0..3 (w x y z); found by name, others are noted.
+f_rest comes in two arrangements. Everyone's is channel-major: all red coefficients, then green,
+then blue. The
 published Neverwhere toolchain writes coefficient-major: red, green, blue of the first coefficient,
 then of the second. Nothing in such a file says so, but the three channels of a coefficient resemble
 one another much more than any other three values, which tells the two apart.
@@ -129,39 +130,33 @@ def read_threedgs_ply(ply: Ply, *, rest_order: RestOrder = "detect") -> Gaussian
         quats=ply.columns("vertex", ["rot_0", "rot_1", "rot_2", "rot_3"]),
         opacity_logits=opacity_logits,
         sh=sh,
-        notes=_unread(ply, {"vertex": _COLUMNS}),
+        notes=_unread(ply),
         **marks,
     )
 
 
-_COLUMNS = re.compile(r"[xyz]|f_dc_[012]|f_rest_\d+|opacity|scale_[012]|rot_[0123]|filter_3D")
-_PACKED = {
-    "chunk": re.compile(r"(min|max)_((scale_)?[xyz]|[rgb])"),
-    "vertex": re.compile(r"packed_(position|rotation|scale|color)"),
-    "sh": re.compile(r"f_rest_\d+"),
-}
+_READ = re.compile(
+    r"[xyz]|f_dc_[012]|f_rest_\d+|opacity|scale_[012]|rot_[0123]|filter_3D"
+    r"|(min|max)_((scale_)?[xyz]|[rgb])|packed_(position|rotation|scale|color)"
+)
 _NO_EFFECT = ("nx", "ny", "nz", "red", "green", "blue", "alpha")
 """Normals, which 3DGS writes as zeros, and a preview of f_dc for viewers of points."""
-_USED = ("SplatRenderMode", "SplatProjection", _COMMENT)
+_SAID = re.compile(
+    rf"SplatRenderMode[\s:=]+({'|'.join(_MODES)})|SplatProjection[\s:=]+({'|'.join(_PROJECTIONS)})"
+    rf"|{_COMMENT}"
+)
 
 
-def _unread(ply: Ply, read: dict[str, re.Pattern[str]]) -> tuple[str, ...]:
+def _unread(ply: Ply) -> tuple[str, ...]:
     """Return what of a file is not read, by name: elements, properties, comments."""
     notes: list[str] = []
     for element, table in ply.elements.items():
-        form = read.get(element)
-        if form is None:
+        if element not in {"vertex", *(("chunk", "sh") if "chunk" in ply.elements else ())}:
             notes.append(f"element that is not read: {clean(element, at_most=40)}, {len(table)}")
-            continue
-        names = [*(table.dtype.names or ()), *ply.lists.get(element, {})]
-        notes += ply.remarks(element, [one for one in names if form.fullmatch(one)], _NO_EFFECT)
-    for word, known in (("SplatRenderMode", _MODES), ("SplatProjection", _PROJECTIONS)):
-        notes += [
-            f"comment of a value that is not known: {clean(one, at_most=80)}"
-            for one in ply.comments
-            if (said := re.match(rf"{word}[\s:=]+(.*)", one)) and said[1].lower() not in known
-        ]
-    return (*notes, *ply.unread_comments(_USED))
+        else:
+            used = [one for one in table.dtype.names or () if _READ.fullmatch(one)]
+            notes += ply.remarks(element, used, _NO_EFFECT)
+    return (*notes, *ply.unread_comments(_SAID))
 
 
 def marks_of(ply: Ply) -> _Marks:
@@ -275,7 +270,7 @@ def read_compressed_ply(ply: Ply) -> Gaussians:
         quats=_quats(_packed(ply, "packed_rotation")),
         opacity_logits=logit(colour[:, 3]),
         sh=np.concatenate([dc[:, None], _rest(ply, n)], axis=1),
-        notes=_unread(ply, _PACKED),
+        notes=_unread(ply),
         **marks_of(ply),
     )
 

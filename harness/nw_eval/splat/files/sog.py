@@ -38,7 +38,8 @@ _BOUNDS = ("files", "mins", "maxs", "shape", "dtype")
 _KEYS: dict[str, tuple[str, ...]] = {
     "version": (), "count": (), "antialias": (), "asset": ("generator", "version"),
     "means": _BOUNDS, "scales": (*_BOUNDS, "codebook"), "sh0": (*_BOUNDS, "codebook"),
-    "quats": (*_BOUNDS, "encoding"), "shN": (*_BOUNDS, "codebook", "bands", "count", "quantization"),
+    "quats": (*_BOUNDS, "encoding"),
+    "shN": (*_BOUNDS, "codebook", "bands", "count", "quantization"),
 }  # fmt: skip
 """What is read of meta.json, or says again what the images say."""
 _FAULTS = (

@@ -266,16 +266,14 @@ def _unpack_stream(path: Path, raw: bytes) -> tuple[_Header, list[Bytes], bytes]
     """Return the parts of versions 1 to 3, gzipped or, as some tools keep them, plain."""
     behind = b""
     try:
-        if raw[:4] == b"NGSP":
-            head = raw[:16]
-        else:
-            head = zlib.decompressobj(31).decompress(raw, 16)
+        is_plain = raw[:4] == b"NGSP"
+        head = raw[:16] if is_plain else zlib.decompressobj(31).decompress(raw, 16)
         header = _check_header(path, head, versions=range(1, 4))
         needed = sum(header.sizes()) + 16
         _check_proportion(path, header, needed, len(raw))
         # One byte more than needed tells a longer stream apart without holding it.
         more = _EXTENSION_BYTES if header.flags & _EXTENDED else 1
-        if raw[:4] == b"NGSP":
+        if is_plain:
             body = raw[: needed + more]
         else:
             stream = zlib.decompressobj(31)

@@ -65,7 +65,7 @@ a share of all."""
 _STEP, _STRIDE, _ROOM = 0.25, 0.1, 0.2
 """Of a proposed trail: highest step, distance of samples along it, and room to each side."""
 _ALONE = 3.0
-"""Times as much area must look along an axis as against it for area alone to say which end is up."""
+"""Times as much area must look along an axis as against it for area to say which end is up."""
 _STANDS = 0.45
 """Share of a room's height below which its contents stand rather than hang."""
 _ROOMS = (1.8, 6.0)
@@ -329,7 +329,7 @@ def _unit(painted: PaintedMesh, options: ScanOptions) -> Unit:
     """Return the unit of a mesh's numbers: as told, or as its file says, or the metre."""
     if options.unit != "auto":
         return options.unit
-    return next((unit for unit in UNITS if unit == painted.unit), "m")
+    return next((unit for unit in get_args(Unit) if unit == painted.unit), "m")
 
 
 def _upright(
@@ -492,8 +492,9 @@ def _straight(mesh: TriangleMesh, points: Values, yaw: float, task: Task) -> tup
     return course, (
         f"course proposed: {far:.1f} m straight over {kind} from ({x:.2f}, {y:.2f}), heading "
         f"{math.degrees(yaw):.0f} degrees: it rises by {rises[rises > 0].sum():.2f} m and falls by "
-        f"{np.abs(rises[rises < 0]).sum():.2f} m in all, {np.abs(rises).max(initial=0.0):.2f} m within "
-        f"{_STRIDE:g} m at most; `--trail` or `nw-eval twin label` sets another"
+        f"{np.abs(rises[rises < 0]).sum():.2f} m in all, at most "
+        f"{np.abs(rises).max(initial=0.0):.2f} m within {_STRIDE:g} m; "
+        "`--trail` or `nw-eval twin label` sets another"
     )
 
 
