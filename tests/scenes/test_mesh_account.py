@@ -225,9 +225,7 @@ def stl(normal=(0, 0, 1), attribute=0, head=b""):
 
 
 def test_attributes_headers_and_normals_of_an_stl_are_said(tmp_path):
-    against = (
-        "not read: the normals of 1 of 1 facets, which contradict the order of their corners"
-    )
+    against = "not read: the normals of 1 of 1 facets, which contradict the order of their corners"
     for content, words in (
         (stl(), []),
         (stl(normal=(0, 0, 0)), []),
@@ -244,9 +242,7 @@ def test_attributes_headers_and_normals_of_an_stl_are_said(tmp_path):
     (tmp_path / "a.stl").write_text(text.format(-1))
     assert said(tmp_path / "a.stl") == [against]
     (tmp_path / "a.stl").write_text(text.format(1).replace("outer", "mark 3\nouter"))
-    assert said(tmp_path / "a.stl") == [
-        "only triangles are used; left out: 1 unknown lines 'mark'"
-    ]
+    assert said(tmp_path / "a.stl") == ["only triangles are used; left out: 1 unknown lines 'mark'"]
 
 
 def test_files_of_other_formats_are_called_what_they_are(tmp_path):

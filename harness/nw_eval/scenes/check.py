@@ -62,7 +62,7 @@ def check_scene(scene: Scene, *, read_splat: bool = True) -> tuple[SceneFinding,
         read_splat: look into the splat as well; a splat file of a gigabyte takes seconds.
     """
     rays = RayScene(scene.mesh())
-    findings = [*_spawn(scene, rays), *_waypoints(scene, rays), *_overhead(scene, rays)]
+    findings = [*_overhead(scene, rays), *_spawn(scene, rays), *_waypoints(scene, rays)]
     if read_splat and scene.splat is not None:
         findings += _splat(scene)
     return tuple(findings)
