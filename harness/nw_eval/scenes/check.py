@@ -325,7 +325,7 @@ def _waypoint(index: int, point: list[float], ground: float) -> SceneFinding | N
 
 def _splat(scene: Scene) -> list[SceneFinding]:
     try:
-        means = _means(scene)
+        means, notes = _means(scene)
     except SceneError as error:
         empty = any(word in str(error) for word in ("empty", "none of", "no Gaussian"))
         code = "splat_empty" if empty else "splat_invalid"
@@ -344,10 +344,15 @@ def _splat(scene: Scene) -> list[SceneFinding]:
         float(((points > low) & (points < high)).all(axis=1).mean())
         for points in (world, _on_surface(mesh))
     )
+    found = [
+        SceneFinding(code="splat_partly_read", severity="note", message=f"splat: {note}")
+        for note in notes
+    ]
     if share >= min(_LEAST_INSIDE, _LEAST_OF_MESH * of_mesh):
-        return []
+        return found
     middle = np.median(world, axis=0).round(2).tolist()
     return [
+        *found,
         SceneFinding(
             code="splat_elsewhere",
             severity="error",
@@ -355,7 +360,7 @@ def _splat(scene: Scene) -> list[SceneFinding]:
             f"their middle is at {middle}",
             fix="check T_world_splat: scale, rotation and data_transforms.json",
             value=share,
-        )
+        ),
     ]
 
 
@@ -371,10 +376,11 @@ def _on_surface(mesh: TriangleMesh) -> Values:
     return a[face] + u * (b - a)[face] + v * (c - a)[face]
 
 
-def _means(scene: Scene) -> Values:
-    """Return the centres of a scene's Gaussians, (N, 3) in the splat's frame."""
+def _means(scene: Scene) -> tuple[Values, tuple[str, ...]]:
+    """Return the centres of a scene's Gaussians, (N, 3) in the splat's frame, and their notes."""
     from nw_eval.splat.store import GEOMETRY, GROUP, open_store
 
-    layout = open_store(scene.splat_store()).layout
+    store = open_store(scene.splat_store())
+    layout = store.layout
     centers = layout.geometry.reshape(-1, GEOMETRY, GROUP)[:, :3].transpose(0, 2, 1)
-    return centers.reshape(-1, 3)[: layout.count].astype(np.float64)
+    return centers.reshape(-1, 3)[: layout.count].astype(np.float64), store.notes

@@ -35,6 +35,7 @@ Code = Literal[
     "splat_empty",
     "splat_invalid",
     "splat_off_mesh",
+    "splat_partly_read",
     "splat_shifted",
     "splat_thin",
     "task_guessed",

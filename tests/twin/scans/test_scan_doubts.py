@@ -147,7 +147,7 @@ def test_what_stands_where_the_robot_starts_keeps_an_import_from_being_ready(tmp
         )
     said = capsys.readouterr().out
     assert end.value.code == 2
-    assert said.splitlines()[-1].startswith("not ready: something 1.20 m high is where the robot")
+    assert said.splitlines()[-1].startswith("not ready: a solid is where the robot starts")
     assert "check: error spawn_blocked" in said
     # The one that is proposed goes round it.
     written = import_scan(tmp_path / "a.ply", tmp_path / "other")
