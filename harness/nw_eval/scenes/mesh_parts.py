@@ -217,11 +217,11 @@ class Paint:
 
 
 class Remarks:
-    """What is left out of a file, and its colours if somebody wants them.
+    """What is left out of a file, and its colours where they are asked for.
 
     Attributes:
         path: of the file.
-        paint: gets the colours; None = nobody wants them.
+        paint: gets the colours; None = they are not wanted.
         dropped: surfaces and the like that are left out, and how many.
         unread: fields that are not read, and what contradicts in the file, in words.
         turned: whether its axes were turned.
