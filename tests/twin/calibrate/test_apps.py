@@ -243,6 +243,8 @@ def turned(T):
         (arkit_scenes, "lowres_wide.traj", "1234.5 9e14 0 0 0 0 0\n", "is turned by 9e.14 rad"),
         (record3d, "metadata", {"K": [-9e14, 0, 0, 0, 300, 0, 160, 90, 1]}, "metadata: .*focal"),
         (arkit_scenes, "lowres_wide.traj", "1 0 0 0 0 0 0\n", "no picture in .* of its time"),
+        (arkit_scenes, "vga_wide_intrinsics/41069021_1234.602.pincam", "1 1 1 1 1 1\n2 2 2 2 2 2",
+         "1234.602.pincam has 2 rows, and is of one lens"),
         (arkit_scenes, "vga_wide_intrinsics/41069021_1234.602.pincam", "320 180 wide",
          "1234.602.pincam is not rows of 6"),
     ],

@@ -480,7 +480,9 @@ def arkit_scenes_in(folder: Path, frames: int, say: Say) -> Footage | None:
         pose, lens = (_at(_time(picture), times) for times in (poses, lenses))
         if pose is None or lens is None:
             continue
-        (row,) = _rows(lens, 6)
+        row, *others = _rows(lens, 6)
+        if others:
+            raise SceneError(f"{lens} has {len(others) + 1} rows, and is of one lens", fix=_AGAIN)
         turn = float(np.linalg.norm(pose[:3]))
         wxyz = np.r_[math.cos(turn / 2), np.sinc(turn / (2 * math.pi)) / 2 * pose[:3]]
         whose = f"{picture.name} in {path}"
