@@ -125,8 +125,8 @@ def save_often():
     for number in range(40):
         labelling.nudge_waypoint(1, 0.25 if number % 2 else -0.25, 0.0)
         labelling.save()
-    trail = labelling.state.waypoints[1]
-    labelling.nudge_waypoint(1, 4.5 - trail.position[0], 0.0)
+    x, *_ = labelling.state.waypoints[1]
+    labelling.nudge_waypoint(1, 4.5 - x, 0.0)
     labelling.save()
     sys.stdout.flush()
     os._exit(0)
