@@ -61,6 +61,9 @@ class Killed:
             os.chdir(case.folder)
             if deed is not None:
                 deed()
+            if self.verb.imports is None:  # A library in it has threads, which no fork has.
+                words = [verb, *map(str, rest)]
+                os.execv(sys.executable, [sys.executable, "-m", "nw_eval", *words])
 
         if not (cache := case.work / "cache").exists():
             shutil.copytree(cache_dir("kernels"), cache / "kernels")
@@ -171,7 +174,7 @@ def main():
     with tempfile.TemporaryDirectory(prefix="nw-eval-killed-", ignore_cleanup_errors=True) as place:
         run_once(Path(place))
         for name in asked.only:
-            for module in VERBS[name].imports:
+            for module in VERBS[name].imports or ():
                 importlib.import_module(module)
             killed = Killed(name, Path(place) / name.replace(" ", "-"))
             total, cases, faulty = Counter(), 0, 0

@@ -50,7 +50,7 @@ class Verb:
         code: it ends with.
         resume: words to go on with, where the same words are refused.
         deed: run in place of the command line, in the folder.
-        imports: modules that it needs, which a fork has then.
+        imports: modules that it needs, which a fork has then; None = it is a process of its own.
     """
 
     words: tuple
@@ -58,7 +58,7 @@ class Verb:
     code: int = PASSED
     resume: tuple = ()
     deed: Callable | None = None
-    imports: tuple = ()
+    imports: tuple | None = ()
 
 
 def suite(folder, run=None, *, policy="stand"):  # noqa: ARG001 - all inputs are made alike.
@@ -168,7 +168,7 @@ VERBS = {
     "twin build": Verb(
         ("twin", "build", "photographs", "--out", "out", *TINY),
         photographs,
-        imports=("torch", "cv2", "pycolmap", "scipy.spatial", "nw_eval.twin.building.build"),
+        imports=None,
     ),
 }
 
