@@ -183,7 +183,6 @@ class LocalWorkers(QueuedWorkers):
                 rules=self.start.rules,
                 policy=self.start.policy,
                 output=self.output.end,
-                waits=self.start.waits,
                 memory_limit=self.memory_limit,
             )
         except OSError as error:

@@ -17,7 +17,7 @@ from nw_eval.engine.provenance import engine_of
 from nw_eval.plugins import SPLAT_FORMATS, code_named, identity_of, key_of
 from nw_eval.plural import plural
 from nw_eval.results.bank import machine_in
-from nw_eval.rollout.job import TrialJob, default_time_limit, kernels_of
+from nw_eval.rollout.job import TrialJob, kernels_of
 from nw_eval.rollout.record import attachments
 from nw_eval.suite import suite_yaml
 
@@ -36,6 +36,11 @@ if TYPE_CHECKING:
     from nw_eval.suite.model import Suite
     from nw_eval.suite.trials import DrawnStart, Trial
     from nw_eval.words import Arm, Backend, Kernels, PanelKind
+
+# Wall seconds for each simulated second, and on top for the first compilation of kernels: many
+# times what a trial takes on a slow core with a large camera, so that only what never ends is hung.
+_SECONDS_PER_SECOND = 20.0
+_SECONDS_MORE = 90.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,6 +152,11 @@ class Plan:
     def memory_limit(self) -> int | None:
         """Bytes that a worker may hold with its children; None = as many as there are."""
         return self.request.memory_bytes
+
+
+def default_time_limit(duration: float) -> float:
+    """Return the wall seconds after which a trial of `duration` simulated s counts as hung."""
+    return _SECONDS_MORE + _SECONDS_PER_SECOND * duration
 
 
 def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:

@@ -30,7 +30,7 @@ from nw_eval.built_in.entry import BuiltInSplat
 from nw_eval.confinement.family import environment_of_child
 from nw_eval.engine.listener import Listener, NullListener
 from nw_eval.errors import NwEvalError, UsageError
-from nw_eval.rollout.confined.progress import HANGS_AFTER, Progress
+from nw_eval.rollout.confined.progress import Progress
 from nw_eval.rollout.confined.start import has_kernels, renew
 from nw_eval.scenes.scene import HeightField, Triangles
 from nw_eval.words import KERNELS
@@ -335,23 +335,22 @@ class SplatBuilders:
         assert process.stdout is not None
         process.stdin.write(f"{name}\n".encode())
         process.stdin.flush()
-        progress = Progress(process.pid)
-        while line := self._next_line(process.stdout, progress):
+        progress = Progress(process.pid, waits=True)
+        while line := _next_line(process.stdout, progress):
             if line in {_DONE, _FAILED}:
                 return line == _DONE
             self._say(name, float(line))
-        process.kill()  # It has closed its pipe, or hangs.
+        process.kill()  # It has closed its pipe, or is stopped.
         process.wait()
         return False
 
-    @staticmethod
-    def _next_line(pipe: IO[bytes], progress: Progress) -> bytes:
-        """Return a process's next line; none where it has ended, or a signal has stopped it."""
-        while not select([pipe], [], [], _LOOK)[0]:
-            progress.look()
-            if progress.stopped >= HANGS_AFTER:
-                return b""
-        return pipe.readline()
+
+def _next_line(pipe: IO[bytes], progress: Progress) -> bytes:
+    """Return a process's next line; none where it has ended, or a signal has stopped it."""
+    while not select([pipe], [], [], _LOOK)[0]:
+        if progress.look():
+            return b""
+    return pipe.readline()
 
 
 def _is_ours(scene: Scene) -> bool:

@@ -42,16 +42,16 @@ if TYPE_CHECKING:
 _TAKEN = b"taken"
 # What it says when a job goes on only once its scene's splat is there.
 _AWAITS = b"awaits splat"
-# What it says about once a second while its job gets on.
-_STEPS = b"steps"
-_BETWEEN_STEPS = 1.0
-_SETUP = -1.0
+# What it says while its job gets on, and the seconds between.
+_STEPS, _BETWEEN_STEPS = b"steps", 1.0
+# The share of its time limit that a step's processor time may have, if that is more.
+_STEP = 1 / 24
 # Seconds between two looks of its for the splat.
 _LOOK = 0.02
 # Bytes of a result that anybody reads; honest ones have about two thousand.
 _LONGEST = 1 << 20
-# Seconds, idle or of processor time, in which a new process must have taken its job: it imports
-# next to nothing before, but may wait for kernels that another run compiles.
+# Seconds of processor time in which a new process must have taken its job: it imports next to
+# nothing before.
 _START_LIMIT = 120.0
 # Seconds in which a process that has closed its pipe, or was killed, must be gone.
 _LAST_MOMENTS = 5.0
@@ -61,7 +61,6 @@ _library: Library | None = None
 _results: Connection | None = None
 """Of a worker: where it says what its jobs come to."""
 _awaits_splats = False
-_next_step = 0.0
 
 
 class UnstartedError(Exception):
@@ -77,7 +76,6 @@ class WorkerProcess:
         rules: by which it will be confined.
         policy: by which the process is that opens its policies; None = it does.
         output: what it prints to; remains the caller's.
-        waits: whether its policy may wait for a server, which sets itself a limit.
         memory_limit: bytes that it may hold with its children while it runs one.
 
     Raises:
@@ -92,7 +90,6 @@ class WorkerProcess:
         rules: Rules,
         policy: Rules | None,
         output: Connection,
-        waits: bool = False,
         memory_limit: int | None = None,
     ) -> None:
         theirs, self._jobs = Pipe(duplex=False)
@@ -118,8 +115,8 @@ class WorkerProcess:
         self._pids = tuple(pid for pid in pids if pid is not None)
         self._memory_limit = memory_limit
         self._memory = Resident(*self._pids)
-        self._waits = waits
-        self._progress = [Progress(pid) for pid in self._pids]
+        # A policy may wait for its server, for which its card has a limit.
+        self._progress = Progress(*self._pids, waits=(policy or rules).network != "none")
         self._has_begun = False  # Whether its job has come to a step: scenes are loaded before.
         self.job: TrialJob | None = None
         self.jobs_done = 0
@@ -139,7 +136,7 @@ class WorkerProcess:
         self.job = job
         self.scenes.add(job.trial.scene)
         self.awaits_splat = self._is_taken = self._has_begun = False
-        self._gets_on()
+        self._progress.steps()
         with suppress(OSError):  # It has died; `look` says so.
             self._jobs.send(job)
 
@@ -160,19 +157,19 @@ class WorkerProcess:
         if not self._is_taken and _TAKEN + b"\n" in self._heard:
             self._is_taken = True
             self._deadline = monotonic() + self.job.time_limit
-            self._gets_on()
+            self._progress.steps()
             self._memory.restrain(self._memory_limit)
         if self._is_taken and _STEPS + b"\n" in self._heard:
             self._heard = self._heard.replace(_STEPS + b"\n", b"")
             self._has_begun = True
-            self._gets_on()
+            self._progress.steps()
         if self._is_taken and _AWAITS + b"\n" in self._heard:
             self._heard = self._heard.replace(_AWAITS + b"\n", b"")
             self.awaits_splat = True
         if self.awaits_splat:
             self.awaits_splat = self.job.trial.scene in missing
             self._deadline = monotonic() + self.job.time_limit
-            self._gets_on()
+            self._progress.steps()
         *lines, _ = self._heard.split(b"\n")
         if len(lines) > 1:
             self._heard = b""
@@ -182,47 +179,34 @@ class WorkerProcess:
             self._process.join(_LAST_MOMENTS)
             code = self._process.exitcode
         lives = code is None and is_open
-        why = self._hangs() if lives else ""
+        why = self._hangs(self.job.time_limit) if lives else ""
         if lives and not why:
             return self._overgrown()
         if not self._is_taken:
             raise UnstartedError
-        return _hung(why) if lives else _dead(code)
+        if lives:
+            return TrialResult(status="error", error_type="hung", error_text=why)
+        return _dead(code)
 
-    def _gets_on(self) -> None:
-        for each in self._progress:
-            each.steps()
-
-    def _hangs(self) -> str:
+    def _hangs(self, time_limit: float) -> str:
         """Return why the process is taken for one that never ends; empty = it gets on."""
-        assert self.job is not None, "give it a job first"
-        for each in self._progress:
-            each.look()
-        idle = min(each.idle for each in self._progress)
-        if max(each.stopped for each in self._progress) >= HANGS_AFTER:
-            return f"a signal stopped its process {HANGS_AFTER:g} s ago; find out who sent it"
+        progress = self._progress
+        why = progress.look()
         if not self._is_taken:
-            busy = max(each.busy for each in self._progress)
-            return "no start" if max(idle, busy) >= _START_LIMIT else ""
-        if idle >= HANGS_AFTER and not self._waits:
-            return (
-                f"its processes used no processor time for {HANGS_AFTER:g} s; check what the "
-                "policy waits for"
-            )
-        # To load a large scene may take long. A policy is asked for an action, or to open.
-        limit = self.job.hangs_after
-        asked = self._progress if self._has_begun else self._progress[1:]
-        if any(each.busy >= limit for each in asked):
+            return why or ("no start" if progress.busy() >= _START_LIMIT else "")
+        # To load a large scene may take long. A policy is only asked to open, or for an action.
+        limit = max(HANGS_AFTER, _STEP * time_limit)
+        if progress.busy(0 if self._has_begun else 1) >= limit:
             return (
                 f"no control step in {limit:.0f} s of processor time; check the policy for a loop "
                 "without an end, or raise --time-limit"
             )
         if monotonic() > self._deadline:
             return (
-                f"no result within {self.job.time_limit:g} s; raise --time-limit if the machine "
+                f"no result within {time_limit:g} s; raise --time-limit if the machine "
                 "is slow, or check the policy"
             )
-        return ""
+        return why
 
     def _overgrown(self) -> TrialResult | None:
         """Return what the job comes to if the process, which runs it, holds too much memory."""
@@ -275,10 +259,6 @@ def _decoded(line: bytes) -> TrialResult:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the line"
         return _crashed(f"the worker's answer cannot be read: {place}: {first['msg']}")
-
-
-def _hung(why: str) -> TrialResult:
-    return TrialResult(status="error", error_type="hung", error_text=why)
 
 
 def _too_large(held: int, limit: int) -> TrialResult:
@@ -362,11 +342,6 @@ class WorkerStart:
     awaits_splats: bool = False
     """Whether splats are built when somebody asks for them."""
 
-    @property
-    def waits(self) -> bool:
-        """Whether the policy may wait for a server."""
-        return (self.policy or self.rules).network != "none"
-
 
 def start(settings: WorkerStart, output: Connection) -> None:
     """Prepare and confine a worker; what it prints goes to `output`.
@@ -402,21 +377,20 @@ def run_job(job: TrialJob) -> TrialResult:
 
 def clock() -> StageClock:
     """Return a trial's clock by which a worker says that the trial gets on."""
-    global _next_step  # noqa: PLW0603 - as above.
-    _next_step = _SETUP
-    return StageClock() if _results is None else StageClock(_now)
+    if (results := _results) is None:
+        return StageClock()
+    due = 0.0
 
+    def now() -> float:
+        nonlocal due
+        moment = perf_counter()
+        if moment >= due:
+            if due > 0.0:  # It is asked when the setup begins, next when that has ended.
+                _say(results, _STEPS)
+            due = moment + _BETWEEN_STEPS if due > 0.0 else moment
+        return moment
 
-def _now() -> float:
-    global _next_step  # noqa: PLW0603 - as above.
-    now = perf_counter()
-    if now >= _next_step:
-        # The clock is asked first when the trial's setup begins, and then at its end.
-        is_setup = _next_step == _SETUP
-        _next_step = 0.0 if is_setup else now + _BETWEEN_STEPS
-        if not is_setup and _results is not None:
-            _say(_results, _STEPS)
-    return now
+    return StageClock(now)
 
 
 def _await_splat(scene: Scene) -> None:

@@ -224,13 +224,7 @@ _SHA1, _SHA256 = 40, 64  # hexadecimal digits
 
 
 def download(
-    client: Client,
-    reference: Reference,
-    commit: str,
-    file: RemoteFile,
-    part: Path,
-    *,
-    anew: bool = False,
+    client: Client, reference: Reference, commit: str, file: RemoteFile, part: Path
 ) -> None:
     """Fetch a file, or what is missing of it, and compare it with what the hub says that it is.
 
@@ -240,19 +234,17 @@ def download(
         commit: at which.
         file: which one.
         part: where its bytes go, as they come; they stay if the connection is lost for good.
-        anew: whether it has come in pieces before that were not of one file.
 
     Raises:
         FetchError: the network is lost, or what came is not what was announced.
         SlowError: it comes too slowly.
         OSError: it cannot be written.
     """
-    pauses, pieces = list(_PAUSES), 0
+    pauses = list(_PAUSES)
     with part.open("ab") as out:
         missing = file.size - _size(out, file)
         deadline = Deadline(limits.SECONDS + missing / limits.SLOWEST)
         while (here := _size(out, file)) < file.size:
-            pieces += 1 + bool(here)
             broken: Exception | None = None
             try:
                 _append(client, reference, commit, file, out, here, deadline)
@@ -275,9 +267,6 @@ def download(
     listener().fetching(file.path, file.size, file.size)
     if not _is_whole(part, file):
         part.unlink()
-        if pieces > 1 and not anew:
-            download(client, reference, commit, file, part, anew=True)
-            return
         raise FetchError(
             f"{reference.text}: what came as {file.path} is not what {client.endpoint} announced",
             fix="fetch it again",

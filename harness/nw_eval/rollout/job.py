@@ -11,7 +11,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal, Self, get_args
 
-from nw_eval.rollout.confined.progress import HANGS_AFTER
 from nw_eval.suite.model import PUBLISHED, Rendering
 from nw_eval.suite.trials import Trial
 from nw_eval.tasks import COURSE, AnyTask
@@ -33,17 +32,6 @@ if TYPE_CHECKING:
     from nw_eval.cards import Card
     from nw_eval.results.row import Row
     from nw_eval.rollout.episode import Episode
-
-
-# Wall seconds for each simulated second, and on top for the first compilation of kernels: many
-# times what a trial takes on a slow core with a large camera, so that only what never ends is hung.
-_SECONDS_PER_SECOND = 20.0
-_SECONDS_MORE = 90.0
-
-
-def default_time_limit(duration: float) -> float:
-    """Return the wall seconds after which a trial of `duration` simulated s counts as hung."""
-    return _SECONDS_MORE + _SECONDS_PER_SECOND * duration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,12 +62,6 @@ class TrialJob:
     rendering: Rendering = PUBLISHED  # and how
     time_limit: float = 600.0  # s of wall time after which the trial counts as hung
     attachments: tuple[tuple[str, str], ...] = ()  # (name, text): the suite, the policy's card
-
-    @property
-    def hangs_after(self) -> float:
-        """Seconds of processor time for one step; more where the time limit was raised."""
-        raised = self.time_limit / default_time_limit(self.duration)
-        return HANGS_AFTER * max(1.0, raised)
 
 
 def kernels_of(robot: str, card: Card, *projections: Projection) -> tuple[Kernels, ...]:

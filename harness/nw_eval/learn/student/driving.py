@@ -12,6 +12,7 @@ from nw_eval.catalogue import FoundScene, references
 from nw_eval.engine.listener import NullListener
 from nw_eval.engine.local import LocalWorkers
 from nw_eval.engine.machine import WorkerOutput, worker_count
+from nw_eval.engine.plan import default_time_limit
 from nw_eval.engine.prepare import build_splats, check_splats, open_backend, ready_scans
 from nw_eval.engine.worker import WorkerStart
 from nw_eval.errors import UsageError
@@ -20,7 +21,7 @@ from nw_eval.learn.student.drive import Pair
 from nw_eval.learn.student.trajectory import read_trajectory
 from nw_eval.plural import plural
 from nw_eval.rollout.confined.access import running_rules
-from nw_eval.rollout.job import TrialJob, default_time_limit, kernels_of
+from nw_eval.rollout.job import TrialJob, kernels_of
 from nw_eval.suite.digest import digest_of
 from nw_eval.suite.trials import Trial
 

@@ -142,7 +142,7 @@ def open_archive(data: bytes, where: str, limits: FileLimits | None = None) -> A
         )
     if min((member.header_offset for member in members), default=0) > 0:
         raise PolicyError(
-            f"{where}: the archive begins behind other bytes, so that readers may disagree about it",
+            f"{where}: the archive begins behind other bytes: readers may disagree about it",
             fix="do not use this file; export the policy again",
         )
     seen: set[str] = set()

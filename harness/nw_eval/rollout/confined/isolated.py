@@ -28,7 +28,7 @@ from nw_eval.errors import (
     UsageError,
 )
 from nw_eval.policies.apart import use_line
-from nw_eval.rollout.confined.progress import HANGS_AFTER, Progress
+from nw_eval.rollout.confined.progress import Progress
 from nw_eval.rollout.confined.start import Started, WorldAndPolicy, parts_of, start_pair
 from nw_eval.words import Kernels
 
@@ -113,6 +113,7 @@ class IsolatedCall:
 
     Attributes:
         receiver: what to wait for: it is ready when there is an answer, or never will be one.
+        progress: how its processes get on.
 
     Raises:
         OSError: no process can be started.
@@ -132,7 +133,6 @@ class IsolatedCall:
     ) -> None:
         self.receiver, sender = Pipe(duplex=False)
         self._subject = subject
-        self._waits = (policy or rules).network != "none"  # For a server, which has a time limit.
         try:
             with sender:
                 self._process = start_pair(
@@ -146,16 +146,10 @@ class IsolatedCall:
         except BaseException:
             self.receiver.close()
             raise
-        pids = (part.pid for part in parts_of(self._process))
-        self._progress = [Progress(pid) for pid in pids if pid is not None]
-
-    def hangs(self) -> bool:
-        """Whether its processes do nothing, or a signal has stopped one of them, for too long."""
-        for each in self._progress:
-            each.look()
-        idle = min((each.idle for each in self._progress), default=0.0)
-        stopped = max((each.stopped for each in self._progress), default=0.0)
-        return max(0.0 if self._waits else idle, stopped) >= HANGS_AFTER
+        pids = [part.pid for part in parts_of(self._process)]
+        self.progress = Progress(
+            *(pid for pid in pids if pid is not None), waits=(policy or rules).network != "none"
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -171,15 +165,12 @@ class IsolatedCall:
         """
         deadline = monotonic() + time_limit
         while not self.receiver.poll(min(_LOOK, max(0.0, deadline - monotonic()))):
-            if self.hangs():
+            why = self.progress.look()
+            if not why and monotonic() >= deadline:
+                why = f"no answer from the checkpoint within {time_limit:g} s"
+            if why:
                 raise PolicyError(
-                    f"{self._subject}: the process that opened the checkpoint has done nothing "
-                    f"for {HANGS_AFTER:g} s",
-                    fix="run it on its own: it may wait for something",
-                )
-            if monotonic() >= deadline:
-                raise PolicyError(
-                    f"{self._subject}: no answer from the checkpoint within {time_limit:g} s",
+                    f"{self._subject}: {why}",
                     fix="run it on its own: it may wait for something, or be too large",
                 )
         answer = _received(self.receiver, self._process, self._subject)

@@ -18,8 +18,8 @@ HANGS_AFTER = 45.0
 
 _BETWEEN = 1.0
 """Seconds between two looks, which cost 0.1 ms."""
-_FIRST_TIME, _PAST_TIMES = 11, 15
-"""Fields of /proc/PID/stat behind the name: utime, and the one behind cstime."""
+_TIMES = slice(11, 15)
+"""Fields of /proc/PID/stat behind the name: utime, stime, cutime and cstime."""
 
 
 def text_of(path: str) -> str:
@@ -39,12 +39,10 @@ def text_of(path: str) -> str:
 
 
 def stat_of(process: int) -> list[str]:
-    """Return the fields of /proc/PID/stat behind the name, which may hold anything.
-
-    Raises:
-        OSError: as `text_of`.
-    """
-    return text_of(f"/proc/{process}/stat").rpartition(")")[2].split()
+    """Return the fields of /proc/PID/stat behind the name, which may hold anything; [] = gone."""
+    with suppress(OSError):
+        return text_of(f"/proc/{process}/stat").rpartition(")")[2].split()
+    return []
 
 
 def descendants(process: int) -> list[int]:
@@ -67,58 +65,54 @@ def _children(process: int) -> list[int]:
 
 
 class Progress:
-    """How a process and its children get on since its last step.
+    """How processes and their children get on since their last step.
 
     Args:
-        process: its number.
-
-    Attributes:
-        idle: seconds without processor time, at the end of those that are looked at.
-        stopped: seconds for which a signal has stopped the process, as above.
-        busy: seconds of processor time without a step, of one core or several.
+        *processes: their numbers.
+        waits: whether they may wait for others, such as a server: only a signal stops them then.
     """
 
-    def __init__(self, process: int) -> None:
-        self._process = process
-        self._ticks = 0
+    def __init__(self, *processes: int, waits: bool = False) -> None:
+        self._processes = processes
+        self._waits = waits
+        self._ticks = [0] * len(processes)
         self._looked = monotonic()
         self.steps()
 
     def steps(self) -> None:
-        """Count from now: it has come to its next step."""
-        self.idle = self.stopped = self._waited = self._spent = 0.0
+        """Count from now: they have come to their next step."""
+        self.idle = self._stopped = self._waited = 0.0
+        self._spent = [0.0] * len(self._processes)
 
-    @property
-    def busy(self) -> float:
-        """See the class; four cores that are busy for ten seconds are so for ten seconds."""
-        return min(self._spent, self._waited)
-
-    def look(self) -> None:
-        """Take in what it has done since the last look, about once a second."""
+    def look(self) -> str:
+        """Look about once a second; return why they will do nothing more, empty = they may."""
         now = monotonic()
-        if now - self._looked < _BETWEEN:
-            return
-        # Whoever looks may have been stopped itself, and the process with it.
-        passed = min(now - self._looked, 2.0 * _BETWEEN)
-        self._looked = now
-        ticks = _ticks(self._process)
-        self.idle = self.idle + passed if ticks == self._ticks else 0.0
-        self.stopped = self.stopped + passed if _is_stopped(self._process) else 0.0
-        self._waited += passed
-        self._spent += max(0, ticks - self._ticks) / os.sysconf("SC_CLK_TCK")
-        self._ticks = ticks
+        if now - self._looked >= _BETWEEN:
+            # Whoever looks may have been stopped itself, and they with it.
+            passed = min(now - self._looked, 2.0 * _BETWEEN)
+            before, self._ticks = self._ticks, [_ticks(each) for each in self._processes]
+            is_stopped = any(stat_of(each)[:1] == ["T"] for each in self._processes)
+            self._looked = now
+            self.idle = self.idle + passed if self._ticks == before else 0.0
+            self._stopped = self._stopped + passed if is_stopped else 0.0
+            self._waited += passed
+            for place, (old, new) in enumerate(zip(before, self._ticks, strict=True)):
+                self._spent[place] += max(0, new - old) / os.sysconf("SC_CLK_TCK")
+        if self._stopped >= HANGS_AFTER:
+            return f"a signal stopped its process {HANGS_AFTER:g} s ago; find out who sent it"
+        if self.idle >= HANGS_AFTER and not self._waits:
+            return f"its processes used no processor time for {HANGS_AFTER:g} s"
+        return ""
 
+    def busy(self, first: int = 0) -> float:
+        """Return the most seconds of processor time that one has used, from the `first` on.
 
-def _is_stopped(process: int) -> bool:
-    with suppress(OSError, IndexError):
-        return stat_of(process)[0] == "T"
-    return False
+        Four cores that are busy for ten seconds are so for ten seconds.
+        """
+        return min(max(self._spent[first:], default=0.0), self._waited)
 
 
 def _ticks(process: int) -> int:
     """Return the processor time of a process, its children and those that it has waited for."""
-    total = 0
-    for each in (process, *descendants(process)):
-        with suppress(OSError, ValueError, IndexError):  # It has ended, or hides it.
-            total += sum(map(int, stat_of(each)[_FIRST_TIME:_PAST_TIMES]))
-    return total
+    family = (process, *descendants(process))
+    return sum(int(field) for each in family for field in stat_of(each)[_TIMES])

@@ -258,7 +258,7 @@ def attribute_apart(
             receivers = [each.call.receiver for each in running]
             answered = wait(receivers, min(1.0, max(0.0, nearest)))
             for each in tuple(running):
-                is_late = each.deadline <= monotonic() or each.call.hangs()
+                is_late = each.deadline <= monotonic() or each.call.progress.look()
                 if each.call.receiver in answered or is_late:
                     running.remove(each)
                     with each.call:

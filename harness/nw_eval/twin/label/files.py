@@ -158,6 +158,8 @@ def save_label(
     folder = place.folder
     files = folder_files(folder)
     text = SceneText(folder / SCENE_FILE)
+    for left in folder.glob(".label-*"):  # Of one that was killed as it saved.
+        shutil.rmtree(left, ignore_errors=True)
     try:
         with TemporaryDirectory(dir=folder, prefix=".label-") as name, ExitStack() as moves:
             staged = Path(name)
