@@ -1,8 +1,8 @@
 """Worker processes on this machine: each trial in one of them, each fault in one trial.
 
-A worker that dies costs its trial (`crashed`), one that does not come back within the trial's time
-limit is killed (`hung`), and both are replaced. They come from `rollout.confined.start`: nothing is
-inherited from the parent but one thread for each library.
+A worker that dies costs its trial (`crashed`), one that hangs, or does not come back within the
+trial's time limit, is killed (`hung`), and both are replaced. They come from
+`rollout.confined.start`: nothing is inherited from the parent but one thread for each library.
 """
 
 from __future__ import annotations

@@ -268,6 +268,22 @@ def test_a_walk_over_platforms_starts_on_ground_at_zero_with_the_pit_below(tmp_p
     assert scene.T_world_splat[2, 3] == pytest.approx(-0.4)
 
 
+def test_a_place_with_pits_changes_nothing_that_its_splat_is_of(tmp_path):
+    build = Build(tmp_path, BuildSettings(), lambda _: None)
+    walked(build.folder, quad_mesh((-5, -5, 0), (15, 0, 0), (0, 10, 0), "ground"), 1.5)
+    (build.folder.mesh / "depth").mkdir()
+    for shot in read_capture(build.folder.capture).shots:
+        depth = np.zeros((shot.camera.height, shot.camera.width), np.float32)
+        write_arrays(
+            build.folder.mesh / "depth" / f"{shot.name}.npz", depth=depth, confidence=depth
+        )
+        Image.new("RGB", (64, 36)).save(build.folder.capture / shot.file)
+    before = digest_of_files(build.folder.capture, build.folder.mesh)
+    build.place()
+    assert digest_of_files(build.folder.capture, build.folder.mesh) == before
+    assert (build.folder.path / "ground.ply").is_file()
+
+
 def test_the_ground_of_the_trail_is_measured_and_written_down(tmp_path):
     floor = quad_mesh((-5, -2, 0), (15, 0, 0), (0, 4, 0), "ground")
     lines = []

@@ -291,7 +291,7 @@ class Build:
         pictures = all((folder.capture / shot.file).is_file() for shot in capture.shots)
         if depths.is_dir() and pictures:  # Else somebody has cleared them away.
             mesh, pits = with_pits(mesh, capture, folder.capture, depths, world)
-            mesh_file = folder.mesh / "ground.ply"
+            mesh_file = folder.path / "ground.ply"  # `splat` is of all that is in mesh/.
             write_mesh(mesh, mesh_file)
             for pit in pits[:_LISTED_PITS]:
                 self._say(f"place: {pit}")
