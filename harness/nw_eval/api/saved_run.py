@@ -256,7 +256,7 @@ def check_whole(info: RunInfo) -> RunInfo:
     Raises:
         UsageError: it is of a part of a run.
     """
-    if info.shard is not None:
+    if info.is_part:
         raise UsageError(
             f"run {info.id} is {info.shard}, which is not the whole run",
             fix="put all parts together with `nw-eval merge RUN... --out FOLDER`",

@@ -53,6 +53,7 @@ from nw_eval.scores.own import (
     own_text,
     source_digest,
 )
+from nw_eval.scores.score import unusable_range
 from nw_eval.suite.axes import AXES, Perturb, each_once
 from nw_eval.suite.digest import digest_of
 from nw_eval.tasks import BUILT_IN as TASK_CLASSES
@@ -254,9 +255,15 @@ class ScoreGate(_Strict):
                     f"{name}: range {low:g} to {high:g} is not within {declared.low:g} to "
                     f"{declared.high:g}; narrow it"
                 )
+            if fault := unusable_range(low, high):
+                return f"{name}: {fault}"
         spec = self.spec(declared)
-        if self.bar is not None and not spec.low < self.bar < spec.high:
-            return f"{name}: bar {self.bar:g} is not between {spec.low:g} and {spec.high:g}"
+        # Nearer to an end, the bar is one with it in the numbers that statistics see.
+        if self.bar is not None and not 1e-6 <= spec.scaled(self.bar) <= 1.0 - 1e-6:
+            return (
+                f"{name}: bar {self.bar:g} is not between {spec.low:g} and {spec.high:g}, the ends "
+                "of its range, or too near to one; move it, or narrow `range`"
+            )
         if self.max_drop is not None and self.max_drop >= spec.width:
             return f"{name}: max_drop {self.max_drop:g} is as wide as its range; lower it"
         return None
