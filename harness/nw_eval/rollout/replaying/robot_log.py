@@ -25,6 +25,7 @@ from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.catalogue import get_scene
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError, nearest
+from nw_eval.files.inside import regular
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.mcap.reader import MOST_MESSAGE, ForeignMessage, foreign
 from nw_eval.scores.score import Array, Figures, Stretch
@@ -149,7 +150,7 @@ def read_robot_log(path: Path, *, robot: str, topics: Mapping[str, str]) -> Robo
 
 def _kinds(path: Path) -> dict[str, str]:
     """Return the schema of each topic."""
-    with path.open("rb") as stream:
+    with regular(path).open("rb") as stream:
         return {each.topic: _kind(each) for each in foreign(stream)}
 
 
