@@ -281,7 +281,7 @@ def read_rows(run: str | Path) -> pd.DataFrame:
 
     Returns:
         A column for each field of `Row`, sorted by trial. `trial_id` and the start that it names
-        are the same for every policy of a suite. `success` is missing where a trial ended in an
+        are the same for every policy of a suite. `seed` is text, as in trials.parquet. `success` is missing where a trial ended in an
         error, which says nothing about the policy.
 
     Raises:
@@ -297,4 +297,5 @@ def read_rows(run: str | Path) -> pd.DataFrame:
     folder = open_run_folder(Path(run))
     found = saved_rows(folder, read_run_info(folder.run_json))
     rows = sorted(found, key=lambda row: row.trial_id)
-    return pd.DataFrame([to_dict(row) for row in rows], columns=list(Row.__dataclass_fields__))
+    values = [{**to_dict(row), "seed": str(row.seed)} for row in rows]
+    return pd.DataFrame(values, columns=list(Row.__dataclass_fields__))
