@@ -281,8 +281,8 @@ def read_rows(run: str | Path) -> pd.DataFrame:
 
     Returns:
         A column for each field of `Row`, sorted by trial. `trial_id` and the start that it names
-        are the same for every policy of a suite. `seed` is text, as in trials.parquet. `success` is missing where a trial ended in an
-        error, which says nothing about the policy.
+        are the same for every policy of a suite. `seed` is text, as in the file.
+        `success` is missing where a trial ended in an error, which says nothing about the policy.
 
     Raises:
         UsageError: it is no run's folder.

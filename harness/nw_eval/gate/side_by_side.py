@@ -327,7 +327,8 @@ def _scenes(entrants: Sequence[Entrant]) -> list[str]:
     strata = set.intersection(*({name[:2] for name in each.results} for each in entrants))
     if not strata:
         raise IncomparableError(
-            f"{' and '.join(each.source for each in entrants)} have results from no scene in common",
+            f"{' and '.join(each.source for each in entrants)} have results from no scene in "
+            "common",
             fix="run them again with --all-rounds",
         )
     return sorted({scene for scene, _ in strata})

@@ -276,8 +276,8 @@ class Gate(_Grown):
 
     success_rate: float | None = Field(
         None,
-        gt=0.0,
-        lt=1.0,
+        ge=1e-6,
+        le=1.0 - 1e-6,
         description="Absolute bar: the lower confidence bound of mean success must reach it. "
         "Without one nothing is judged, and the verdict is RAN.",
     )
@@ -755,11 +755,16 @@ def _with(suite: Suite, changes: Mapping[str, Any]) -> Suite:
     try:
         return new_suite({**suite.model_dump(by_alias=True), **changes}, suite.source)
     except ValidationError as error:
-        faults = "; ".join(
-            f"--{str(item['loc'][-1]).replace('_', '-')} {item['input']!r}: {item['msg'].lower()}"
-            for item in error.errors()
-        )
+        faults = "; ".join(_fault_of(changes, dict(item)) for item in error.errors())
         raise UsageError(faults) from None
+
+
+def _fault_of(changes: Mapping[str, Any], item: Mapping[str, Any]) -> str:
+    """Return which option cannot be used, and why; one that does not fit another says so."""
+    if isinstance(item["input"], Mapping):
+        return str(item["msg"]).removeprefix("Value error, ")
+    name = str(item["loc"][-1] if item["loc"] else next(iter(changes)))
+    return f"--{name.replace('_', '-')} {item['input']!r}: {item['msg'].lower()}"
 
 
 def json_schema() -> dict[str, Any]:
