@@ -63,8 +63,9 @@ class ScoreSpec(BaseModel):
 
     def counted(self, value: float | None) -> float:
         """Return a value as it is averaged, within the range; None and NaN are `undefined`."""
-        known = value is not None and math.isfinite(value)
-        return min(max(value if known else self.undefined, self.low), self.high)
+        if value is None or not math.isfinite(value):
+            value = self.undefined
+        return min(max(value, self.low), self.high)
 
     def scaled(self, value: float | None) -> float:
         """Return a value as a number from 0, the worst, to 1, the best."""
