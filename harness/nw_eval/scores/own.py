@@ -330,7 +330,7 @@ def _expecting(
 
 
 _CUT_SHORT = frozenset[Outcome | None]({"fell", "collided", "policy_failed"})
-"""Ends of trials after which nobody knows what would have been measured."""
+"""Ends of trials that leave unknown what would have been measured."""
 
 
 class Keeps(Score):
