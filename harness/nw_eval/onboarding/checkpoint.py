@@ -37,6 +37,7 @@ from nw_eval.policies.safety import (
     tensor_facts,
 )
 from nw_eval.policies.safety.objects import Record, read_objects
+from nw_eval.policies.safety.tensors import plain_entries
 
 EXPORT = "export the policy as ONNX or with torch.export"
 _STATE_DICTS = "a plain state dict is enough for layers in a row, extreme-parkour, LucidSim and ACT"
@@ -175,6 +176,8 @@ class CheckpointFacts:
     """Numbers in its tensors; 0 where they were not counted."""
     tensors: tuple[TensorFacts, ...] = ()
     """Tensors by name, for formats that name them."""
+    entries: tuple[str, ...] = ()
+    """Names of what else a file of weights has: numbers, texts and lists of them."""
     metadata: Mapping[str, str] = field(default_factory=dict[str, str])
     """Entries that an exporter left in the file, as they are."""
     exporter: ExporterMetadata | None = None
@@ -243,6 +246,7 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
                 recurrent=_recurrent_weights(tensors),
                 parameters=sum(math.prod(tensor.shape) for tensor in tensors),
                 tensors=tensors,
+                entries=() if is_script else plain_entries(data, where),
                 metadata=_SETTINGS[kind](data, where) if kind in _SETTINGS else {},
             )
         case "unknown":
@@ -254,15 +258,46 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
             assert_never(kind)
 
 
+_OF_TRAINING = re.compile(
+    r"_.*|policy_class|policy_kwargs|.*(seed|verbose|noise|time|timesteps|learning|log|buffer|"
+    r"space|n_|batch|tau|gamma|lambda|grad|memory|replay|freq|sde|entropy|ent_coef|coef|clip_range|"
+    r"target|schedule|stats|kl|advantage|epochs|delay|delta|device|top_quantiles|cg_|"
+    r"line_search|sub_sampling|zero_policy|alive_bonus|max_grad_norm).*"
+)
+"""Attributes of Stable-Baselines3's algorithms that steer a training; `predict` reads none."""
+_OF_NETWORK = re.compile(
+    r":.*|__.*|activation_fn|squash_output|use_sde|net_arch|ortho_init|.*std.*|use_expln|"
+    r"optimizer_.*|n_critics|n_quantiles|share_features_extractor|normalize_images|.*lstm.*"
+)
+"""Settings of its networks that are read, are seen in the tensors, or steer a training."""
+
+
 def _saved_settings(data: bytes, where: str) -> dict[str, str]:
-    """Return the activation that Stable-Baselines3 wrote down, as JSON, beside its pickles."""
+    """Return what Stable-Baselines3 wrote down, as JSON, beside its pickles.
+
+    It is the activation, the limits of the action space, and names of what is unknown here.
+    """
     text = open_archive(data, where).read("data", at_most=FileLimits().index_bytes)
     try:
-        settings = json.loads(text)["policy_kwargs"]["activation_fn"]
-        named = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", settings)
-    except (ValueError, LookupError, TypeError, RecursionError):
-        return {}
-    return {} if named is None else {"activation": named[1]}
+        whole = json.loads(text)
+    except (ValueError, RecursionError):
+        return {"unread": "all of `data`, which is no JSON"}
+    settings = cast("dict[str, Any]", whole) if isinstance(whole, dict) else {}
+    kwargs, space = settings.get("policy_kwargs"), settings.get("action_space")
+    network = cast("dict[str, Any]", kwargs) if isinstance(kwargs, dict) else {}
+    limits = cast("dict[str, Any]", space) if isinstance(space, dict) else {}
+    found = {f"action_{side}": str(limits.get(side, "")) for side in ("low", "high")}
+    found["use_sde"] = str(settings.get("use_sde"))
+    found["squash_output"] = str(network.get("squash_output"))
+    function = str(network.get("activation_fn", ""))
+    named = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", function)
+    unread = [name for name in settings if not _OF_TRAINING.fullmatch(name)]
+    unread += [f"policy_kwargs.{name}" for name in network if not _OF_NETWORK.fullmatch(name)]
+    if named is not None:
+        found["activation"] = named[1]
+    elif function:
+        unread.append(f"policy_kwargs.activation_fn {function}")
+    return {**found, "unread": plain(", ".join(unread))}
 
 
 def _header_settings(data: bytes, _: str) -> dict[str, str]:

@@ -367,7 +367,7 @@ def control_lines(
     exporter: ExporterMetadata | None,
     robot: RobotSpec,
     frame: Frame | None,
-    clip: float | None = None,
+    clip: tuple[float, float] | None = None,
 ) -> list[str]:
     """Return the lines of `control`.
 
@@ -375,7 +375,7 @@ def control_lines(
         exporter: what the file says.
         robot: whose own values stand where it is unknown anything.
         frame: the layout of what the policy sees, if it is guessed: its training says the rest.
-        clip: the limit of actions in the trainer's own inference.
+        clip: the limits of actions in the trainer's own inference.
     """
     known = exporter or ExporterMetadata()
     theirs = published(frame, robot) if frame else {}
@@ -414,7 +414,7 @@ def _rates(known: ExporterMetadata) -> list[str]:
 
 
 def _action(
-    known: ExporterMetadata, theirs: Mapping[str, str], of: str, clip: float | None
+    known: ExporterMetadata, theirs: Mapping[str, str], of: str, clip: tuple[float, float] | None
 ) -> list[str]:
     """Return the lines of what an action means."""
     meaning = f"  {CHECK} target = default_pose + scale * action"
@@ -424,12 +424,10 @@ def _action(
         lines.append(f"  scale: {one_or_list(known.action_scale)}{_from(known, 'action_scale')}")
     else:
         lines.append(f"  scale: {theirs.get('scale', '0.25')}  {of} rad for each unit of action")
-    if known.action_clip is not None:
-        low, high = known.action_clip
-        limits = number(high) if low == -high else in_brackets((low, high))
-        lines.append(f"  clip: {limits}{_from(known, 'action_clip')}")
-    elif clip is not None:
-        lines.append(f"  clip: {number(clip)}  # as the trainer plays its policies")
+    if (limits := known.action_clip or clip) is not None:
+        text = number(limits[1]) if limits[0] == -limits[1] else in_brackets(limits)
+        source = "  # as the trainer plays its policies" if known.action_clip is None else ""
+        lines.append(f"  clip: {text}{source or _from(known, 'action_clip')}")
     elif "clip" in theirs:
         lines.append(f"  clip: {theirs['clip']}  {of} limits before scaling")
     return lines
