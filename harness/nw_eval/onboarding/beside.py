@@ -17,7 +17,8 @@ from nw_eval.errors import PolicyError
 from nw_eval.files.inside import what_is
 from nw_eval.files.yaml_file import YamlProblems, parse_yaml
 from nw_eval.onboarding.checkpoint import CheckpointFacts, ExporterMetadata
-from nw_eval.onboarding.configs import Data, reader_of, reordered
+from nw_eval.onboarding.configs import reader_of, reordered
+from nw_eval.onboarding.fields import Fields, account
 from nw_eval.onboarding.leapp import pipeline_checkpoint
 from nw_eval.onboarding.notation import plain
 from nw_eval.onboarding.vectors import sized_terms
@@ -173,9 +174,6 @@ def read_beside(
         size: numbers that it takes; 0 where it does not say.
     """
     read = _read_files(texts, robot, checkpoint, size)
-    beside = f"{Path(checkpoint).stem}.json"
-    if beside in texts and not any(beside in said.sources.values() for _, said in read):
-        read.append((len(_ORDER), ExporterMetadata(notes=(_unread(beside, texts[beside]),))))
     if own is not None:
         read.append((_ORDER.index("checkpoint"), own))
     if not read:
@@ -191,31 +189,58 @@ def _read_files(
     texts: Mapping[str, str], robot: RobotSpec, checkpoint: str, size: int
 ) -> list[tuple[int, ExporterMetadata]]:
     """Return what each file says that is about a checkpoint, and the index of its kind."""
-    parsed: dict[str, Data] = {}
+    parsed: dict[str, Fields] = {}
+    left: dict[str, str] = {}
     for name, text in texts.items():
         try:
-            parsed[name] = parse_yaml(text, file=name, foreign=True).data
-        except YamlProblems:
-            continue
+            parsed[name] = Fields(parse_yaml(text, file=name, foreign=True).data)
+        except YamlProblems as problems:
+            left[name] = str(problems.problems[0].message) if text.strip() else ""
     by_kind: dict[str, list[tuple[str, ExporterMetadata]]] = {}
     for name, data in parsed.items():
-        kind, reader = reader_of(data)
+        kind, reader = reader_of(Fields(data))  # Of a copy: to look is not to read.
         said = ExporterMetadata()
         if reader is not None:
             said = reader(data, robot, list(parsed.values()))
         if said != ExporterMetadata():
             marked = {f.name: plain(name) for f in fields(said) if getattr(said, f.name)}
             by_kind.setdefault(kind, []).append((name, replace(said, sources=marked)))
+        elif not name.startswith("../") and not any(key.startswith("nw-") for key in data):
+            left[name] = f"its keys are {', '.join(data)[:200]}" if data else ""
+    notes: list[str] = []
+    for name, why in left.items():
+        if name in parsed and parsed[name].is_read:  # By the reader of another file.
+            notes += account(plain(name), by_kind, parsed[name])
+        elif why:
+            notes.append(f"{plain(name)} was not read: {plain(why)}")
+    return [*_by_belief(by_kind, parsed, robot, checkpoint, size), *_noted(notes)]
+
+
+def _noted(notes: Sequence[str]) -> list[tuple[int, ExporterMetadata]]:
+    return [(len(_ORDER), ExporterMetadata(notes=tuple(notes)))] if notes else []
+
+
+def _by_belief(
+    by_kind: Mapping[str, list[tuple[str, ExporterMetadata]]],
+    parsed: Mapping[str, Fields],
+    robot: RobotSpec,
+    checkpoint: str,
+    size: int,
+) -> list[tuple[int, ExporterMetadata]]:
+    """Return what the files say that are about a checkpoint, with notes of what they leave."""
     read: list[tuple[int, ExporterMetadata]] = []
+    others: list[str] = []
     for kind, several in by_kind.items():
         about = _about(several, checkpoint, len(robot.joints), size)
+        others += [plain(name) for name, _ in several if name not in dict(about)]
         for name, said in _of_one_script(about) if kind == "gym" else about:
-            notes = said.notes
+            notes = (*said.notes, *account(plain(name), [kind], parsed[name]))
             if said.model and Path(said.model).stem != Path(checkpoint).stem:
                 other = plain(Path(said.model).name)
                 notes = (*notes, f"{plain(name)} is about {other}: is that this file?")
             read.append((_ORDER.index(kind), replace(said, notes=notes)))
-    return read
+    about = f"not read, of another policy by names or sizes: {', '.join(others)}"
+    return [*read, *_noted([about] if others else [])]
 
 
 def _of_one_script(
@@ -231,15 +256,6 @@ def _of_one_script(
     left = ", ".join(plain(other) for other, _ in others)
     note = f"{plain(name)} was taken; so many numbers are in {left}, too"
     return [(name, replace(said, notes=(*said.notes, note)))]
-
-
-def _unread(name: str, text: str) -> str:
-    try:
-        keys = plain(", ".join(parse_yaml(text, file=name, foreign=True).data))[:100]
-    except YamlProblems:
-        keys = ""
-    why = f"its keys are {keys}" if keys else "it has no keys"
-    return f"{plain(name)} lies beside the checkpoint and was not read: {why}"
 
 
 def _about(
@@ -319,7 +335,8 @@ def refuse_another_robot(
         reason = f"it gives {' or '.join(map(str, sorted(given)))} numbers"
     else:
         return
-    looks = next((robot for mark, robot in _LOOKS if re.search(mark, " ".join(names))), "")
+    named = " ".join(names) if set(names) != own else ""  # Its own names are a guess of ours.
+    looks = next((robot for mark, robot in _LOOKS if re.search(mark, named)), "")
     raise PolicyError(
         f"{facts.path}: it drives another robot than {robot.name}, which has "
         f"{plural(len(own), 'joint')}: {reason}" + (f"; that looks like {looks}" if looks else ""),
