@@ -6,6 +6,7 @@ each joint are in the order of `joint_names`, whatever their order in the file.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -298,6 +299,45 @@ def merged(one: ExporterMetadata, other: ExporterMetadata) -> ExporterMetadata:
     notes = tuple(dict.fromkeys((*one.notes, *other.notes)))
     is_guess = one.guessed_order if one.joint_names else other.guessed_order
     return replace(one, **taken, sources=sources, notes=notes, guessed_order=is_guess)
+
+
+_WEAK = 0.1
+"""Share of the largest torque that a radian gives at least, with any gains that carry a robot."""
+_ROUNDED = 0.02
+"""Below it three decimals are off by 2.5 % and more."""
+
+
+def believed(known: ExporterMetadata, robot: RobotSpec) -> ExporterMetadata:
+    """Return what files say without numbers that cannot be a robot's, each named in a note."""
+    joints, notes = len(robot.joints), [*known.notes]
+    dropped: dict[str, Any] = {}
+    is_position = known.action in {"", "joint_position", "joint_position_offset"}
+    for name in _PER_JOINT:
+        values: tuple[float, ...] = getattr(known, name)
+        reason = ""
+        if values and len(values) not in {1, joints}:
+            reason = f"has {plural(len(values), 'number')} for {joints} joints"
+        elif values and not all(map(math.isfinite, values)):
+            reason = "is not finite"
+        elif name in {"default_joint_pos", "action_scale"} or not values:
+            reason = "is 0" if name == "action_scale" and values and not any(values) else ""
+        elif min(values) < 0:
+            reason = f"is {min(values):g}: it is negative"
+        elif name in {"joint_stiffness", "joint_damping", "torque_limits"} and not any(values):
+            reason = "is 0 for all joints" if is_position or name == "torque_limits" else ""
+        elif name == "joint_stiffness" and max(values) < _WEAK * max(robot.torque_limits):
+            reason = f"is {max(values):g} N m/rad at most, too weak to carry the {robot.name}"
+        source = known.sources.get(name, "its metadata")
+        if reason:
+            dropped[name] = ()
+            notes.append(f"{name} of {source} {reason}, and is not used")
+        elif name not in known.sources and any(0 < abs(v) < _ROUNDED for v in values):
+            small = min(abs(value) for value in values if value)
+            notes.append(f"{name} of {source} has {small:g}, which three decimals round by far")
+    dead = [term.name for term in known.observation_terms if term.scale and 0.0 in term.scale]
+    if dead:
+        notes.append(f"the scale of {', '.join(map(plain, dead))} is 0: the policy is blind to it")
+    return replace(known, **dropped, notes=tuple(dict.fromkeys(notes)))
 
 
 _LOOKS: tuple[tuple[str, str], ...] = (

@@ -230,18 +230,18 @@ def _legged_rl_deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Export
     offset = action.numbers("offset")
 
     def term(name: str, words: Data) -> ExportedTerm:
-        scale: tuple[float, ...] = _scale_of(words, "scale") or ()
+        scale = list(_scale_of(words, "scale") or ())
         bounds = [*words.numbers("min"), *words.numbers("max")]
         steps_of = words.texts("process_order")
         if "scale" in steps_of and steps_of[-1:] == ("clip",):
             # A card clips first. Limits of what is scaled by several factors are not kept.
-            one = len(set(scale)) == 1 and scale[0]
+            one = scale[0] if len(set(scale)) == 1 else 0.0
             words.doubt("max", words.get("max"), readable=bool(one))
-            bounds = [bound / scale[0] for bound in bounds] if one else []
+            bounds = [bound / one for bound in bounds] if one else []
         cycle = words.below("params").number("cycle_time")
         return ExportedTerm(
             name=name.removesuffix("_B"),
-            scale=scale or None,
+            scale=tuple(scale) or None,
             clip=limits_of(bounds) or (-math.inf, math.inf),
             history=steps,
             form=f"order: {order}, by: step",
@@ -390,8 +390,12 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         terms.append(replace(term, name="phase", scale=(1.0,), width=2, keys="frequency: 1.25"))
     elif size is not None and size != 9 + 3 * joints:
         # Its script sees something else, which the file does not say; the rest of it holds.
-        notes = (f"a config of {size:g} numbers names no terms: those of its script are unknown",)
-        terms = []
+        notes = (f"a config of {size:g} numbers names no terms: see the script that reads it",)
+        rest = int(size) - 9 - 3 * joints
+        if is_other and 0 < rest <= 1000:  # Its scripts append what else they see.
+            terms.append(replace(term, name="what_the_script_adds", scale=(1.0,), width=rest))
+        else:
+            terms = []
     step, every = data.number("simulation_dt"), data.number("control_decimation")
     period = step * every if step and every else data.number("control_dt", "dt")
     names, is_guess = _gym_joints(data, robot, pose)
@@ -704,7 +708,14 @@ def _matches(pattern: str, name: str) -> bool:
 
 def _agent(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
     """Read the trainer's own settings: rsl_rl, skrl or rl_games."""
-    return ExporterMetadata(activation=_activation(data), action_clip=data.limits("clip_actions"))
+    policy, config = data.below("models").below("policy"), data.below("params").below("config")
+    policy.doubt("output", policy.get("output"), readable=policy.get("output") == "ACTIONS")
+    notes = ("params.config.clip_actions is false: rl_games clips no actions then",)
+    return ExporterMetadata(
+        activation=_activation(data),
+        action_clip=data.limits("clip_actions"),
+        notes=notes if config.get("clip_actions") is False else (),
+    )
 
 
 def _activation(data: Data) -> str:

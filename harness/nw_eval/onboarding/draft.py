@@ -16,7 +16,7 @@ from typing import Any
 from nw_eval.cards.joints import short_name
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.files.inside import what_is
-from nw_eval.onboarding.beside import read_beside, refuse_another_robot
+from nw_eval.onboarding.beside import believed, read_beside, refuse_another_robot
 from nw_eval.onboarding.checkpoint import (
     EXPORT,
     ArrayFacts,
@@ -93,6 +93,7 @@ def write_card_draft(
     if pipeline is not None:
         known = with_pipeline(*pipeline, facts, known)
     refuse_another_robot(facts, known, robot)
+    known = known and believed(known, robot)
     facts = replace(facts, exporter=known)
     network = trained_network(facts, len(robot.joints)) if facts.adapter is None else None
     if network is not None:
