@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -283,22 +284,36 @@ def merged(one: ExporterMetadata, other: ExporterMetadata) -> ExporterMetadata:
     """Return what two files say together; where both say something, the first is believed."""
     names = one.joint_names or other.joint_names
     taken: dict[str, Any] = {}
+    notes: list[str] = []
     sources = dict(one.sources)
     for field in fields(one):
         mine, theirs = getattr(one, field.name), getattr(other, field.name)
+        if mine and theirs and field.name in _PER_JOINT:
+            same = reordered(theirs, other.joint_names or names, names)
+            if same and _differ(mine, same):
+                sides = [x.sources.get(field.name, "the checkpoint") for x in (one, other)]
+                notes.append(f"{field.name} differs in {' and '.join(sides)}: the first is used")
         is_apart = field.name in {"sources", "notes", "guessed_order"}
         if is_apart or mine or not theirs:
             continue
         if field.name in _PER_JOINT:
             theirs = reordered(theirs, other.joint_names or names, names)
             if not theirs:
+                where = other.sources.get(field.name, "the checkpoint")
+                notes.append(f"{field.name} of {where} is of other joints, and is not used")
                 continue
         taken[field.name] = theirs
         if field.name in other.sources:
             sources[field.name] = other.sources[field.name]
-    notes = tuple(dict.fromkeys((*one.notes, *other.notes)))
+    notes = [*dict.fromkeys((*one.notes, *other.notes, *notes))]
     is_guess = one.guessed_order if one.joint_names else other.guessed_order
-    return replace(one, **taken, sources=sources, notes=notes, guessed_order=is_guess)
+    return replace(one, **taken, sources=sources, notes=tuple(notes), guessed_order=is_guess)
+
+
+def _differ(one: Sequence[float], other: Sequence[float]) -> bool:
+    """Whether numbers of joints differ by more than three decimals round."""
+    pairs = zip(cycle(one), cycle(other), range(max(len(one), len(other))), strict=False)
+    return any(abs(a - b) > 1e-3 + 2e-3 * abs(a) for a, b, _ in pairs)
 
 
 _WEAK = 0.1
@@ -309,26 +324,11 @@ _ROUNDED = 0.02
 
 def believed(known: ExporterMetadata, robot: RobotSpec) -> ExporterMetadata:
     """Return what files say without numbers that cannot be a robot's, each named in a note."""
-    joints, notes = len(robot.joints), [*known.notes]
-    dropped: dict[str, Any] = {}
-    is_position = known.action in {"", "joint_position", "joint_position_offset"}
+    notes, dropped = [*known.notes], dict[str, Any]()
     for name in _PER_JOINT:
         values: tuple[float, ...] = getattr(known, name)
-        reason = ""
-        if values and len(values) not in {1, joints}:
-            reason = f"has {plural(len(values), 'number')} for {joints} joints"
-        elif values and not all(map(math.isfinite, values)):
-            reason = "is not finite"
-        elif name in {"default_joint_pos", "action_scale"} or not values:
-            reason = "is 0" if name == "action_scale" and values and not any(values) else ""
-        elif min(values) < 0:
-            reason = f"is {min(values):g}: it is negative"
-        elif name in {"joint_stiffness", "joint_damping", "torque_limits"} and not any(values):
-            reason = "is 0 for all joints" if is_position or name == "torque_limits" else ""
-        elif name == "joint_stiffness" and max(values) < _WEAK * max(robot.torque_limits):
-            reason = f"is {max(values):g} N m/rad at most, too weak to carry the {robot.name}"
         source = known.sources.get(name, "its metadata")
-        if reason:
+        if values and (reason := _doubt(name, values, known.action, robot)):
             dropped[name] = ()
             notes.append(f"{name} of {source} {reason}, and is not used")
         elif name not in known.sources and any(0 < abs(v) < _ROUNDED for v in values):
@@ -338,6 +338,24 @@ def believed(known: ExporterMetadata, robot: RobotSpec) -> ExporterMetadata:
     if dead:
         notes.append(f"the scale of {', '.join(map(plain, dead))} is 0: the policy is blind to it")
     return replace(known, **dropped, notes=tuple(dict.fromkeys(notes)))
+
+
+def _doubt(name: str, values: Sequence[float], action: str, robot: RobotSpec) -> str:
+    """Return why numbers of joints cannot be a robot's; empty where they can."""
+    joints, follows = len(robot.joints), action not in {"joint_torque", "joint_velocity"}
+    if len(values) not in {1, joints}:
+        return f"has {plural(len(values), 'number')} for {joints} joints"
+    if not all(map(math.isfinite, values)):
+        return "is not finite"
+    if name == "default_joint_pos":
+        return ""
+    if not any(values) and name != "armature" and (follows or name == "torque_limits"):
+        return "is 0 for all joints"
+    if min(values) < 0 and name != "action_scale":
+        return f"is {min(values):g}, below 0"
+    if name == "joint_stiffness" and follows and max(values) < _WEAK * max(robot.torque_limits):
+        return f"is {max(values):g} N m/rad at most, too weak to carry the {robot.name}"
+    return ""
 
 
 _LOOKS: tuple[tuple[str, str], ...] = (

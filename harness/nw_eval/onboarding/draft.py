@@ -53,6 +53,7 @@ from nw_eval.onboarding.vectors import (
     terms_for,
 )
 from nw_eval.policies.bundle import SIZE_LIMIT
+from nw_eval.policies.safety import file_kind
 from nw_eval.robots import BUILT_IN, RobotSpec, get_robot, know_robot
 
 _ACTION = re.compile(r"action|\bmu\b|mean|joint|target", re.IGNORECASE)
@@ -577,16 +578,22 @@ _ADAPTERS = {
 }
 _MOST = 8
 """Files that are named; a folder of saved steps of a training holds thousands."""
+_SAMPLE = 48
+"""Bytes that two files share where they hold the same weights."""
 
 
 def files_beside(checkpoint: Path) -> str:
     """Return the lines under which other files would feed a checkpoint; empty if there are none.
 
-    Nothing of them is read but their digest.
+    Nothing of them is run.
     """
     beside = sorted(checkpoint.parent.glob("*"))
     found = [path for path in beside if _may_feed(path, checkpoint)]
     if not found or len(found) > _MOST:
+        return ""
+    own = checkpoint.read_bytes()
+    found = [path for path in found if _is_another(path, own)]
+    if not found:
         return ""
     lines = [
         "",
@@ -602,6 +609,21 @@ def files_beside(checkpoint: Path) -> str:
             "#     inputs: []  # of the names under `observations`",
         ]
     return "\n".join(lines) + "\n"
+
+
+def _is_another(path: Path, own: bytes) -> bool:
+    """Whether a file may run, and has not the weights of the checkpoint.
+
+    Two exports of one policy, and the training's own file, hold the same numbers.
+    """
+    data = path.read_bytes()
+    try:
+        if file_kind(data, str(path)) in {"state-dict", "pickle", "safetensors"}:
+            return False
+    except PolicyError:
+        return False
+    samples = (own[len(own) * n // 32 :][:_SAMPLE] for n in range(1, 32))
+    return not any(len(set(sample)) > _SAMPLE // 4 and sample in data for sample in samples)
 
 
 def _may_feed(path: Path, checkpoint: Path) -> bool:

@@ -136,6 +136,16 @@ _PASSED_OVER: Mapping[str, Sequence[tuple[str, str]]] = {
     "legged_ros2": (
         (r"(?!.*ros__parameters\.(obs|action)_cfg).*", "it is of the controller"),
     ),
+    "leapp": (
+        (
+            (
+                r"models\.[^.]+\.(in|out)puts\.\d+\.(dtype|type)|.*\.(md5sum|opset_version)|"
+                r"pipeline\.(in|out)puts\..*"
+            ),
+            "the flow and the files say the same",
+        ),
+        (r"(system information|metadata|version|leapp\w*)(\..*)?", "it says where it is from"),
+    ),
     "muwanx": ((r"onnx(\..*)?|obs_config\.(?!policy)\w+(\..*)?", "it is said of the groups"),),
 }  # fmt: skip
 """Fields by the kind of their file, of all kinds first: a pattern of their paths, and why they have

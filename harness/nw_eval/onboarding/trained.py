@@ -413,8 +413,9 @@ def _is_passed_over(name: str) -> bool:
 
 
 def _group(name: str) -> str:
-    """Return what the names of the tensors of a network begin with."""
-    return name.rpartition(".")[0].rstrip(".0123456789") or name
+    """Return what the names of the tensors of a network begin with; another tensor's own name."""
+    match = re.fullmatch(r"(.+?)[.\d]*\.(weight|kernel|bias)\w*", name)
+    return match[1] if match else name
 
 
 def _all_of(names: Iterable[str]) -> str:
