@@ -140,6 +140,19 @@ def test_the_scale_and_bias_of_cleanrl_are_used(last, kind, tmp_path):
     assert f"output_scale: {json.dumps(f'{root}action_scale') if root else 'action_scale'}" in text
 
 
+def test_one_scale_and_bias_are_those_of_all_joints(tmp_path):
+    state = {**cleanrl(), "action_scale": torch.ones(1) * 2, "action_bias": torch.tensor(0.5)}
+    draft(tmp_path / "td3.pt", state)
+    assert np.abs(acted(tmp_path) - 0.5).max() <= 2
+    assert np.abs(acted(tmp_path) - 0.5).max() > 0.9
+
+
+def test_averaged_weights_are_not_taken_for_the_policy(tmp_path):
+    text = draft(tmp_path / "m.pt", {"model_state_dict": rsl_rl(), "ema_state_dict": rsl_rl()})
+    assert "weights: model_state_dict.actor" in text
+    assert "other networks: ema_state_dict.actor" in text
+
+
 def test_limits_that_no_file_says_are_to_be_checked(tmp_path):
     text = draft(tmp_path / "td3.pt", cleanrl())
     assert "CHECK: the limits of its actions are not in the file: -1 and 1 are assumed" in text
@@ -214,6 +227,13 @@ def test_an_actor_that_is_only_a_part_of_the_file_is_refused(tmp_path):
         draft(tmp_path / "crossq.pt", state)
 
 
+def test_layers_behind_a_recurrent_one_are_not_the_whole_actor(tmp_path):
+    state = {"lstm.weight_ih_l0": torch.ones(64, 45), "lstm.weight_hh_l0": torch.ones(64, 16)}
+    state |= {**layers([16, 16], "net_container."), "policy_layer.weight": torch.ones(12, 16)}
+    with pytest.raises(PolicyError, match="unknown network"):
+        draft(tmp_path / "agent.pt", {"policy": state})
+
+
 def tianshou(last):
     state = layers([45, 16, 16], "actor.preprocess.model.model.")
     state |= layers([16, 12], f"actor.{last}.model.")
@@ -255,7 +275,8 @@ def test_a_tensor_that_nothing_reads_is_named(name, place, tmp_path):
     inside = {**rsl_rl(), **({name: OTHER[name]} if place else {})}
     tree = {"model_state_dict": inside, **({} if place else {name: OTHER[name]})}
     text = draft(tmp_path / "model_9.pt", tree)
-    (line,) = [line for line in text.splitlines() if "other networks" in line or "not use" in line]
+    rare = "does not use" if re.search("norm|rms|offset", name) else "has other networks"
+    (line,) = [line for line in text.splitlines() if rare in line]
     assert "CHECK" in line
     assert f"{place}{name}".removesuffix(".weight") in line
 

@@ -352,7 +352,7 @@ def _roots(parts: Sequence[str], shapes: Mapping[str, Shape]) -> list[str]:
     ]
     return sorted(
         (root for root in set.intersection(*found) if not _OTHERS.search(root)),
-        key=lambda root: (root.count("."), root),
+        key=lambda root: (root.count("."), root.startswith("ema"), root),
     )
 
 
@@ -374,8 +374,8 @@ def _left(network: TrainedNetwork, shapes: Mapping[str, Shape]) -> dict[str, Sha
 
 def _is_fed(network: TrainedNetwork, shapes: Mapping[str, Shape]) -> bool:
     """Whether other layers of the file end in as many numbers as a network takes: it is a part."""
-    left = _left(network, shapes).items()
-    ends = {_group(name): shape[0] for name, shape in left if len(shape) == 2}
+    left = [(name, shape) for name, shape in _left(network, shapes).items() if len(shape) == 2]
+    ends = {_group(name): shape[1 if "weight_hh" in name else 0] for name, shape in left}
     return network.layers[0].inputs in ends.values()
 
 
@@ -384,7 +384,11 @@ def _accounted(
 ) -> TrainedNetwork:
     """Return a network with notes of what else is in the file and has not been passed over."""
     left = _left(network, shapes)
-    layers = dict.fromkeys(_group(name) for name, shape in left.items() if len(shape) >= 2)
+    layers = dict.fromkeys(
+        _group(name)
+        for name, shape in left.items()
+        if len(shape) >= 2 and not _STATISTICS.search(name)
+    )
     rest = dict.fromkeys(name for name in left if _group(name) not in layers)
     rest |= dict.fromkeys(name for name in entries if not _is_passed_over(name))
     notes = [*network.notes]

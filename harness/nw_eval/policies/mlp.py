@@ -261,6 +261,7 @@ def _row(row: Row, tensors: Mapping[str, Tensor], size: int, where: str, key: st
             fix=f"correct `{key}`; {nearest(row, list(tensors))}",
         )
     found = tensors[row] if isinstance(row, str) else torch.tensor(row)
+    found = found.expand(size) if found.numel() == 1 and key != "normaliser" else found
     said = repr(row) if isinstance(row, str) else f"`{key}`"
     if found.numel() != size:
         layer = "the first layer takes" if key == "normaliser" else "the action has"
