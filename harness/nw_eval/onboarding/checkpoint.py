@@ -260,13 +260,6 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
             assert_never(kind)
 
 
-_OF_TRAINING = re.compile(
-    r"_.*|policy_class|policy_kwargs|.*(seed|verbose|noise|time|timesteps|learning|log|buffer|"
-    r"space|n_|batch|tau|gamma|lambda|grad|memory|replay|freq|sde|entropy|ent_coef|coef|clip_range|"
-    r"target|schedule|stats|kl|advantage|epochs|delay|delta|device|top_quantiles|cg_|"
-    r"line_search|sub_sampling|zero_policy|alive_bonus|max_grad_norm).*"
-)
-"""Attributes of Stable-Baselines3's algorithms that steer a training; `predict` reads none."""
 _OF_NETWORK = re.compile(
     r":.*|__.*|activation_fn|squash_output|use_sde|net_arch|ortho_init|.*std.*|use_expln|"
     r"optimizer_.*|n_critics|n_quantiles|share_features_extractor|normalize_images|.*lstm.*"
@@ -293,8 +286,8 @@ def _saved_settings(data: bytes, where: str) -> dict[str, str]:
     found["squash_output"] = str(network.get("squash_output"))
     function = str(network.get("activation_fn", ""))
     named = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", function)
-    unread = [name for name in settings if not _OF_TRAINING.fullmatch(name)]
-    unread += [f"policy_kwargs.{name}" for name in network if not _OF_NETWORK.fullmatch(name)]
+    # The algorithm's own attributes steer a training; `predict` reads the policy and the spaces.
+    unread = [f"policy_kwargs.{name}" for name in network if not _OF_NETWORK.fullmatch(name)]
     if named is not None:
         found["activation"] = named[1]
     elif function:

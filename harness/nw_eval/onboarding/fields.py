@@ -9,147 +9,116 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, cast
 
 from nw_eval.onboarding.notation import plain
 
 _SHOWN = 60
 """Fields of one file that are named."""
-_PASSED_OVER: Mapping[str, Sequence[tuple[str, str]]] = {
-    "": (
-        (r"(.*\.)?(debug_vis|class_type|class_name|asset_name|comment)", "it is a name"),
-        (r".*\.noise(\..*)?", "sensors of the evaluation have their own noise"),
-    ),
-    "deploy": (
-        (r"joint_names", "the numbers of the motors say the same"),
-        (r"commands\..*\.ranges\.heading", "the evaluation commands no heading"),
-        (r"actions\.\w+\.joint_(names|ids)", "the numbers of the motors say the same"),
-        (r"observations\.\w+\.(params\.(asset_cfg|command_name).*)", "its name says what it is"),
-        (r"observations\.\w+\.flatten_history_dim", "a card's frames are one row"),
-    ),
-    "io_descriptors": (
-        (
-            (
-                r"articulations\..*\.(joint_(pos|vel|effort)_limits|default_joint_(vel|pos_limits|"
-                r"vel_limits)|default_joint_(friction|viscous_friction|dynamic_friction).*|"
-                r"body_names|.*\bmass.*)"
-            ),
-            "the robot has its own",
-        ),
-        (r"scene\.(num_envs|decimation|env_spacing|.*\.type)", "it is of the training"),
-        (
-            (
-                r".*\.(dtype|mdp_type|extras|observation_type|action_type|units?|joint_ids|body_ids|"
-                r"axes|base_.*|full_path|name|joint_names|body_names|shape|modifiers|"
-                r"flatten_history_dim)(\..*)?"
-            ),
-            "it describes an entry that is read by its name",
-        ),
-        (r"observations\.(?!policy|actor)\w+(\..*)?", "a critic's or another network's"),
-    ),
-    "env": (
-        (
-            (
-                r"(rewards|terminations|events|curriculum|viewer|recorders|ui_window_class_type|seed|"
-                r"episode_length_s|is_finite_horizon|rerender_on_reset|wait_for_textures|xr|"
-                r"teleop_devices|log_dir|export_io_descriptors|num_rerenders_on_reset|metrics|"
-                r"scale_rewards_by_dt|auto_reset|num_actions|num_states|num_observations|state_space|"
-                r"action_space|observation_space|observation_noise_model|action_noise_model|"
-                r"distance_metric|\w*reward\w*|\w*_scale_range|contact_sensor|terrain)(\..*)?"
-            ),
-            "it steers the training",
-        ),
-        (r"sim\.(?!dt|mujoco\.timestep).*", "the evaluation has its own physics"),
-        (
-            r"scene\.(?!robot|entities|height_scanner)\w+(\..*)?|scene\.entities\.(?!robot)\w+.*",
-            "the evaluation has its own scenes",
-        ),
-        (
-            (
-                r"(scene\.(entities\.)?)?robot\.(prim_path|spawn|spawn_fn|collision_group|collisions|"
-                r"articulation_root_prim_path|soft_joint_pos_limit_factor|init_state\.(?!joint_pos)\w+|"
-                r"articulation\.soft_joint_pos_limit_factor|actuator_value_resolution_debug_print|"
-                r"sites|lights|materials|textures|cameras|sort_actuators)(\..*)?"
-            ),
-            "the robot is ours",
-        ),
-        (
-            (
-                r".*actuators\.\w+\.(velocity_limit(_sim)?|effort_limit_sim|saturation_effort|"
-                r"transmission_type|viscous_friction)"
-            ),
-            "motors of the evaluation have no limit of speed",
-        ),
-        (r"observations\.(?!policy|actor)\w+(\..*)?", "a critic's or another network's"),
-        (
-            (
-                r"observations\.\w+\.(concatenate_terms|concatenate_dim|enable_corruption|nan_policy|"
-                r"nan_check_per_term|flatten_history_dim|history_ordering)|"
-                r"observations\.\w+\.\w+\.(flatten_history_dim|params(\..*)?)"
-            ),
-            "a card's terms are one row, told apart by their functions",
-        ),
-        (
-            r"commands\.\w+\.(?!ranges\.(lin_vel|ang_vel))\w+(\..*)?",
-            "the evaluation commands velocities",
-        ),
-        (r"actions\.\w+\.(joint_names|actuator_names|entity_name|preserve_order)", "all joints"),
-    ),
-    "agent": (
-        (
-            (
-                r"(?!.*(clip_actions|clip_observations|output|activations?|preprocessor\w*|"
-                r"normali[sz]\w*|squash\w*|tanh\w*)$).*"
-            ),
-            "it steers the training, or is seen in the tensors",
-        ),
-        (r"(critic|models\.value|.*value\w*)(\..*)?", "a critic's"),
-        (r".*(state|observation|amp_state)_preprocessor\w*(\..*)?|.*normaliz\w+", "in the tensors"),
-        (r"(.*\.)?(normalize_advantage\w*|.*value_preprocessor\w*)", "it steers the training"),
-    ),
-    "legged_rl_deploy": (
-        (r"(?!policy\.).*", "it moves the robot before and after the policy"),
-        (r"policy\.(name|model_type|onnx\w*|commands\.\w+\.(name|type))", "it is a name"),
-        (r".*\.process_order", "a card clips, then scales"),
-    ),
-    "rl_sar": (
-        (
-            (
-                r"(.*\.)?(model_name|framework|num_observations|rows|cols|use_history|fixed_kp|fixed_kd|"
-                r"joint_controller_names|wheel_indices|ang_vel_axis|ang_vel_type|inference_\w+)"
-            ),
-            "it is of the controller",
-        ),
-    ),
-    "gym": (
-        (
-            (
-                r"(xml_path|simulation_duration|msg_type|imu_type|lowcmd_topic|lowstate_topic|"
-                r"weak_motor|stand_kp|stand_kd|stand_time|damping_kd|policy_path|policy_name|"
-                r"cmd_init|arm_waist_\w+|network|net|domain_id|interface)(\..*)?"
-            ),
-            "it is of the script, or moves the robot before the policy",
-        ),
-        (r"joint_vel_limit\w*|joint_pos_limit\w*", "the robot has its own"),
-    ),
-    "legged_ros2": (
-        (r"(?!.*ros__parameters\.(obs|action)_cfg).*", "it is of the controller"),
-    ),
-    "leapp": (
-        (
-            (
-                r"models\.[^.]+\.(in|out)puts\.\d+\.(dtype|type)|.*\.(md5sum|opset_version)|"
-                r"pipeline\.(in|out)puts\..*"
-            ),
-            "the flow and the files say the same",
-        ),
-        (r"(system information|metadata|version|leapp\w*)(\..*)?", "it says where it is from"),
-    ),
-    "muwanx": ((r"onnx(\..*)?|obs_config\.(?!policy)\w+(\..*)?", "it is said of the groups"),),
-}  # fmt: skip
-"""Fields by the kind of their file, of all kinds first: a pattern of their paths, and why they have
-no effect on a card."""
+_PASSED_OVER: Mapping[str, Mapping[str, str]] = {
+    "": {
+        "it is a name": r"(.*\.)?(debug_vis|class_type|class_name|asset_name|comment)",
+        "sensors of the evaluation have their own noise": r".*\.noise",
+    },
+    "deploy": {
+        "the numbers of the motors say the same": r"joint_names|actions\.\w+\.joint_(names|ids)",
+        "the evaluation commands no heading": r"commands\..*\.ranges\.heading",
+        "its name says what it is": r"observations\.\w+\.(params\.(asset_cfg|command_name).*)",
+        "a card's frames are one row": r"observations\.\w+\.flatten_history_dim",
+    },
+    "io_descriptors": {
+        "the robot has its own": r"""
+            articulations\..*\.(joint_(pos|vel|effort)_limits|default_joint_(vel|pos_limits|
+            vel_limits)|default_joint_(friction|viscous_friction|dynamic_friction).*|body_names|
+            .*\bmass.*)
+        """,
+        "it is of the training": r"scene\.(num_envs|decimation|env_spacing|.*\.type)",
+        "it describes an entry that is read by its name": r"""
+            .*\.(dtype|mdp_type|extras|observation_type|action_type|units?|joint_ids|body_ids|
+            axes|base_.*|full_path|name|joint_names|body_names|shape|modifiers|
+            flatten_history_dim)
+        """,
+        "a critic's or another network's": r"observations\.(?!policy|actor)\w+",
+    },
+    "env": {
+        "it steers the training": r"""
+            rewards|terminations|events|curriculum|viewer|recorders|ui_window_class_type|seed|
+            episode_length_s|is_finite_horizon|rerender_on_reset|wait_for_textures|xr|
+            teleop_devices|log_dir|export_io_descriptors|num_rerenders_on_reset|metrics|
+            scale_rewards_by_dt|auto_reset|num_actions|num_states|num_observations|state_space|
+            action_space|observation_space|observation_noise_model|action_noise_model|
+            distance_metric|\w*reward\w*|\w*_scale_range|contact_sensor|terrain
+        """,
+        "the evaluation has its own physics": r"sim\.(?!dt|mujoco\.timestep).*",
+        "the evaluation has its own scenes": r"""
+            scene\.(?!robot|entities|height_scanner)\w+(\..*)?|scene\.entities\.(?!robot)\w+.*
+        """,
+        "the robot is ours": r"""
+            (scene\.(entities\.)?)?robot\.(prim_path|spawn|spawn_fn|collision_group|collisions|
+            articulation_root_prim_path|soft_joint_pos_limit_factor|
+            init_state\.(?!joint_pos)\w+|articulation\.soft_joint_pos_limit_factor|
+            actuator_value_resolution_debug_print|sites|lights|materials|textures|cameras|
+            sort_actuators)
+        """,
+        "motors of the evaluation have no limit of speed": r"""
+            .*actuators\.\w+\.(velocity_limit(_sim)?|effort_limit_sim|saturation_effort|
+            transmission_type|viscous_friction)
+        """,
+        "a critic's or another network's": r"observations\.(?!policy|actor)\w+",
+        "a card's terms are one row, told apart by their functions": r"""
+            observations\.\w+\.(concatenate_terms|concatenate_dim|enable_corruption|nan_policy|
+            nan_check_per_term|flatten_history_dim|history_ordering)|
+            observations\.\w+\.\w+\.(flatten_history_dim|params(\..*)?)
+        """,
+        "the evaluation commands velocities": r"commands\.\w+\.(?!ranges\.(lin_vel|ang_vel))\w+",
+        "all joints": r"actions\.\w+\.(joint_names|actuator_names|entity_name|preserve_order)",
+    },
+    "agent": {
+        "it steers the training, or is seen in the tensors": r"""
+            (?!.*(clip_actions|clip_observations|output|activations?|preprocessor\w*|
+            normali[sz]\w*|squash\w*|tanh\w*)$).*
+        """,
+        "a critic's": r"critic|models\.value|.*value\w*",
+        "in the tensors": r".*(state|observation|amp_state)_preprocessor\w*(\..*)?|.*normaliz\w+",
+        "it steers the training": r"(.*\.)?(normalize_advantage\w*|.*value_preprocessor\w*)",
+    },
+    "legged_rl_deploy": {
+        "it moves the robot before and after the policy": r"(?!policy\.).*",
+        "it is a name": r"policy\.(name|model_type|onnx\w*|commands\.\w+\.(name|type))",
+        "a card clips, then scales": r".*\.process_order",
+    },
+    "rl_sar": {
+        "it is of the controller": r"""
+            (.*\.)?(model_name|framework|num_observations|rows|cols|use_history|fixed_kp|
+            fixed_kd|joint_controller_names|wheel_indices|ang_vel_axis|ang_vel_type|
+            inference_\w+)
+        """,
+    },
+    "gym": {
+        "it is of the script, or moves the robot before the policy": r"""
+            xml_path|simulation_duration|msg_type|imu_type|lowcmd_topic|lowstate_topic|
+            weak_motor|stand_kp|stand_kd|stand_time|damping_kd|policy_path|policy_name|cmd_init|
+            arm_waist_\w+|network|net|domain_id|interface
+        """,
+        "the robot has its own": r"joint_vel_limit\w*|joint_pos_limit\w*",
+    },
+    "legged_ros2": {
+        "it is of the controller": r"(?!.*ros__parameters\.(obs|action)_cfg).*",
+    },
+    "leapp": {
+        "the flow and the files say the same": r"""
+            models\.[^.]+\.(in|out)puts\.\d+\.(dtype|type)|.*\.(md5sum|opset_version)|
+            pipeline\.(in|out)puts\..*
+        """,
+        "it says where it is from": r"system.information|metadata|version|leapp\w*",
+    },
+    "muwanx": {
+        "it is said of the groups": r"onnx(\..*)?|obs_config\.(?!policy)\w+",
+    },
+}
+"""Fields without effect on a card, by the kind of their file, of all kinds first: the reason, and
+a verbose pattern of their paths; what lies below one is passed over, too."""
 
 
 class Fields(dict[str, Any]):
@@ -254,6 +223,12 @@ def _inner(value: Any) -> list[tuple[str, Fields]]:
     return [(str(place), item) for place, item in enumerate(items) if isinstance(item, Fields)]
 
 
+def is_passed_over(path: str, kind: str) -> bool:
+    """Whether a field of a kind of file has no effect on a card."""
+    rules = _PASSED_OVER.get(kind, {}).values()
+    return any(re.fullmatch(rf"(?:{rule})(\..*)?", path, re.VERBOSE) for rule in rules)
+
+
 def account(name: str, kinds: Iterable[str], data: Fields) -> tuple[str, ...]:
     """Return sentences that name what readers left of a file; none where nothing is left.
 
@@ -262,13 +237,12 @@ def account(name: str, kinds: Iterable[str], data: Fields) -> tuple[str, ...]:
         kinds: as `configs.reader_of` calls those whose readers have read it.
         data: what they have read.
     """
-    rules = [pattern for kind in ("", *kinds) for pattern, _ in _PASSED_OVER.get(kind, ())]
     odd: list[str] = []
     left: dict[str, None] = {}
     for path, is_odd, value in data.unread():
         if is_odd:
             odd.append(f"{path} cannot be read: {str(value)[:80]}")
-        elif not any(re.fullmatch(rule, path) for rule in rules):
+        elif not any(is_passed_over(path, kind) for kind in ("", *kinds)):
             left[path] = None
     notes = [plain(f"{name}: {sentence}") for sentence in odd[:_SHOWN]]
     if left:
