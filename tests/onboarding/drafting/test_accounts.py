@@ -12,9 +12,14 @@ from pathlib import Path
 
 import pytest
 
+from nw_eval.errors import PolicyError
 from nw_eval.files.yaml_file import parse_yaml
-from nw_eval.onboarding.beside import believed, read_beside
-from nw_eval.onboarding.checkpoint import ExporterMetadata, read_exporter_metadata
+from nw_eval.onboarding.beside import believed, read_beside, refuse_another_robot
+from nw_eval.onboarding.checkpoint import (
+    CheckpointFacts,
+    ExporterMetadata,
+    read_exporter_metadata,
+)
 from nw_eval.onboarding.configs import reader_of
 from nw_eval.onboarding.fields import Fields, account, is_passed_over
 from nw_eval.onboarding.leapp import read_pipeline
@@ -283,3 +288,11 @@ def test_gains_of_torques_may_be_zero():
     known = ExporterMetadata(action="joint_torque", joint_damping=(0.0,) * 12)
     assert believed(known, ROBOT) == known
     assert believed(replace(known, action=""), ROBOT).joint_damping == ()
+
+
+def test_joints_that_were_guessed_do_not_make_another_robot_look_like_ours():
+    known = ExporterMetadata(joint_names=tuple(BY_TYPE), guessed_order=True, joint_count=10)
+    facts = CheckpointFacts(path=Path("h1.pt"), sha256="", format="torchscript", adapter=None)
+    with pytest.raises(PolicyError, match="about 10 joints") as raised:
+        refuse_another_robot(facts, known, ROBOT)
+    assert "looks like" not in str(raised.value)
