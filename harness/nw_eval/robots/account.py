@@ -29,22 +29,27 @@ PASSED: dict[str, str] = {
     "robot:sensor": _OWN_SENSORS,
     **dict.fromkeys(("transmission", "ros2_control", "self_filter"), _CONTROLLER),
     **dict.fromkeys(("calibration", "verbose"), _CONTROLLER),
-    **dict.fromkeys(("model_state", "plugin"), "data for other programs"),
+    **dict.fromkeys(("model_state", "robot:plugin"), "data for other programs"),
     "gazebo": "settings of Gazebo",
 }
 """Elements of no effect here: of MJCF, of URDF, or of other programs in a URDF."""
 
 PASSED_ATTRIBUTES: dict[str, str] = {
-    **dict.fromkeys(("user", "version", "ffrange", "velrange"), "data for other programs"),
-    **dict.fromkeys(("fusestatic", "discardvisual"), "bodies and geoms stay as they are named"),
-    **dict.fromkeys(("texturedir", "texrepeat", "texuniform", "texcoord"), _LOOKS),
+    "user": "data for other programs",
+    **dict.fromkeys(
+        ("fusestatic", "discardvisual", "fuse"), "bodies and geoms stay as they are named"
+    ),
+    **dict.fromkeys(("texturedir", "texrepeat", "texuniform", "texcoord", "texture"), _LOOKS),
     **dict.fromkeys(("emission", "metallic", "reflectance", "roughness", "shininess"), _LOOKS),
     **dict.fromkeys(("specular", "castshadow", "normal", "smoothnormal"), _LOOKS),
     **dict.fromkeys(("usethread", "conflict", "passthrough", "content_type"), _MEMORY),
-    **dict.fromkeys(("savecanonical", "savecompiled", "saveinertial"), _MEMORY),
+    **dict.fromkeys(("savecanonical", "savecompiled", "saveinertial", "simple"), _MEMORY),
     "sleep": "bodies do not sleep",
+    **dict.fromkeys(("ipd", "output"), _WINDOW),
+    **dict.fromkeys(("nsample", "interp"), "of delays, which are said"),
+    "lengthrange": "of muscles",
 }
-"""Attributes of no effect, wherever they stand in an MJCF."""
+"""Attributes of no effect, which are taken off wherever they stand in an MJCF."""
 
 _URDF: dict[str, str] = {
     "robot": "name",
@@ -83,6 +88,12 @@ _LOST: dict[str, str] = {
     "contact": "MuJoCo reads no contacts of Bullet; friction is 1",
     "joint_properties": "write <dynamics damping=... friction=...>",
     "gazebo": "MuJoCo reads no friction and contacts of Gazebo; friction is 1",
+    **dict.fromkeys(
+        [f"camera {key}" for key in "focal focalpixel principal principalpixel resolution".split()]
+        + ["camera sensorsize", "camera projection"],
+        "only its vertical field of view is taken; write `intrinsics` in robot.yaml",
+    ),
+    "camera mode": "a camera that follows something is none of the robot's",
 }
 _GAZEBO = {"mu", "mu1", "mu2", "kp", "kd", "surface", "ode", "physics"}  # that act on contacts
 
@@ -160,7 +171,7 @@ class Account:
     def attributes(self, element: Element, root: str, line: int) -> None:
         """Account for the attributes of an element that is not left out."""
         tag, read = element.tag, _URDF.get(element.tag, "").split()
-        for key in element.attrib:
+        for key in list(element.attrib):
             if root == "robot" and read != ["*"] and key not in read:
                 reason = _LOST.get(f"{tag} {key}")
                 if reason is not None:
@@ -169,8 +180,13 @@ class Account:
                     self.passes(f"{key} of <{tag}>", "data for other programs")
                 else:
                     self.loses(f"{key} of <{tag}>: it is no attribute of URDF", line)
-            elif root == "mujoco" and key in PASSED_ATTRIBUTES:
-                self.passes(f"{key} of <{tag}>", PASSED_ATTRIBUTES[key])
+            elif root == "mujoco" and f"{tag} {key}" in _LOST and element.get(key) != "fixed":
+                self.loses(f"{key} of <{tag}>: {_LOST[f'{tag} {key}']}", line)
+            elif root == "mujoco" and (
+                key in PASSED_ATTRIBUTES or (key == "group" and tag != "geom")
+            ):
+                self.passes(f"{key} of <{tag}>", PASSED_ATTRIBUTES.get(key, _WINDOW))
+                del element.attrib[key]
 
     def _options(self, option: Element, line: int) -> None:
         flags = {k: v for each in option for k, v in each.attrib.items()}

@@ -386,8 +386,8 @@ class _Derivation(CompiledRobot):
             follows, kp, torque = motor.follows, motor.kp, motor.torque
             gain = motor.kd if follows == "velocity" else None
             kd = float(np.ravel(self.model.dof_damping[dof])[0])
-            own = kd
             kd += motor.damping
+            own = kd
             if follows == "position":  # The damping of a servo comes on top of the joint's.
                 kd += motor.kd or 0.0
             armature = float(self.model.dof_armature[dof]) + motor.armature
@@ -450,7 +450,7 @@ class _Derivation(CompiledRobot):
         Several motors of a joint add up. What they have beyond that, the account says.
         """
         model, found = self.model, dict[str, _Motor]()
-        for motor in range(model.nu):
+        for motor in range(len(model.actuator_trntype)):  # Some have several controls.
             name = str(model.actuator(motor).name) or str(motor)
             if int(model.actuator_trntype[motor]) not in _ON_JOINTS:
                 kind = mujoco.mjtTrn(int(model.actuator_trntype[motor])).name[6:].lower()
@@ -458,14 +458,16 @@ class _Derivation(CompiledRobot):
                 continue
             gear = abs(float(model.actuator_gear[motor, 0])) or 1.0
             gain = float(model.actuator_gainprm[motor, 0])
-            constant, stiffness, damping = model.actuator_biasprm[motor, :3].tolist()
+            has_bias = float(model.actuator_biastype[motor] > 0)
+            constant, stiffness, damping = (has_bias * model.actuator_biasprm[motor, :3]).tolist()
             servo = gain > 0.0 and stiffness < 0.0
             # <velocity kv="...">; a damper or a motor with friction has another gain than kv.
             wheel = gain > 0.0 and stiffness == 0.0 and damping == -gain
             torque = None
             if model.actuator_forcelimited[motor]:
                 torque = gear * self._largest(name, "force", model.actuator_forcerange[motor])
-            if not servo and not wheel and model.actuator_ctrllimited[motor]:
+            is_other = model.actuator_gaintype[motor] > 0 or model.actuator_biastype[motor] > 1
+            if not (servo or wheel or is_other) and model.actuator_ctrllimited[motor]:
                 own = gear * gain * self._largest(name, "ctrl", model.actuator_ctrlrange[motor])
                 torque = own if torque is None else min(torque, own)
             joint = str(model.joint(int(model.actuator_trnid[motor, 0])).name)
@@ -473,8 +475,7 @@ class _Derivation(CompiledRobot):
             for what, is_so in (
                 ("it clamps its targets", (servo or wheel) and model.actuator_ctrllimited[motor]),
                 ("it has states of its own", model.actuator_dyntype[motor]),
-                ("its force is no line of target and state", model.actuator_gaintype[motor] > 0),
-                ("its force is none of target and state", model.actuator_biastype[motor] > 1),
+                ("its force is not linear in what it is told, position and speed", is_other),
                 ("its force has a constant", constant != 0.0),
                 ("its gain is not its stiffness", servo and not math.isclose(gain, -stiffness)),
                 ("its force has a share of the speed", not servo and not wheel and damping != 0.0),

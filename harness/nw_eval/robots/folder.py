@@ -56,12 +56,8 @@ _FARTHEST = 1e5  # of a mesh's numbers, before its scale
 _LENGTHS = frozenset({"pos", "size", "fromto", "xyz", "radius", "length"})
 _MOTION = frozenset({"damping", "armature", "stiffness", "frictionloss", "gravcomp", "margin"})
 _LONGEST, _STRONGEST, _LARGEST = 1e4, 1e6, 1e20  # m, N m and the like, any figure
-_PATHS = frozenset(
-    {
-        *("file", "meshdir", "texturedir", "assetdir", "strippath", "content_type", "texture"),
-        *("discardvisual", "fusestatic"),
-    }
-)
+_PATHS = frozenset({"file", "meshdir", "assetdir", "strippath"})
+_OTHERWISE = frozenset({"vertex", "face", "builtin", "params"})  # What else says a mesh.
 
 
 class _Part(BaseModel):
@@ -503,6 +499,8 @@ class _Reader:
     def tidy(self, root: Element) -> None:
         """Leave out what a body does not need, and read the meshes."""
         compiler = {k: v for each in root.iter("compiler") for k, v in each.attrib.items()}
+        if root.tag == "robot":
+            self.account.attributes(root, root.tag, self.lines[root])
         self._check(root, root.tag)
         if root.tag == "robot":
             self._urdf_meshes(root, compiler.get("meshdir", ""))
@@ -739,8 +737,10 @@ def fill_meshes(model: Element, folder: RobotFolder) -> None:
         file = mesh.attrib.pop("file", None)
         if file is None:
             continue
-        mesh.attrib.pop("content_type", None)
         name, line = folder.names[file], folder.line_of(mesh.get("name", ""), "mesh")
+        if twice := _OTHERWISE & set(mesh.attrib):
+            fix = "remove one of them"
+            raise folder.fault(f"mesh {name!r} has a file and {min(twice)}", fix, line)
         try:
             vertices, faces = triangles(folder.meshes[file], Path(file).suffix)
         except ValueError as error:
