@@ -2,7 +2,7 @@
 
 import re
 from contextlib import suppress
-from xml.etree import ElementTree
+from xml.etree import ElementTree as ET
 
 import mujoco
 import numpy as np
@@ -10,9 +10,9 @@ import pytest
 import trimesh
 
 from nw_eval.errors import RobotError
-from nw_eval.robots.account import Account
+from nw_eval.robots.account import PASSED, Account
 from nw_eval.robots.derived import spec_of
-from nw_eval.robots.folder import _KNOWN, read_folder
+from nw_eval.robots.folder import KNOWN, read_folder
 from nw_eval.scenes.mesh import merge
 from nw_eval.scenes.scene import Scene
 from nw_eval.sim import World
@@ -97,11 +97,11 @@ motors:
   - {joints: dcmotor, torque: 3}
 """
 
-NAMES = frozenset(
-    """name class childclass joint joint1 joint2 jointinparent body body1 body2 geom1 geom2 site site1
+_NAMES = """
+    name class childclass joint joint1 joint2 jointinparent body body1 body2 geom1 geom2 site site1
     site2 tendon tendon1 tendon2 mesh material hfield target refsite cranksite slidersite texture
-    instance plugin joint geom sidesite model file key objname""".split()
-)
+    instance plugin joint geom sidesite model file key objname"""
+NAMES = frozenset(_NAMES.split())
 """What ties the parts of a file together: without it the model is another one, or none."""
 
 
@@ -134,7 +134,8 @@ MARKS = {
     "ctrlrange": "-2 2", "damping": "0.7", "dampratio": "0.5", "delay": "0.1", "density": "700",
     "diaginertia": "0.2 0.2 0.2", "diameter": "0.2", "discardvisual": "true", "divisor": "2",
     "dynprm": "2", "dyntype": "filter", "euler": "0.1 0.2 0.3", "eulerseq": "zyx",
-    "face": "0 2 1 0 1 3 0 3 2", "fitaabb": "true", "fitscale": "2", "input": "pos vel", "fluidcoef": "1 1 1 1 1",
+    "face": "0 2 1 0 1 3 0 3 2", "fitaabb": "true", "fitscale": "2",
+    "input": "pos vel", "fluidcoef": "1 1 1 1 1",
     "fluidshape": "ellipsoid", "focal": "1 1", "forcelimited": "false", "forcerange": "-7 7",
     "fovy": "33", "friction": "0.7 0.01 0.001", "frictionloss": "0.4", "fromto": "0 0 0 0 0 1",
     "fullinertia": "0.2 0.2 0.2 0 0 0", "fuse": "true", "fusestatic": "true", "gainprm": "25",
@@ -195,7 +196,10 @@ WITH = {
 """What else an element needs for an attribute to be of any effect."""
 INSTEAD = {
     ("compiler", "balanceinertia"): ('diaginertia="0.1 0.1 0.1"', 'diaginertia="0.1 0.1 0.3"'),
-    ("geom", "group"): ("<compiler/>", '<compiler inertiafromgeom="true" inertiagrouprange="0 0"/>'),
+    ("geom", "group"): (
+        "<compiler/>",
+        '<compiler inertiafromgeom="true" inertiagrouprange="0 0"/>',
+    ),
 }
 """What another place of the file needs."""
 SAID = {
@@ -226,16 +230,16 @@ def read(folder, text, yaml=YAML):
 def marked(path, key, with_mark=True):
     """Return the file with a mark at an attribute of one element, which is there or is added."""
     tag = path[-1]
-    element = root = ElementTree.fromstring(MJCF.replace(*INSTEAD.get((tag, key), ("", ""))))
+    element = root = ET.fromstring(MJCF.replace(*INSTEAD.get((tag, key), ("", ""))))
     for step in path[1:]:
         parent, name = element, WHERE.get((tag, key)) if step == tag else None
         found = [e for e in parent.iter(step) if e is not parent and name in {None, e.get("name")}]
-        element = found[0] if found else ElementTree.SubElement(parent, step)
+        element = found[0] if found else ET.SubElement(parent, step)
     for other, value in re.findall(r'(\w+)="([^"]*)"', WITH.get((tag, key), "")):
         element.set(other, value)
     if with_mark:
         element.set(key, MARKS_OF.get((tag, key), MARKS.get(key, "1")))
-    return ElementTree.tostring(root, encoding="unicode")
+    return ET.tostring(root, encoding="unicode")
 
 
 def outcomes(folder, path, key, plain):
@@ -282,8 +286,8 @@ def test_each_attribute_of_mjcf_is_used_or_passed_over_or_said_or_refused(tmp_pa
             counts[found[0]] += 1
         if found in (["passed"], ["refused"]):
             account = Account()
-            element = ElementTree.Element(path[-1])
-            if account.leaves_out(element, "mujoco", 1) or path[-1] not in _KNOWN:
+            element = ET.Element(path[-1])
+            if account.leaves_out(element, "mujoco", 1) or path[-1] not in KNOWN:
                 whole.add(path)
     assert not wrong, "\n".join(map(str, wrong))
     assert min(counts.values()) > 9  # A reader that takes, or refuses, everything is none.
@@ -365,13 +369,13 @@ def test_each_attribute_of_urdf_is_used_or_passed_over_or_said(tmp_path, tag):
     assert (base.joint_damping, base.friction_loss) == ((0.5,), (0.2,))
     parents = {"texture": "material", "contact": "link", "joint_properties": "joint"}
     for key in OF_URDF[tag].split():
-        root = ElementTree.fromstring(URDF)
+        root = ET.fromstring(URDF)
         found = next(root.iter(tag), None)
         if found is None:
-            parent = parents.get(tag, "joint" if tag in {"calibration"} else "robot")
-            found = ElementTree.SubElement(next(root.iter(parent)), tag)
+            parent = parents.get(tag, "joint" if tag == "calibration" else "robot")
+            found = ET.SubElement(next(root.iter(parent)), tag)
         found.set(key, URDF_MARKS.get(key, "0.7"))
-        spec, account = robot(ElementTree.tostring(root, encoding="unicode"))
+        spec, account = robot(ET.tostring(root, encoding="unicode"))
         words = f"<{tag}>"
         told = [
             spec != base,
@@ -382,8 +386,8 @@ def test_each_attribute_of_urdf_is_used_or_passed_over_or_said(tmp_path, tag):
 
 
 def told(tmp_path, text, yaml=URDF_YAML):
+    (tmp_path / "robot.xml").write_text(text)
     with pytest.raises(RobotError) as caught:
-        (tmp_path / "robot.xml").write_text(text)
         spec_of(read_folder(tmp_path, yaml))
     return str(caught.value).replace(f"{tmp_path}/", "")
 
@@ -541,14 +545,16 @@ def test_options_of_the_file_are_said_and_those_of_its_own_are_not(tmp_path):
     assert said.startswith(
         '<option gravity="0 0 -9.81" cone="elliptic">: all robots are simulated with timestep="0.00'
     )
-    assert account.passed == {"how MuJoCo works, not what it computes": {"sensor of <option>": None}}
+    assert list(account.passed.values()) == [{"sensor of <option>": None}]
+
+
+PD = '<position joint="j" kp="60" forcerange="-9 9"/><velocity joint="j" kv="2" forcerange="-9 9"/>'
 
 
 @pytest.mark.parametrize(
     ("motors", "kp", "kd", "torque", "said"),
     [
-        ('<position joint="j" kp="60" forcerange="-9 9"/><velocity joint="j" kv="2" '
-         'forcerange="-9 9"/>', 60.0, 2.5, 18.0, None),
+        (PD, 60.0, 2.5, 18.0, None),
         ('<position joint="j" kp="60" forcerange="-9 9" armature="0.1" damping="0.2" gear="2"/>',
          240.0, 1.3, 18.0, None),
         ('<position name="p" joint="j" kp="60" forcerange="-9 7"/>', 60.0, 0.5, 9.0,
@@ -580,6 +586,9 @@ def test_motors_are_what_the_file_says_or_it_is_said(tmp_path, motors, kp, kd, t
     )
 
 
+FOLLOWS = ("adr", "num", "id", "invweight0", "M0", "contype", "geom1", "geom2")
+
+
 def test_what_moves_a_robot_is_that_of_mujoco_s_own_compilation(tmp_path):
     """Every array of bodies, joints, geoms, tendons and equalities that is not named here."""
     written(tmp_path)
@@ -601,10 +610,48 @@ def test_what_moves_a_robot_is_that_of_mujoco_s_own_compilation(tmp_path):
         if not isinstance(array, np.ndarray) or field in otherwise or array.dtype.kind not in "fiu":
             continue
         array = array[kept] if kind == "geom" else array
-        if field.endswith(("adr", "num", "id", "actuatorid", "invweight0", "M0", "contype", "geom1", "geom2")):
+        if field.endswith(FOLLOWS):
             continue  # Places in other arrays, and what follows from the rest.
-        np.testing.assert_allclose(
-            getattr(ours, field), array, rtol=1e-5, atol=1e-8, err_msg=field
-        )
+        np.testing.assert_allclose(getattr(ours, field), array, rtol=1e-5, atol=1e-8, err_msg=field)
         compared += 1
     assert compared > 60
+
+
+def test_ground_of_the_file_may_be_a_height_field(tmp_path):
+    field = (
+        '<geom name="floor" type="hfield" hfield="h" conaffinity="2"/>'
+        '</worldbody><asset><hfield name="h" file="no.png"/></asset><worldbody>'
+    )
+    (tmp_path / "robot.xml").write_text(
+        f"<mujoco><worldbody>{field}<body><freejoint/><geom name='a' size='.1' contype='2' "
+        "conaffinity='0'/><body><joint name='j'/><geom name='b' size='.1' pos='0 0 -.1' "
+        "contype='4' conaffinity='0'/></body></body></worldbody></mujoco>"
+    )
+    yaml = STAND_YAML + "motors: [{joints: j, kp: 1, kd: 1, torque: 1}]\n"
+    folder = read_folder(tmp_path, yaml)
+    model = mujoco.MjModel.from_xml_string(spec_of(folder).mjcf)
+    assert model.geom("a").contype[0] & 1
+    assert "<hfield>" in folder.account.passed[PASSED["hfield"]]
+
+
+def test_names_are_found_from_the_file_that_includes_and_ends_of_a_package_s_path(tmp_path):
+    urdf = tmp_path / "bot_description" / "urdf" / "bot.urdf"
+    urdf.parent.mkdir(parents=True)
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "bot_description" / "foot.stl")
+    for path in (
+        "package://bot_description/foot.stl",
+        "package://ws/src/bot_description/foot.stl",
+        "file:///home/user/ws/bot_description/foot.stl",
+        "model://bot_description/foot.stl",
+        "$(find bot_description)/foot.stl",
+        "../foot.stl",
+    ):
+        mesh = f'<mesh filename="{path}"/>'
+        urdf.write_text(URDF.replace('<sphere radius="0.04"/>', mesh))
+        yaml = URDF_YAML.replace("robot.xml", "bot_description/urdf/bot.urdf")
+        assert "bot_description/foot.stl" in read_folder(tmp_path, yaml).files
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    (tmp_path / "robot.xml").write_text('<mujoco><include file="a/one.xml"/></mujoco>')
+    (tmp_path / "a" / "one.xml").write_text('<mujoco><include file="b/two.xml"/></mujoco>')
+    (tmp_path / "a" / "b" / "two.xml").write_text(MJCF.split("<asset>")[0] + "</mujoco>")
+    assert "a/b/two.xml" in read_folder(tmp_path, STAND_YAML).files

@@ -281,7 +281,6 @@ class _Draft:
             lines.append(f"{CHECK} joints without a range in the file: {shown}")
         return lines
 
-
     def _left_out(self) -> list[str]:
         """Return comments on what of the file is not simulated, or of no effect."""
         account = self.folder.account

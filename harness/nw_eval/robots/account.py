@@ -8,80 +8,52 @@ is refused. `derived` adds what the compiled motors have and a `RobotSpec` has n
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element
 
 _WINDOW = "settings of a window"
 _MEMORY = "how MuJoCo works, not what it computes"
-_OWN_SENSORS = "observations are computed from the state"
 _LOOKS = "robots are drawn in plain colours"
-_CONTROLLER = "for a controller of ROS"
-
-PASSED: dict[str, str] = {
-    **dict.fromkeys(("statistic", "mujoco:visual"), _WINDOW),
-    **dict.fromkeys(("size", "lengthrange"), _MEMORY),
-    **dict.fromkeys(("texture", "layer", "skin"), _LOOKS),
-    "custom": "data for other programs",
-    "light": "scenes have their own lights",
-    "hfield": "ground of the file, in place of which scenes have their own",
-    "mujoco:sensor": _OWN_SENSORS,
-    "robot:sensor": _OWN_SENSORS,
-    **dict.fromkeys(("transmission", "ros2_control", "self_filter"), _CONTROLLER),
-    **dict.fromkeys(("calibration", "verbose"), _CONTROLLER),
-    **dict.fromkeys(("model_state", "robot:plugin"), "data for other programs"),
-    "gazebo": "settings of Gazebo",
+_ELEMENTS: dict[str, str] = {
+    _WINDOW: "statistic mujoco:visual",
+    _MEMORY: "size",
+    "of muscles": "lengthrange",
+    _LOOKS: "texture layer skin",
+    "scenes have their own lights": "light",
+    "ground of the file, in place of which scenes have their own": "hfield",
+    "observations are computed from the state": "mujoco:sensor robot:sensor",
+    "for a controller of ROS": "transmission ros2_control self_filter calibration verbose",
+    "data for other programs": "custom model_state robot:plugin",
+    "settings of Gazebo": "gazebo",
 }
+PASSED = {word: why for why, words in _ELEMENTS.items() for word in words.split()}
 """Elements of no effect here: of MJCF, of URDF, or of other programs in a URDF."""
 
-PASSED_ATTRIBUTES: dict[str, str] = {
-    "user": "data for other programs",
-    **dict.fromkeys(
-        ("fusestatic", "discardvisual", "fuse"), "bodies and geoms stay as they are named"
-    ),
-    **dict.fromkeys(("texturedir", "texrepeat", "texuniform", "texcoord", "texture"), _LOOKS),
-    **dict.fromkeys(("emission", "metallic", "reflectance", "roughness", "shininess"), _LOOKS),
-    **dict.fromkeys(("specular", "castshadow", "normal", "smoothnormal"), _LOOKS),
-    **dict.fromkeys(("usethread", "conflict", "passthrough", "content_type"), _MEMORY),
-    **dict.fromkeys(("savecanonical", "savecompiled", "saveinertial", "simple"), _MEMORY),
-    "sleep": "bodies do not sleep",
-    **dict.fromkeys(("ipd", "output"), _WINDOW),
-    **dict.fromkeys(("nsample", "interp"), "of delays, which are said"),
-    "lengthrange": "of muscles",
+_ATTRIBUTES: dict[str, str] = {
+    "data for other programs": "user",
+    "bodies and geoms stay as they are named": "fusestatic discardvisual fuse",
+    _LOOKS: "texturedir texrepeat texuniform texcoord texture emission metallic reflectance "
+    "roughness shininess specular castshadow normal smoothnormal",
+    _MEMORY: "usethread conflict passthrough content_type savecanonical savecompiled saveinertial "
+    "simple",
+    "bodies do not sleep": "sleep",
+    _WINDOW: "ipd output",
+    "of delays, which are said": "nsample interp",
+    "of muscles": "lengthrange",
 }
+PASSED_ATTRIBUTES = {word: why for why, words in _ATTRIBUTES.items() for word in words.split()}
 """Attributes of no effect, which are taken off wherever they stand in an MJCF."""
 
-_URDF: dict[str, str] = {
-    "robot": "name",
-    "link": "name",
-    "inertial": "",
-    "mass": "value",
-    "inertia": "ixx ixy ixz iyy iyz izz",
-    "origin": "xyz rpy",
-    "visual": "name",
-    "collision": "name",
-    "geometry": "",
-    "box": "size",
-    "sphere": "radius",
-    "cylinder": "radius length",
-    "capsule": "radius length",
-    "mesh": "filename scale",
-    "material": "name",
-    "color": "rgba",
-    "joint": "name type",
-    "parent": "link",
-    "child": "link",
-    "axis": "xyz",
-    "limit": "lower upper effort",
-    "dynamics": "damping friction",
-    "mimic": "joint multiplier offset",
-    "mujoco": "",
-    "compiler": "*",
-    "option": "*",
-}
+_READ = """robot:name link:name inertial: mass:value inertia:ixx,ixy,ixz,iyy,iyz,izz origin:xyz,rpy
+    visual:name collision:name geometry: box:size sphere:radius cylinder:radius,length
+    capsule:radius,length mesh:filename,scale material:name color:rgba joint:name,type parent:link
+    child:link axis:xyz limit:lower,upper,effort dynamics:damping,friction
+    mimic:joint,multiplier,offset mujoco: compiler:* option:*"""
+_URDF = {tag: keys.split(",") for tag, _, keys in (each.partition(":") for each in _READ.split())}
 """What MuJoCo reads of a URDF: attributes by element."""
 SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh")
 
+_LENS = "focal focalpixel principal principalpixel resolution sensorsize projection"
 _LOST: dict[str, str] = {
     "limit velocity": "nothing limits the speed of a joint",
     "safety_controller": "no soft limits act before those of a joint",
@@ -89,8 +61,7 @@ _LOST: dict[str, str] = {
     "joint_properties": "write <dynamics damping=... friction=...>",
     "gazebo": "MuJoCo reads no friction and contacts of Gazebo; friction is 1",
     **dict.fromkeys(
-        [f"camera {key}" for key in "focal focalpixel principal principalpixel resolution".split()]
-        + ["camera sensorsize", "camera projection"],
+        (f"camera {key}" for key in _LENS.split()),
         "only its vertical field of view is taken; write `intrinsics` in robot.yaml",
     ),
     "camera mode": "a camera that follows something is none of the robot's",
@@ -108,9 +79,8 @@ OWN_OPTIONS: dict[str, str] = {
     "impratio": "1",
 }
 """With which all robots are simulated, so that their scores compare. The rest is MuJoCo's own."""
-_NO_OPTIONS = frozenset(
-    "magnetic jacobian sleep_tolerance sleep energy fwdinv sensor autoreset invdiscrete".split()
-)
+_IDLE = "magnetic jacobian sleep_tolerance sleep energy fwdinv sensor autoreset invdiscrete"
+_NO_OPTIONS = frozenset(_IDLE.split())
 
 
 @dataclass
@@ -170,7 +140,7 @@ class Account:
 
     def attributes(self, element: Element, root: str, line: int) -> None:
         """Account for the attributes of an element that is not left out."""
-        tag, read = element.tag, _URDF.get(element.tag, "").split()
+        tag, read = element.tag, _URDF.get(element.tag, [])
         for key in list(element.attrib):
             if root == "robot" and read != ["*"] and key not in read:
                 reason = _LOST.get(f"{tag} {key}")
@@ -219,5 +189,3 @@ def unexpanded(root: Element) -> str | None:
             if "${" in value or ("$(" in value and key != "filename"):
                 return f'{key}="{value[:60]}"'
     return None
-
-

@@ -205,8 +205,9 @@ class CompiledRobot:
         that say the same of it stay as they are. Else bit 0 stands for ground, and theirs follow.
         """
         spec, geoms = self.mjspec, _geoms(root)
-        floors = [(g.contype, g.conaffinity, g.parent.name) for g in ground]
-        floors = [each for each in floors if each[0] or each[1]] or [(1, 1, "world")]
+        floors = [
+            (g.contype, g.conaffinity, g.parent.name) for g in ground if g.contype or g.conaffinity
+        ] or [(1, 1, "world")]
         apart = {frozenset((each.bodyname1, each.bodyname2)) for each in spec.excludes}
         names, own = {g.name for g in ground if g.name}, {g.name for g in geoms if g.name}
         paired: set[str] = set()
@@ -235,20 +236,7 @@ class CompiledRobot:
             for geom in geoms
         ]
         self.masks = sorted({(g.contype, g.conaffinity) for g in geoms})
-        if any(bool((g.contype | g.conaffinity) & 1) != t for g, t in zip(geoms, touches, strict=True)):
-            bits = [b for b in range(32) if any((g.contype | g.conaffinity) >> b & 1 for g in geoms)]
-            for geom, touch in zip(geoms, touches, strict=True):
-                kind, affinity = (
-                    sum(1 << n + 1 for n, bit in enumerate(bits) if mask >> bit & 1)
-                    for mask in (geom.contype, geom.conaffinity)
-                )
-                geom.contype, geom.conaffinity = kind | touch, affinity
-        kinds = affinities = 0  # What no other geom has in its masks is only seen.
-        for geom in geoms:
-            kinds, affinities = kinds | geom.contype, affinities | geom.conaffinity
-        for geom, touch in zip(geoms, touches, strict=True):
-            if not (touch or geom.contype & affinities or kinds & geom.conaffinity):
-                geom.contype = geom.conaffinity = 0
+        _mask(geoms, touches)
 
     def _name(self) -> None:
         """Give all parts names, and let defaults of the file act on nothing that is added."""
@@ -340,10 +328,28 @@ class CompiledRobot:
         return RobotError([self.folder.file.problem(place, words, fix)])
 
 
-_NO_DEFAULT = frozenset(
-    "id name classname parent frame signature info compiler alt plugin".split()
-)
+_OWN = "id name classname parent frame signature info compiler alt plugin"
+_NO_DEFAULT = frozenset(_OWN.split())
 """Of a part of MuJoCo's editable model: what no class of defaults sets."""
+
+
+def _mask(geoms: Sequence[Any], touches: Sequence[bool]) -> None:
+    """Write masks of which bit 0 says what touches ground; none for what touches nothing."""
+    masks = [g.contype | g.conaffinity for g in geoms]
+    if [bool(mask & 1) for mask in masks] != [*touches]:
+        bits = [bit for bit in range(32) if any(mask >> bit & 1 for mask in masks)]
+        for geom, touch in zip(geoms, touches, strict=True):
+            kind, affinity = (
+                sum(2 << n for n, bit in enumerate(bits) if mask >> bit & 1)
+                for mask in (geom.contype, geom.conaffinity)
+            )
+            geom.contype, geom.conaffinity = kind | touch, affinity
+    kinds = affinities = 0
+    for geom in geoms:
+        kinds, affinities = kinds | geom.contype, affinities | geom.conaffinity
+    for geom, touch in zip(geoms, touches, strict=True):
+        if not (touch or geom.contype & affinities or kinds & geom.conaffinity):
+            geom.contype = geom.conaffinity = 0
 
 
 def _below(body: Any) -> list[Any]:

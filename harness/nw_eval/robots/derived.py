@@ -180,7 +180,8 @@ class _Motor:
 
     def beside(self, other: _Motor) -> _Motor:
         """Return what both do together on one joint."""
-        kps, kds = ([k for k in pair if k is not None] for pair in zip(_gains(self), _gains(other), strict=True))
+        kps = [motor.kp for motor in (self, other) if motor.kp is not None]
+        kds = [motor.kd for motor in (self, other) if motor.kd is not None]
         torques = (self.torque, other.torque)
         return _Motor(
             follows="velocity" if kds and not kps else "position",
@@ -190,10 +191,6 @@ class _Motor:
             armature=self.armature + other.armature,
             damping=self.damping + other.damping,
         )
-
-
-def _gains(motor: _Motor) -> tuple[float | None, float | None]:
-    return motor.kp, motor.kd
 
 
 @dataclass(frozen=True, kw_only=True)

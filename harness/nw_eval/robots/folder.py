@@ -45,11 +45,10 @@ MESHES, MESH_BYTES, MESHES_BYTES = 500, 2**26, 2**28
 FACES, ALL_FACES = 200_000, 1_000_000
 """What a folder may hold: of the model file, of one mesh, of all of them."""
 
-_KNOWN = frozenset(
-    """mujoco compiler default asset mesh material worldbody body frame inertial joint freejoint
+_MJCF = """mujoco compiler default asset mesh material worldbody body frame inertial joint freejoint
     geom site camera contact pair exclude equality connect weld tendon fixed spatial pulley actuator
-    general motor position velocity intvelocity damper cylinder pid dcmotor""".split()
-)
+    general motor position velocity intvelocity damper cylinder pid dcmotor"""
+KNOWN = frozenset(_MJCF.split())
 """Of an MJCF; what a URDF may have, `account` says."""
 _READ = frozenset({".stl", ".obj"})
 _FARTHEST = 1e5  # of a mesh's numbers, before its scale
@@ -524,7 +523,7 @@ class _Reader:
             if is_out or (kind == "robot" and not self._is_drawable(child)):
                 parent.remove(child)
                 continue
-            if kind == "mujoco" and child.tag not in _KNOWN:
+            if kind == "mujoco" and child.tag not in KNOWN:
                 raise self.fault(
                     f"<{child.tag}> is not among the elements that a robot may have",
                     "write what it stands for into the file, or remove it",
