@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 from nw_eval.errors import RobotError
+from nw_eval.onboarding.robot_draft import draft_robot
 from nw_eval.robots.account import PASSED, Account
 from nw_eval.robots.derived import spec_of
 from nw_eval.robots.folder import KNOWN, read_folder
@@ -655,3 +656,17 @@ def test_names_are_found_from_the_file_that_includes_and_ends_of_a_package_s_pat
     (tmp_path / "a" / "one.xml").write_text('<mujoco><include file="b/two.xml"/></mujoco>')
     (tmp_path / "a" / "b" / "two.xml").write_text("<mujoco><compiler/></mujoco>")
     assert "a/b/two.xml" in read_folder(tmp_path, STAND_YAML).files
+
+
+def test_a_draft_tells_the_fault_of_the_folder_in_which_most_was_found(tmp_path):
+    model = tmp_path / "bot" / "mjcf" / "robot.xml"
+    model.parent.mkdir(parents=True)
+    (tmp_path / "bot" / "meshes").mkdir()
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "bot" / "meshes" / "m.stl")
+    model.write_text(
+        "<mujoco><compiler meshdir='../meshes'/><asset><mesh name='m' file='m.stl'/></asset>"
+        "<worldbody><body name='b'><joint type='ball'/><geom type='mesh' mesh='m'/></body>"
+        "</worldbody></mujoco>"
+    )
+    with pytest.raises(RobotError, match="its top body 'b' has joints that are not free"):
+        draft_robot(model)
