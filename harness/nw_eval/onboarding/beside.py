@@ -361,12 +361,12 @@ def _doubt(name: str, values: Sequence[float], action: str, robot: RobotSpec) ->
 _LOOKS: tuple[tuple[str, str], ...] = (
     (r"LF_HAA", "ANYmal"),
     (r"fl[._]hx", "Boston Dynamics' Spot"),
-    (r"FR_foot|FR_wheel", "a quadruped on wheels, such as Go2-W or B2-W"),
+    (r"(?=.*RL_).*(FR_foot|FR_wheel)", "a quadruped on wheels, such as Go2-W or B2-W"),
     (r"FL_HipX", "Lite3 of DeepRobotics"),
-    (r"waist_yaw|waist_roll", "Unitree's G1"),
+    (r"waist_yaw|waist_roll", "a humanoid, such as Unitree's G1"),
     (r"left_ankle_(pitch|roll)", "a humanoid, such as Unitree's G1 or H1-2"),
     (r"left_hip_yaw", "a biped, such as Unitree's H1"),
-    (r"FR_hip", "a quadruped of Unitree: A1, Go1, Go2, B2"),
+    (r"(?=.*RL_).*FR_hip", "a quadruped of Unitree: A1, Go1, Go2, B2"),
 )
 """By a name among the joints, whose they are."""
 

@@ -741,8 +741,18 @@ def test_a_checkpoint_with_the_joints_of_a_humanoid_is_refused(card_of):
     with pytest.raises(PolicyError, match=r"go2, which has 12 joints: .* about 29 joints"):
         card_of(45, {"params/deploy.yaml": humanoid})
     names = {"joint_names": "left_hip_pitch_joint,waist_yaw_joint"}
-    with pytest.raises(PolicyError, match=r"names 2 joints.*looks like Unitree's G1"):
+    with pytest.raises(
+        PolicyError, match=r"names 2 joints.*looks like a humanoid, such as Unitree's G1"
+    ):
         card_of(45, {}, metadata=names)
+    # A name of one leg alone is no quadruped's.
+    for joints, is_one in (
+        ("FR_hip_joint,FL_hip_joint", False),
+        ("FR_hip_joint,RL_hip_joint", True),
+    ):
+        with pytest.raises(PolicyError) as caught:
+            card_of(45, {}, metadata={"joint_names": joints})
+        assert ("a quadruped of Unitree" in str(caught.value)) == is_one
 
 
 LAUGHS = "a: &a [x, x]\n" + "\n".join(
