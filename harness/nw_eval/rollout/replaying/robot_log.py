@@ -23,7 +23,6 @@ from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.catalogue import get_scene
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError, nearest
-from nw_eval.files.inside import regular
 from nw_eval.plural import plural
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.mcap.reader import DAMAGE, CompressionError, foreign
@@ -158,7 +157,7 @@ def log_file(path: Path) -> Path:
     try:
         if not stat.S_ISREG(path.stat().st_mode):  # A pipe may never end.
             raise StoreError(f"{path} is not a file", fix="name an MCAP file")
-        with regular(path).open("rb") as stream:
+        with path.open("rb") as stream:
             start = stream.read(64)
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}", fix="check the path") from None
@@ -215,7 +214,7 @@ def read_robot_log(path: Path, *, robot: str, topics: Mapping[str, str]) -> Robo
 def _kinds(path: Path) -> tuple[dict[str, str], dict[str, str]]:
     """Return the kind of message of each topic that can be read, and why others cannot."""
     kinds, others = dict[str, str](), dict[str, str]()
-    with regular(path).open("rb") as stream:
+    with path.open("rb") as stream:
         for each in foreign(stream):
             kind, reason = kind_of(each), unreadable(each)
             if kinds.setdefault(each.topic, kind) != kind:
@@ -308,7 +307,7 @@ def _read(path: Path, robot: RobotSpec, chosen: Mapping[str, str]) -> dict[str, 
     by_topic = {topic: source for source, topic in chosen.items()}
     found: dict[str, _Source] = {}
     orders: dict[Any, Any] = {}
-    with regular(path).open("rb") as stream:
+    with path.open("rb") as stream:
         for each in foreign(stream):
             if (source := by_topic.get(each.topic)) is None:
                 continue
