@@ -79,7 +79,7 @@ def bent(rng, points, poses):
     return moved(points), poses
 
 
-def edges(rng, outdoor):
+def edges(rng):
     """Return edges (E, 2, 3): upright ones, those of furniture and of a slant, and any."""
     found = []
     for _ in range(int(rng.choice([0, 5, 20, 40]))):  # Houses, doors and windows.
@@ -122,5 +122,5 @@ def place(seed, folder):
     found = capture(points, poses, T, files=names, size=(320, 240))
     if rng.random() < 0.5:
         return found, None, T
-    drawn(folder, found, edges(rng, outdoor) @ T[:3, :3].T + T[:3, 3])
+    drawn(folder, found, edges(rng) @ T[:3, :3].T + T[:3, 3])
     return found, folder, T

@@ -470,12 +470,17 @@ def test_of_two_builds_on_one_folder_the_second_is_told_at_once_who_holds_it(tmp
     )
     assert first.stdout.readline() == b"held\n"
     before = sorted(scene.rglob("*"))
-    for verb in (["build", str(tmp_path / "in"), "--out"], ["calibrate", str(tmp_path / "in"), "--out"]):
+    for verb in (
+        ["build", str(tmp_path / "in"), "--out"],
+        ["calibrate", str(tmp_path / "in"), "--out"],
+    ):
         with pytest.raises(SystemExit) as left:
             cli.main(["twin", *verb, str(scene)])
         printed = capsys.readouterr()
         assert left.value.code == 2
-        assert f"{scene} is being built by process {first.pid}; wait for it or stop it" in printed.err
+        assert (
+            f"{scene} is being built by process {first.pid}; wait for it or stop it" in printed.err
+        )
         assert printed.out == ""
     assert sorted(scene.rglob("*")) == before
     first.kill()  # Whoever dies lets go.

@@ -100,9 +100,9 @@ def find_scale(
     positions: PositionFit | None,
     say: Callable[[str], None],
 ) -> ScaleAnswer:
-    """Return the scale by the source that is known best: tags, lengths, a height, poses, positions.
+    """Return the scale by the source that is known best: tags, lengths, height, poses, positions.
 
-    Where two contradict each other by more than both claim, and no third one decides, there is none.
+    Where two contradict each other by more than both claim, and no third decides, there is none.
 
     Args:
         capture: with its pictures in `folder`.
@@ -328,9 +328,7 @@ def _by_poses(
     reason = (
         f"{plural(len(options.positions), 'shot')}, off by {off:.3g} m; scale known to {sigma:.1%}"
     )
-    answers.append(
-        _ScaleBy(name="positions", scale=positions.scale, sigma=sigma, reason=reason)
-    )
+    answers.append(_ScaleBy(name="positions", scale=positions.scale, sigma=sigma, reason=reason))
     if sigma > _USELESS:
         warnings.append(
             f"{known} {off:.2g} m, so they know the scale to {sigma:.0%} only, which is none: the "
@@ -484,7 +482,9 @@ def align(
             f"up by {cue.name}: {cue.degrees:.2f} degrees from the chosen one, uncertain by "
             f"{cue.uncertain:.1f}; {cue.reason}"
         )
-    say(f"up is known to {gravity.uncertain:.1f} degrees, nine times out of ten")
+    others = {cue.name for cue in gravity.cues} - {"horizon", "mesh"}
+    alone = f": by the cameras and the {min(others)} alone" if len(others) == 1 else ""
+    say(f"up is known to {gravity.uncertain:.1f} degrees, nine times out of ten{alone}")
     scale = find_scale(
         capture,
         capture_folder,

@@ -1,7 +1,7 @@
 """Planes in a cloud of points: drawn, voted for, taken one after another, and fitted.
 
-And the cameras' horizon, of the way that cameras are held: people tilt them up and down, hardly ever
-sideways.
+And the cameras' horizon, of the way that cameras are held: people tilt them up and down, hardly
+ever sideways.
 """
 
 from __future__ import annotations

@@ -188,6 +188,11 @@ def _geodetic(path: Path) -> Vector | None:
         with warnings.catch_warnings(), open_picture(path) as image:
             warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
             gps = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
+        if gps.get(ExifTags.GPS.GPSStatus) == "V":  # Void: the last place that was known.
+            return None
+        datum = str(gps.get(ExifTags.GPS.GPSMapDatum, "WGS-84"))
+        if "84" not in datum and "JGD" not in datum.upper():  # Others lie up to 500 m off.
+            return None
         latitude = _degrees(gps[ExifTags.GPS.GPSLatitude])
         longitude = _degrees(gps[ExifTags.GPS.GPSLongitude])
         if gps.get(ExifTags.GPS.GPSLatitudeRef) == "S":

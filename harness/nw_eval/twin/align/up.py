@@ -34,6 +34,8 @@ _ONE_PLANE = math.radians(2.0)
 _CONE, _NEAR = math.radians(60.0), math.radians(8.0)
 _BLUR = math.radians(0.9)
 """Distance of the directions that are tried in the wide cone: cues are as broad there at least."""
+_EXACT = 1e-7
+"""Radians to which the best direction is sought."""
 _HELD = 0.9
 """Of the posterior, within the radius that is stated."""
 
@@ -89,9 +91,11 @@ def solve_up(
     far = _density(wide, horizon, *evidence, known, _BLUR)
     seeds = np.array([wide[int(np.argmax(far))], *(cue.up for cue in known)])
     best = seeds[int(np.argmax(_density(seeds, horizon, *evidence, known, 0.0)))]
-    for radius, count in ((0.25 * _NEAR, 800), (0.02 * _NEAR, 400), (0.002 * _NEAR, 200)):
+    radius, count = 0.25 * _NEAR, 800
+    while radius > _EXACT:
         tried = np.vstack([best[None], _around(best, horizon.aside, radius, count)])
         best = tried[int(np.argmax(_density(tried, horizon, *evidence, known, 0.0)))]
+        radius, count = 0.15 * radius, 80
     near = _around(best, horizon.aside, _NEAR, 4000)
     close = _density(near, horizon, *evidence, known, 0.0)
     beyond = wide @ best < math.cos(_NEAR)
