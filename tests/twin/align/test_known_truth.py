@@ -53,9 +53,9 @@ def test_edges_of_few_photographs_that_lean_do_not_outweigh_the_mesh(tmp_path):
     )
     found = capture(points, poses, T, files=[f"{i}.png" for i in range(6)], size=(640, 480))
     lean = np.array([np.sin(np.radians(15)), 0.0, np.cos(np.radians(15))]) * 1.5
-    feet = rng.uniform((1.5, 0.5, 0.1), (9, 4.5, 0.3), (40, 3))
-    middles = rng.uniform((1, 0, 0), (8, 5, 2), (60, 3))
-    ways = rng.normal(0, 0.8, (60, 3))
+    feet = rng.uniform((1.5, 0.5, 0.1), (9, 4.5, 0.3), (25, 3))
+    middles = rng.uniform((1, 0, 0), (8, 5, 2), (110, 3))
+    ways = rng.normal(0, 0.8, (110, 3))
     lines = np.concatenate(
         [np.stack([feet, feet + lean], 1), np.stack([middles, middles + ways], 1)]
     )

@@ -30,9 +30,10 @@ from nw_eval.twin.align.alignment import (
     check_inside,
     words_of,
 )
-from nw_eval.twin.align.gravity import KnownUp, Mesh, find_gravity
+from nw_eval.twin.align.gravity import Mesh, find_gravity
 from nw_eval.twin.align.positions import PositionFit, fit_positions
 from nw_eval.twin.align.tags import PlacedTag, find_tags, place_tags, triangulate
+from nw_eval.twin.align.up import KnownUp
 from nw_eval.twin.capture import Capture, PlacedShot
 from nw_eval.twin.place import moved_mesh
 from nw_eval.words import UpAxis
@@ -551,7 +552,8 @@ def _known(options: AlignOptions, positions: PositionFit | None) -> list[KnownUp
     known: list[KnownUp] = []
     if options.up is not None:
         reason = f"{options.up} is up, as their source says"
-        known.append(KnownUp(name="poses", up=_axis(options.up), sigma=_SOURCE, reason=reason))
+        up = _axis(options.up)
+        known.append(KnownUp(name="poses", up=up, sigma=_SOURCE, right=0.98, reason=reason))
     if positions is not None and options.positions_up is not None:
         up = positions.rotation.T @ _axis(options.positions_up)
         if positions.turned <= _MOST_TURNED:

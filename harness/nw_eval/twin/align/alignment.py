@@ -264,7 +264,7 @@ class Alignment:
         gravity: each cue's answer.
         scales: each cue's answer, the chosen one first; none is used where nothing gives a scale,
             or where they contradict each other.
-        floor_share: of the sparse points, which lies on the floor.
+        floor_share: of the points, those on the mesh with them, which lies on the floor.
         warnings: what somebody should look at.
         up_uncertain: angle within which up lies nine times out of ten, degrees; None in a file that
             does not say.

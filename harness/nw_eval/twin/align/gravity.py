@@ -38,7 +38,7 @@ from nw_eval.twin.align.planes import (
     upright_form,
     upwards,
 )
-from nw_eval.twin.align.up import DirectionCue, solve_up
+from nw_eval.twin.align.up import KnownUp, solve_up
 from nw_eval.twin.capture import Capture, PlacedShot, read_picture
 
 _SHOTS = 60
@@ -67,8 +67,8 @@ places, 0.14 were once 15 degrees off. And how far off so few are where they are
 
 def upright_edges(
     capture: Capture, folder: Path, like: Values, rng: np.random.Generator
-) -> tuple[KnownUp, float] | None:
-    """Return up by the upright edges in a capture's pictures, and how likely they are upright.
+) -> KnownUp | None:
+    """Return up by the upright edges in a capture's pictures.
 
     Args:
         capture: whose pictures lie in `folder`.
@@ -124,8 +124,8 @@ def upright_edges(
         f"{share:.0%} of the length of all edges"
     )
     sigma = math.hypot(_LEAN, noise, _FEW * min(1.0, _HALF_RIGHT / share))
-    one = KnownUp(name="edges", up=up, sigma=sigma, reason=reason)
-    return one, 0.95 * share / (share + _HALF_RIGHT)
+    right = 0.95 * share / (share + _HALF_RIGHT)
+    return KnownUp(name="edges", up=up, sigma=sigma, right=right, reason=reason)
 
 
 def _edges(shot: PlacedShot, folder: Path) -> tuple[Values, Values]:
@@ -161,8 +161,6 @@ _TOLERANCE = 0.01
 """How far off a plane a point may be, of the distance from which it was photographed."""
 _SAMPLES = 4000
 """Points on a mesh in which planes are looked for."""
-_RIGHT = {"poses": 0.98}
-"""Probability that a source's up is right; of others it is 0.9."""
 _LEAST_POINTS = 12
 _SURE = 5.0
 """Degrees: up that is known worse is worth a word."""
@@ -185,30 +183,13 @@ _LOWEST = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownUp:
-    """Up as a source of poses has it.
-
-    Attributes:
-        name: of its cue.
-        up: (3,) unit vector in the capture's frame.
-        sigma: its standard deviation, radians.
-        reason: for people.
-    """
-
-    name: str
-    up: Values
-    sigma: float
-    reason: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class GravityAnswer:
     """Up and the floor.
 
     Attributes:
         up: (3,) unit vector in the capture's frame.
         floor: height of the floor along it below the first camera, in the capture's unit.
-        floor_share: of the points, which lies on it.
+        floor_share: of the points, those on the mesh with them, which lies on it.
         has_floor: whether a level plane was found there; else it is as high as the lowest points.
         heights: (V,) of the cameras above the floor, along `up`, in the capture's unit.
         lower: share of the cameras' median height by which the lowest points lie below the floor.
@@ -267,20 +248,14 @@ def find_gravity(
         planes += find_planes(sampled, tolerance, rng)
         cloud = np.concatenate([points, sampled])
     doubts = [doubt(one, cloud, centres, level.up, 3.0 * tolerance) for one in planes]
-    sources = [
-        DirectionCue(up=one.up, sigma=one.sigma, right=_RIGHT.get(one.name, 0.9)) for one in known
-    ]
-    found = solve_up(level, planes, doubts, sources)
-    extra: list[KnownUp] = []
+    found = solve_up(level, planes, doubts, known)
     edges = None if folder is None else upright_edges(capture, folder, found.up, rng)
     if edges is not None:
-        one, right = edges
-        extra.append(one)
-        sources.append(DirectionCue(up=one.up, sigma=one.sigma, right=right))
-        found = solve_up(level, planes, doubts, sources)
+        known = [*known, edges]
+        found = solve_up(level, planes, doubts, known)
     up = found.up
     steep = max(AGREES, min(1.5 * math.radians(found.uncertain), _STEEPEST))
-    if edges is not None and edges[0].up @ up > _SAME_UP:
+    if edges is not None and edges.up @ up > _SAME_UP:
         steep = _SLOPE
     near = math.cos(steep)
     flat = [upwards(plane, up) for plane in planes if abs(plane.normal @ up) > near]
@@ -313,7 +288,7 @@ def find_gravity(
         floor_share=floor.share,
         has_floor=plane is not None,
         uncertain=found.uncertain,
-        cues=(cues := _cues(up, level, walls, floor, by_mesh, [*extra, *known])),
+        cues=(cues := _cues(up, level, walls, floor, by_mesh, known)),
         warnings=_warnings(level, floor, found.uncertain, cues),
     )
 

@@ -26,6 +26,8 @@ _NU = 3.0
 """Degrees of freedom of Student's t, for all cues."""
 _BUILT, _NATURAL, _WALL, _OTHER = 0.22, 0.10, 0.38, 0.30
 """Shares of planes that are level, that slope as ground does, that are upright, and others."""
+_RAISED = 0.35
+"""Of planes with a floor below, the share that is as level as floors: tables, and not sofas."""
 _SLOPES = math.radians(3.0)
 _LARGE = 0.05
 """Share of the points from which on a plane is one whole piece of evidence."""
@@ -41,18 +43,22 @@ _HELD = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
-class DirectionCue:
-    """A cue that names a direction for up.
+class KnownUp:
+    """A cue that names a direction for up: upright edges, or a source of poses.
 
     Attributes:
+        name: of its cue.
         up: (3,) unit vector in the capture's frame.
         sigma: its standard deviation where it is right, radians.
         right: probability that it is.
+        reason: for people.
     """
 
+    name: str
     up: Values
     sigma: float
-    right: float
+    right: float = 0.9
+    reason: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +78,7 @@ def solve_up(
     horizon: Horizon,
     planes: Sequence[FittedPlane],
     doubts: Sequence[float],
-    known: Sequence[DirectionCue] = (),
+    known: Sequence[KnownUp] = (),
 ) -> Up:
     """Return up by the cameras, by planes, and by cues that name a direction.
 
@@ -133,7 +139,7 @@ def _density(
     horizon: Horizon,
     planes: Sequence[FittedPlane],
     doubts: Sequence[float],
-    known: Sequence[DirectionCue],
+    known: Sequence[KnownUp],
     blur: float,
 ) -> Values:
     """Return the log of the posterior, up to a constant, at directions (N, 3)."""
@@ -155,7 +161,7 @@ def _density(
 
 def _plane(cosine: Values, plane: FittedPlane, doubt: float, shared: float) -> Values:
     """Return the log density of a plane's normal, on half a sphere, at cosines (N,) from up."""
-    floor = math.exp(-doubt)
+    floor = _RAISED + (1.0 - _RAISED) * math.exp(-doubt)
     level = math.hypot(shared, LEVEL, plane.sigma)
     natural = math.hypot(shared, _SLOPES, plane.sigma)
     wall = math.hypot(shared, UPRIGHT, plane.sigma)
