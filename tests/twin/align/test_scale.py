@@ -296,7 +296,7 @@ def test_two_sources_that_contradict_each_other_give_no_scale_and_a_third_decide
     assert alignment.scale_uncertain is None
     (said,) = [line for line in alignment.warnings if "contradict" in line]
     assert said.startswith("the scale is not known")
-    assert "poses says 1 m a unit, known to 3%; camera height says 0.2 m a unit" in said
+    assert "poses says 1 m a unit, known to 3%; camera height says 0.202 m a unit, known to 10%" in said
     length = KnownLength(first=(1.0, 1.0, 0.0), second=(4.0, 5.0, 0.0), metres=5.05)
     decided = align(capture(points, poses), None, options=replace(wrong, lengths=(length,)))
     assert decided.is_to_scale
@@ -332,7 +332,7 @@ def test_a_ledge_is_no_floor_from_which_a_camera_height_gives_a_scale(share):
 def test_nine_of_ten_scales_by_positions_are_as_near_as_they_claim():
     rng = np.random.default_rng(12)
     within = []
-    for _ in range(400):
+    for _ in range(80):
         count, span = int(rng.integers(3, 30)), rng.uniform(20, 200)
         centres = rng.normal(0, span / 3, (count, 3)) * (1, rng.choice([0.05, 1]), 0.05)
         drift = rng.normal(0, 5.0, 3) / np.sqrt(3) * (centres[:, :1] / span)  # Of GPS on a walk.
