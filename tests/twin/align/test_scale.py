@@ -296,7 +296,10 @@ def test_two_sources_that_contradict_each_other_give_no_scale_and_a_third_decide
     assert alignment.scale_uncertain is None
     (said,) = [line for line in alignment.warnings if "contradict" in line]
     assert said.startswith("the scale is not known")
-    assert "poses says 1 m a unit, known to 3%; camera height says 0.202 m a unit, known to 10%" in said
+    assert (
+        "poses says 1 m a unit, known to 3%; camera height says 0.202 m a unit, known to 10%"
+        in said
+    )
     length = KnownLength(first=(1.0, 1.0, 0.0), second=(4.0, 5.0, 0.0), metres=5.05)
     decided = align(capture(points, poses), None, options=replace(wrong, lengths=(length,)))
     assert decided.is_to_scale

@@ -156,7 +156,7 @@ def _best(answers: list[_ScaleBy], warnings: list[str]) -> _ScaleBy | None:
     if not against:
         return best
     which = "; ".join(map(str, [best, *against]))
-    if votes(best) > 0:
+    if votes(best) >= 0:  # Two against one, itself counted.
         warnings.append(f"sources of the scale contradict each other: {which}. The first is used")
         return best
     warnings.append(

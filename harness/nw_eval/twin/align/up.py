@@ -195,7 +195,7 @@ def _around(up: Values, aside: Values, radius: float, count: int) -> Values:
     place = np.arange(count) + 0.5
     cosine = 1.0 - (1.0 - math.cos(radius)) * place / count
     turn = math.pi * (1.0 + math.sqrt(5.0)) * place
-    sine = np.sqrt(1.0 - cosine**2)
+    sine = np.sqrt(1.0 - np.square(cosine))
     return (
         cosine[:, None] * up
         + (sine * np.cos(turn))[:, None] * first
