@@ -501,7 +501,9 @@ def align(
         say=say,
     )
     for cue in scale.cues:
-        used = "used" if cue.used else f"{cue.difference:+.1%}"
+        used = "used" if cue.used else "not used"
+        if scale.cues[0].used and not cue.used:
+            used = f"{cue.difference:+.1%}"
         say(f"scale by {cue.name}: {cue.scale:.5g} m, {used}; {cue.reason}")
     if scale.uncertain is not None:
         say(f"the scale is known to {scale.uncertain:.1%}, nine times out of ten")
