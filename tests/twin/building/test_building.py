@@ -379,9 +379,10 @@ def test_a_length_scales_a_place_that_is_built_and_no_other_stage_runs_again(tmp
     # The two pixels were 24 of 64 apart, on ground that the picture shows 30 - 18 pixels down.
     camera = read_capture(room / "build" / "capture").shots[0].camera
     units = 24 / camera.fx * (1.5 * camera.fx / 12.5)
-    assert load_folder(room).T_world_splat[:3, :3] == pytest.approx(
-        6.0 / units * np.eye(3), abs=1e-6
-    )
+    found = load_folder(room).T_world_splat[:3, :3]
+    assert np.diag(found) == pytest.approx(6.0 / units, abs=1e-6)
+    # How cameras are pitched moves up by less than 0.01 degrees beside a floor.
+    assert found == pytest.approx(6.0 / units * np.eye(3), abs=5e-4)
     build.folder.needs("splat")
 
 

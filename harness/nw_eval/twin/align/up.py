@@ -176,13 +176,14 @@ def _plane(cosine: Values, plane: FittedPlane, doubt: float, shared: float) -> V
 
 def _along(angle: Values, sigma: float) -> Values:
     """Return the density, Student's, of a direction at angles from another; per sr."""
-    return (1.0 + (angle / sigma) ** 2 / _NU) ** (-(_NU + 2.0) / 2.0) / (2.0 * math.pi * sigma**2)
+    tail = np.power(1.0 + np.square(angle / sigma) / _NU, -(_NU + 2.0) / 2.0)
+    return tail / (2.0 * math.pi * sigma**2)
 
 
 def _across(angle: Values, sigma: float) -> Values:
     """Return the density, Student's, of an axis at angles from the plane across another; per sr."""
     norm = 2.0 / (math.pi * math.sqrt(_NU)) / (math.pi * sigma)
-    return norm * (1.0 + (angle / sigma) ** 2 / _NU) ** (-(_NU + 1.0) / 2.0)
+    return norm * np.power(1.0 + np.square(angle / sigma) / _NU, -(_NU + 1.0) / 2.0)
 
 
 def _around(up: Values, aside: Values, radius: float, count: int) -> Values:
@@ -194,7 +195,7 @@ def _around(up: Values, aside: Values, radius: float, count: int) -> Values:
     second = np.cross(up, first)
     place = np.arange(count) + 0.5
     cosine = 1.0 - (1.0 - math.cos(radius)) * place / count
-    turn = math.pi * (1.0 + math.sqrt(5.0)) * place
+    turn: Values = math.pi * (1.0 + math.sqrt(5.0)) * place
     sine = np.sqrt(1.0 - np.square(cosine))
     return (
         cosine[:, None] * up
