@@ -195,10 +195,11 @@ def _around(up: Values, aside: Values, radius: float, count: int) -> Values:
     second = np.cross(up, first)
     place = np.arange(count) + 0.5
     cosine = 1.0 - (1.0 - math.cos(radius)) * place / count
-    turn: Values = math.pi * (1.0 + math.sqrt(5.0)) * place
+    turn = math.pi * (1.0 + math.sqrt(5.0)) * place
     sine = np.sqrt(1.0 - np.square(cosine))
-    return (
+    found = (
         cosine[:, None] * up
         + (sine * np.cos(turn))[:, None] * first
         + (sine * np.sin(turn))[:, None] * second
     )
+    return np.asarray(found, dtype=np.float64)
