@@ -147,20 +147,29 @@ class Build:
         # A robot that is not there, or that no suite can be written for, is said before slow work.
         get_robot(self._robot())
         check_has_policy(self._robot())
-        self.calibrate(photographs)
-        self.reconstruct()
-        self.align()
-        self.splat()
-        self.place()
-        return self.check()
+        self._check_paths(photographs)
+        with self.folder.held():
+            self.calibrate(photographs)
+            self.reconstruct()
+            self.align()
+            self.splat()
+            self.place()
+            return self.check()
 
-    def calibrate(self, photographs: Path) -> None:
-        """Find where each photograph was taken from; see `nw_eval.twin.calibrate`."""
-        options = self._settings.calibrate
+    def _check_paths(self, photographs: Path) -> None:
         for place in (self.folder.scene, self.folder.capture / "pictures"):
             check_place(place)
         if not photographs.exists():
             raise UsageError(f"there is nothing at {photographs}", fix="check the path")
+
+    def calibrate(self, photographs: Path) -> None:
+        """Find where each photograph was taken from; see `nw_eval.twin.calibrate`."""
+        self._check_paths(photographs)
+        with self.folder.held():
+            self._calibrate(photographs)
+
+    def _calibrate(self, photographs: Path) -> None:
+        options = self._settings.calibrate
         if not self.folder.carry_out(
             "calibrate",
             [facts_of(options), digest_of_files(photographs)],
