@@ -44,6 +44,7 @@ def parts() -> Mapping[str, Callable[[], str]]:
         "columns": columns,
         "topics": topics,
         "scores": scores,
+        "system calls": system_calls,
         "functions": lambda: api_of(functions=True),
         "values": lambda: api_of(functions=False),
         "changelog": changelog,
@@ -261,6 +262,28 @@ def topics() -> str:
     from nw_eval.rollout.mcap.topics import topics_table
 
     return topics_table()
+
+
+def system_calls() -> str:
+    """Return the system calls that the fence allows, and what arguments some may have."""
+    from nw_eval.confinement import seccomp
+
+    groups = {
+        **seccomp.ALLOWED,
+        "processes that write files": seccomp.WRITING,
+        "processes with sockets": seccomp.SERVING,
+        "processes that connect to a server": seccomp.CONNECTING,
+    }
+    needs = [(group, _names(text)) for group, text in groups.items()]
+    checked = [
+        (f"`{call}`", _names(" ".join(places.values()))) for call, places in seccomp.CHECKED.items()
+    ]
+    heads = ("call", "values of its arguments that are allowed")
+    return "\n\n".join((_table(("first needed by", "calls"), needs), _table(heads, checked)))
+
+
+def _names(text: str) -> str:
+    return ", ".join(dict.fromkeys(f"`{word.split('/')[0]}`" for word in text.split()))
 
 
 def scores() -> str:

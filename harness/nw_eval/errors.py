@@ -25,6 +25,7 @@ and texts of untrusted files are made harmless here, once, whoever prints the er
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -206,3 +207,13 @@ def nearest(name: str, known: Iterable[str]) -> str:
         return "none are known"
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return f"known: {', '.join(names[:_LISTED])}{more}"
+
+
+def is_interrupt(error: BaseException) -> bool:
+    """Whether an exception is the user's Ctrl-C, which must end more than a trial.
+
+    Workers ignore Ctrl-C (`engine.worker.start`), so a KeyboardInterrupt in one of them is of the
+    policy.
+    """
+    hears = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+    return hears and isinstance(error, KeyboardInterrupt)

@@ -96,6 +96,26 @@ def test_five_policies_are_compared_over_the_scenes_that_they_met(banks, tmp_pat
     assert figures["pearson"].perfect.mean < 1.0
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        HEADING.replace(",", ";") + "p0;hurdles/a;20;0,75\np4;hurdles/b;20;0.6\n",
+        HEADING.replace(",", "\t") + "p0\thurdles/a\t20\t0.75\np4\thurdles/b\t20\t0.6\n",
+        HEADING.title() + "p0,hurdles/a,20.0,75%\np4,hurdles/b,20.0,60 %\n",
+        "," + HEADING + "0,p0,hurdles/a,20,0.75\n,,,,\n1,p4,hurdles/b,20,0.6\n\n",
+    ],
+    ids=["semicolons", "tabs", "percent", "an index"],
+)
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_csv_of_a_spreadsheet_is_read(banks, tmp_path, text, encoding):
+    real = tmp_path / "real.csv"
+    real.write_text(text, encoding=encoding)
+    found = nw_eval.sim2real(real, banks)
+    assert {each.policy: each.value for each in found.gaps} == pytest.approx(
+        {"p0": 0.0 - 0.75, "p4": 0.9 - 0.6}
+    )
+
+
 def test_two_policies_give_gaps_and_no_correlation(banks, tmp_path, capsys):
     real = csv(tmp_path, HEADING + "p0,hurdles/a,20,0.75\np4,hurdles/b,20,0.6\n")
     with pytest.raises(SystemExit) as left:
@@ -135,6 +155,10 @@ def test_the_terminal_has_the_figures_beside_a_perfect_simulators(banks, tmp_pat
         (HEADING + "walker,hurdles/a,10,1\n", r"policy 'walker' may be .*p0.* or .*p1"),
         (HEADING + "p0,hurdles/c,10,1\n", r"p0\.parquet has no result in scene 'hurdles/c'; did"),
         (HEADING + 'p0,"hurdles/a,10,1\n', "is no CSV"),
+        (HEADING + "p0,hurdles/a,10,0,8\n", r"csv has more cells in line 2 than in its heading"),
+        (HEADING + "p0,hurdles/a,10.5,0.8\n", r"trials '10\.5' is no whole number"),
+        (HEADING.replace(",", ";") + "p0;hurdles/a;1.000;0,8\n", r"trials '1\.000' is no whole"),
+        ("policy,scene,trials,success,Success\n", "has success twice"),
     ],
 )
 def test_a_csv_that_cannot_be_used_is_named_with_its_line(banks, tmp_path, text, message):

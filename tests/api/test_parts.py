@@ -142,3 +142,11 @@ def test_parts_of_smoke_by_the_command_line_merge_to_smoke(tmp_path, monkeypatch
     assert "RAN" in capsys.readouterr().out
     digests = {read_run_info(Path(name, "run.json")).rows_digest for name in ("whole", "merged")}
     assert len(digests) == 1
+
+
+def test_the_one_part_of_a_run_is_judged_as_the_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("tiny.yaml").write_text(SUITE)
+    only = run("only", "1/1")
+    assert (only.verdict.verdict, only.exit_code) == ("REGRESSED", 1)
+    assert api.merge(["only"], out="merged").verdict == only.verdict

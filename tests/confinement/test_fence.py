@@ -48,6 +48,7 @@ def test_a_confined_process_reads_and_writes_its_own_places_and_no_other(functio
         "signal itself": "None",
         "start a thread": "None",
     }
+    assert came.pop("change them by name") == "OSError"  # ENOSYS: as on a kernel that has no such.
     assert came == dict.fromkeys(came, REFUSED)
     assert (places["outside"] / "file").read_text() == "secret"
     assert [path.name for path in places["outside"].iterdir()] == ["file"]
@@ -189,7 +190,7 @@ if "seccomp" in sys.argv:
 install([*steps, Instruction(leave, 0x7FFF0000)])
 here = os.dup(1)
 said = str(confine(Rules()))
-os.write(here, f"{said}|{os.access(__file__, os.R_OK)}".encode())
+os.write(here, f"{said}|{os.path.exists(__file__)}".encode())
 try:
     open(__file__).read()
     os.write(here, b"|read")

@@ -16,6 +16,7 @@ from tyro.extras import get_parser
 import nw_eval
 from nw_eval import api
 from nw_eval.cli.verbs import _config, forms
+from nw_eval.confinement import seccomp
 from nw_eval.files.yaml_file import json_schema_of
 from nw_eval.results.parquet import SCHEMA
 from nw_eval.robots.folder import RobotFile
@@ -202,3 +203,11 @@ def test_the_site_builds_without_a_warning_and_fetches_nothing(tmp_path: Path) -
         loaded = re.findall(r"<(?:script|img|iframe|source)\b[^>]*\bsrc=\"(.*?)\"", text)
         loaded += re.findall(r"<link\b[^>]*rel=\"(?:stylesheet|icon|preconnect)\"[^>]*>", text)
         assert not [each for each in loaded if re.search(r"(?:https?:)?//", each)], page
+
+
+def test_every_system_call_that_the_fence_allows_stands_in_the_table() -> None:
+    told = generate.system_calls()
+    texts = (*seccomp.ALLOWED.values(), seccomp.WRITING, seccomp.SERVING, seccomp.CONNECTING)
+    names = [name for text in texts for name, _ in seccomp.named(text)]
+    assert len(names) > 100
+    assert all(f"`{name}`" in told for name in (*names, "FIONBIO", "F_GETFL", "AF_INET6"))

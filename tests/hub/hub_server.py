@@ -13,6 +13,7 @@ import json
 import re
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
@@ -73,6 +74,8 @@ class Hub:
         """What comes byte by byte and does not end: `headers`, `json` or `files`."""
         self.says_commit: str | None = None
         """Of which commit it says that files are."""
+        self.raw: dict[str, list[bytes]] = {}
+        """Bytes that are sent in place of answers, by a part of the path, one each time."""
         self.knows_ranges = True
         self.is_gone = False
         self.page = 1000
@@ -135,6 +138,10 @@ class _Handler(BaseHTTPRequestHandler):
         self.hub.calls.append(
             Call(self.origin, self.command, url.path, self.headers.get("Range"), self.token)
         )
+        for part, answers in self.hub.raw.items():
+            if part in url.path and answers:
+                self._raw(answers.pop(0))
+                return
         try:
             self._route(url.path)()
         except ConnectionError:  # The client has gone.
@@ -142,6 +149,12 @@ class _Handler(BaseHTTPRequestHandler):
         except _Refusal as refusal:
             headers = {"X-Error-Code": refusal.code, "X-Error-Message": refusal.message}
             self._send(refusal.status, b"{}", {k: v for k, v in headers.items() if v})
+
+    def _raw(self, answer: bytes) -> None:
+        self.close_connection = True
+        with suppress(ConnectionError):
+            self.wfile.write(answer)
+            self.wfile.flush()
 
     def _route(self, path: str) -> Callable[[], None]:
         if self.hub.status is not None:

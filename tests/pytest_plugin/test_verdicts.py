@@ -308,3 +308,31 @@ def test_results_of_earlier_runs_are_taken_over_unless_it_is_told_not_to(
     suite(gate="")
     run("tiny.yaml", *arguments).assert_outcomes(passed=1, skipped=1)
     assert asked_for == [cache]
+
+
+RERUNS = """\
+import pytest
+from _pytest.runner import runtestprotocol
+
+
+def pytest_runtest_protocol(item, nextitem):
+    for _ in range(2):  # As pytest-rerunfailures does: the first failure is logged as a rerun.
+        for report in runtestprotocol(item, nextitem=nextitem, log=False):
+            if report.failed and _ == 0:
+                report.outcome = "rerun"
+            item.ihook.pytest_runtest_logreport(report=report)
+    return True
+"""
+
+
+def test_a_plugin_that_runs_failures_again_does_not_run_a_suite_again(suite, run, pytester):
+    suite(scenes=[FLAT], trials=4)
+    pytester.makeconftest(RERUNS)
+    pytester.makepyfile("def test_own(): assert 0")
+    run("tiny.yaml", "test_a_plugin_that_runs_failures_again_does_not_run_a_suite_again.py",
+        "--junitxml", "out.xml")  # fmt: skip
+    cases = [
+        (case.get("name"), case.find("failure") is None)
+        for case in ET.parse(pytester.path / "out.xml").iter("testcase")
+    ]
+    assert cases == [(FLAT, False), ("verdict", False), ("test_own", True), ("test_own", False)]

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,7 +67,7 @@ def test_columns_are_those_that_arrow_makes_of_the_same_values(
         ),
     ]
     for count in (0, 1, 3):
-        plain = [to_dict(row) for row in rows[:count]]
+        plain = [{**to_dict(row), "seed": str(row.seed)} for row in rows[:count]]
         for field in SCHEMA:
             values = [row[field.name] for row in plain]
             array = array_of(values, field.type)
@@ -263,3 +265,30 @@ def test_any_row_comes_back_equal(
     (back,) = read_rows(tmp_path / "t.parquet")[0]
     assert back == row
     assert back.digest == row.digest
+
+
+def test_a_seed_of_64_bits_comes_whole_through_sqlite(
+    make_row: Callable[..., Row], tmp_path: Path
+) -> None:
+    row = make_row(seed=2**64 - 1)
+    write_rows(tmp_path / "rows.parquet", [row], {})
+    table = pq.read_table(tmp_path / "rows.parquet", columns=["trial_id", "seed"])
+    with closing(sqlite3.connect(":memory:")) as database:
+        table.to_pandas().to_sql("rows", database)
+        assert database.execute("select seed from rows").fetchall() == [(str(2**64 - 1),)]
+    assert table.column("seed").to_pylist() == [str(row.seed)]
+    assert read_rows(tmp_path / "rows.parquet")[0] == [row]
+
+
+def test_a_file_of_before_that_has_the_seed_as_a_number_is_read(
+    make_row: Callable[..., Row], tmp_path: Path
+) -> None:
+    path, row = tmp_path / "rows.parquet", make_row(seed=2**64 - 1)
+    write_rows(path, [row], {"rows_digest": rows_digest([row])})
+    table = pq.read_table(path)
+    place = table.schema.get_field_index("seed")
+    older = table.set_column(place, "seed", table.column("seed").cast(pa.uint64()))
+    write_as_another_version(path, older)
+    assert read_rows(path)[0] == [row]
+    # And an older reader, which casts to its own schema, reads ours.
+    assert table.column("seed").cast(pa.uint64()).to_pylist() == [row.seed]

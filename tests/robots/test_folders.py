@@ -372,7 +372,7 @@ def test_what_robot_yaml_says_wrongly_is_told_with_its_place(tmp_path, line, sai
         ("<light", '<include file="./hopper.xml"/><light', "'hopper.xml' is read already; inc"),
         ("<asset>", '<extension><plugin plugin="x"/></extension><asset>', "<extension> is not"),
         ("<asset>", '<asset><model name="m" file="m.xml"/>', "<model> is not among the elements"),
-        ("<asset>", '<asset><hfield name="h" file="h.png"/>', "<hfield> is not among"),
+        ('<geom name="hull"', '<geom type="hfield" hfield="h"/><geom name="hull"', "height field"),
         ("shell.stl", "../../shell.stl", "leaves the folder"),
         ("shell.stl", "/etc/passwd", "leaves the folder"),
         ("shell.stl", "gone.stl", "hopper.xml:12:1: mesh 'shapes/gone.stl' is not in"),

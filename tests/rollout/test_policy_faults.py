@@ -14,7 +14,9 @@ from nw_eval.rollout.job import TrialJob, TrialResult, policy_fault
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.record import verdict_metadata
 from nw_eval.rollout.trial import run_trial
+from nw_eval.scores.own import OwnScore, own_text
 from nw_eval.suite.trials import Trial
+from nw_eval.tasks.course import Course
 from nw_eval.testing import FakePolicy, GlidingWorld
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[3] / "shared" / "assets"))
@@ -222,3 +224,38 @@ def test_a_walking_policy_that_runs_away_under_a_carpet_fails_in_the_same_step_e
         two.action_digest,
         two.error_text,
     )
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "raise KeyboardInterrupt",
+        "raise SystemExit(3)",
+        "raise GeneratorExit",
+        "raise BaseException('odd')",
+        "raise __import__('asyncio').CancelledError",
+        "raise __import__('nw_eval.errors').errors.CodeError('mine')",
+        "raise __import__('nw_eval.rollout.fault').rollout.fault.PolicyFailedError('its')",
+    ],
+)
+@pytest.mark.parametrize("place", ["def odd(torques):\n    {}\n", "{}\ndef odd(torques): pass\n"])
+def test_whatever_a_score_raises_is_no_failure_of_the_policy(run_faked, tmp_path, line, place):
+    (tmp_path / "odd.py").write_text(place.format(line))
+    own = OwnScore(python="odd.py:odd", better="lower", range=(0.0, 1.0))
+    heard = signal.signal(signal.SIGINT, signal.SIG_IGN)  # As in a worker.
+    try:
+        result = run_faked(
+            FakePolicy(), duration=0.1, scores=(own_text(own, tmp_path),), allow_code=True
+        )
+    finally:
+        signal.signal(signal.SIGINT, heard)
+    assert (result.status, result.error_type, policy_fault(result)) == ("error", "crashed", None)
+
+
+def test_whatever_a_task_raises_is_no_failure_of_the_policy(run_faked, monkeypatch):
+    for method in ("reset", "update", "end", "scores"):
+        with monkeypatch.context() as patch:
+            patch.setattr(Course, method, lambda *_: throw(OddError("odd")))
+            result = run_faked(FakePolicy(), duration=0.1)
+        assert (result.error_type, policy_fault(result)) == ("crashed", None), method
+        assert "a score, task or perturbation raised OddError: odd" in result.error_text

@@ -81,19 +81,19 @@ STEPS, SUBSTEPS, T = 100, 4, 0.02
 
 
 class Walk:
-    """What a robot logs for two seconds: numbers that have no meaning, and are known."""
+    """What a robot logs for two seconds: numbers that are known, and do not contradict others."""
 
     def __init__(self):
         rng = np.random.Generator(np.random.PCG64(3))
         shape = (STEPS * SUBSTEPS, 12)
         middle = np.array(GO1.default_pose)
-        self.angles = middle + rng.normal(0.0, 0.2, shape)
         self.speeds = rng.normal(0.0, 5.0, shape)
+        self.angles = middle + np.cumsum(self.speeds, axis=0) * T / SUBSTEPS
         self.torques = rng.normal(0.0, 8.0, shape)
         self.targets = middle + rng.normal(0.0, 0.2, (STEPS, 12))
-        self.places = np.cumsum(rng.normal(0.01, 0.005, (STEPS, 2)), axis=0)
         self.rolls = rng.normal(0.0, 0.1, STEPS)
         self.forward = rng.normal(0.5, 0.1, STEPS)
+        self.places = np.stack([np.cumsum(self.forward * T), np.zeros(STEPS)], axis=1)
         self.turning = rng.normal(0.0, 0.1, STEPS)
 
     def write(self, path, *, efforts=True, odometry=True, order=tuple(range(12)), slow=1):
@@ -279,7 +279,7 @@ def cli_exit(arguments, code=0):
     [
         ({}, "does not say which robot it is of"),
         ({"robot": "nobodys"}, "unknown robot"),
-        ({"robot": "go1", "topics": ["joints=/nothing"]}, "has no topic '/nothing'"),
+        ({"robot": "go1", "topics": ["joints=/nothing"]}, "topic '/nothing' is not there"),
         ({"robot": "go1", "topics": ["joints=/odom"]}, "not joints"),
         ({"robot": "go1", "topics": ["feet=/odom"]}, "--topic feet="),
         ({"robot": "go1", "topics": ["/odom"]}, "--topic /odom"),

@@ -336,3 +336,63 @@ def test_a_file_that_is_not_there_is_named_before_anything_runs(written, tmp_pat
     (tmp_path / "smooth.py").unlink()
     with pytest.raises(UsageError, match=r"cannot read .*smooth\.py of score 'jerk'"):
         nw_eval.plan(nw_eval.Request(suite=str(suite), allow_code=True))
+
+
+@pytest.mark.parametrize("outcome", ["fell", "collided", "policy_failed"])
+def test_a_trial_that_is_cut_short_keeps_no_reading_and_no_score_that_grows(outcome):
+    end = TrialEnd(outcome=outcome, seconds=0.36, success=0.0)
+    calm = {"torques": np.zeros((18, 4, 3)), "joint_rates": np.zeros((18, 4, 3))}
+    for expected in (
+        {"reading": "torque", "at_most": 60.0},
+        {"score": "mean_power", "at_most": 100.0},
+    ):
+        score = opened(**expected)
+        score.update(Stretch(FIGURES, **calm))
+        assert score.value(END) == 1.0
+        assert score.value(end) == 0.0
+    far = opened(score="distance_before_fall", at_least=2.0)
+    far.update(Stretch(FIGURES, position=np.array([[0.0, 0, 0], [3.0, 0, 0]])))
+    assert far.value(end) == 1.0, "it went so far before it fell"
+
+
+def test_a_reading_that_is_not_a_number_keeps_no_bound_and_one_that_was_not_taken_is_undefined():
+    for value in (np.nan, np.inf, -np.inf):
+        score = opened(reading="torque", at_most=60.0)
+        score.update(Stretch(FIGURES, torques=np.full((2, 4, 3), value)))
+        assert score.value(END) == 0.0
+    assert opened(reading="torque", at_most=60.0).value(END) is None
+
+
+@pytest.mark.parametrize(
+    ("ends", "said"),
+    [
+        ((-1.7e308, 1.7e308), "is wider than 1e\\+300"),
+        ((0.0, 1.7e308), "is wider than 1e\\+300"),
+        ((0.0, 5e-324), "is narrower than 1e-300"),
+        ((float("-inf"), 0.0), "finite number"),
+        ((0.0, float("nan")), "finite number"),
+        ((0.0, -0.0), "is empty"),
+    ],
+)
+def test_a_range_that_is_no_number_wide_is_refused(ends, said):
+    with pytest.raises(ValidationError, match=said):
+        new_suite({**SUITE, "scores": ({**OWN, "range": ends},)})
+    with pytest.raises(ValidationError, match=said):
+        ScoreSpec(
+            name="x", unit="", better="lower", low=ends[0], high=ends[1], undefined=0, meaning=""
+        )
+
+
+@pytest.mark.parametrize(
+    "gate",
+    [{"bar": 1e-300}, {"bar": 0.0}, {"bar": 2e5}, {"bar": 1.0, "range": (0.0, 2e-323)}],
+)
+def test_a_bar_that_is_one_with_an_end_of_the_range_is_refused(gate):
+    with pytest.raises(ValidationError, match=r"too near to one|narrower"):
+        new_suite({**SUITE, "scores": (OWN,), "gate": {"scores": {"jerk": gate}}})
+
+
+def test_what_is_not_a_number_counts_as_undefined():
+    spec = OwnScore.model_validate({**OWN, "undefined": 1e5}).spec
+    for value in (None, float("nan"), float("inf"), float("-inf")):
+        assert spec.counted(value) == 1e5

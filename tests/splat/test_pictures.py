@@ -35,7 +35,7 @@ def test_a_description_counts_what_is_there():
     assert (told.bounds[0][0], told.bounds[1][0]) == (-3, 7)
     assert told.bulk[0][0] == pytest.approx(-2.9, abs=0.01)
     text = splat_page(told)
-    assert "1,000 (900 visible, 1 not finite)" in text
+    assert "1,000 (900 visible, 1 cannot be drawn)" in text
     assert "0.5-0.6        900 ####" in text
 
 

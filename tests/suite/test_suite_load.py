@@ -140,7 +140,7 @@ def test_a_duplicate_key_and_a_tag_hide_no_other_problem(tmp_path: Path) -> None
         ("name: a b", "2:1", "got 'a b'"),
         ("name: ../x", "2:1", "got '../x'"),
         ("gate: {confidence: 95}", "8:8", "got 95"),
-        ("gate: {success_rate: 1.0}", "8:8", "less than 1"),
+        ("gate: {success_rate: 1.0}", "8:8", "less than or equal"),
         ("gate: {success_rate: .nan}", "8:8", "finite"),
         ("gate: 0.9", "8:1", "should be a mapping, got 0.9"),
         ("episode: {duration: 0}", "8:11", "greater than 0"),

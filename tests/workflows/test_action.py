@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -252,3 +253,25 @@ def test_the_action_installs_its_own_commit(composite: Any, tmp_path: Path) -> N
     assert action.codes["Install nw-eval of the action's own commit"] == 0, action.log
     assert outputs["verdict"] == "RAN", action.log
     assert (own / "nw-eval").is_file()
+
+
+@pytest.mark.parametrize(
+    ("event", "cache", "is_taken"),
+    [
+        ("pull_request", "true", False),
+        ("pull_request_target", "true", False),
+        ("pull_request", "all", True),
+        ("push", "true", True),
+    ],
+)
+def test_no_result_that_a_pull_request_can_write_feeds_its_gate(
+    composite: Any, tmp_path: Path, event: str, cache: str, is_taken: bool
+) -> None:
+    (tmp_path / "workspace" / "nw-eval").write_text('#!/bin/sh\necho "$@" > told\n')
+    (tmp_path / "workspace" / "nw-eval").chmod(0o755)
+    action = composite("nw-eval", {"suite": "it", "cache": cache}, GITHUB_EVENT_NAME=event)
+    action.environment["PATH"] = f"{tmp_path / 'workspace'}:{os.environ['PATH']}"
+    action.run(leave_out="Install")
+    told = (tmp_path / "workspace" / "told").read_text().split()
+    assert ("--no-cache" not in told) is is_taken
+    assert any(step["uses"] == "actions/cache" for step in action.used)

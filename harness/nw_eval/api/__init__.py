@@ -6,6 +6,10 @@ sensors, policies, rollout, engine) and the one that reads them (results, stats,
 
 from __future__ import annotations
 
+import importlib
+import os
+import sys
+
 from nw_eval.api.attribution import AttributedTrial, Attribution, AttributionPlan, attribute
 from nw_eval.api.baselines import (
     CheckedBaseline,
@@ -84,6 +88,22 @@ from nw_eval.api.trial_plans import BarPlan, ShardPlan, TrialPlan, plan_shards, 
 from nw_eval.api.verifying import VerifiedRun, verify
 from nw_eval.api.watching import WatchedCheckpoint, WatchedTraining, watch
 from nw_eval.request import Request
+
+
+def _see_to_mujoco() -> None:
+    """Import MuJoCo without OpenGL, of which nothing here has need, where it cannot be with it."""
+    name = os.environ.get("MUJOCO_GL", "disable")
+    if name == "disable" or "mujoco" in sys.modules:
+        return
+    try:
+        importlib.import_module("mujoco")
+    except Exception:  # noqa: BLE001 - of PyOpenGL, where a library of the system is missing.
+        os.environ["MUJOCO_GL"] = "disable"
+        importlib.import_module("mujoco")
+        os.environ["MUJOCO_GL"] = name
+
+
+_see_to_mujoco()
 
 __all__ = [
     "ActingPolicy",

@@ -33,6 +33,20 @@ def record_verdict(judged: RunReport, ledger: str | Path) -> Path:
     return Path(ledger)
 
 
+def check_ledger(ledger: str | Path) -> None:
+    """Check before a run that its verdict can be added to a ledger; nothing is written.
+
+    Args:
+        ledger: the file.
+
+    Raises:
+        UsageError: it cannot be written, or is damaged.
+    """
+    from nw_eval.gate import ledger as ledgers
+
+    ledgers.check_ledger(Path(ledger))
+
+
 def read_ledger(file: str | Path, *, head: str | None = None) -> LedgerReport:
     """Reckon up a ledger: gates a year, false alarms, re-rolls, and the best of many.
 

@@ -311,6 +311,6 @@ def serve_policy(
         specs = check_card(bundle.card, where=bundle.card_path, code_from=code_from)
         shapes = {spec.name: spec.shape for spec in specs}
         if confined and not allow_code:
-            fence_in_server(bundle)
+            fence_in_server(bundle, port=port)
         with serving(bundle, host=host, port=port, allow_code=allow_code, shapes=shapes) as address:
             yield ServedPolicy(name=bundle.name, digest=bundle.digest, url=address.url)

@@ -121,7 +121,7 @@ def log_scores(
     A robot's log, MCAP or the MCAP file of a ROS 2 bag, gives the scores that its topics allow.
 
     Args:
-        log: the MCAP file.
+        log: the MCAP file, or the folder of a bag with one.
         scores: their names; empty = all, the task's own among them.
         robot: whose log it is; of a run's, the log says it.
         topics: of a robot's log: `joints=NAME`, `targets=NAME`, `pose=NAME`, `command=NAME`, in
@@ -145,9 +145,9 @@ def log_scores(
                 f"--topic {each} has another form", fix="write it as joints=/joint_states"
             )
         chosen[source] = name
-    return scores_of_log(
-        _found(log), names=scores, robot=robot, topics=chosen, allow_code=allow_code
-    )
+    if not log.is_dir():  # The folder of a ROS 2 bag
+        log = _found(log)
+    return scores_of_log(log, names=scores, robot=robot, topics=chosen, allow_code=allow_code)
 
 
 def foxglove_layout(log: Path, out: Path | None = None) -> dict[str, Any]:

@@ -168,7 +168,7 @@ def roll_out(
             cache=cache,
             all_rounds=all_rounds,
         )
-    elif plan.shard is None and plan.request.baseline != "none":
+    elif (plan.shard is None or plan.shard.count == 1) and plan.request.baseline != "none":
         name = plan.suite.name if plan.request.suite is None else str(plan.request.suite)
         policy = plan.bundle.name if plan.request.policy is None else plan.request.policy
         if why := unjudged(plan.suite.gate, name, policy):
@@ -200,7 +200,7 @@ def _ahead(plan: Plan) -> Iterator[str]:
     from nw_eval.robots import find_robot
     from nw_eval.rollout.perturbed import unfelt
 
-    if plan.shard is not None:
+    if plan.shard is not None and plan.shard.count > 1:
         yield _part(plan, plan.shard)
     for note in find_robot(plan.suite.robot).notes:
         yield f"robot {plan.suite.robot.partition('@')[0]}: {note}"

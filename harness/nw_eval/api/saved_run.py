@@ -256,7 +256,7 @@ def check_whole(info: RunInfo) -> RunInfo:
     Raises:
         UsageError: it is of a part of a run.
     """
-    if info.shard is not None:
+    if info.is_part:
         raise UsageError(
             f"run {info.id} is {info.shard}, which is not the whole run",
             fix="put all parts together with `nw-eval merge RUN... --out FOLDER`",
@@ -281,8 +281,8 @@ def read_rows(run: str | Path) -> pd.DataFrame:
 
     Returns:
         A column for each field of `Row`, sorted by trial. `trial_id` and the start that it names
-        are the same for every policy of a suite. `success` is missing where a trial ended in an
-        error, which says nothing about the policy.
+        are the same for every policy of a suite. `seed` is text, as in the file.
+        `success` is missing where a trial ended in an error, which says nothing about the policy.
 
     Raises:
         UsageError: it is no run's folder.
@@ -297,4 +297,5 @@ def read_rows(run: str | Path) -> pd.DataFrame:
     folder = open_run_folder(Path(run))
     found = saved_rows(folder, read_run_info(folder.run_json))
     rows = sorted(found, key=lambda row: row.trial_id)
-    return pd.DataFrame([to_dict(row) for row in rows], columns=list(Row.__dataclass_fields__))
+    values = [{**to_dict(row), "seed": str(row.seed)} for row in rows]
+    return pd.DataFrame(values, columns=list(Row.__dataclass_fields__))

@@ -247,7 +247,7 @@ def write_site(
         except Exception as error:  # noqa: BLE001 - One run costs no other run its page.
             left_out.append(f"{clean(each.name)}: {fault_of(error)}")
             continue
-        if run.info.shard is not None:
+        if run.info.is_part:
             left_out.append(f"{each.name}: a part of a run; join the parts with `nw-eval merge`")
         elif run.info.finished is None:
             left_out.append(f"{each.name}: the run has not ended; --resume it")

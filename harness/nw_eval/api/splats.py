@@ -25,6 +25,10 @@ class WrittenSplat:
     file: Path
     gaussians: int
     bytes: int
+    left_out: int = 0
+    """Gaussians that cannot be drawn."""
+    notes: tuple[str, ...] = ()
+    """What of the source was not read."""
 
 
 def splat_info(source: str | Path) -> SplatFigures:
@@ -49,11 +53,18 @@ def splat_convert(source: str | Path, out: Path) -> WrittenSplat:
         SceneError: they cannot be read, or do not fit the new format.
         UsageError: a format that cannot be written.
     """
-    from nw_eval.splat.files import write_splat
+    from nw_eval.splat.files import left_out, write_splat
 
     gaussians = _gaussians(source)
     size = write_splat(out, gaussians)
-    return WrittenSplat(file=out, gaussians=len(gaussians), bytes=size)
+    left = left_out(out, gaussians)
+    return WrittenSplat(
+        file=out,
+        gaussians=len(gaussians) - left,
+        bytes=size,
+        left_out=left,
+        notes=gaussians.notes,
+    )
 
 
 def splat_render(

@@ -13,6 +13,7 @@ from nw_eval.api.renamed import keywords_were
 from nw_eval.api.reports import judge
 from nw_eval.api.runs import roll_out
 from nw_eval.errors import StoreError, UsageError
+from nw_eval.files.cache import made_place
 from nw_eval.request import Request
 from nw_eval.rollout.confined.start import prepare
 
@@ -154,7 +155,7 @@ def _folder(out: Path | None, suite: str) -> Path:
         if out is not None:
             if out.is_dir() and any(out.iterdir()):
                 raise UsageError(f"{out} is not empty", fix="give a new folder with --out")
-            out.mkdir(parents=True, exist_ok=True)
+            made_place(out)
             return out
         name = re.sub(r"[^A-Za-z0-9_.-]+", "-", suite)
         for number in range(1, _MOST_FOLDERS):

@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from nw_eval.api.renamed import keywords_were
 from nw_eval.errors import IncomparableError, PolicyError, StoreError, UsageError
+from nw_eval.files.cache import made_place
+from nw_eval.files.inside import regular
 
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
@@ -314,12 +316,8 @@ class _Watch:
                     fix="choose another --out",
                 )
             self._state = earlier
-        try:
-            (self.folder / "checkpoints").mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StoreError(
-                f"cannot make {self.folder}: {error.strerror}", fix="choose another --out"
-            ) from error
+        made_place(self.folder)
+        made_place(self.folder / "checkpoints")
 
     def chosen(self, found: Sequence[_Found], every: int) -> list[_Found]:
         """Return each n-th step's files, in order of their steps."""
@@ -378,7 +376,7 @@ class _Watch:
         from nw_eval.files.cache import atomic_path
 
         try:
-            content = found.path.read_bytes()
+            content = regular(found.path).read_bytes()
         except OSError as error:
             raise StoreError(f"cannot read {found.path}: {error.strerror}") from error
         digest = hashlib.sha256(content).hexdigest()
@@ -533,7 +531,7 @@ def _obstacles(request: Request) -> tuple[str, ...]:
 
 
 def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
+    with regular(path).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 

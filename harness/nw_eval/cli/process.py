@@ -88,8 +88,9 @@ def run_process(*, description: str) -> NoReturn:
     """Run the verb that the process was started with, and end the process with its exit code."""
     # A verb ends with its process: rows and tables make many objects, and hardly a cycle of them.
     gc.set_threshold(100_000, 50, 100)
-    # MuJoCo would start a program to look for OpenGL when it is imported, which Ctrl-C would reach.
-    os.environ.setdefault("MUJOCO_GL", "disable")
+    # Nothing here needs OpenGL. MuJoCo would start a program to look for it when it is imported,
+    # which Ctrl-C would reach, and fails to be imported where the variable names what is not there.
+    os.environ["MUJOCO_GL"] = "disable"
     streams = Streams()
     threading.excepthook = _thread_failed
     sys.unraisablehook = _not_raised

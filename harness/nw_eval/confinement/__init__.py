@@ -2,7 +2,8 @@
 
 fence.py        what a process may do, its memory and time; `confine` makes it so; Landlock and
                 seccomp together, what libraries read on their own, what it came to
-seccomp.py      which system calls are refused, and their numbers
+seccomp.py      which system calls are allowed, for whom, and their numbers
+rights.py       what is given up first: capabilities, threads without end
 kernel.py       calls that Python has no function for
 family.py       parents, children and the terminal; what children inherit
 fork_server.py  children that need not import anything

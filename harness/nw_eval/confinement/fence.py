@@ -25,6 +25,7 @@ from pathlib import Path
 
 from nw_eval.confinement import kernel, seccomp
 from nw_eval.confinement.family import die_with_parent, leave_terminal
+from nw_eval.confinement.rights import give_up
 from nw_eval.confinement.seccomp import Network
 from nw_eval.words import Kernels
 
@@ -38,7 +39,9 @@ _SYSTEM = (
     "/etc/ld.so.cache",
     "/etc/localtime",
     "/etc/nsswitch.conf",
-    "/proc/self",
+    # Not all of /proc/self, which has mounts, the network and descriptors.
+    *(f"/proc/self/{name}" for name in ("auxv", "cgroup", "cmdline", "maps", "stat", "statm")),
+    "/proc/self/status",
     "/proc/cpuinfo",
     "/proc/meminfo",
     "/proc/stat",
@@ -62,8 +65,8 @@ _NETWORK = (
     "/run/systemd/resolve",
 )
 
-DEVICES = tuple(Path(name) for name in ("/dev/null", "/dev/zero"))
-"""Which may be written, too."""
+DEVICES = (Path(os.devnull),)
+"""Which may be written, too. Shared memory of /dev/zero would be counted nowhere."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +112,12 @@ def raise_fence(*, reads: tuple[Path, ...], writes: tuple[Path, ...], network: N
         known = restrict(reads=allowed, writes=(*writes, *DEVICES), network=network)
     except OSError:
         known = 0
-    fence = Fence(landlock=known, seccomp=seccomp.refuse(network=network), network=network)
+    refused = seccomp.restrict_calls(
+        network=network,
+        writes=bool(writes),
+        opens_to_write=bool(writes) or known >= _KNOWS_TRUNCATE,
+    )
+    fence = Fence(landlock=known, seccomp=refused, network=network)
     if threading.current_thread() is threading.main_thread():
         global _stands  # noqa: PLW0603 - a process has one fence.
         _stands = bool(fence.landlock) and fence.seccomp
@@ -176,6 +184,8 @@ _SCENE = 2**28
 """Bytes that a scene may take, with its rays and its physics."""
 _SCENES = 32
 """Scenes that a process keeps at once."""
+_RESERVED = 2**38
+"""Bytes of address space that libraries may reserve; tables take a 512th of them at most."""
 _COPIES = 8
 """Copies of a file that its reader may have at once: bytes, members, tensors, a graph's own."""
 
@@ -212,6 +222,8 @@ def confine(rules: Rules, *, output: int | None = None) -> Fence:
         What the kernel did of it.
     """
     leave_terminal(output)
+    if not rules.off:
+        give_up()
     die_with_parent(has_children=bool(rules.off))
     if rules.off:
         limit(memory=None, seconds=None)
@@ -234,11 +246,12 @@ def limit(*, memory: int | None, seconds: int | None) -> None:
     """Limit this process: no core dumps, so much memory of its own, so much processor time.
 
     Memory is what only this process has: heap, stacks, private maps. Address space would be the
-    wrong measure, libraries reserve gigabytes of it.
+    wrong measure, libraries reserve gigabytes of it; without end it takes memory for its tables.
     """
     _set(resource.RLIMIT_CORE, 0, 0)
     if memory is not None:
         _set(resource.RLIMIT_DATA, memory, memory)
+        _set(resource.RLIMIT_AS, memory + _RESERVED, memory + _RESERVED)
     if seconds is not None:
         # SIGXCPU at the first limit says what happened; SIGKILL at the second would not.
         _set(resource.RLIMIT_CPU, seconds, seconds + 1)
@@ -275,7 +288,8 @@ _WRITE_FILE, _READ_FILE, _READ_DIR = 1 << 1, 1 << 2, 1 << 3
 _REMOVE_DIR, _REMOVE_FILE, _MAKE_DIR, _MAKE_REG = 1 << 4, 1 << 5, 1 << 7, 1 << 8
 _REFER, _TRUNCATE = 1 << 13, 1 << 14  # A link or a rename between folders; cutting a file short.
 _FIRST = (1 << 13) - 1
-_SINCE = {2: _REFER, 3: _TRUNCATE, 5: 1 << 15}  # 5: ioctl of devices.
+_KNOWS_TRUNCATE = 3
+_SINCE = {2: _REFER, _KNOWS_TRUNCATE: _TRUNCATE, 5: 1 << 15}  # 5: ioctl of devices.
 _BIND, _CONNECT = 1 << 0, 1 << 1  # of TCP, since 4
 _TCP: dict[Network, int] = {"none": _BIND | _CONNECT, "server": _CONNECT, "all": 0}
 _UNIX, _SIGNALS = 1 << 0, 1 << 1  # Unix sockets without a path; signals: to others, since 6

@@ -1,8 +1,8 @@
 """Worker processes on this machine: each trial in one of them, each fault in one trial.
 
-A worker that dies costs its trial (`crashed`), one that does not come back within the trial's time
-limit is killed (`hung`), and both are replaced. They come from `rollout.confined.start`: nothing is
-inherited from the parent but one thread for each library.
+A worker that dies costs its trial (`crashed`), one that hangs, or does not come back within the
+trial's time limit, is killed (`hung`), and both are replaced. They come from
+`rollout.confined.start`: nothing is inherited from the parent but one thread for each library.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
 
 from nw_eval.engine import worker
-from nw_eval.engine.machine import WorkerOutput, can_be_listed
+from nw_eval.engine.machine import WorkerOutput, can_be_listed, restrained
 from nw_eval.engine.order import next_place
 from nw_eval.engine.prepare import needs_splats
 from nw_eval.engine.worker import UnstartedError, WorkerProcess, WorkerStart
@@ -88,9 +88,9 @@ class LocalProcesses:
         draws = any(needs_splats(bundle.card, each.record) for each in jobs) and not rules.off
         kernels = kernels_of(job.robot, bundle.card, job.rendering.projection) if draws else ()
         self._start = WorkerStart(
-            rules=rules,
+            rules=restrained(rules, memory_limit),
             renders=kernels,
-            policy=policy,
+            policy=restrained(policy, memory_limit),
             awaits_splats=builders is not None and builders.on_demand,
         )
         self._builders = builders

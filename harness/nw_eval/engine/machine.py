@@ -1,10 +1,10 @@
 """What the engine asks of the machine and of the terminal.
 
 How many trials run at a time, and which kind of processor results come from: numerical libraries
-choose their kernels by it. What a process started, as Linux tells it: proc(5), `children` of its
-threads and `stat`. How much memory a worker and its children hold, and who ends first where there
-is none left. What workers print: never on the console, the beginning of it in a file of the run
-folder. Ctrl-C and SIGTERM: the first asks for an orderly stop, the second ends at once.
+choose their kernels by it. What is left of a session that has ended. How much memory a worker and
+its children hold, and who ends first where there is none left. What workers print: never on the
+console, the beginning of it in a file of the run folder. Ctrl-C and SIGTERM: the first asks for an
+orderly stop, the second ends at once.
 
 Resident memory is what a machine runs out of. Pages that several processes share, such as libraries
 and the map of a splat, count in parts: each process has its share of them (PSS), and the shares of
@@ -21,6 +21,7 @@ import resource
 import signal
 import threading
 from contextlib import suppress
+from dataclasses import replace
 from hashlib import sha256
 from multiprocessing import Pipe
 from pathlib import Path
@@ -30,10 +31,13 @@ from typing import TYPE_CHECKING, Any, Self
 from nw_eval.clean import clean
 from nw_eval.files.cache import open_own
 from nw_eval.results.provenance import usable_cores
+from nw_eval.rollout.confined.progress import descendants, stat_of, text_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from types import FrameType, TracebackType
+
+    from nw_eval.confinement import Rules
 
 # What else, on one and the same processor, makes a library take other kernels: numba's own
 # settings, torch, MKL and oneDNN under it, OpenBLAS and SIMD under NumPy, the C library's sin.
@@ -107,17 +111,6 @@ def can_be_listed() -> bool:
     return (_PROC / f"self/task/{os.getpid()}/children").exists()
 
 
-def descendants(process: int) -> list[int]:
-    """Return what a process, or any of its threads, started, and what that did.
-
-    Whatever session it is in; but what has lost its parent is not among it.
-    """
-    found: list[int] = []
-    for each in _children(process):
-        found += [each, *descendants(each)]
-    return found
-
-
 def left_by(leader: int) -> list[int]:
     """Return what is left of the session of a process that has ended and is waited for.
 
@@ -128,9 +121,7 @@ def left_by(leader: int) -> list[int]:
     found: list[int] = []
     for entry in _PROC.iterdir():
         with suppress(OSError, ValueError, IndexError):
-            # The name of a program, in brackets, may hold anything.
-            state = text_of(f"{entry}/stat").rpartition(")")[2].split()
-            if int(state[3]) == leader:
+            if int(stat_of(int(entry.name))[3]) == leader:
                 found.append(int(entry.name))
     return found
 
@@ -140,30 +131,6 @@ def kill(processes: Iterable[int]) -> None:
     for each in processes:
         with suppress(OSError):
             os.kill(each, signal.SIGKILL)
-
-
-def text_of(path: str) -> str:
-    """Return a file of /proc: some are read ten times a second, so without a buffered stream.
-
-    Raises:
-        OSError: the process has ended, or hides it.
-    """
-    file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        content = b""
-        while piece := os.read(file, 1 << 16):
-            content += piece
-        return content.decode()
-    finally:
-        os.close(file)
-
-
-def _children(process: int) -> list[int]:
-    found: list[int] = []
-    with suppress(OSError):  # It has ended.
-        for thread in os.listdir(f"/proc/{process}/task"):  # noqa: PTH208 - Path takes tenfold.
-            found += map(int, text_of(f"/proc/{process}/task/{thread}/children").split())
-    return found
 
 
 class Resident:
@@ -213,6 +180,18 @@ class Resident:
                 finite = (most for most in known if most != resource.RLIM_INFINITY)
                 most = min([*finite, limit + _BETWEEN_LOOKS])
                 resource.prlimit(process, resource.RLIMIT_DATA, (most, most))
+
+
+def restrained(rules: Rules, limit: int | None) -> Rules:
+    """Return rules by which a process cannot reserve much more than it may hold.
+
+    Args:
+        rules: what it may do.
+        limit: bytes that it may hold; None = any.
+    """
+    most = [] if limit is None else [limit + _BETWEEN_LOOKS]
+    most += [] if rules.memory is None else [rules.memory]
+    return replace(rules, memory=min(most, default=None))
 
 
 def _mapped(process: int) -> int:

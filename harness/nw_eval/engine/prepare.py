@@ -22,13 +22,15 @@ import subprocess
 import sys
 import threading
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from select import select
 from time import perf_counter
-from typing import TYPE_CHECKING, Self
+from typing import IO, TYPE_CHECKING, Self
 
 from nw_eval.built_in.entry import BuiltInSplat
 from nw_eval.confinement.family import environment_of_child
 from nw_eval.engine.listener import Listener, NullListener
 from nw_eval.errors import NwEvalError, UsageError
+from nw_eval.rollout.confined.progress import Progress
 from nw_eval.rollout.confined.start import has_kernels, renew
 from nw_eval.scenes.scene import HeightField, Triangles
 from nw_eval.words import KERNELS
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from nw_eval.words import Backend, Kernels, Record
 
 _WORTH_SAYING = 3.0  # s
+_LOOK = 1.0  # s between two looks at a process that builds
 
 
 def needs_splats(card: Card, record: Record) -> bool:
@@ -317,6 +320,7 @@ class SplatBuilders:
                 raise OSError
             process = subprocess.Popen(  # noqa: S603  # Our own module, no shell.
                 [sys.executable, "-P", "-c", start],
+                bufsize=0,  # A line that were read ahead would be waited for.
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
@@ -331,12 +335,22 @@ class SplatBuilders:
         assert process.stdout is not None
         process.stdin.write(f"{name}\n".encode())
         process.stdin.flush()
-        for line in iter(process.stdout.readline, b""):
+        progress = Progress(process.pid, waits=True)
+        while line := _next_line(process.stdout, progress):
             if line in {_DONE, _FAILED}:
                 return line == _DONE
             self._say(name, float(line))
-        process.wait()  # It has closed its pipe.
+        process.kill()  # It has closed its pipe, or is stopped.
+        process.wait()
         return False
+
+
+def _next_line(pipe: IO[bytes], progress: Progress) -> bytes:
+    """Return a process's next line; none where it has ended, or a signal has stopped it."""
+    while not select([pipe], [], [], _LOOK)[0]:
+        if progress.look():
+            return b""
+    return pipe.readline()
 
 
 def _is_ours(scene: Scene) -> bool:

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 from nw_eval import __version__
 from nw_eval.engine import ray_file_bundles
 from nw_eval.engine.local import LocalProcesses
+from nw_eval.engine.worker import clock
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
@@ -291,4 +292,4 @@ def run_job(places: Mapping[str, str], job: TrialJob) -> TrialResult:
     global _library  # noqa: PLW0603 - one cache a process is the point.
     if _library is None:
         _library = LibraryHere(places)
-    return run_trial(job, library=_library)
+    return run_trial(job, library=_library, clock=clock())

@@ -24,15 +24,20 @@ from nw_eval.engine.prepare import (
 from nw_eval.engine.provenance import journal_header, now, run_info
 from nw_eval.engine.rounds import run_trials
 from nw_eval.engine.workers import worker_pool
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.files.cache import atomic_path
+from nw_eval.errors import UsageError
+from nw_eval.files.cache import atomic_path, made_place
 from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.policies.bundle import senses_by_code
 from nw_eval.results.ended import of_plan, wanted, write_trials
 from nw_eval.results.journal import Journal, has_begun
 from nw_eval.results.log_links import drop_links, link_logs
 from nw_eval.results.provenance import CacheInfo, StopInfo, read_run_info, write_run_info
-from nw_eval.results.run_folder import RunFolder, create_run_folder, open_run_folder
+from nw_eval.results.run_folder import (
+    RunFolder,
+    check_folders,
+    create_run_folder,
+    open_run_folder,
+)
 from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.access import why_off
 
@@ -223,18 +228,14 @@ def _folder(plan: Plan, out: Path | None, resume: Path | None) -> RunFolder:
             digest=plan.suite.content_digest,
             part=plan.request.shard or "",
         )
+    made_place(out)
+    check_folders(out)
     folder = RunFolder(path=out)
     if has_begun(folder.journal):
         raise UsageError(
             f"{out} already holds a run",
             fix=f"continue with --resume {out}, or choose another --out",
         )
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(
-            f"cannot make {out}: {error.strerror}", fix="choose another folder with --out"
-        ) from error
     return folder
 
 

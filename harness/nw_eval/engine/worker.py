@@ -19,18 +19,19 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from time import monotonic, sleep
+from time import monotonic, perf_counter, sleep
 from typing import TYPE_CHECKING, NoReturn
 
 from pydantic import TypeAdapter, ValidationError
 
 from nw_eval.clean import clean
 from nw_eval.confinement import Rules, confine, kill_group
-from nw_eval.engine.machine import Resident, descendants, kill, left_by
+from nw_eval.engine.machine import Resident, kill, left_by
 from nw_eval.plural import in_words
 from nw_eval.policies.apart import use_line
+from nw_eval.rollout.confined.progress import HANGS_AFTER, Progress, descendants
 from nw_eval.rollout.confined.start import parts_of, start_pair
-from nw_eval.rollout.job import TrialJob, TrialResult
+from nw_eval.rollout.job import StageClock, TrialJob, TrialResult
 
 if TYPE_CHECKING:
     from nw_eval.rollout.library import Library
@@ -41,11 +42,16 @@ if TYPE_CHECKING:
 _TAKEN = b"taken"
 # What it says when a job goes on only once its scene's splat is there.
 _AWAITS = b"awaits splat"
+# What it says while its job gets on, and the seconds between.
+_STEPS, _BETWEEN_STEPS = b"steps", 1.0
+# The share of its time limit that a step's processor time may have, if that is more.
+_STEP = 1 / 24
 # Seconds between two looks of its for the splat.
 _LOOK = 0.02
 # Bytes of a result that anybody reads; honest ones have about two thousand.
 _LONGEST = 1 << 20
-# Seconds until a new process must have taken its job: it imports next to nothing before.
+# Seconds of processor time in which a new process must have taken its job: it imports next to
+# nothing before.
 _START_LIMIT = 120.0
 # Seconds in which a process that has closed its pipe, or was killed, must be gone.
 _LAST_MOMENTS = 5.0
@@ -109,6 +115,9 @@ class WorkerProcess:
         self._pids = tuple(pid for pid in pids if pid is not None)
         self._memory_limit = memory_limit
         self._memory = Resident(*self._pids)
+        # A policy may wait for its server, for which its card has a limit.
+        self._progress = Progress(*self._pids, waits=(policy or rules).network != "none")
+        self._has_begun = False  # Whether its job has come to a step: scenes are loaded before.
         self.job: TrialJob | None = None
         self.jobs_done = 0
         self.scenes: set[str] = set()  # Those of its jobs, which it keeps loaded.
@@ -126,8 +135,8 @@ class WorkerProcess:
         """Hand over a job to a process that has none."""
         self.job = job
         self.scenes.add(job.trial.scene)
-        self.awaits_splat = self._is_taken = False
-        self._deadline = monotonic() + _START_LIMIT
+        self.awaits_splat = self._is_taken = self._has_begun = False
+        self._progress.steps()
         with suppress(OSError):  # It has died; `look` says so.
             self._jobs.send(job)
 
@@ -148,13 +157,19 @@ class WorkerProcess:
         if not self._is_taken and _TAKEN + b"\n" in self._heard:
             self._is_taken = True
             self._deadline = monotonic() + self.job.time_limit
+            self._progress.steps()
             self._memory.restrain(self._memory_limit)
+        if self._is_taken and _STEPS + b"\n" in self._heard:
+            self._heard = self._heard.replace(_STEPS + b"\n", b"")
+            self._has_begun = True
+            self._progress.steps()
         if self._is_taken and _AWAITS + b"\n" in self._heard:
             self._heard = self._heard.replace(_AWAITS + b"\n", b"")
             self.awaits_splat = True
         if self.awaits_splat:
             self.awaits_splat = self.job.trial.scene in missing
             self._deadline = monotonic() + self.job.time_limit
+            self._progress.steps()
         *lines, _ = self._heard.split(b"\n")
         if len(lines) > 1:
             self._heard = b""
@@ -163,13 +178,35 @@ class WorkerProcess:
         if code is None and not is_open:
             self._process.join(_LAST_MOMENTS)
             code = self._process.exitcode
-        if code is None and is_open and monotonic() <= self._deadline:
+        lives = code is None and is_open
+        why = self._hangs(self.job.time_limit) if lives else ""
+        if lives and not why:
             return self._overgrown()
         if not self._is_taken:
             raise UnstartedError
-        if code is None and is_open:
-            return _hung(self.job)
+        if lives:
+            return TrialResult(status="error", error_type="hung", error_text=why)
         return _dead(code)
+
+    def _hangs(self, time_limit: float) -> str:
+        """Return why the process is taken for one that never ends; empty = it gets on."""
+        progress = self._progress
+        why = progress.look()
+        if not self._is_taken:
+            return why or ("no start" if progress.busy() >= _START_LIMIT else "")
+        # To load a large scene may take long. A policy is only asked to open, or for an action.
+        limit = max(HANGS_AFTER, _STEP * time_limit)
+        if progress.busy(0 if self._has_begun else 1) >= limit:
+            return (
+                f"no control step in {limit:.0f} s of processor time; check the policy for a loop "
+                "without an end, or raise --time-limit"
+            )
+        if monotonic() > self._deadline:
+            return (
+                f"no result within {time_limit:g} s; raise --time-limit if the machine "
+                "is slow, or check the policy"
+            )
+        return why
 
     def _overgrown(self) -> TrialResult | None:
         """Return what the job comes to if the process, which runs it, holds too much memory."""
@@ -222,15 +259,6 @@ def _decoded(line: bytes) -> TrialResult:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the line"
         return _crashed(f"the worker's answer cannot be read: {place}: {first['msg']}")
-
-
-def _hung(job: TrialJob) -> TrialResult:
-    return TrialResult(
-        status="error",
-        error_type="hung",
-        error_text=f"no result within {job.time_limit:g} s; raise --time-limit if the machine "
-        "is slow, or check the policy",
-    )
 
 
 def _too_large(held: int, limit: int) -> TrialResult:
@@ -344,7 +372,25 @@ def run_job(job: TrialJob) -> TrialResult:
     global _library  # noqa: PLW0603 - one cache a process is the point.
     if _library is None:
         _library = Library(before_drawing=_await_splat if _awaits_splats else None)
-    return run_trial(job, library=_library)
+    return run_trial(job, library=_library, clock=clock())
+
+
+def clock() -> StageClock:
+    """Return a trial's clock by which a worker says that the trial gets on."""
+    if (results := _results) is None:
+        return StageClock()
+    due = 0.0
+
+    def now() -> float:
+        nonlocal due
+        moment = perf_counter()
+        if moment >= due:
+            if due > 0.0:  # It is asked when the setup begins, next when that has ended.
+                _say(results, _STEPS)
+            due = moment + _BETWEEN_STEPS if due > 0.0 else moment
+        return moment
+
+    return StageClock(now)
 
 
 def _await_splat(scene: Scene) -> None:

@@ -27,7 +27,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile, TemporaryDirectory
 
 from nw_eval.errors import NwEvalError, StoreError, UsageError
-from nw_eval.files.inside import what_is
+from nw_eval.files.inside import regular, what_is
 
 _WORD = b"\nnw-eval seal 1\n"
 _SEAL = hashlib.sha256().digest_size + len(_WORD)
@@ -230,7 +230,7 @@ def read_sealed(path: Path) -> memoryview:
         DamagedError: it is not what was written.
         OSError: there is none, or it cannot be read.
     """
-    with path.open("rb") as file:
+    with regular(path).open("rb") as file:
         facts = os.fstat(file.fileno())
         identity = (facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns)
         known = _mapped.get(path)
@@ -404,6 +404,22 @@ def check_place(out: Path) -> None:
                 f"no folder can be made at {out}: there is no {above}",
                 fix="write the path without `..`",
             )
+
+
+def made_place(out: Path) -> None:
+    """Make a folder for results, unless it is there.
+
+    Raises:
+        UsageError: a file or a link to nothing is there, or as `check_place`.
+        StoreError: it cannot be made.
+    """
+    check_place(out)
+    if os.path.lexists(out) and what_is(out) != "folder":
+        raise UsageError(f"cannot write {out}: it is no folder", fix=_FIX)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(out, error) from error
 
 
 def check_new(out: Path, *, fix: str = _FIX) -> None:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import errno
 import re
 import stat
+import zipfile
 from pathlib import Path, PurePosixPath
 from typing import Literal
+
+from nw_eval.clean import clean
 
 _PATH, _NAME = 2048, 255  # bytes of a path, and of one name in it, that file systems take
 
@@ -88,6 +91,58 @@ def what_is(path: Path) -> Literal["file", "folder", "nothing"]:
     except (OSError, ValueError):  # Too long a name, a zero byte, a circle of links.
         return "nothing"
     return "file" if stat.S_ISREG(mode) else "folder" if stat.S_ISDIR(mode) else "nothing"
+
+
+_UNPACK = "unpack it, and give what is in it"
+_MESH = "convert it to .glb, .obj, .ply or .stl, with Blender or CloudCompare"
+_CLOUD = "mesh it first, such as with CloudCompare (Poisson), or export a mesh from the app"
+_MARKS: tuple[tuple[bytes, str, str], ...] = (
+    (b"version https://git-lfs", "a Git LFS pointer, not the file itself", "run `git lfs pull`"),
+    (b"\x1f\x8b", "compressed with gzip", "unpack it with `gunzip`"),
+    (b"\x28\xb5\x2f\xfd", "compressed with zstd", "unpack it with `unzstd`"),
+    (b"BZh", "compressed with bzip2", "unpack it with `bunzip2`"),
+    (b"\xfd7zXZ", "compressed with xz", "unpack it with `unxz`"),
+    (b"7z\xbc\xaf", "a 7z archive", _UNPACK),
+    (b"Rar!", "a RAR archive", _UNPACK),
+    (b"<!doctype html", "a web page", "download the file itself"),
+    (b"<html", "a web page", "download the file itself"),
+    (b"kaydara fbx", "an FBX scene", _MESH),
+    (b"pxr-usdc", "a USD stage", _MESH),
+    (b"#usda", "a USD stage", _MESH),
+    (b"<?xml", "XML, such as COLLADA", _MESH),
+    (b"lasf", "a LAS point cloud", _CLOUD),
+    (b"astm-e57", "an E57 point cloud", _CLOUD),
+    (b"# .pcd", "a PCD point cloud", _CLOUD),
+)
+
+
+def foreign(path: Path) -> tuple[str, str] | None:
+    """Return what a file is that no reader of scans reads, and what to do; None if it may be one.
+
+    Told by how it begins, whatever it is called. A zip archive is named with what is in it.
+    """
+    try:
+        with regular(path).open("rb") as file:
+            mark = file.read(32)
+    except (OSError, ValueError):
+        return None  # Whoever opens it says what is wrong.
+    if not mark:
+        return "empty", "copy it again"
+    if mark[:4] == b"PK\x03\x04":
+        try:
+            with zipfile.ZipFile(path) as archive:
+                names = [one for one in archive.namelist() if not one.endswith("/")]
+        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+            return "a damaged zip archive", "copy it again"
+        listed = ", ".join(clean(one, at_most=60) for one in names[:3])
+        if any(one.lower().endswith((".usdc", ".usda", ".usd")) for one in names):
+            return f"a USDZ package with {listed}", f"{_MESH}; its stage says which axis is up"
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        return f"a zip archive with {listed or 'nothing'}{more}", _UNPACK
+    for begin, what, fix in _MARKS:
+        if mark.lower().startswith(begin.lower()):
+            return what, fix
+    return None
 
 
 def bounded_bytes(path: Path, most: int) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import struct
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 
 _HEADER_LIMIT = 1 << 16
@@ -29,6 +30,12 @@ _SHORT = "the file is cut short; copy it again"
 _BLOCK = 1 << 18
 _NUMBER = re.compile(
     r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+-]?(?:nan|inf)", re.IGNORECASE
+)
+
+
+_SETTING = re.compile(r"[\w .-]{1,40}[:=]\s*\S")
+_PROSE = re.compile(
+    r"(generat|creat|export|made|written|author|date|software|source|version|https?)", re.IGNORECASE
 )
 
 
@@ -74,7 +81,7 @@ class Ply:
         elements: name to rows, in file order, as read-only structured arrays (those of a binary
             file lie over the mapped file); single numbers only.
         lists: element to property to lists.
-        comments: the header's comments.
+        comments: the header's comments, and its lines of obj_info.
     """
 
     path: Path
@@ -148,6 +155,20 @@ class Ply:
                 out[:, i] = table[name]
         return out
 
+    def remarks(self, element: str, used: Collection[str], silent: Collection[str]) -> list[str]:
+        """Return which properties of an element are neither `used` nor, of no effect, `silent`."""
+        names = (*(self.elements[element].dtype.names or ()), *self.lists.get(element, {}))
+        left = [clean(n, at_most=40) for n in names if n not in used and n not in silent]
+        return [f"properties of {element} that are not read: {', '.join(left)}"] if left else []
+
+    def unread_comments(self, used: re.Pattern[str]) -> list[str]:
+        """Return comments `name: value` that are not `used`, nor say who wrote the file."""
+        return [
+            f"comment that is not read: {clean(one, at_most=80)}"
+            for one in self.comments
+            if _SETTING.match(one) and not _PROSE.match(one) and not used.fullmatch(one)
+        ]
+
 
 def _parse(path: Path, lines: list[str]) -> tuple[str, list[_Element], list[str]]:
     """Return the order of bytes (empty: ASCII), the elements and the comments of a header."""
@@ -156,9 +177,9 @@ def _parse(path: Path, lines: list[str]) -> tuple[str, list[_Element], list[str]
     comments: list[str] = []
     for number, line in enumerate(lines, 1):
         match line.split():
-            case [] | ["ply"] | ["obj_info", *_]:
+            case [] | ["ply"]:
                 pass
-            case ["comment", *_]:
+            case ["comment" | "obj_info", *_]:  # Both words have eight letters with the space.
                 comments.append(line[8:].strip())
             case ["format", kind, _version] if kind in _ORDERS:
                 order = _ORDERS[kind]

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import IO, Annotated, Any, Literal, Self
 
 import numpy as np
@@ -30,8 +31,16 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationErro
 
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError
-from nw_eval.files.cache import atomic_path, followed, is_stream, open_own, sync_folder
-from nw_eval.files.inside import bounded_bytes
+from nw_eval.files.cache import (
+    atomic_path,
+    check_place,
+    followed,
+    is_full,
+    is_stream,
+    open_own,
+    sync_folder,
+)
+from nw_eval.files.inside import bounded_bytes, what_is
 from nw_eval.gate.absolute import by_scene, courses
 from nw_eval.gate.verdict import Basis, Verdict, Word
 from nw_eval.plural import plural
@@ -291,6 +300,32 @@ def append_verdict(
     return entry
 
 
+def check_ledger(path: Path) -> None:
+    """Check before a run that its verdict can be added to a ledger; nothing is written.
+
+    Raises:
+        UsageError: it cannot be written, or is damaged.
+    """
+    try:
+        target = followed(path)
+        if is_stream(path):
+            return
+        check_place(target)
+        if what_is(target) == "file":
+            os.close(open_own(target, os.O_RDWR))
+            read_ledger(target)
+            return
+        places = target.absolute().parents
+        with TemporaryFile(dir=next(place for place in places if what_is(place) == "folder")):
+            pass  # One can be made there.
+    except (OSError, StoreError) as error:
+        why = error.message if isinstance(error, StoreError) else error.strerror or error
+        raise UsageError(f"cannot write {path}: {why}", fix=_OTHER) from None
+
+
+_OTHER = "name another file with --ledger"
+
+
 def append_entry(path: Path, entry: LedgerEntry) -> None:
     """Add a verdict to a ledger, which is begun if there is none, and wait until it is on disk.
 
@@ -315,7 +350,7 @@ def append_entry(path: Path, entry: LedgerEntry) -> None:
     except OSError as error:
         raise StoreError(
             f"cannot write {path}: {error.strerror or error}",
-            fix="free disk space, or name another file with --ledger",
+            fix=f"free disk space, or {_OTHER}" if is_full(error) else _OTHER,
         ) from error
     sync_folder(path.parent)
 
@@ -329,7 +364,7 @@ def _followed(path: Path) -> Path:
     try:
         return followed(path)
     except UsageError as error:
-        raise StoreError(error.message, fix="name another file with --ledger") from error
+        raise StoreError(error.message, fix=_OTHER) from error
 
 
 def _append(path: Path, entry: LedgerEntry) -> bool:

@@ -214,6 +214,8 @@ class PolicyComparison:
     """Starts that some policies have a result from, and that are not looked at."""
     scores: tuple[ComparedScore, ...] = ()
     """In the order of the first policy's."""
+    unmet: tuple[str, ...] = ()
+    """Scenes that are not compared: not all have a result from them."""
 
     @property
     def starts(self) -> int:
@@ -235,7 +237,7 @@ def side_by_side(entrants: Sequence[Entrant], confidence: float = 0.95) -> Polic
     Raises:
         UsageError: there are fewer than two.
         IncomparableError: they differ in suite, scenes, starts or simulator; or one has no result
-            from a scene.
+            from any scene that the others met.
     """
     if len(entrants) < 2:
         raise UsageError("one policy has nothing to compare with", fix="name two runs or more")
@@ -279,6 +281,7 @@ def compared(entrants: Sequence[Entrant], confidence: float = 0.95) -> PolicyCom
         shared=bool(shared),
         partings=partings,
         waypoints=waypoints,
+        unmet=tuple(sorted({*entrants[0].key.scenes} - {*met[0]})),
         left_out=len({name for each in entrants for name in each.results})
         - len({name for scenes in met for names in scenes.values() for name in names}),
     )
@@ -303,24 +306,32 @@ def _own(entrants: Sequence[Entrant]) -> list[_Starts]:
     counts = [Counter(name[:2] for name in names) for names in results]
     strata = sorted(set().union(*counts))
     most = {stratum: min(count[stratum] for count in counts) for stratum in strata}
-    for scene in _scenes(entrants):
-        for entrant, count in zip(entrants, counts, strict=True):
-            if not any(count[stratum] for stratum in strata if stratum[0] == scene):
-                raise IncomparableError(
-                    f"{entrant.source} has no result from scene {scene}",
-                    fix="--resume it, or run it again",
-                )
     found: list[_Starts] = []
     for names in results:
         scenes: dict[str, list[StartName]] = {scene: [] for scene in _scenes(entrants)}
         for stratum, group in groupby(names, key=lambda name: name[:2]):
-            scenes[stratum[0]] += islice(group, most[stratum])
+            if stratum[0] in scenes:
+                scenes[stratum[0]] += islice(group, most[stratum])
         found.append(scenes)
     return found
 
 
 def _scenes(entrants: Sequence[Entrant]) -> list[str]:
-    return sorted(entrants[0].key.scenes)
+    """Return the scenes from which all have a result, in one cell of what is changed at least.
+
+    A run that a baseline settled has met some scenes only, and more trials of it say no more.
+
+    Raises:
+        IncomparableError: there is none.
+    """
+    strata = set.intersection(*({name[:2] for name in each.results} for each in entrants))
+    if not strata:
+        raise IncomparableError(
+            f"{' and '.join(each.source for each in entrants)} have results from no scene in "
+            "common",
+            fix="run them again with --all-rounds",
+        )
+    return sorted({scene for scene, _ in strata})
 
 
 def _successes(entrant: Entrant, names: Sequence[StartName]) -> NDArray[np.float64]:

@@ -217,6 +217,9 @@ def _alone_in(repository: Path) -> Generator[None]:
 _PAUSES = (0.5, 2.0, 8.0)
 """Seconds before each further attempt, as long as none brings a byte."""
 
+_PASSING = {429, 500, 502, 503, 504}
+"""Statuses of a hub that is busy, or failed, for a moment."""
+
 _SHA1, _SHA256 = 40, 64  # hexadecimal digits
 
 
@@ -246,7 +249,8 @@ def download(
             try:
                 _append(client, reference, commit, file, out, here, deadline)
             except client.errors.HTTPError as error:
-                if isinstance(error, client.errors.HfHubHTTPError):
+                answer = getattr(error, "response", None)  # Of a refusal.
+                if answer is not None and answer.status_code not in _PASSING:
                     raise
                 broken = error
             reached = _size(out, file)

@@ -6,9 +6,11 @@ each joint are in the order of `joint_names`, whatever their order in the file.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,8 @@ from nw_eval.errors import PolicyError
 from nw_eval.files.inside import what_is
 from nw_eval.files.yaml_file import YamlProblems, parse_yaml
 from nw_eval.onboarding.checkpoint import CheckpointFacts, ExporterMetadata
-from nw_eval.onboarding.configs import Data, reader_of, reordered
+from nw_eval.onboarding.configs import reader_of, reordered
+from nw_eval.onboarding.fields import Fields, account
 from nw_eval.onboarding.leapp import pipeline_checkpoint
 from nw_eval.onboarding.notation import plain
 from nw_eval.onboarding.vectors import sized_terms
@@ -173,9 +176,6 @@ def read_beside(
         size: numbers that it takes; 0 where it does not say.
     """
     read = _read_files(texts, robot, checkpoint, size)
-    beside = f"{Path(checkpoint).stem}.json"
-    if beside in texts and not any(beside in said.sources.values() for _, said in read):
-        read.append((len(_ORDER), ExporterMetadata(notes=(_unread(beside, texts[beside]),))))
     if own is not None:
         read.append((_ORDER.index("checkpoint"), own))
     if not read:
@@ -191,31 +191,58 @@ def _read_files(
     texts: Mapping[str, str], robot: RobotSpec, checkpoint: str, size: int
 ) -> list[tuple[int, ExporterMetadata]]:
     """Return what each file says that is about a checkpoint, and the index of its kind."""
-    parsed: dict[str, Data] = {}
+    parsed: dict[str, Fields] = {}
+    left: dict[str, str] = {}
     for name, text in texts.items():
         try:
-            parsed[name] = parse_yaml(text, file=name, foreign=True).data
-        except YamlProblems:
-            continue
+            parsed[name] = Fields(parse_yaml(text, file=name, foreign=True).data)
+        except YamlProblems as problems:
+            left[name] = str(problems.problems[0].message) if text.strip() else ""
     by_kind: dict[str, list[tuple[str, ExporterMetadata]]] = {}
     for name, data in parsed.items():
-        kind, reader = reader_of(data)
+        kind, reader = reader_of(Fields(data))  # Of a copy: to look is not to read.
         said = ExporterMetadata()
         if reader is not None:
             said = reader(data, robot, list(parsed.values()))
         if said != ExporterMetadata():
             marked = {f.name: plain(name) for f in fields(said) if getattr(said, f.name)}
             by_kind.setdefault(kind, []).append((name, replace(said, sources=marked)))
+        elif not name.startswith("../") and not any(key.startswith("nw-") for key in data):
+            left[name] = f"its keys are {', '.join(data)[:200]}" if data else ""
+    notes: list[str] = []
+    for name, why in left.items():
+        if name in parsed and parsed[name].is_read:  # By the reader of another file.
+            notes += account(plain(name), by_kind, parsed[name])
+        elif why:
+            notes.append(f"{plain(name)} was not read: {plain(why)}")
+    return [*_by_belief(by_kind, parsed, robot, checkpoint, size), *_noted(notes)]
+
+
+def _noted(notes: Sequence[str]) -> list[tuple[int, ExporterMetadata]]:
+    return [(len(_ORDER), ExporterMetadata(notes=tuple(notes)))] if notes else []
+
+
+def _by_belief(
+    by_kind: Mapping[str, list[tuple[str, ExporterMetadata]]],
+    parsed: Mapping[str, Fields],
+    robot: RobotSpec,
+    checkpoint: str,
+    size: int,
+) -> list[tuple[int, ExporterMetadata]]:
+    """Return what the files say that are about a checkpoint, with notes of what they leave."""
     read: list[tuple[int, ExporterMetadata]] = []
+    others: list[str] = []
     for kind, several in by_kind.items():
         about = _about(several, checkpoint, len(robot.joints), size)
+        others += [plain(name) for name, _ in several if name not in dict(about)]
         for name, said in _of_one_script(about) if kind == "gym" else about:
-            notes = said.notes
+            notes = (*said.notes, *account(plain(name), [kind], parsed[name]))
             if said.model and Path(said.model).stem != Path(checkpoint).stem:
                 other = plain(Path(said.model).name)
                 notes = (*notes, f"{plain(name)} is about {other}: is that this file?")
             read.append((_ORDER.index(kind), replace(said, notes=notes)))
-    return read
+    about = f"not read, of another policy by names or sizes: {', '.join(others)}"
+    return [*read, *_noted([about] if others else [])]
 
 
 def _of_one_script(
@@ -231,15 +258,6 @@ def _of_one_script(
     left = ", ".join(plain(other) for other, _ in others)
     note = f"{plain(name)} was taken; so many numbers are in {left}, too"
     return [(name, replace(said, notes=(*said.notes, note)))]
-
-
-def _unread(name: str, text: str) -> str:
-    try:
-        keys = plain(", ".join(parse_yaml(text, file=name, foreign=True).data))[:100]
-    except YamlProblems:
-        keys = ""
-    why = f"its keys are {keys}" if keys else "it has no keys"
-    return f"{plain(name)} lies beside the checkpoint and was not read: {why}"
 
 
 def _about(
@@ -266,33 +284,89 @@ def merged(one: ExporterMetadata, other: ExporterMetadata) -> ExporterMetadata:
     """Return what two files say together; where both say something, the first is believed."""
     names = one.joint_names or other.joint_names
     taken: dict[str, Any] = {}
+    notes: list[str] = []
     sources = dict(one.sources)
     for field in fields(one):
         mine, theirs = getattr(one, field.name), getattr(other, field.name)
+        if mine and theirs and field.name in _PER_JOINT:
+            same = reordered(theirs, other.joint_names or names, names)
+            if same and _differ(mine, same):
+                sides = [x.sources.get(field.name, "the checkpoint") for x in (one, other)]
+                notes.append(f"{field.name} differs in {' and '.join(sides)}: the first is used")
         is_apart = field.name in {"sources", "notes", "guessed_order"}
         if is_apart or mine or not theirs:
             continue
         if field.name in _PER_JOINT:
             theirs = reordered(theirs, other.joint_names or names, names)
             if not theirs:
+                where = other.sources.get(field.name, "the checkpoint")
+                notes.append(f"{field.name} of {where} is of other joints, and is not used")
                 continue
         taken[field.name] = theirs
         if field.name in other.sources:
             sources[field.name] = other.sources[field.name]
-    notes = tuple(dict.fromkeys((*one.notes, *other.notes)))
+    notes = [*dict.fromkeys((*one.notes, *other.notes, *notes))]
     is_guess = one.guessed_order if one.joint_names else other.guessed_order
-    return replace(one, **taken, sources=sources, notes=notes, guessed_order=is_guess)
+    return replace(one, **taken, sources=sources, notes=tuple(notes), guessed_order=is_guess)
+
+
+def _differ(one: Sequence[float], other: Sequence[float]) -> bool:
+    """Whether numbers of joints differ by more than three decimals round."""
+    pairs = zip(cycle(one), cycle(other), range(max(len(one), len(other))), strict=False)
+    return any(abs(a - b) > 1e-3 + 2e-3 * abs(a) for a, b, _ in pairs)
+
+
+_WEAK = 0.1
+"""Share of the largest torque that a radian gives at least, with any gains that carry a robot."""
+_ROUNDED = 0.02
+"""Below it three decimals are off by 2.5 % and more."""
+
+
+def believed(known: ExporterMetadata, robot: RobotSpec) -> ExporterMetadata:
+    """Return what files say without numbers that cannot be a robot's, each named in a note."""
+    notes, dropped = [*known.notes], dict[str, Any]()
+    for name in _PER_JOINT:
+        values: tuple[float, ...] = getattr(known, name)
+        source = known.sources.get(name, "its metadata")
+        if values and (reason := _doubt(name, values, known.action, robot)):
+            dropped[name] = ()
+            notes.append(f"{name} of {source} {reason}, and is not used")
+        elif name not in known.sources and any(0 < abs(v) < _ROUNDED for v in values):
+            small = min(abs(value) for value in values if value)
+            notes.append(f"{name} of {source} has {small:g}, which three decimals round by far")
+    dead = [term.name for term in known.observation_terms if term.scale and 0.0 in term.scale]
+    if dead:
+        notes.append(f"the scale of {', '.join(map(plain, dead))} is 0: the policy is blind to it")
+    return replace(known, **dropped, notes=tuple(dict.fromkeys(notes)))
+
+
+def _doubt(name: str, values: Sequence[float], action: str, robot: RobotSpec) -> str:
+    """Return why numbers of joints cannot be a robot's; empty where they can."""
+    joints, follows = len(robot.joints), action not in {"joint_torque", "joint_velocity"}
+    if len(values) not in {1, joints}:
+        return f"has {plural(len(values), 'number')} for {joints} joints"
+    if not all(map(math.isfinite, values)):
+        return "is not finite"
+    if name == "default_joint_pos":
+        return ""
+    if not any(values) and name != "armature" and (follows or name == "torque_limits"):
+        return "is 0 for all joints"
+    if min(values) < 0 and name != "action_scale":
+        return f"is {min(values):g}, below 0"
+    if name == "joint_stiffness" and follows and max(values) < _WEAK * max(robot.torque_limits):
+        return f"is {max(values):g} N m/rad at most, too weak to carry the {robot.name}"
+    return ""
 
 
 _LOOKS: tuple[tuple[str, str], ...] = (
     (r"LF_HAA", "ANYmal"),
     (r"fl[._]hx", "Boston Dynamics' Spot"),
-    (r"FR_foot|FR_wheel", "a quadruped on wheels, such as Go2-W or B2-W"),
+    (r"(?=.*RL_).*(FR_foot|FR_wheel)", "a quadruped on wheels, such as Go2-W or B2-W"),
     (r"FL_HipX", "Lite3 of DeepRobotics"),
-    (r"waist_yaw|waist_roll", "Unitree's G1"),
+    (r"waist_yaw|waist_roll", "a humanoid, such as Unitree's G1"),
     (r"left_ankle_(pitch|roll)", "a humanoid, such as Unitree's G1 or H1-2"),
     (r"left_hip_yaw", "a biped, such as Unitree's H1"),
-    (r"FR_hip", "a quadruped of Unitree: A1, Go1, Go2, B2"),
+    (r"(?=.*RL_).*FR_hip", "a quadruped of Unitree: A1, Go1, Go2, B2"),
 )
 """By a name among the joints, whose they are."""
 
@@ -319,7 +393,8 @@ def refuse_another_robot(
         reason = f"it gives {' or '.join(map(str, sorted(given)))} numbers"
     else:
         return
-    looks = next((robot for mark, robot in _LOOKS if re.search(mark, " ".join(names))), "")
+    named = " ".join(names) if set(names) != own else ""  # Its own names are a guess of ours.
+    looks = next((robot for mark, robot in _LOOKS if re.search(mark, named)), "")
     raise PolicyError(
         f"{facts.path}: it drives another robot than {robot.name}, which has "
         f"{plural(len(own), 'joint')}: {reason}" + (f"; that looks like {looks}" if looks else ""),

@@ -17,7 +17,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, assert_never, cast
@@ -25,6 +25,7 @@ from typing import Any, assert_never, cast
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError
 from nw_eval.files.inside import regular
+from nw_eval.onboarding.fields import Fields, account
 from nw_eval.onboarding.notation import plain
 from nw_eval.policies.networks.onnx_graph import state_pairs
 from nw_eval.policies.safety import (
@@ -37,6 +38,7 @@ from nw_eval.policies.safety import (
     tensor_facts,
 )
 from nw_eval.policies.safety.objects import Record, read_objects
+from nw_eval.policies.safety.tensors import plain_entries
 
 EXPORT = "export the policy as ONNX or with torch.export"
 _STATE_DICTS = "a plain state dict is enough for layers in a row, extreme-parkour, LucidSim and ACT"
@@ -175,6 +177,8 @@ class CheckpointFacts:
     """Numbers in its tensors; 0 where they were not counted."""
     tensors: tuple[TensorFacts, ...] = ()
     """Tensors by name, for formats that name them."""
+    entries: tuple[str, ...] = ()
+    """Names of what else a file of weights has: numbers, texts and lists of them."""
     metadata: Mapping[str, str] = field(default_factory=dict[str, str])
     """Entries that an exporter left in the file, as they are."""
     exporter: ExporterMetadata | None = None
@@ -243,7 +247,9 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
                 recurrent=_recurrent_weights(tensors),
                 parameters=sum(math.prod(tensor.shape) for tensor in tensors),
                 tensors=tensors,
+                entries=() if is_script else plain_entries(data, where),
                 metadata=_SETTINGS[kind](data, where) if kind in _SETTINGS else {},
+                exporter=_noted(data, where) if kind in {"safetensors", "torchscript"} else None,
             )
         case "unknown":
             raise PolicyError(
@@ -254,15 +260,39 @@ def _facts(data: bytes, path: Path) -> CheckpointFacts:
             assert_never(kind)
 
 
+_OF_NETWORK = re.compile(
+    r":.*|__.*|activation_fn|squash_output|use_sde|net_arch|ortho_init|.*std.*|use_expln|"
+    r"optimizer_.*|n_critics|n_quantiles|share_features_extractor|normalize_images|.*lstm.*"
+)
+"""Settings of its networks that are read, are seen in the tensors, or steer a training."""
+
+
 def _saved_settings(data: bytes, where: str) -> dict[str, str]:
-    """Return the activation that Stable-Baselines3 wrote down, as JSON, beside its pickles."""
+    """Return what Stable-Baselines3 wrote down, as JSON, beside its pickles.
+
+    It is the activation, the limits of the action space, and names of what is unknown here.
+    """
     text = open_archive(data, where).read("data", at_most=FileLimits().index_bytes)
     try:
-        settings = json.loads(text)["policy_kwargs"]["activation_fn"]
-        named = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", settings)
-    except (ValueError, LookupError, TypeError, RecursionError):
-        return {}
-    return {} if named is None else {"activation": named[1]}
+        whole = json.loads(text)
+    except (ValueError, RecursionError):
+        return {"unread": "all of `data`, which is no JSON"}
+    settings = cast("dict[str, Any]", whole) if isinstance(whole, dict) else {}
+    kwargs, space = settings.get("policy_kwargs"), settings.get("action_space")
+    network = cast("dict[str, Any]", kwargs) if isinstance(kwargs, dict) else {}
+    limits = cast("dict[str, Any]", space) if isinstance(space, dict) else {}
+    found = {f"action_{side}": str(limits.get(side, "")) for side in ("low", "high")}
+    found["use_sde"] = str(settings.get("use_sde"))
+    found["squash_output"] = str(network.get("squash_output"))
+    function = str(network.get("activation_fn", ""))
+    named = re.fullmatch(r"<class 'torch\.nn\.modules\.activation\.(\w+)'>", function)
+    # The algorithm's own attributes steer a training; `predict` reads the policy and the spaces.
+    unread = [f"policy_kwargs.{name}" for name in network if not _OF_NETWORK.fullmatch(name)]
+    if named is not None:
+        found["activation"] = named[1]
+    elif function:
+        unread.append(f"policy_kwargs.activation_fn {function}")
+    return {**found, "unread": plain(", ".join(unread))}
 
 
 def _header_settings(data: bytes, _: str) -> dict[str, str]:
@@ -271,6 +301,20 @@ def _header_settings(data: bytes, _: str) -> dict[str, str]:
     found = header.get("__metadata__")
     items = cast("dict[str, Any]", found).items() if isinstance(found, dict) else ()
     return {key: value for key, value in items if isinstance(value, str)}
+
+
+def _noted(data: bytes, where: str) -> ExporterMetadata | None:
+    """Return notes of what a header or extra files say, which nothing reads."""
+    if file_kind(data, where) == "safetensors":
+        left = [
+            name for name in _header_settings(data, where) if name not in {"activation", "format"}
+        ]
+        what = "its header has what this card does not"
+    else:
+        left = [name for name in open_archive(data, where).names() if name.startswith("extra/")]
+        what = "its extra files were not read"
+    note = f"{what}: {plain(', '.join(left))}"
+    return ExporterMetadata(notes=(note,)) if left else None
 
 
 _SETTINGS = {"stable-baselines3": _saved_settings, "safetensors": _header_settings}
@@ -353,23 +397,52 @@ def _known_network(tensors: Sequence[TensorFacts]) -> str | None:
 
 
 def read_exporter_metadata(entries: Mapping[str, str]) -> ExporterMetadata | None:
-    """Return the metadata of a file, or None if neither exporter wrote it.
+    """Return the metadata of a file, or None if it has none.
 
-    What cannot be read is left out, as if it were not there.
+    What cannot be read, or is of neither exporter, is left out and named in a note.
     """
     if "exploy_version" in entries:
         return _exploy(entries)
-    if not any(name in entries for name in (*_NUMBERS, *_NAMES)):
+    if not entries:
         return None
     text = {name: entries.get(name, "") for name in (*_NUMBERS, *_NAMES)}
+    terms = _names(text["observation_names"])
+    columns = {f"observation_terms_{key}" for key in _COLUMNS if terms}
+    columns |= {f"observation_term_{key}" for key in _COLUMNS if terms}
+    notes = [
+        f"{name} in its metadata cannot be read: {plain(text[name])[:80]}"
+        for name in _NUMBERS
+        if text[name].strip() and not _numbers(text[name])
+    ]
+    notes += [
+        f"{name} in its metadata has not one entry for each of {len(terms)} terms"
+        for name in sorted(columns & set(entries))
+        if not any(_entries(entries[name], len(terms)))
+    ]
     return ExporterMetadata(
-        joint_names=_names(text["joint_names"]),
+        # mjlab names joints behind the entity that has them: robot/FL_hip_joint.
+        joint_names=tuple(name.rpartition("/")[2] for name in _names(text["joint_names"])),
         joint_stiffness=_numbers(text["joint_stiffness"]),
         joint_damping=_numbers(text["joint_damping"]),
         default_joint_pos=_numbers(text["default_joint_pos"]),
         action_scale=_numbers(text["action_scale"]),
-        observation_terms=_exported_terms(_names(text["observation_names"]), entries),
+        observation_terms=_exported_terms(terms, entries),
+        notes=(*notes, *_unread(entries, {*_NUMBERS, *_NAMES, *columns})),
     )
+
+
+_COLUMNS = ("scale", "clip", "history_length", "flatten_history_dim")
+_NO_EFFECT = frozenset({"run_path", "producer", "pytorch_version", "exploy_version", "author"})
+"""Entries of metadata that say where a file is from."""
+_VELOCITIES = frozenset({"", "twist", "base_velocity", "velocity", "velocity_commands"})
+
+
+def _unread(entries: Mapping[str, str], read: Collection[str]) -> tuple[str, ...]:
+    """Return the note that names the entries of metadata which nothing reads."""
+    commands = entries.get("command_names", "").strip("[]'\" ")
+    read = {*read, *_NO_EFFECT, *(["command_names"] if commands in _VELOCITIES else [])}
+    left = [plain(name) for name in entries if name not in read]
+    return (f"its metadata has what this card does not: {', '.join(left)}",) if left else ()
 
 
 def _exploy(entries: Mapping[str, str]) -> ExporterMetadata:
@@ -377,8 +450,9 @@ def _exploy(entries: Mapping[str, str]) -> ExporterMetadata:
 
     Its graphs compute observations themselves, so no terms are named.
     """
+    read = {"update_rate"}
 
-    def first(prefix: str) -> dict[str, Any]:
+    def first(prefix: str) -> Fields:
         for name, text in entries.items():
             if name.startswith(prefix):
                 try:
@@ -386,44 +460,36 @@ def _exploy(entries: Mapping[str, str]) -> ExporterMetadata:
                 except (ValueError, RecursionError):
                     continue
                 if isinstance(value, dict):
-                    return cast("dict[str, Any]", value)
-        return {}
-
-    def numbers(value: Any) -> tuple[float, ...]:
-        items = cast("list[Any]", value) if isinstance(value, list) else []
-        return _numbers(",".join(map(str, items)))
+                    read.add(name)
+                    return Fields(cast("dict[str, Any]", value))
+        return Fields()
 
     targets, command = first("output.joint_targets."), first("cmd.se2_velocity.")
-    names = cast("list[Any]", targets.get("names") or [])
-    ranges = command.get("ranges")
-    speeds = {
-        key: (low, high)
-        for key, value in (
-            cast("dict[str, Any]", ranges) if isinstance(ranges, dict) else {}
-        ).items()
-        for low, high in [numbers(value) if len(numbers(value)) == 2 else (0.0, 0.0)]
-        if low < high
-    }
+    ranges = command.below("ranges")
+    limits = {key: ranges.numbers(key) for key in ("lin_vel_x", "lin_vel_y", "ang_vel_z")}
     rate = _numbers(entries.get("update_rate", ""))
     return ExporterMetadata(
-        joint_names=tuple(str(name) for name in names),
-        joint_stiffness=numbers(targets.get("stiffness")),
-        joint_damping=numbers(targets.get("damping")),
+        joint_names=targets.texts("names"),
+        joint_stiffness=targets.numbers("stiffness"),
+        joint_damping=targets.numbers("damping"),
         rate=rate[0] if rate else None,
-        speeds=speeds,
+        speeds={key: (v[0], v[1]) for key, v in limits.items() if len(v) == 2 and v[0] < v[1]},
+        notes=(
+            *account("output.joint_targets", (), targets),
+            *account("cmd.se2_velocity", (), command),
+            *_unread(entries, read),
+        ),
     )
 
 
 def _exported_terms(names: Sequence[str], entries: Mapping[str, str]) -> tuple[ExportedTerm, ...]:
     def column(key: str) -> Sequence[str | None]:
-        return _entries(entries.get(f"observation_terms_{key}", ""), len(names))
+        text = entries.get(f"observation_terms_{key}", entries.get(f"observation_term_{key}", ""))
+        return _entries(text, len(names))
 
     columns = zip(
         names,
-        column("scale"),
-        column("clip"),
-        column("history_length"),
-        column("flatten_history_dim"),
+        *map(column, _COLUMNS),
         strict=True,
     )
     return tuple(

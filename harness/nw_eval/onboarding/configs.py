@@ -16,23 +16,24 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
 from nw_eval.cards.joints import short_name
 from nw_eval.onboarding.checkpoint import ExportedTerm, ExporterMetadata
+from nw_eval.onboarding.fields import Fields, limits_of, number_of, numbers_of, per_second, texts_of
 from nw_eval.onboarding.layouts import LEG_BY_LEG, RIGHT_FIRST, TYPE_BY_TYPE
 from nw_eval.robots import RobotSpec
 
-Data = Mapping[str, Any]
+Data = Fields
 Reader = Callable[[Data, RobotSpec, Sequence[Data]], ExporterMetadata]
 
 
 def reader_of(data: Data) -> tuple[str, Reader | None]:
     """Return what kind of file it is, by its keys, and what reads it."""
     inner = next((value for value in data.values() if isinstance(value, dict)), {})
-    policy = _dict(data.get("policy"))
+    policy = data.below("policy")
     if isinstance(data.get("joint_ids_map"), list) and "step_dt" in data:
         return "deploy", _deploy
     if {"actions", "observations", "articulations"} <= set(data):
@@ -62,50 +63,23 @@ def _reader_of_training(data: Data) -> tuple[str, Reader | None]:
     return ("agent", _agent) if _activation(data) else ("", None)
 
 
-def _dict(value: Any) -> Data:
-    return cast("Data", value) if isinstance(value, dict) else {}
+def _dict(value: Any) -> Fields:
+    return value if isinstance(value, Fields) else Fields()
 
 
-def _number(value: Any) -> float | None:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return float(value) if is_number and math.isfinite(value) else None
-
-
-def _numbers(value: Any) -> tuple[float, ...]:
-    """Return a list of numbers, or one; empty where it is something else."""
-    items = cast("list[Any]", value) if isinstance(value, list) else [value]
-    numbers = [_number(item) for item in items]
-    return () if None in numbers else tuple(cast("list[float]", numbers))
-
-
-def _texts(value: Any) -> tuple[str, ...]:
-    items = cast("list[Any]", value) if isinstance(value, list) else []
-    return tuple(item for item in items if isinstance(item, str))
-
-
-def _limits(value: Any) -> tuple[float, float] | None:
-    """Return [low, high], or one number for both sides, or a list of equal pairs."""
-    if isinstance(value, list) and value and all(pair == value[0] for pair in value):
-        value = value[0] if isinstance(value[0], list) else value
-    numbers = _numbers(value)
-    if len(numbers) == 1 and numbers[0] > 0:
-        return -numbers[0], numbers[0]
-    return (numbers[0], numbers[1]) if len(numbers) == 2 and numbers[0] < numbers[1] else None
-
-
-def _per_second(seconds: Any) -> float | None:
-    number = _number(seconds)
-    return round(1 / number, 6) if number else None
+def _scale_of(data: Data, *keys: str) -> tuple[float, ...] | None:
+    """Return the factor of a term; 1 where nothing says it, None where it cannot be read."""
+    return (data.numbers(*keys) or None) if data.first(*keys)[1] is not None else (1.0,)
 
 
 def _speeds(commands: Any) -> dict[str, tuple[float, float]]:
     """Return the ranges of a velocity command, wherever they stand below `commands`."""
     for command in _dict(commands).values():
-        ranges = _dict(_dict(command).get("ranges"))
+        ranges = _dict(command).below("ranges")
         found = {
             key: limits
             for key in ("lin_vel_x", "lin_vel_y", "ang_vel_z")
-            if len(limits := _numbers(ranges.get(key))) == 2
+            if len(limits := ranges.numbers(key)) == 2
         }
         if found:
             return found
@@ -120,7 +94,7 @@ def motor_names(robot: RobotSpec) -> tuple[str, ...]:
 
 def _mapped(places: Any, robot: RobotSpec) -> tuple[str, ...]:
     """Return the joints of a policy from the numbers of their motors; empty for another robot."""
-    names, numbers = motor_names(robot), _numbers(places)
+    names, numbers = motor_names(robot), numbers_of(places)
     if sorted(numbers) != list(range(len(names))):
         return ()
     return tuple(names[int(number)] for number in numbers)
@@ -132,30 +106,30 @@ def _deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata
     `joint_ids_map` has the motor of each joint of the policy. Gains are in the order of the motors,
     all other lists in that of the policy.
     """
-    names = _texts(data.get("joint_names")) or _mapped(data.get("joint_ids_map"), robot)
+    names = data.texts("joint_names") or _mapped(data.get("joint_ids_map"), robot)
     motors = motor_names(robot)
-    actions = _dict(data.get("actions"))
+    actions = data.below("actions")
     kind, action = next(iter(actions.items()), ("", {}))
     action = _dict(action)
-    described = _dict(data.get("observations"))
+    described = data.below("observations")
     by_step = described.get("use_gym_history") is True
-    offset = _numbers(action.get("offset"))
+    offset = action.numbers("offset")
     return ExporterMetadata(
         joint_names=names,
-        joint_stiffness=reordered(_numbers(data.get("stiffness")), motors, names),
-        joint_damping=reordered(_numbers(data.get("damping")), motors, names),
-        default_joint_pos=_numbers(data.get("default_joint_pos")),
+        joint_stiffness=reordered(data.numbers("stiffness"), motors, names),
+        joint_damping=reordered(data.numbers("damping"), motors, names),
+        default_joint_pos=data.numbers("default_joint_pos"),
         action=_action_kind(kind, offset),
-        action_scale=_numbers(action.get("scale")),
-        action_clip=_limits(action.get("clip")),
-        rate=_per_second(data.get("step_dt")),
+        action_scale=action.numbers("scale"),
+        action_clip=action.limits("clip"),
+        rate=data.per_second("step_dt"),
         speeds=_speeds(data.get("commands")),
         observation_terms=tuple(
             _manager_term(name, _dict(term), by_step=by_step)
             for name, term in described.items()
             if isinstance(term, dict)
         ),
-        joint_count=len(_numbers(data.get("joint_ids_map"))),
+        joint_count=len(data.numbers("joint_ids_map")),
     )
 
 
@@ -167,22 +141,27 @@ def _action_kind(kind: str, offset: Sequence[float]) -> str:
 
 
 def _manager_term(
-    name: str, term: Data, *, by_step: bool = False, function: str = ""
+    name: str,
+    term: Data,
+    *,
+    by_step: bool = False,
+    function: str = "",
+    steps: float | None = None,
 ) -> ExportedTerm:
     """Return a term of Isaac Lab's observation manager, or of one like it."""
-    scale = _numbers(term["scale"]) if term.get("scale") is not None else (1.0,)
-    limits = _limits(term.get("clip"))
-    steps = _number(term.get("history_length"))
-    period = _number(_dict(term.get("params")).get("period"))
+    scale = _scale_of(term, "scale")
+    limits = term.limits("clip")
+    steps = steps or term.number("history_length")
+    period = term.below("params").number("period")
     flat = term.get("flatten_history_dim")
     return ExportedTerm(
         name=name,
         function=function,
-        scale=scale or None,
+        scale=scale,
         clip=limits or (-math.inf, math.inf),
         history=min(max(int(steps or 0), 1), 100),
         flat_history=flat if isinstance(flat, bool) else None,
-        width=len(scale) if len(scale) > 1 else None,
+        width=len(scale) if scale and len(scale) > 1 else None,
         form=f"order: oldest_first, by: {'step' if by_step else 'term'}",
         keys=f"frequency: {1 / period:g}" if period and "phase" in name else "",
     )
@@ -191,17 +170,17 @@ def _manager_term(
 def _descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
     """Read what Isaac Lab exports with `export_io_descriptors`."""
     actions = cast("list[Any]", data["actions"]) if isinstance(data["actions"], list) else []
-    action = _dict(actions[0]) if actions else {}
-    names = _texts(action.get("joint_names"))
-    robot = _dict(next(iter(_dict(data["articulations"]).values()), {}))
-    theirs = _texts(robot.get("joint_names"))
-    scene = _dict(data.get("scene"))
+    action = _dict(actions[0] if actions else None)
+    names = action.texts("joint_names")
+    robot = _dict(next(iter(data.below("articulations").values()), {}))
+    theirs = robot.texts("joint_names")
+    scene = data.below("scene")
 
     def per_joint(key: str) -> tuple[float, ...]:
-        values = _numbers(robot.get(key))
+        values = robot.numbers(key)
         return reordered(values, theirs, names) if any(values) else ()
 
-    groups = _dict(data["observations"])
+    groups = data.below("observations")
     group = groups.get("policy", groups.get("actor", next(iter(groups.values()), [])))
     terms = cast("list[Any]", group) if isinstance(group, list) else []
     return ExporterMetadata(
@@ -210,21 +189,21 @@ def _descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetada
         joint_damping=per_joint("default_joint_damping"),
         default_joint_pos=per_joint("default_joint_pos"),
         armature=per_joint("default_joint_armature"),
-        action=_action_kind(str(action.get("full_path")), _numbers(action.get("offset"))),
-        action_scale=_numbers(action.get("scale")),
-        action_clip=_limits(action.get("clip")),
-        rate=_per_second(scene.get("dt")),
-        physics_rate=_per_second(scene.get("physics_dt")),
+        action=_action_kind(str(action.get("full_path")), action.numbers("offset")),
+        action_scale=action.numbers("scale"),
+        action_clip=action.limits("clip"),
+        rate=scene.per_second("dt"),
+        physics_rate=scene.per_second("physics_dt"),
         observation_terms=tuple(_described_term(_dict(term)) for term in terms),
         notes=("several terms make its action: " + str(len(actions)),) if len(actions) > 1 else (),
     )
 
 
 def _described_term(term: Data) -> ExportedTerm:
-    sizes = _numbers(term.get("shape"))
+    sizes = term.numbers("shape")
     read = _manager_term(
         str(term.get("name")),
-        _dict(term.get("overloads")),
+        term.below("overloads"),
         function=str(term.get("full_path")).rpartition(".")[2],
     )
     return replace(read, width=int(math.prod(sizes)) if sizes else None)
@@ -232,34 +211,38 @@ def _described_term(term: Data) -> ExportedTerm:
 
 def _legged_rl_deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
     """Read what legged_rl_deploy runs a policy with; its lists are in the policy's order."""
-    policy = _dict(data["policy"])
+    policy = data.below("policy")
     names = _mapped(policy["joint_ids_map"], robot)
-    kind, action = next(iter(_dict(policy.get("actions")).items()), ("", {}))
+    kind, action = next(iter(policy.below("actions").items()), ("", {}))
     action = _dict(action)
-    described = _dict(policy.get("observations"))
-    stack = _dict(described.get("stack"))
-    steps = int(_number(stack.get("length")) or 1)
+    described = policy.below("observations")
+    stack = described.below("stack")
+    steps = int(stack.number("length") or 1)
     order = stack.get("order") if stack.get("order") == "newest_first" else "oldest_first"
-    command = _dict(_dict(policy.get("commands")).get("base_velocity"))
-    low, high = _numbers(command.get("min")), _numbers(command.get("max"))
+    command = policy.below("commands").below("base_velocity")
+    low, high = command.numbers("min"), command.numbers("max")
     ranges = zip(
         ("lin_vel_x", "lin_vel_y", "ang_vel_z"), zip(low, high, strict=False), strict=False
     )
-    first = _texts(action.get("process_order"))[:1] == ("clip",)
-    offset = _numbers(action.get("offset"))
+    first = action.texts("process_order")[:1] == ("clip",)
+    action.doubt("max", action.get("max"), readable=first)
+    command.doubt("max", command.get("max"), readable=len(low) == len(high) == 3)
+    offset = action.numbers("offset")
 
     def term(name: str, words: Data) -> ExportedTerm:
-        scale = _numbers(words["scale"]) if "scale" in words else (1.0,)
-        bounds = [*_numbers(words.get("min")), *_numbers(words.get("max"))]
-        steps_of = _texts(words.get("process_order"))
+        scale = list(_scale_of(words, "scale") or ())
+        bounds = [*words.numbers("min"), *words.numbers("max")]
+        steps_of = words.texts("process_order")
         if "scale" in steps_of and steps_of[-1:] == ("clip",):
             # A card clips first. Limits of what is scaled by several factors are not kept.
-            bounds = [bound / scale[0] for bound in bounds] if len(set(scale)) == 1 else []
-        cycle = _number(_dict(words.get("params")).get("cycle_time"))
+            one = scale[0] if len(set(scale)) == 1 else 0.0
+            words.doubt("max", words.get("max"), readable=bool(one))
+            bounds = [bound / one for bound in bounds] if one else []
+        cycle = words.below("params").number("cycle_time")
         return ExportedTerm(
             name=name.removesuffix("_B"),
-            scale=scale or None,
-            clip=_limits(bounds) or (-math.inf, math.inf),
+            scale=tuple(scale) or None,
+            clip=limits_of(bounds) or (-math.inf, math.inf),
             history=steps,
             form=f"order: {order}, by: step",
             keys=f"frequency: {1 / cycle:g}" if cycle else "",
@@ -267,22 +250,20 @@ def _legged_rl_deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Export
 
     return ExporterMetadata(
         joint_names=names,
-        joint_stiffness=_numbers(policy.get("stiffness")),
-        joint_damping=_numbers(policy.get("damping")),
+        joint_stiffness=policy.numbers("stiffness"),
+        joint_damping=policy.numbers("damping"),
         default_joint_pos=offset if any(offset) else (),
         action=_action_kind(kind, offset),
-        action_scale=_numbers(action.get("scale")),
-        action_clip=_limits([*_numbers(action.get("min")), *_numbers(action.get("max"))])
-        if first
-        else None,
-        rate=_per_second(policy["policy_dt"]),
-        physics_rate=_per_second(data.get("ll_dt")),
+        action_scale=action.numbers("scale"),
+        action_clip=limits_of([*action.numbers("min"), *action.numbers("max")]) if first else None,
+        rate=policy.per_second("policy_dt"),
+        physics_rate=data.per_second("ll_dt"),
         speeds=dict(ranges) if len(low) == len(high) == 3 else {},
         observation_terms=tuple(
-            term(name, _dict(words)) for name, words in _dict(described.get("terms")).items()
+            term(name, _dict(words)) for name, words in described.below("terms").items()
         ),
         model=str(policy.get("model_path") or ""),
-        joint_count=len(_numbers(policy["joint_ids_map"])),
+        joint_count=len(policy.numbers("joint_ids_map")),
     )
 
 
@@ -306,59 +287,59 @@ def _rl_sar(data: Data, robot: RobotSpec, others: Sequence[Data]) -> ExporterMet
     config = _dict(value)
     if name:
         named = name.split("/")[0]
-        base = next((_dict(other.get(named)) for other in others if named in other), {})
+        base = next((other.below(named) for other in others if named in other), Fields())
     else:
         nodes = (pair for other in others for pair in _ros_nodes(other).items())
-        node = next((node for key, node in nodes if key.startswith("rl_")), {})
-        frequency = _number(node.get("update_rate"))
-        base = {"dt": 1 / frequency if frequency else None}
-    joints = _texts(base.get("joint_names")) or motor_names(robot)
-    mapping = [int(number) for number in _numbers(config.get("joint_mapping"))]
+        node = next((node for key, node in nodes if key.startswith("rl_")), Fields())
+        frequency = node.number("update_rate")
+        base = Fields({"dt": 1 / frequency if frequency else None})
+    joints = base.texts("joint_names") or motor_names(robot)
+    mapping = [int(number) for number in config.numbers("joint_mapping")]
     names = tuple(joints[n] for n in mapping) if sorted(mapping) == list(range(len(joints))) else ()
     is_guess = not names and sorted(motor_names(robot)) == sorted(LEG_BY_LEG)
     if is_guess:  # Isaac Gym sorts the legs by name; robot_lab has those of the right first.
         names = LEG_BY_LEG if config.get("framework") == "isaacgym" else RIGHT_FIRST
-    past = [int(number) for number in _numbers(config.get("observations_history"))]
+    past = [int(number) for number in config.numbers("observations_history")]
     steps = len(past) or 1
     # The latest is 0 there; in the older form of the file it is the largest number.
     newest = past[:1] == [0 if name else steps - 1] and steps > 1
     by = "term" if config.get("observations_history_priority") == "term" else "step"
     form = f"order: {'newest_first' if newest else 'oldest_first'}, by: {by}"
-    period = [_number(base.get(key, config.get(key))) for key in ("dt", "decimation")]
+    period = [base.number(key) or config.number(key) for key in ("dt", "decimation")]
     low, high = (
-        _numbers(config.get("clip_actions_lower")),
-        _numbers(config.get("clip_actions_upper")),
+        config.numbers("clip_actions_lower"),
+        config.numbers("clip_actions_upper"),
     )
-    scale = _numbers(config.get("action_scale"))
+    scale = config.numbers("action_scale")
     terms = [
         ExportedTerm(
             name=word,
-            scale=_numbers(config.get(_SAR_SCALES.get(word, ""), 1.0)) or None,
+            scale=_scale_of(config, _SAR_SCALES.get(word, "")),
             clip=(-math.inf, math.inf),
             history=steps,
             form=form,
             keys="clipped: true" if word == "actions" and low and high else "",
         )
-        for word in _texts(config.get("observations"))
+        for word in config.texts("observations")
     ]
-    count = int(_number(config.get("num_of_dofs", base.get("num_of_dofs"))) or len(robot.joints))
-    hips = [int(place) for place in _numbers(config.get("hip_scale_reduction_indices"))]
-    less = _number(config.get("hip_scale_reduction"))
+    count = int(config.number("num_of_dofs") or base.number("num_of_dofs") or len(robot.joints))
+    hips = [int(place) for place in config.numbers("hip_scale_reduction_indices")]
+    less = config.number("hip_scale_reduction")
     if less is not None and less != 1.0 and len(scale) == 1:
         scale = tuple(scale[0] * (less if place in hips else 1.0) for place in range(count))
     return ExporterMetadata(
         joint_names=names,
-        joint_stiffness=_numbers(config.get("rl_kp")),
-        joint_damping=_numbers(config.get("rl_kd")),
-        default_joint_pos=_numbers(config.get("default_dof_pos", base.get("default_dof_pos"))),
+        joint_stiffness=config.numbers("rl_kp"),
+        joint_damping=config.numbers("rl_kd"),
+        default_joint_pos=config.numbers("default_dof_pos") or base.numbers("default_dof_pos"),
         action="joint_position_offset",
         action_scale=scale,
         action_clip=(max(low), min(high)) if low and high else None,
-        torque_limits=_numbers(config.get("torque_limits", base.get("torque_limits"))),
+        torque_limits=config.numbers("torque_limits") or base.numbers("torque_limits"),
         rate=round(1 / (period[0] * period[1]), 6) if all(period) else None,  # type: ignore[operator]
-        physics_rate=_per_second(period[0]),
+        physics_rate=per_second(period[0]),
         observation_terms=tuple(terms),
-        observation_clip=_number(config.get("clip_obs")),
+        observation_clip=config.number("clip_obs"),
         model=str(config.get("model_name") or ""),
         joint_count=count,
         guessed_order=is_guess,
@@ -375,24 +356,21 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
 
     The terms are those of their deploy scripts, in their order.
     """
-
-    def said(*keys: str) -> Any:
-        return next((data[key] for key in keys if data.get(key) is not None), None)
-
     is_other = "ctrl_kp" in data
-    pose = _numbers(said("default_angles", "stand_pos"))
-    joints = int(_number(data.get("num_actions")) or len(pose))
-    command = said("cmd_scale", "command_scale")
-    if command is None and "lin_vel_scale" in data:
-        command = [data["lin_vel_scale"], data["lin_vel_scale"], data.get("ang_vel_scale")]
+    pose = data.numbers("default_angles", "stand_pos")
+    joints = int(data.number("num_actions") or len(pose))
+    command = _scale_of(data, "cmd_scale", "command_scale")
+    if data.first("cmd_scale", "command_scale")[1] is None and "lin_vel_scale" in data:
+        lin, ang = data.number("lin_vel_scale"), data.number("ang_vel_scale")
+        command = None if lin is None or ang is None else (lin, lin, ang)
     scales = {
-        "ang_vel": said("ang_vel_scale", "obs_scales_ang_vel"),
+        "ang_vel": _scale_of(data, "ang_vel_scale", "obs_scales_ang_vel"),
         "commands": command,
-        "dof_pos": said("dof_pos_scale", "obs_scales_dof_pos"),
-        "dof_vel": said("dof_vel_scale", "obs_scales_dof_vel"),
+        "dof_pos": _scale_of(data, "dof_pos_scale", "obs_scales_dof_pos"),
+        "dof_vel": _scale_of(data, "dof_vel_scale", "obs_scales_dof_vel"),
     }
-    clip = _number(data.get("clip_actions"))
-    steps = int(_number(data.get("frame_stack")) or 1)
+    clip = data.number("clip_actions")
+    steps = int(data.number("frame_stack") or 1)
     term = ExportedTerm(
         name="", clip=(-math.inf, math.inf), history=steps, form="order: oldest_first, by: step"
     )
@@ -400,47 +378,53 @@ def _gym(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
         replace(
             term,
             name=name,
-            scale=_numbers(scales.get(name, 1.0)) or None,
+            scale=scales.get(name, (1.0,)),
             width=joints if name in {"dof_pos", "dof_vel", "actions"} else 3,
             keys="clipped: true" if name == "actions" and clip else "",
         )
         for name in (_OTHER_GYM_TERMS if is_other else _GYM_TERMS)
     ]
-    numbers = said("num_single_obs", "num_obs")
-    size = _number(numbers)
+    size, notes = data.number("num_single_obs", "num_obs"), ()
     if size == 11 + 3 * joints:
         # Sine and cosine of a phase of 0.8 s, as its deploy scripts have it.
         terms.append(replace(term, name="phase", scale=(1.0,), width=2, keys="frequency: 1.25"))
-    elif numbers is not None and size != 9 + 3 * joints:
-        return ExporterMetadata()  # It is of another script, which may mean other things by it.
-    step, every = (_number(data.get(key)) for key in ("simulation_dt", "control_decimation"))
-    period = step * every if step and every else said("control_dt", "dt")
+    elif size is not None and size != 9 + 3 * joints:
+        # Its script sees something else, which the file does not say; the rest of it holds.
+        notes = (f"a config of {size:g} numbers names no terms: see the script that reads it",)
+        rest = int(size) - 9 - 3 * joints
+        if is_other and 0 < rest <= 1000:  # Its scripts append what else they see.
+            terms.append(replace(term, name="what_the_script_adds", scale=(1.0,), width=rest))
+        else:
+            terms = []
+    step, every = data.number("simulation_dt"), data.number("control_decimation")
+    period = step * every if step and every else data.number("control_dt", "dt")
     names, is_guess = _gym_joints(data, robot, pose)
     # Where the script permutes, gains and pose are in the order of the motors.
     pose = reordered(pose, _list_order(pose, robot) or names, names) if pose else ()
-    scale = _numbers(data.get("action_scale"))
-    less = _number(data.get("hip_scale_reduction"))
+    scale = data.numbers("action_scale")
+    less = data.number("hip_scale_reduction")
     if less is not None and less != 1.0 and len(scale) == 1:
         scale = tuple(scale[0] * (less if "hip" in name else 1.0) for name in names)
-    fastest = _numbers(data.get("max_cmd"))
+    fastest = data.numbers("max_cmd")
     keys = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
     return ExporterMetadata(
         joint_names=names,
-        joint_stiffness=_numbers(said("kps", "ctrl_kp")),
-        joint_damping=_numbers(said("kds", "ctrl_kd")),
+        joint_stiffness=data.numbers("kps", "ctrl_kp"),
+        joint_damping=data.numbers("kds", "ctrl_kd"),
         default_joint_pos=pose,
         action="joint_position_offset",
         action_scale=scale,
         action_clip=(-clip, clip) if clip else None,
-        rate=_per_second(period),
-        physics_rate=_per_second(step),
+        rate=per_second(period),
+        physics_rate=per_second(step),
         speeds={key: (-most, most) for key, most in zip(keys, fastest, strict=False)},
         observation_terms=tuple(terms),
-        observation_clip=_number(data.get("clip_observations")),
-        model=str(said("policy_path", "policy_name") or ""),
+        observation_clip=data.number("clip_observations"),
+        model=str(data.first("policy_path", "policy_name")[1] or ""),
         joint_count=joints,
         input_size=int(size or 0),
         guessed_order=is_guess,
+        notes=notes,
     )
 
 
@@ -449,7 +433,7 @@ def _gym_joints(
 ) -> tuple[tuple[str, ...], bool]:
     """Return the joints of a policy, and whether their order is a guess."""
     own = [short_name(joint) for joint in robot.joints]
-    listed = _texts(data.get("model_joint_names")) or _texts(data.get("joint_names"))
+    listed = data.texts("model_joint_names") or data.texts("joint_names")
     if sorted(map(short_name, listed)) == sorted(own):
         return tuple(map(short_name, listed)), False
     for key in ("joint2motor_idx", "leg_joint2motor_idx"):
@@ -475,21 +459,21 @@ def _list_order(pose: Sequence[float], robot: RobotSpec) -> tuple[str, ...]:
 
 def _ros_nodes(data: Data) -> dict[str, Data]:
     """Return the parameters of each node of a file for ROS 2, by the node's name."""
-    return {name: _dict(_dict(node).get("ros__parameters")) for name, node in data.items()}
+    return {name: _dict(node).below("ros__parameters") for name, node in data.items()}
 
 
 def _legged_ros2(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
     """Read the controller's file of legged_ros2, which Legged Lab exports with a policy."""
     nodes = _ros_nodes(data).values()
     config = next(node for node in nodes if "obs_cfg" in node and "action_cfg" in node)
-    names = tuple(map(short_name, _texts(config.get("joint_names"))))
-    actions = {short_name(key): _dict(v) for key, v in _dict(config["action_cfg"]).items()}
+    names = tuple(map(short_name, config.texts("joint_names")))
+    actions = {short_name(key): _dict(v) for key, v in config.below("action_cfg").items()}
 
     def per_joint(key: str) -> tuple[float, ...]:
-        values = [_number(actions.get(name, {}).get(key)) for name in names]
+        values = [actions.get(name, Fields()).number(key) for name in names]
         return () if None in values else tuple(cast("list[float]", values))
 
-    described = _dict(config["obs_cfg"])
+    described = config.below("obs_cfg")
     return ExporterMetadata(
         joint_names=names,
         joint_stiffness=per_joint("kp"),
@@ -497,10 +481,9 @@ def _legged_ros2(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetada
         default_joint_pos=per_joint("default_pos"),
         action="joint_position_offset",
         action_scale=per_joint("scale"),
-        rate=_number(config.get("update_rate")),
+        rate=config.number("update_rate"),
         observation_terms=tuple(
-            _manager_term(name, _dict(described.get(name)))
-            for name in _texts(config.get("obs_names"))
+            _manager_term(name, described.below(name)) for name in config.texts("obs_names")
         ),
         joint_count=len(names),
     )
@@ -523,12 +506,12 @@ def _muwanx(data: Data, _: RobotSpec, others: Sequence[Data]) -> ExporterMetadat
     Terms are read of the first group that has none but known ones; the others feed inputs of their
     own, and a note names them. The file does not say which of several frames comes first.
     """
-    asset = next((other for other in others if "joint_names_isaac" in other), {})
-    names = tuple(map(short_name, _texts(asset.get("joint_names_isaac"))))
+    asset = next((other for other in others if "joint_names_isaac" in other), Fields())
+    names = tuple(map(short_name, asset.texts("joint_names_isaac")))
     is_torque = data.get("control_type") == "torque"
     terms: tuple[ExportedTerm, ...] = ()
     notes: list[str] = []
-    for group, value in _dict(data["obs_config"]).items():
+    for group, value in data.below("obs_config").items():
         listed = cast("list[Any]", value) if isinstance(value, list) else []
         words = [_dict(term) for term in listed]
         unknown = [str(w.get("name")) for w in words if w.get("name") not in _MUWANX_TERMS]
@@ -550,11 +533,11 @@ def _muwanx(data: Data, _: RobotSpec, others: Sequence[Data]) -> ExporterMetadat
             )
     return ExporterMetadata(
         joint_names=names,
-        joint_stiffness=_numbers(data.get("stiffness")),
-        joint_damping=_numbers(data.get("damping")),
-        default_joint_pos=_numbers(asset.get("default_joint_pos")) if names else (),
+        joint_stiffness=data.numbers("stiffness"),
+        joint_damping=data.numbers("damping"),
+        default_joint_pos=asset.numbers("default_joint_pos") if names else (),
         action="joint_torque" if is_torque else "joint_position_offset",
-        action_scale=_numbers(data.get("action_scale")),
+        action_scale=data.numbers("action_scale"),
         observation_terms=terms,
         joint_count=len(names),
         notes=tuple(notes),
@@ -565,56 +548,57 @@ def _muwanx_term(words: Data) -> ExportedTerm:
     is_absolute = words.get("subtract_default") is False
     return ExportedTerm(
         name=_MUWANX_TERMS[str(words["name"])],
-        scale=_numbers(words.get("scale", 1.0)) or None,
+        scale=_scale_of(words, "scale"),
         clip=(-math.inf, math.inf),
-        history=min(max(int(_number(words.get("history_steps")) or 1), 1), 100),
+        history=min(max(int(words.number("history_steps") or 1), 1), 100),
         function="joint_pos" if is_absolute else "",
     )
 
 
 def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata:
     """Read the environment of a training in Isaac Lab, or in mjlab, where patterns name joints."""
-    scene = _dict(data.get("scene"))
-    asset = _dict(scene.get("robot") or _dict(scene.get("entities")).get("robot"))
+    scene = data.below("scene")
+    asset = _dict(scene.get("robot") or scene.below("entities").get("robot"))
     action = next(
-        (_dict(term) for term in _dict(data["actions"]).values() if "scale" in _dict(term)), {}
+        (_dict(term) for term in data.below("actions").values() if "scale" in _dict(term)),
+        Fields(),
     )
-    groups = _dict(data["observations"])
+    groups = data.below("observations")
     group = _dict(groups.get("policy", groups.get("actor", next(iter(groups.values()), {}))))
-    steps = _number(group.get("history_length"))
+    steps = group.number("history_length")
     terms: list[ExportedTerm] = []
     for name, words in group.items():
         term = _dict(words)
         if "func" in term:
-            own = {**term, "history_length": steps} if steps else term
             function = re.split(r"[.:]", str(term["func"]))[-1]
-            terms.append(_manager_term(name, own, function=function))
+            terms.append(_manager_term(name, term, function=function, steps=steps))
     names, is_guess = _joint_order(action, robot)
     patterns = _Patterns(names)
     # Isaac Lab names groups of motors; mjlab lists them.
-    listed = _dict(asset.get("articulation")).get("actuators", asset.get("actuators"))
+    inner = asset.below("articulation")
+    listed = (inner if "actuators" in inner else asset).get("actuators")
     groups_of_motors = [
         _dict(motor) for motor in (listed if isinstance(listed, list) else _dict(listed).values())
     ]
-    simulation = _dict(data["sim"])
-    step = _number(simulation.get("dt", _dict(simulation.get("mujoco")).get("timestep")))
-    every = _number(data.get("decimation"))
-    pose = _dict(asset.get("init_state")).get("joint_pos")
-    offset = action.get("use_default_offset") is not False or _numbers(action.get("offset"))
+    simulation = data.below("sim")
+    step = simulation.number("dt") or simulation.below("mujoco").number("timestep")
+    every = data.number("decimation")
+    state = asset.below("init_state")
+    offset = action.get("use_default_offset") is not False or action.numbers("offset")
     kind = str(action.get("class_type"))
-    known = any(groups_of_motors) or bool(pose)
+    known = any(groups_of_motors) or "joint_pos" in state
     return ExporterMetadata(
         joint_names=names if known else (),
         joint_stiffness=patterns.motors(groups_of_motors, "stiffness"),
         joint_damping=patterns.motors(groups_of_motors, "damping"),
-        default_joint_pos=patterns.values(pose),
+        default_joint_pos=patterns.values(state, "joint_pos"),
         torque_limits=patterns.motors(groups_of_motors, "effort_limit"),
         armature=patterns.motors(groups_of_motors, "armature"),
         action=_action_kind(kind, () if offset else (0.0,)),
-        action_scale=patterns.values(action.get("scale")),
-        action_clip=_limits(next(iter(_dict(action.get("clip")).values()), None)),
-        rate=_per_second(step * every if step and every else None),
-        physics_rate=_per_second(step),
+        action_scale=patterns.values(action, "scale"),
+        action_clip=_one_of(action.below("clip")),
+        rate=per_second(step * every if step and every else None),
+        physics_rate=per_second(step),
         speeds=_speeds(data.get("commands")),
         observation_terms=tuple(terms),
         guessed_order=is_guess and known,
@@ -626,31 +610,40 @@ def _direct_environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Expo
 
     The file says everything but what the policy sees.
     """
-    asset = _dict(data["robot"])
-    names, is_guess = _joint_order({"class_type": "isaaclab"}, robot)
+    asset = data.below("robot")
+    names, is_guess = _joint_order(Fields({"class_type": "isaaclab"}), robot)
     patterns = _Patterns(names)
-    motors = [_dict(motor) for motor in _dict(asset.get("actuators")).values()]
-    step, every = _number(_dict(data["sim"]).get("dt")), _number(data.get("decimation"))
+    motors = [_dict(motor) for motor in asset.below("actuators").values()]
+    step, every = data.below("sim").number("dt"), data.number("decimation")
     return ExporterMetadata(
         joint_names=names,
         joint_stiffness=patterns.motors(motors, "stiffness"),
         joint_damping=patterns.motors(motors, "damping"),
-        default_joint_pos=patterns.values(_dict(asset.get("init_state")).get("joint_pos")),
+        default_joint_pos=patterns.values(asset.below("init_state"), "joint_pos"),
         torque_limits=patterns.motors(motors, "effort_limit"),
         armature=patterns.motors(motors, "armature"),
         action="joint_position_offset",
-        action_scale=_numbers(data.get("action_scale")),
-        rate=_per_second(step * every if step and every else None),
-        physics_rate=_per_second(step),
+        action_scale=data.numbers("action_scale"),
+        rate=per_second(step * every if step and every else None),
+        physics_rate=per_second(step),
         guessed_order=is_guess,
         notes=("the environment computes what the policy sees in its own code",),
     )
 
 
+def _one_of(limits: Data) -> tuple[float, float] | None:
+    """Return the limits that all patterns have; None where they differ, as a card has one pair."""
+    found = {limits.limits(pattern) for pattern in limits}
+    if len(found) > 1:
+        for pattern, value in limits.items():
+            limits.doubt(pattern, value)
+    return found.pop() if len(found) == 1 else None
+
+
 def _joint_order(action: Data, robot: RobotSpec) -> tuple[tuple[str, ...], bool]:
     """Return the joints of the action, and whether their order is a guess."""
     own = [short_name(joint) for joint in robot.joints]
-    listed = [short_name(name) for name in _texts(action.get("joint_names"))]
+    listed = [short_name(name) for name in action.texts("joint_names")]
     if sorted(listed) == sorted(own) and action.get("preserve_order") is True:
         return tuple(listed), False
     is_lab = "isaaclab" in str(action.get("class_type"))
@@ -668,30 +661,38 @@ class _Patterns:
     def __init__(self, names: Sequence[str]) -> None:
         self._names = names
 
-    def values(self, value: Any) -> tuple[float, ...]:
+    def values(self, data: Data, key: str) -> tuple[float, ...]:
         """Return one number for all joints or one each; empty where some are not said."""
-        if not isinstance(value, dict):
-            return _numbers(value)
-        found = [self._of(name, cast("Data", value)) for name in self._names]
-        return () if None in found or not found else tuple(cast("list[float]", found))
+        value = data.get(key)
+        if isinstance(value, Fields):
+            found = [self._of(name, value) for name in self._names]
+            values = () if None in found else tuple(cast("list[float]", found))
+        else:
+            values = numbers_of(value)
+        data.doubt(key, value, readable=bool(values))
+        return values
 
-    def motors(self, groups: Iterable[Data], key: str) -> tuple[float, ...]:
+    def motors(self, groups: Sequence[Data], key: str) -> tuple[float, ...]:
         """Return the values of groups of motors."""
         found: dict[str, float] = {}
         for group in groups:
-            listed = group.get("joint_names_expr", group.get("target_names_expr"))
+            listed = group.first("joint_names_expr", "target_names_expr")[1]
             for name in self._names:
-                if any(_matches(pattern, name) for pattern in _texts(listed)):
+                if any(_matches(pattern, name) for pattern in texts_of(listed)):
                     value = group.get(key)
-                    own = self._of(name, value) if isinstance(value, dict) else _number(value)
+                    own = self._of(name, value) if isinstance(value, Fields) else number_of(value)
                     if own is not None:
                         found[name] = own
-        complete = bool(found) and set(found) == set(self._names)
-        return tuple(found[name] for name in self._names) if complete else ()
+        if complete := set(found) == set(self._names):
+            return tuple(found[name] for name in self._names)
+        for group in groups:
+            group.doubt(key, group.get(key), readable=complete)
+        return ()
 
     @staticmethod
     def _of(name: str, values: Data) -> float | None:
-        return next((_number(v) for pattern, v in values.items() if _matches(pattern, name)), None)
+        found = next((pattern for pattern in values if _matches(pattern, name)), "")
+        return values.number(found)
 
 
 def _matches(pattern: str, name: str) -> bool:
@@ -707,8 +708,13 @@ def _matches(pattern: str, name: str) -> bool:
 
 def _agent(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetadata:
     """Read the trainer's own settings: rsl_rl, skrl or rl_games."""
+    policy, config = data.below("models").below("policy"), data.below("params").below("config")
+    policy.doubt("output", policy.get("output"), readable=policy.get("output") == "ACTIONS")
+    notes = ("params.config.clip_actions is false: rl_games clips no actions then",)
     return ExporterMetadata(
-        activation=_activation(data), action_clip=_limits(data.get("clip_actions"))
+        activation=_activation(data),
+        action_clip=data.limits("clip_actions"),
+        notes=notes if config.get("clip_actions") is False else (),
     )
 
 

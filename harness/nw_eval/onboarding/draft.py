@@ -16,7 +16,7 @@ from typing import Any
 from nw_eval.cards.joints import short_name
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.files.inside import what_is
-from nw_eval.onboarding.beside import read_beside, refuse_another_robot
+from nw_eval.onboarding.beside import believed, read_beside, refuse_another_robot
 from nw_eval.onboarding.checkpoint import (
     EXPORT,
     ArrayFacts,
@@ -53,6 +53,7 @@ from nw_eval.onboarding.vectors import (
     terms_for,
 )
 from nw_eval.policies.bundle import SIZE_LIMIT
+from nw_eval.policies.safety import file_kind
 from nw_eval.robots import BUILT_IN, RobotSpec, get_robot, know_robot
 
 _ACTION = re.compile(r"action|\bmu\b|mean|joint|target", re.IGNORECASE)
@@ -93,6 +94,7 @@ def write_card_draft(
     if pipeline is not None:
         known = with_pipeline(*pipeline, facts, known)
     refuse_another_robot(facts, known, robot)
+    known = known and believed(known, robot)
     facts = replace(facts, exporter=known)
     network = trained_network(facts, len(robot.joints)) if facts.adapter is None else None
     if network is not None:
@@ -367,7 +369,7 @@ def control_lines(
     exporter: ExporterMetadata | None,
     robot: RobotSpec,
     frame: Frame | None,
-    clip: float | None = None,
+    clip: tuple[float, float] | None = None,
 ) -> list[str]:
     """Return the lines of `control`.
 
@@ -375,7 +377,7 @@ def control_lines(
         exporter: what the file says.
         robot: whose own values stand where it is unknown anything.
         frame: the layout of what the policy sees, if it is guessed: its training says the rest.
-        clip: the limit of actions in the trainer's own inference.
+        clip: the limits of actions in the trainer's own inference.
     """
     known = exporter or ExporterMetadata()
     theirs = published(frame, robot) if frame else {}
@@ -414,7 +416,7 @@ def _rates(known: ExporterMetadata) -> list[str]:
 
 
 def _action(
-    known: ExporterMetadata, theirs: Mapping[str, str], of: str, clip: float | None
+    known: ExporterMetadata, theirs: Mapping[str, str], of: str, clip: tuple[float, float] | None
 ) -> list[str]:
     """Return the lines of what an action means."""
     meaning = f"  {CHECK} target = default_pose + scale * action"
@@ -424,12 +426,10 @@ def _action(
         lines.append(f"  scale: {one_or_list(known.action_scale)}{_from(known, 'action_scale')}")
     else:
         lines.append(f"  scale: {theirs.get('scale', '0.25')}  {of} rad for each unit of action")
-    if known.action_clip is not None:
-        low, high = known.action_clip
-        limits = number(high) if low == -high else in_brackets((low, high))
-        lines.append(f"  clip: {limits}{_from(known, 'action_clip')}")
-    elif clip is not None:
-        lines.append(f"  clip: {number(clip)}  # as the trainer plays its policies")
+    if (limits := known.action_clip or clip) is not None:
+        text = number(limits[1]) if limits[0] == -limits[1] else in_brackets(limits)
+        source = "  # as the trainer plays its policies" if known.action_clip is None else ""
+        lines.append(f"  clip: {text}{source or _from(known, 'action_clip')}")
     elif "clip" in theirs:
         lines.append(f"  clip: {theirs['clip']}  {of} limits before scaling")
     return lines
@@ -578,16 +578,22 @@ _ADAPTERS = {
 }
 _MOST = 8
 """Files that are named; a folder of saved steps of a training holds thousands."""
+_SAMPLE = 48
+"""Bytes that two files share where they hold the same weights."""
 
 
 def files_beside(checkpoint: Path) -> str:
     """Return the lines under which other files would feed a checkpoint; empty if there are none.
 
-    Nothing of them is read but their digest.
+    Nothing of them is run.
     """
     beside = sorted(checkpoint.parent.glob("*"))
     found = [path for path in beside if _may_feed(path, checkpoint)]
     if not found or len(found) > _MOST:
+        return ""
+    own = checkpoint.read_bytes()
+    found = [path for path in found if _is_another(path, own)]
+    if not found:
         return ""
     lines = [
         "",
@@ -603,6 +609,21 @@ def files_beside(checkpoint: Path) -> str:
             "#     inputs: []  # of the names under `observations`",
         ]
     return "\n".join(lines) + "\n"
+
+
+def _is_another(path: Path, own: bytes) -> bool:
+    """Whether a file may run, and has not the weights of the checkpoint.
+
+    Two exports of one policy, and the training's own file, hold the same numbers.
+    """
+    data = path.read_bytes()
+    try:
+        if file_kind(data, str(path)) in {"state-dict", "pickle", "safetensors"}:
+            return False
+    except PolicyError:
+        return False
+    samples = (own[len(own) * n // 32 :][:_SAMPLE] for n in range(1, 32))
+    return not any(len(set(sample)) > _SAMPLE // 4 and sample in data for sample in samples)
 
 
 def _may_feed(path: Path, checkpoint: Path) -> bool:

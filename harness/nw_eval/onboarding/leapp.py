@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -28,6 +28,7 @@ from nw_eval.files.inside import OutsideError, bounded_bytes, checked, what_is
 from nw_eval.files.yaml_file import YamlProblems, parse_yaml
 from nw_eval.onboarding.checkpoint import CheckpointFacts, forward_code
 from nw_eval.onboarding.checkpoint import ExporterMetadata as Metadata
+from nw_eval.onboarding.fields import Fields, account
 from nw_eval.onboarding.notation import plain
 from nw_eval.policies.safety import FileKind, FileLimits, open_archive
 from nw_eval.policies.safety.objects import TensorRef, read_index
@@ -201,6 +202,8 @@ class Pipeline:
     """Runs per second, Hz."""
     initial: str = ""
     """The file of what `feedback` begins with."""
+    notes: tuple[str, ...] = ()
+    """What the YAML has that no card does."""
 
 
 def is_pipeline(text: str) -> bool:
@@ -258,7 +261,7 @@ def read_pipeline(text: str, where: str) -> Pipeline:
         PolicyError: it is damaged, too large, or names a file outside its folder.
     """
     try:
-        data = parse_yaml(text, file=where, foreign=True).data
+        data = Fields(parse_yaml(text, file=where, foreign=True).data)
     except YamlProblems as problems:
         raise PolicyError(f"{where}: {problems}", fix="export the pipeline again") from None
     models, pipeline = _dict(data.get("models")), _dict(data.get("pipeline"))
@@ -267,19 +270,22 @@ def read_pipeline(text: str, where: str) -> Pipeline:
             f"{where}: `models` has {len(models)} nodes; a card runs 1 to {_MOST_NODES}",
             fix="export the policy as fewer nodes",
         )
-    return Pipeline(
+    found = Pipeline(
         file=plain(Path(where).name),
         nodes={str(name): _node(str(name), _dict(one), where) for name, one in models.items()},
         feeds=_flow(pipeline.get("data_flow"), where),
         feedback=_flow(pipeline.get("feedback_flow"), where),
-        rate=_rate(_dict(pipeline.get("configs")).get("frequency")),
+        rate=_rate(data.below("pipeline").below("configs")),
         initial=str(pipeline.get("initial_values") or ""),
     )
+    return replace(found, notes=account(found.file, ["leapp"], data))
 
 
-def _rate(value: Any) -> float | None:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return float(value) if is_number and 0 < value <= 2000 else None
+def _rate(configs: Fields) -> float | None:
+    rate = configs.number("frequency")
+    is_rate = rate is not None and 0 < rate <= 2000
+    configs.doubt("frequency", configs.get("frequency"), readable=is_rate)
+    return rate if is_rate else None
 
 
 def _node(name: str, data: Mapping[str, Any], where: str) -> Node:
@@ -342,8 +348,8 @@ def _tensors(value: Any) -> tuple[Tensor, ...]:
 
 def _flow(value: Any, where: str) -> dict[Port, Port]:
     flow: dict[Port, Port] = {}
-    for source, targets in _dict(value).items():
-        for target in _list(targets):
+    for source in _dict(value):
+        for target in _list(_dict(value)[source]):
             ends = [str(end).partition("/") for end in (source, target)]
             (a, slash_a, x), (b, slash_b, y) = ends
             if not slash_a or not slash_b or (b, y) in flow:
@@ -433,7 +439,7 @@ def metadata_of(pipeline: Pipeline, node: Node, facts: CheckpointFacts) -> Metad
         "rate": pipeline.rate,
     }
     sources = {name: pipeline.file for name, value in said.items() if value}
-    notes: list[str] = []
+    notes = [*pipeline.notes]
     if gains["kp"] and not any(gains["kp"]) and action.kind == "target/joint/position":
         # Isaac Lab did so for explicit actuators until its pull request 6252.
         notes.append("all gains of the bundle are 0: take kp and kd from the training")

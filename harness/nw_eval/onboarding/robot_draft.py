@@ -62,31 +62,27 @@ def draft_robot(model: Path) -> tuple[DraftedRobot, Path]:
     """
     if what_is(model) != "file":
         raise UsageError(f"there is no file {model}", fix="name an MJCF (.xml) or a URDF (.urdf)")
-    roots, first = _roots(model.resolve()), None
-    for root in roots:
+    refused: dict[int, list[str]] = {}
+    for root in _roots(model.resolve()):
+        answer = isolated(
+            _draft,
+            subject=str(model),
+            folder=root,
+            root=str(root),
+            file=model.resolve().relative_to(root).as_posix(),
+        )
         try:
-            answer = isolated(
-                _draft,
-                subject=str(model),
-                folder=root,
-                root=str(root),
-                file=model.resolve().relative_to(root).as_posix(),
-            )
-        except RobotError as error:
-            # A mesh that is not in this folder may be in the one above.
-            if first is None:
-                first = error
-            if root == roots[-1] or not any(words in str(error) for words in _ELSEWHERE):
-                raise first from None
-            continue
-        try:
+            if "refused" in answer:  # A mesh that is not in this folder may be in the one above.
+                read, lines = TypeAdapter(tuple[int, list[str]]).validate_python(answer["refused"])
+                refused.setdefault(read, lines)
+                continue
             drafted = TypeAdapter(DraftedRobot).validate_python(answer)
             for name in drafted.files:
                 inside(root, name)
-        except (ValidationError, OutsideError):
+        except (ValidationError, OutsideError, TypeError):
             raise RobotError(f"{model}: the draft cannot be read") from None
         return drafted, root
-    raise AssertionError  # The last of them is returned, or raises.
+    raise RobotError(refused[max(refused)])  # Of the folder in which most files were found.
 
 
 _ELSEWHERE = ("is not in the folder", "leaves the folder")
@@ -100,14 +96,21 @@ def _roots(model: Path) -> list[Path]:
 
 
 def _draft(*, root: str, file: str) -> dict[str, Any]:
-    return asdict(_Draft(Path(root), file).drafted())
+    """Return a draft; or how many files were read, and what was not found after them."""
+    seen: dict[str, str] = {}
+    try:
+        return asdict(_Draft(Path(root), file, seen).drafted())
+    except RobotError as error:
+        if not any(words in str(error) for words in _ELSEWHERE):
+            raise
+        return {"refused": [len(seen), str(error).splitlines()]}
 
 
 class _Draft:
     """Makes the lines of a robot.yaml."""
 
-    def __init__(self, root: Path, file: str) -> None:
-        self.root, self.file = root, file
+    def __init__(self, root: Path, file: str, seen: dict[str, str]) -> None:
+        self.root, self.file, self.seen = root, file, seen
         stem = slug(Path(file).stem)
         own = slug(root.name) if stem in _NAMELESS or not stem else stem
         self.named_anew = own in BUILT_IN
@@ -116,8 +119,9 @@ class _Draft:
         self.facts: ModelFacts = facts_of(self.folder)
 
     def _read(self, *lines: str) -> RobotFolder:
+        self.seen.clear()
         head = ["nw-robot: 1", f"name: {self.name}", f"model: {{file: {_file(self.file)}}}"]
-        return read_folder(self.root, "\n".join([*head, *lines]) + "\n")
+        return read_folder(self.root, "\n".join([*head, *lines]) + "\n", self.seen)
 
     def drafted(self) -> DraftedRobot:
         """Return the draft."""
@@ -127,7 +131,7 @@ class _Draft:
         spec = spec_of(self._read(f"pose: {pose}", *motors))
         dropped = self._dropped(spec)
         lines = [*self._head(), *self._body_lines(spec, dropped, pose, how), *motors]
-        lines += self._end_lines(spec)
+        lines += [*self._end_lines(spec), *self._left_out()]
         text = "\n".join(lines) + "\n"
         folder = read_folder(self.root, text)
         spec_of(folder)  # It can be run as it is.
@@ -190,9 +194,11 @@ class _Draft:
                 guessed.append("torque is 0.2 m of its weight")
             if kp is None:
                 kp = _rounded(_KP_OF_TORQUE * torque)
-                kd = _rounded(_KD_OF_KP * kp)
+                own, kd = kd, kd + _rounded(_KD_OF_KP * kp)
                 values += [f"kp: {number(kp)}", f"kd: {number(kd)}"]
-                guessed.append(f"kp is its torque of {number(torque)} N m over 1 rad, kd kp / 40 s")
+                more = f" and the joint's damping of {number(own)}" if own else ""
+                words = f"kp is its torque of {number(torque)} N m over 1 rad, kd kp / 40 s{more}"
+                guessed.append(words)
             rows.append((", ".join(values), "; ".join(guessed)))
         groups: dict[tuple[str, str], list[str]] = {}
         for joint, row in zip(facts.joints, rows, strict=True):
@@ -221,6 +227,8 @@ class _Draft:
         }
         words = [f"{key} {_span(values)}" for key, values in said.items() if values]
         motors = "" if facts.has_motors else ", no motors: all its hinges are driven"
+        for one, other in facts.followers.items():
+            motors += f"; {plain(one)} follows {plain(other)}"
         return f"# {plain(self.file)} says: {', '.join(words)}{motors}."
 
     # The rest.
@@ -272,6 +280,17 @@ class _Draft:
             )
             lines.append(f"{CHECK} joints without a range in the file: {shown}")
         return lines
+
+    def _left_out(self) -> list[str]:
+        """Return comments on what of the file is not simulated, or of no effect."""
+        account = self.folder.account
+        return [
+            *(f"{CHECK} not simulated: {plain(each)}" for each in account.sentences()),
+            *(
+                f"# Of no effect: {plain(', '.join(sorted(what)))}: {reason}"
+                for reason, what in account.passed.items()
+            ),
+        ]
 
 
 def _names(names: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ as all pickles are: no class of it is imported. Its inference is
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,20 +21,31 @@ from typing import Any, cast
 from nw_eval.errors import PolicyError
 from nw_eval.files.inside import bounded_bytes, what_is
 from nw_eval.onboarding.checkpoint import CheckpointFacts
-from nw_eval.onboarding.notation import CHECK, number, plain, quoted
-from nw_eval.policies.networks.layers import Layer, Shape, chain
+from nw_eval.onboarding.notation import CHECK, in_brackets, number, plain, quoted
+from nw_eval.policies.networks.layers import Layer, Shape, chain, unwrapped
 from nw_eval.policies.safety.objects import Record, TensorRef, read_index
 
 KNOWN_ACTIVATIONS = frozenset(
     {"elu", "relu", "tanh", "silu", "selu", "gelu", "leaky_relu", "sigmoid", "softplus", "mish"}
 )
 """Activations that `adapter: mlp` runs and trainers name."""
-_OTHERS = re.compile(
-    r"critic|value|teacher|optim|std|target|qf\d|memory_c|sigma|count|rnd|normaliz|preprocessor|"
-    r"running_|norm_state|disc|distribution|action_(scale|bias)",
-    re.IGNORECASE,
-)
-"""Tensors that a policy in use does not need."""
+_PASSED_OVER = {
+    "it judges the policy or teaches it, and does not act": (
+        r"critic|value|teacher|target|privileged|memory_c|_old\.|(^|\.)(vf|qf?|q_net)\d*\."
+    ),
+    "it is the state of a training": (
+        r"optim|scheduler|(^|\.)(scaler|grad_scaler|rnd\w*|amp_\w+|disc\w*|rew\w*|infos?|iter\w*|"
+        r"epoch\w*|frames?|\w*steps?|env_state|last_mean_rewards|optimizer\w*|seed|cfg)(\.|$)"
+    ),
+    "it says how widely a training draws actions": (
+        r"(^|[._])(log_?)?std(_param(eter)?)?(\.|$)|logstd|sigma|distribution|entropy|log_alpha"
+    ),
+    "it counts what was seen": r"(^|[._])(count|num_batches_tracked|version)$",
+}
+"""What of a training's file has no effect on a policy in use: the reason, and names of entries."""
+_OTHERS = re.compile("|".join(_PASSED_OVER.values()), re.IGNORECASE)
+_STATISTICS = re.compile(r"normali[sz]|preproc|running_|rms|(^|[._])(mean|var|variance)(\.|$)")
+"""Names of what observations may be normalised by; its `std` is no deviation of actions."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,13 +68,17 @@ class TrainedNetwork:
     """The file beside it that has the normaliser; empty where the checkpoint has it."""
     notes: tuple[str, ...] = ()
     """Sentences that the author of the card must read."""
-    clip: float | None = None
-    """Limit of actions in the trainer's own inference."""
+    clip: tuple[float, float] | None = None
+    """Limits of actions in the trainer's own inference."""
+    output_scale: str = ""
+    """What is multiplied with the last activation, as the card writes it; 1 if empty."""
+    output_bias: str = ""
+    """What is added to that; 0 if empty."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Pattern:
-    """Names that one trainer gives."""
+    """Names that one trainer gives, behind whatever a file begins them with."""
 
     trainer: str
     chains: tuple[tuple[str, ...], ...]
@@ -72,9 +88,16 @@ class _Pattern:
     last: str = ""
     normaliser: tuple[tuple[str, str], ...] = ()
     """What the names of the tensors begin with, and the card's words behind them."""
-    clip: float | None = None
+    clip: tuple[float, float] | None = None
+    bounded: bool = False
+    """Whether tensors `action_scale` and `action_bias` lead from the network to actions."""
+    note: str = ""
 
 
+_UNBOUNDED = (
+    "the limits of its actions are not in the file: -1 and 1 are assumed; write `output_scale` and "
+    "`output_bias` for others"
+)
 _EMPIRICAL = "{{mean: {0}._mean, std: {0}._std, eps: 0.01}}"
 _SKRL = "{{mean: {0}.running_mean, variance: {0}.running_variance, eps: 0.00000001, clip: 5}}"
 _RL_GAMES = (
@@ -83,70 +106,42 @@ _RL_GAMES = (
 _PATTERNS = (
     _Pattern(
         trainer="rsl_rl",
-        chains=(
-            ("?actor_state_dict.rnn.rnn", "actor_state_dict.mlp"),
-            ("?student_state_dict.rnn.rnn", "student_state_dict.mlp"),
-        ),
+        chains=(("?rnn.rnn", "mlp"),),
+        activation="elu",
+        normaliser=(("obs_normalizer", _EMPIRICAL),),
+    ),
+    _Pattern(
+        trainer="rsl_rl",
+        chains=(("?memory_a.rnn", "actor"), ("?memory_s.rnn", "student")),
         activation="elu",
         normaliser=(
-            ("actor_state_dict.obs_normalizer", _EMPIRICAL),
-            ("student_state_dict.obs_normalizer", _EMPIRICAL),
+            ("actor_obs_normalizer", _EMPIRICAL),
+            ("student_obs_normalizer", _EMPIRICAL),
+            ("obs_norm_state_dict", _EMPIRICAL),
         ),
     ),
-    *(
-        _Pattern(
-            trainer="rsl_rl",
-            chains=(
-                (f"?{root}memory_a.rnn", f"{root}actor"),
-                (f"?{root}memory_s.rnn", f"{root}student"),
-            ),
-            activation="elu",
-            normaliser=(
-                (f"{root}actor_obs_normalizer", _EMPIRICAL),
-                (f"{root}student_obs_normalizer", _EMPIRICAL),
-                ("obs_norm_state_dict", _EMPIRICAL),
-            ),
-        )
-        for root in ("model_state_dict.", "")
-    ),
-    *(
-        _Pattern(
-            trainer="skrl",
-            chains=((f"{root}net_container", f"?{root}policy_layer"),),
-            activation="elu",
-            normaliser=(("observation_preprocessor", _SKRL), ("state_preprocessor", _SKRL)),
-        )
-        for root in ("policy.", "")
+    _Pattern(
+        trainer="skrl",
+        chains=(("net_container", "?policy_layer"),),
+        activation="elu",
+        normaliser=(("observation_preprocessor", _SKRL), ("state_preprocessor", _SKRL)),
     ),
     _Pattern(
         trainer="rl_games",
         chains=(
-            (
-                "model.a2c_network.actor_mlp",
-                "?model.a2c_network.rnn.rnn",
-                "?model.a2c_network.layer_norm",
-                "model.a2c_network.mu",
-            ),
-            (
-                "?model.a2c_network.rnn.rnn",
-                "?model.a2c_network.layer_norm",
-                "model.a2c_network.actor_mlp",
-                "model.a2c_network.mu",
-            ),
+            ("a2c_network.actor_mlp", "?a2c_network.rnn.rnn", "?a2c_network.layer_norm",
+             "a2c_network.mu"),
+            ("?a2c_network.rnn.rnn", "?a2c_network.layer_norm", "a2c_network.actor_mlp",
+             "a2c_network.mu"),
         ),
         activation="elu",
-        normaliser=(("model.running_mean_std", _RL_GAMES),),
-        clip=1,
+        normaliser=(("running_mean_std", _RL_GAMES),),
+        clip=(-1, 1),
     ),
     _Pattern(
         trainer="Stable-Baselines3",
         chains=(
-            (
-                "?lstm_actor",
-                "?mlp_extractor.shared_net",
-                "mlp_extractor.policy_net",
-                "action_net",
-            ),
+            ("?lstm_actor", "?mlp_extractor.shared_net", "mlp_extractor.policy_net", "action_net"),
         ),
         activation="tanh",
     ),
@@ -156,17 +151,37 @@ _PATTERNS = (
         activation="relu",
         last="tanh",
     ),
-    *(
-        _Pattern(
-            trainer="CleanRL",
-            chains=((f"{root}fc1", f"{root}fc2", f"?{root}fc3", f"{root}{mean}"),),
-            activation="relu",
-            last="tanh",
-        )
-        for root in ("actor.", "")
-        for mean in ("fc_mean", "fc_mu")
+    _Pattern(
+        trainer="Stable-Baselines3 (TD3)",
+        chains=(("actor.mu",),),
+        activation="relu",
+        last="tanh",
     ),
-    _Pattern(trainer="CleanRL", chains=(("actor_mean",), ("agent.actor_mean",)), activation="tanh"),
+    _Pattern(
+        trainer="CleanRL",
+        chains=(("fc1", "fc2", "?fc3", "fc_mean"), ("fc1", "fc2", "?fc3", "fc_mu")),
+        activation="relu",
+        last="tanh",
+        bounded=True,
+    ),
+    _Pattern(trainer="CleanRL", chains=(("actor_mean",),), activation="tanh"),
+    _Pattern(
+        trainer="TorchRL",
+        chains=(("module.0.module.0",), ("module.0.module",)),
+        activation="tanh",
+        last="tanh",
+        note=f"tanh ends it where the training drew from TanhNormal; {_UNBOUNDED}",
+    ),
+    _Pattern(
+        trainer="tianshou",
+        chains=(
+            ("preprocess.model.model", "mu.model"), ("preprocess.model.model", "last.model"),
+        ),
+        activation="relu",
+        last="tanh",
+        note="tanh ends it unless it is `unbounded` and no SAC, which is not in the file; "
+        + _UNBOUNDED,
+    ),
     _Pattern(
         trainer="brax",
         chains=(("1.params",),),
@@ -177,7 +192,7 @@ _PATTERNS = (
             ("0.mean", "{{mean: 0.mean, std: 0.std}}"),
         ),
     ),
-)
+)  # fmt: skip
 
 
 def trained_network(facts: CheckpointFacts, joints: int) -> TrainedNetwork | None:
@@ -187,15 +202,17 @@ def trained_network(facts: CheckpointFacts, joints: int) -> TrainedNetwork | Non
         facts: what the file says.
         joints: how many numbers an action has.
     """
-    shapes = {tensor.name: tensor.shape for tensor in facts.tensors}
+    shapes = unwrapped({tensor.name: tensor.shape for tensor in facts.tensors})
+    entries = tuple(facts.entries)
     for pattern in _PATTERNS:
         for parts in pattern.chains:
-            weights = [part.removeprefix("?") for part in parts if _there(part, shapes)]
-            if not all(part.startswith("?") or _there(part, shapes) for part in parts):
-                continue
-            found = _network(pattern, weights, shapes, joints)
-            if found is not None:
-                return _noted(found, shapes)
+            for root in _roots(parts, shapes):
+                wanted = [f"{root}{part.removeprefix('?')}" for part in parts]
+                weights = [part for part in wanted if _there(part, shapes)]
+                found = _network(pattern, root, weights, shapes, joints)
+                if found is not None and not _is_fed(found, shapes):
+                    found = _within_bounds(found, facts.metadata, joints)
+                    return _accounted(found, shapes, entries)
     chains = [
         (prefix, layers)
         for prefix in _prefixes(shapes)
@@ -212,22 +229,32 @@ def trained_network(facts: CheckpointFacts, joints: int) -> TrainedNetwork | Non
         layers=layers,
         activation="tanh" if flax else "elu",
         outputs=joints if layers[-1].outputs == 2 * joints else None,
-        notes=tuple(
-            f"the layers below {quoted(other)} give an action too" for other, _ in wanted[1:]
+        notes=(
+            f"layers below {quoted(prefix)} taken for their sizes; many end in `last: tanh`",
+            *(f"the layers below {quoted(other)} give an action too" for other, _ in wanted[1:]),
         ),
     )
-    return _noted(network, shapes)
+    return None if _is_fed(network, shapes) else _accounted(network, shapes, entries)
 
 
 def _network(
-    pattern: _Pattern, weights: Sequence[str], shapes: Mapping[str, Shape], joints: int
+    pattern: _Pattern, root: str, weights: Sequence[str], shapes: Mapping[str, Shape], joints: int
 ) -> TrainedNetwork | None:
     layers = _layers(weights, shapes)
     if not layers or layers[-1].outputs not in {joints, 2 * joints}:
         return None
     normalised = next(
-        (words.format(name) for name, words in pattern.normaliser if _there(name, shapes)), ""
+        (
+            words.format(place)
+            for name, words in pattern.normaliser
+            for place in (f"{root}{name}", name)
+            if _there(place, shapes)
+        ),
+        "",
     )
+    scale, bias = (f"{root}action_{what}" for what in ("scale", "bias"))
+    known = pattern.bounded and {scale, bias} <= set(shapes)
+    note = _UNBOUNDED if pattern.bounded and not known else pattern.note
     return TrainedNetwork(
         trainer=pattern.trainer,
         weights=tuple(weights),
@@ -237,7 +264,61 @@ def _network(
         outputs=joints if layers[-1].outputs == 2 * joints else None,
         normaliser=normalised,
         clip=pattern.clip,
+        output_scale=quoted(scale) if known else "",
+        output_bias=quoted(bias) if known else "",
+        notes=(note,) if note else (),
     )
+
+
+def _within_bounds(
+    network: TrainedNetwork, settings: Mapping[str, str], joints: int
+) -> TrainedNetwork:
+    """Return a network of Stable-Baselines3 with the limits of its action space.
+
+    Where tanh ends it, -1 and 1 are those limits; else actions are clipped at them.
+    """
+    if not network.trainer.startswith("Stable-Baselines3"):
+        return network
+    notes = [*network.notes]
+    if settings.get("squash_output") == "True":
+        network = replace(network, last="tanh")
+    if settings.get("use_sde") == "True" and "SAC" in network.trainer:
+        notes.append(
+            "gSDE: its actor limits means to `clip_mean`, 2, before tanh; the card does not"
+        )
+    if unread := settings.get("unread"):
+        notes.append(f"the zip has settings that the card does not: {unread}")
+    low, high = (_listed(settings.get(f"action_{side}", "")) for side in ("low", "high"))
+    fits = len(low) == len(high) == joints and all(a < b for a, b in zip(low, high, strict=True))
+    finite = fits and not any(map(math.isinf, (*low, *high)))
+    if not fits or (network.last and not finite):
+        what = f"{low} to {high}" if low or high else "absent"
+        clips = "the trainer clips actions at its limits: write `clip` in `control`"
+        rule = _UNBOUNDED if network.last else clips
+        notes.append(f"`action_space` of the zip is {what}: {rule}")
+    elif network.last and set(low) | set(high) != {-1.0, 1.0}:
+        half = [(b - a) / 2 for a, b in zip(low, high, strict=True)]
+        middle = [(b + a) / 2 for a, b in zip(low, high, strict=True)]
+        scale, bias = (f"[{', '.join(map(_nine_digits, row))}]" for row in (half, middle))
+        network = replace(network, output_scale=scale, output_bias=bias)
+    elif not network.last and finite:
+        if len(set(low)) == len(set(high)) == 1:
+            network = replace(network, clip=(low[0], high[0]))
+        else:
+            notes.append(
+                f"the trainer clips actions, each joint's by itself, to {in_brackets(low)} and "
+                f"{in_brackets(high)}; a card has one `clip` for all"
+            )
+    return replace(network, notes=tuple(notes))
+
+
+def _listed(text: str) -> tuple[float, ...]:
+    """Return the numbers of an array as NumPy prints it; empty where it is none."""
+    try:
+        found = tuple(float(word) for word in text.strip("[] \n").split())
+    except ValueError:
+        return ()
+    return () if any(map(math.isnan, found)) else found
 
 
 def _layers(weights: Sequence[str], shapes: Mapping[str, Shape]) -> tuple[Layer, ...]:
@@ -262,23 +343,88 @@ def _prefixes(shapes: Mapping[str, Shape]) -> Iterable[str]:
     return sorted(names, key=lambda name: not re.search("actor|policy|pi", name))
 
 
-def _noted(network: TrainedNetwork, shapes: Mapping[str, Shape]) -> TrainedNetwork:
-    """Return a network with a note of others in the file, which may feed it."""
-    own = tuple(f"{part}." for part in network.weights)
-    others = dict.fromkeys(
-        name.rpartition(".")[0].rstrip(".0123456789")
+def _roots(parts: Sequence[str], shapes: Mapping[str, Shape]) -> list[str]:
+    """Return what all parts of a chain that must be there begin with, the shortest first."""
+    needed = [re.escape(part) for part in parts if not part.startswith("?")]
+    found = [
+        {match[1] for name in shapes if (match := re.match(rf"((?:.*?\.)??){part}\.", name))}
+        for part in needed
+    ]
+    return sorted(
+        (root for root in set.intersection(*found) if not _OTHERS.search(root)),
+        key=lambda root: (root.count("."), root.startswith("ema"), root),
+    )
+
+
+def _left(network: TrainedNetwork, shapes: Mapping[str, Shape]) -> dict[str, Shape]:
+    """Return the tensors that a network does not use and that have not been passed over."""
+    words = re.findall(r"[\w.]+", network.normaliser)
+    words += [name.rpartition(".")[0] for name in words]
+    outputs = (network.output_scale.strip('"'), network.output_bias.strip('"'))
+    used = {*(layer.name for layer in network.layers), *network.weights, *outputs, *words}
+    return {
+        name: shape
         for name, shape in shapes.items()
-        if len(shape) >= 2 and not name.startswith(own) and not _OTHERS.search(name)
+        if not any(name == part or name.startswith(f"{part}.") for part in used if part)
+        and not (len(network.layers) == 1 and not network.layers[0].name)
+        and not _is_passed_over(name)
+        and not (network.trainer == "brax" and name.startswith("2."))  # The critic.
+    }
+
+
+def _is_fed(network: TrainedNetwork, shapes: Mapping[str, Shape]) -> bool:
+    """Whether other layers of the file end in as many numbers as a network takes: it is a part."""
+    left = [(name, shape) for name, shape in _left(network, shapes).items() if len(shape) == 2]
+    ends = {_group(name): shape[1 if "weight_hh" in name else 0] for name, shape in left}
+    return network.layers[0].inputs in ends.values()
+
+
+def _accounted(
+    network: TrainedNetwork, shapes: Mapping[str, Shape], entries: Sequence[str]
+) -> TrainedNetwork:
+    """Return a network with notes of what else is in the file and has not been passed over."""
+    left = _left(network, shapes)
+    layers = dict.fromkeys(
+        _group(name)
+        for name, shape in left.items()
+        if len(shape) >= 2 and not _STATISTICS.search(name)
     )
-    if network.trainer == "brax":
-        others = {name: None for name in others if not name.startswith("2.")}
-    if not others:
-        return network
-    note = (
-        f"the file has other networks: {plain(', '.join(others))}. If they feed the actor, export "
-        "the policy as ONNX: this card does not run them"
-    )
-    return replace(network, notes=(*network.notes, note))
+    rest = dict.fromkeys(name for name in left if _group(name) not in layers)
+    rest |= dict.fromkeys(name for name in entries if not _is_passed_over(name))
+    notes = [*network.notes]
+    if layers:
+        notes.append(
+            f"the file has other networks: {_all_of(layers)}. If they feed the actor, export the "
+            "policy as ONNX: this card does not run them"
+        )
+    if rest:
+        notes.append(
+            f"the card does not use these entries of the file: {_all_of(rest)}. If the policy "
+            "needs them, say so in `options`, or export it as ONNX"
+        )
+    return replace(network, notes=tuple(notes))
+
+
+def _is_passed_over(name: str) -> bool:
+    """Whether an entry of a file has no effect on a policy in use."""
+    found = _OTHERS.search(name)
+    if found is None or not _STATISTICS.search(name):
+        return found is not None
+    # Statistics count unless they are a critic's, or of no observations.
+    first, second, *_ = _PASSED_OVER.values()
+    other = re.search(f"{first}|{second}|(count|tracked)$", name, re.IGNORECASE)
+    return other is not None
+
+
+def _group(name: str) -> str:
+    """Return what the names of the tensors of a network begin with; another tensor's own name."""
+    match = re.fullmatch(r"(.+?)[.\d]*\.(weight|kernel|bias)\w*", name)
+    return match[1] if match else name
+
+
+def _all_of(names: Iterable[str]) -> str:
+    listed = [plain(name) for name in names]
+    return ", ".join(listed[:60]) + f" and {len(listed) - 60} more" * (len(listed) > 60)
 
 
 def network_lines(network: TrainedNetwork, activation: str = "", source: str = "") -> list[str]:
@@ -302,6 +448,8 @@ def network_lines(network: TrainedNetwork, activation: str = "", source: str = "
         lines.append(f"  activation: {network.activation}  {common}")
     if network.last:
         lines.append(f"  last: {network.last}  # behind the last layer, as {network.trainer}")
+    outputs = {"output_scale": network.output_scale, "output_bias": network.output_bias}
+    lines += [f"  {key}: {row}  # as {network.trainer}" for key, row in outputs.items() if row]
     if network.outputs is not None:
         given = network.layers[-1].outputs
         lines.append(f"  outputs: {network.outputs}  # of {given}: the others are deviations")
@@ -309,7 +457,7 @@ def network_lines(network: TrainedNetwork, activation: str = "", source: str = "
     if network.normaliser:
         lines.append(f"  normaliser: {network.normaliser}  # {said}")
     else:
-        lines.append(f"  # normaliser: none  {CHECK} the file has none")
+        lines.append(f"  # normaliser: none  {CHECK} none was found in the file")
     kinds = {"linear": "", "norm": " (normalised)"}
     steps = [
         f"{layer.outputs}{kinds.get(layer.kind, f' ({layer.kind})')}" for layer in network.layers

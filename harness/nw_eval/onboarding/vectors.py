@@ -235,7 +235,7 @@ def _missing(terms: Sequence[ExportedTerm]) -> list[str]:
         if len(absent) == len(terms):
             everywhere.append(f"{what}s")
         elif absent:
-            notes.append(f"{CHECK} the {what} of {', '.join(absent)} is not in the file")
+            notes.append(f"{CHECK} the {what} of {', '.join(absent)} cannot be read in the file")
     if everywhere:
         notes.insert(0, f"{CHECK} {' and '.join(everywhere)} are not in the file")
     return notes

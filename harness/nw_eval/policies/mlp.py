@@ -22,7 +22,7 @@ from nw_eval.cards.model import CardModel, Limits
 from nw_eval.errors import PolicyError, nearest
 from nw_eval.memory import pack
 from nw_eval.policies.bundle import Bundle, read_options
-from nw_eval.policies.networks.layers import Layer, chain
+from nw_eval.policies.networks.layers import Layer, chain, unwrapped
 from nw_eval.policies.policy import unpacked
 from nw_eval.policies.torch_network import NetworkPolicy, checkpoint_tensors, input_spec
 
@@ -86,6 +86,10 @@ class MlpOptions(CardModel):
     """After the last layer."""
     outputs: int | None = Field(default=None, ge=1)
     """How many numbers of the last layer are the action, from the first; None = all."""
+    output_scale: Row | None = None
+    """What the numbers behind `last` are multiplied with; None = 1."""
+    output_bias: Row | None = None
+    """What is then added; None = 0."""
     normaliser: Normaliser | None = None
 
 
@@ -100,8 +104,12 @@ class MlpPolicy(NetworkPolicy):
         """
         options = read_options(bundle, MlpOptions)
         where = str(bundle.checkpoint)
-        tensors = checkpoint_tensors(bundle)
         weights = [options.weights] if isinstance(options.weights, str) else options.weights
+        tensors = checkpoint_tensors(bundle)
+        if unwrapped(dict.fromkeys((f"{name}." for name in weights), 0)).keys() == {
+            f"{name}." for name in weights
+        }:
+            tensors = unwrapped(tensors)
         shapes = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
         layers = chain(shapes, weights, where)
         given = layers[-1].outputs
@@ -118,6 +126,10 @@ class MlpPolicy(NetworkPolicy):
         self._last = _ACTIVATIONS[options.last]
         self._layers = [(layer, _module(layer, tensors)) for layer in layers]
         self._normalise = _normalise(options.normaliser, tensors, layers[0].inputs, where)
+        rows = (("output_scale", options.output_scale), ("output_bias", options.output_bias))
+        self._scale, self._bias = (
+            None if row is None else _row(row, tensors, joints, where, key) for key, row in rows
+        )
         super().__init__(bundle, (input_spec("obs", layers[0].inputs),), joints=joints)
 
     def forget(self) -> None:
@@ -141,7 +153,9 @@ class MlpPolicy(NetworkPolicy):
                 x = module(x)
             if layer.activated:
                 x = self._activation(x)
-        return self._last(x[..., : self._joints_of_last])
+        action = self._last(x[..., : self._joints_of_last])
+        action = action if self._scale is None else action * self._scale
+        return action if self._bias is None else action + self._bias
 
     def state(self) -> bytes:
         """Return the hidden states."""
@@ -193,6 +207,12 @@ def _module(layer: Layer, tensors: Mapping[str, Tensor]) -> nn.Module:
         else:
             make = {"lstm": nn.LSTM, "gru": nn.GRU, "rnn": nn.RNN}[layer.kind]
             module = make(layer.inputs, layer.outputs, num_layers=layer.depth, bias=biased)
+    for name, tensor in own.items():
+        if not bool(torch.isfinite(tensor).all()):
+            raise PolicyError(
+                f"the tensor '{prefix}{name}' has NaN or infinite numbers",
+                fix="take an earlier checkpoint of the training",
+            )
     module.load_state_dict(own, assign=True)
     return module.eval().requires_grad_(requires_grad=False)
 
@@ -208,26 +228,8 @@ def _normalise(
     if options is None:
         return lambda x: x
 
-    def numbers(name: Row) -> Tensor:
-        if isinstance(name, list):
-            if len(name) != size:
-                raise PolicyError(
-                    f"{where}: `normaliser` has {len(name)} numbers, the first layer takes {size}",
-                    fix="correct `normaliser`: it is another network's",
-                )
-            return torch.tensor([name], dtype=torch.float32)
-        if name not in tensors:
-            raise PolicyError(
-                f"{where}: no tensor is called {name!r}",
-                fix=f"correct `normaliser`; {nearest(name, list(tensors))}",
-            )
-        if tensors[name].numel() != size:
-            raise PolicyError(
-                f"{where}: {name!r} has {tensors[name].numel()} numbers, the first layer takes "
-                f"{size}",
-                fix="correct `normaliser`: it is another network's",
-            )
-        return tensors[name].to(torch.float32).reshape(1, size)
+    def numbers(row: Row) -> Tensor:
+        return _row(row, tensors, size, where, "normaliser")
 
     mean, eps = numbers(options.mean), options.eps
     if options.eps_in == "variance":
@@ -236,7 +238,38 @@ def _normalise(
         divisor = torch.sqrt(numbers(options.variance)) + eps
     else:
         divisor = numbers(options.std or "") + eps
+    if not bool((torch.isfinite(divisor) & (divisor > 0)).all()):
+        raise PolicyError(
+            f"{where}: `normaliser` divides by numbers that are not above 0",
+            fix="correct `std`, `variance` or `eps` in `normaliser`",
+        )
     limits = options.clip
     if limits is None:
         return lambda x: (x - mean) / divisor
     return lambda x: torch.clamp((x - mean) / divisor, *limits)
+
+
+def _row(row: Row, tensors: Mapping[str, Tensor], size: int, where: str, key: str) -> Tensor:
+    """Return the numbers of an option, (1, `size`) float32.
+
+    Raises:
+        PolicyError: no tensor has that name, or there are more or fewer, or one is not finite.
+    """
+    if isinstance(row, str) and row not in tensors:
+        raise PolicyError(
+            f"{where}: no tensor is called {row!r}",
+            fix=f"correct `{key}`; {nearest(row, list(tensors))}",
+        )
+    found = tensors[row] if isinstance(row, str) else torch.tensor(row)
+    found = found.expand(size) if found.numel() == 1 and key != "normaliser" else found
+    said = repr(row) if isinstance(row, str) else f"`{key}`"
+    if found.numel() != size:
+        layer = "the first layer takes" if key == "normaliser" else "the action has"
+        raise PolicyError(
+            f"{where}: {said} has {found.numel()} numbers, {layer} {size}",
+            fix=f"correct `{key}`: it is another network's",
+        )
+    found = found.to(torch.float32).reshape(1, size)
+    if not bool(torch.isfinite(found).all()):
+        raise PolicyError(f"{where}: {said} has NaN or infinite numbers", fix=f"correct `{key}`")
+    return found

@@ -29,7 +29,8 @@ def headline_parts(verdict: Verdict, run: RunInfo, *, intervals: bool = True) ->
     part = [] if run.shard is None else [str(run.shard)]
     parts = [verdict.verdict, *part, *_against(verdict.against, intervals=intervals)]
     if verdict.success is not None:
-        bar = "no bar" if verdict.bar is None else f"bar {verdict.bar:g}"
+        unjudged = "not judged" if verdict.against is None else "no bar"
+        bar = unjudged if verdict.bar is None else f"bar {verdict.bar:g}"
         low, high = verdict.interval
         bounds = f"{confidence(verdict)} bounds {low:.3f} and {high:.3f}, " if intervals else ""
         parts.append(f"success {verdict.success:.3f} ({bounds}{bar})")
@@ -46,7 +47,7 @@ def headline_parts(verdict: Verdict, run: RunInfo, *, intervals: bool = True) ->
 
 def blind_spot(verdict: Verdict, run: RunInfo) -> str:
     """Return what the bounds speak of, and what a gate against a baseline notices, on a line."""
-    if run.shard is not None:
+    if run.is_part:
         return "A part of a run speaks for nothing but its own trials."
     if verdict.success is None:
         return "No trial has a result, so nothing can be said."
@@ -80,10 +81,10 @@ def stopped_early(run: RunInfo) -> str:
 
 
 def _scores(verdict: Verdict) -> list[str]:
-    """Return the scores that make the verdict what it is, unless it is PASS or RAN."""
+    """Return the scores that make the verdict what it is."""
     parts: list[str] = []
     for item in verdict.scores:
-        if item.word != verdict.verdict or item.word == "PASS" or item.mean is None:
+        if item.word != verdict.verdict or item.mean is None:
             continue
         asked = [f"bar {item.bar:g}"] if item.bar is not None else []
         if item.baseline is None:
@@ -180,7 +181,7 @@ _SAME_OFFSETS = (
 
 def how_sure(verdict: Verdict, run: RunInfo) -> tuple[str, ...]:
     """Return the sentences that apply to this run; none for one without results, or a part."""
-    if verdict.success is None or run.shard is not None:
+    if verdict.success is None or run.is_part:
         return ()
     sentences = [_bounds(verdict), _FRESH if run.panel == "fresh" else _PINNED]
     if verdict.against is not None:

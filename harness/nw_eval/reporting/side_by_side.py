@@ -68,6 +68,13 @@ def _met(found: PolicyComparison) -> str:
     """Return which starts the numbers are over."""
     starts = plural(found.starts, "start")
     left = f"; {plural(found.left_out, 'start')} of some only left out" if found.left_out else ""
+    if found.unmet:
+        every = len(found.unmet) + len(found.scenes)
+        left += (
+            f"; in {len(found.scenes)} of {every} scenes: not all have a result from "
+            f"{', '.join(found.unmet[:3])}"
+            + (f" and {len(found.unmet) - 3} more" if len(found.unmet) > 3 else "")
+        )
     if found.shared:
         return f"from the {starts} that all have a result from{left}"
     return f"from {starts} of its own each: too few are shared for a comparison of the same{left}"

@@ -47,7 +47,7 @@ class Column:
         added: whether it came after files had been published: in those it has the field's
             default, with which it is in no digest, so that old digests stay.
         repeats: whether many rows share a text, of which a file then keeps one.
-        bits: of a whole number, which is not negative: 31, 63 or 64.
+        bits: of a whole number, which is not negative: 31, 63 or 64. One of 64 is text in files.
         kind: the field's Python type, and
         default: what it is where nothing is said; `columns_of` finds both.
     """

@@ -30,7 +30,7 @@ from typing import Any
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import atomic_path
-from nw_eval.files.inside import bounded_bytes
+from nw_eval.files.inside import bounded_bytes, regular
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import COLUMNS, Results, Row, RowTexts
 from nw_eval.results.seal import sealed_pieces, unseal
@@ -109,7 +109,7 @@ def _without_defaults(values: Sequence[Any]) -> int:
 def log_sha256(path: Path) -> str:
     """Return the hex digest of a log's bytes; empty where there is none that can be read."""
     try:
-        with path.open("rb") as stream:
+        with regular(path).open("rb") as stream:
             return file_digest(stream, "sha256").hexdigest()
     except OSError:
         return ""

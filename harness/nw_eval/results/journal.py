@@ -26,6 +26,7 @@ from pydantic_core import from_json
 from nw_eval.clean import clean
 from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.files.cache import atomic_path, open_own, sync_folder
+from nw_eval.files.inside import regular
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row, RowTexts, from_dicts, texts_of
 from nw_eval.results.seal import seal, sum_of, unseal
@@ -310,7 +311,7 @@ def has_begun(path: Path) -> bool:
         StoreError: it cannot be read.
     """
     try:
-        with path.open("rb") as stream:
+        with regular(path).open("rb") as stream:
             return stream.readline(_LONGEST_LINE).endswith(b"\n")
     except (FileNotFoundError, NotADirectoryError):
         return False
@@ -337,7 +338,7 @@ def _read_journal(path: Path) -> tuple[JournalContents, RowStore]:
             raise StoreError(f"no journal at {path}", fix="name the folder of a run")
         if path.stat().st_size > _MOST:
             raise StoreError(f"{path} has over {_MOST // 2**20} MiB", fix="check what it is")
-        with path.open("rb") as stream:
+        with regular(path).open("rb") as stream:
             return _read(path, stream)
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error
@@ -346,7 +347,7 @@ def _read_journal(path: Path) -> tuple[JournalContents, RowStore]:
 def last_sum(path: Path) -> str:
     """Return the sum of a journal's last line; empty if there is no such line."""
     try:
-        with path.open("rb") as stream:
+        with regular(path).open("rb") as stream:
             stream.seek(max(0, path.stat().st_size - _LONGEST_LINE))
             lines = stream.read(_LONGEST_LINE).splitlines(keepends=True)
     except OSError:

@@ -32,7 +32,10 @@ _TYPES: Mapping[Any, pa.DataType] = {
     Numbers: pa.list_(pa.float32()),
     Settings: pa.map_(pa.string(), pa.float64()),
 }
-_WHOLE = {31: pa.int32(), 63: pa.int64(), 64: pa.uint64()}
+_WHOLE = {31: pa.int32(), 63: pa.int64(), 64: pa.string()}
+"""By bits. SQLite has no number of 64 bits without a sign, and JavaScript's have 53: such are text.
+Files of before have numbers there, which are read as well."""
+_AS_TEXT = tuple(name for name, column in COLUMNS.items() if column.bits == 64)
 
 
 def _type(column: Column) -> pa.DataType:
@@ -91,6 +94,8 @@ def write_rows(
 
 def _table(rows: Sequence[Row]) -> pa.Table:
     columns = by_column(rows)
+    for name in _AS_TEXT:
+        columns[name] = list(map(str, columns[name]))
     arrays = [array_of(columns.pop(field.name), field.type) for field in SCHEMA]
     return pa.Table.from_arrays(arrays, schema=SCHEMA)
 
@@ -167,7 +172,11 @@ def _groups_of(data: bytes, path: Path, metadata: dict[str, str]) -> Iterator[li
 
 def _plain(table: pa.Table) -> list[dict[str, Any]]:
     schema = pa.schema([field for field in SCHEMA if field.name in table.schema.names])
-    return table.select(schema.names).cast(schema).to_pylist()
+    rows = table.select(schema.names).cast(schema).to_pylist()
+    for row in rows:
+        for name in _AS_TEXT:
+            row[name] = int(row[name])
+    return rows
 
 
 def array_of(values: Sequence[Any], kind: pa.DataType) -> pa.Array:

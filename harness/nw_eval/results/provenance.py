@@ -278,6 +278,11 @@ class RunInfo(_Saved):
         return self.drawn_for is not None and self.drawn_for.startswith(_RECHECK)
 
     @property
+    def is_part(self) -> bool:
+        """Whether it is one of several parts of a run, of which none is judged alone."""
+        return self.shard is not None and self.shard.count > 1
+
+    @property
     def planned(self) -> dict[str, int]:
         """Planned trials by scene: those that were enough, if a part of them was."""
         trials = {name: scene.trials for name, scene in self.scenes.items()}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,8 +38,11 @@ class RealResult:
 def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealResult, ...]:
     """Read a CSV with a heading that has the four columns, in any order; others are left out.
 
+    Cells are parted by commas, semicolons or tabs. With the latter two, numbers may have a decimal
+    comma, as spreadsheets write them.
+
     Args:
-        path: of the CSV.
+        path: of the CSV, in UTF-8, or UTF-16 with its mark.
         spec: of the score whose column is read, in its unit; None = success.
 
     Raises:
@@ -48,22 +52,18 @@ def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealRe
     columns = (*_NAMED, "success" if spec is None else spec.name)
     fix = f"write a heading `{','.join(columns)}` and a line for each policy and scene"
     try:
-        text = bounded_bytes(path, _MOST).decode("utf-8-sig")
-        lines = csv.DictReader(text.splitlines(), strict=True)
-        heading = [name.strip() for name in lines.fieldnames or ()]
-        lines.fieldnames = heading
-        cells = [(lines.line_num, line) for line in lines]
+        cells = _cells(path, columns)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}", fix="name a CSV") from None
+    except LookupError as error:
+        raise UsageError(f"{path} {error.args[0]}", fix=fix) from None
     except (ValueError, csv.Error) as error:
         raise UsageError(f"{path} is no CSV: {error}", fix=fix) from None
-    if missing := [name for name in columns if name not in heading]:
-        raise UsageError(f"{path} lacks the column {missing[0]}", fix=fix)
     found: list[RealResult] = []
     faults: list[Problem] = []
-    for number, line in cells:
+    for number, wanted in cells:
         try:
-            found.append(_result(line, f"{path}:{number}", found, spec))
+            found.append(_result(wanted, f"{path}:{number}", found, spec))
         except ValueError as error:
             faults.append(Problem(file=str(path), line=number, column=1, message=str(error)))
     if faults:
@@ -73,10 +73,34 @@ def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealRe
     return tuple(found)
 
 
+def _cells(path: Path, columns: Sequence[str]) -> list[tuple[int, list[str]]]:
+    """Return the number and the cells of each line that is not empty; raises LookupError, too."""
+    data = bounded_bytes(path, _MOST)
+    text = data.decode("utf-16" if data[:2] in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig")
+    delimiter = max(",;\t", key=text.partition("\n")[0].count)
+    reader = csv.reader(text.splitlines(), delimiter=delimiter, strict=True)
+    heading = [name.strip().lower() for name in next(reader, [])]
+    for name in columns:
+        if (count := heading.count(name)) != 1:
+            raise LookupError(f"lacks the column {name}" if not count else f"has {name} twice")
+    found: list[tuple[int, list[str]]] = []
+    for line in reader:
+        if len(line) > len(heading):
+            raise LookupError(f"has more cells in line {reader.line_num} than in its heading")
+        row = dict(zip(heading, map(str.strip, line), strict=False))
+        wanted = [row.get(name, "") for name in columns]
+        if delimiter != ",":
+            wanted[-1] = wanted[-1].replace(",", ".")
+        if any(map(str.strip, line)):
+            found.append((reader.line_num, wanted))
+    return found
+
+
 def _result(
-    line: dict[str, str | None], place: str, before: list[RealResult], spec: ScoreSpec | None
+    cells: Sequence[str], place: str, before: list[RealResult], spec: ScoreSpec | None
 ) -> RealResult:
-    policy, scene, trials = ((line.get(name) or "").strip() for name in _NAMED)
+    policy, scene, trials, written = cells
+    trials = trials.removesuffix(".0").removesuffix(",0")  # pandas writes 10.0
     if not (policy and scene):
         raise ValueError("it names no policy or no scene")
     if any((each.policy, each.scene) == (policy, scene) for each in before):
@@ -84,9 +108,9 @@ def _result(
     if not (trials.isascii() and trials.isdigit() and 1 <= int(trials) <= _MOST_TRIALS):
         raise ValueError(f"trials {trials!r} is no whole number from 1 to {_MOST_TRIALS}")
     name = "success" if spec is None else spec.name
-    written = (line.get(name) or "").strip()
+    share = spec is None and written.endswith("%")
     try:
-        value = float(written)
+        value = float(written.rstrip("%")) / 100.0 if share else float(written)
     except ValueError:
         value = math.nan
     if spec is not None:

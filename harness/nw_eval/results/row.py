@@ -50,7 +50,7 @@ class Row:
         str, Column("what the scene asks for: hurdles, gaps, ramps, stairs, open", repeats=True)
     ]
     seed_index: Annotated[int, Column("number of the start in its scene, from 0")]
-    seed: Annotated[int, Column("the trial's seed; the same for every policy", bits=64)]
+    seed: Annotated[int, Column("the trial's seed, as text; the same for every policy", bits=64)]
     policy: Annotated[str, Column("the policy's name", repeats=True)]
     arm: Annotated[
         Arm,

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
+from typing import NoReturn
 
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.inside import OutsideError, inside, what_is
@@ -196,7 +197,38 @@ def open_run_folder(path: Path) -> RunFolder:
             f"{path} is not the folder of a run (no run.json in it)",
             fix="name one of the folders in reports/",
         )
+    check_folders(folder.path)
     return folder
+
+
+def check_folders(run: Path) -> None:
+    """Refuse a run's folder that has a link where a folder is followed, whoever put it there.
+
+    Each folder is opened by its descriptor, so that none is exchanged meanwhile.
+
+    Raises:
+        UsageError: so it is, or one cannot be read.
+    """
+
+    def unreadable(error: OSError) -> NoReturn:
+        raise UsageError(f"cannot read {error.filename}: {error.strerror}", fix="check its rights")
+
+    for top in ("mcap", "cached", "bank", "baseline"):
+        if not os.path.lexists(run / top):
+            continue
+        if (run / top).is_symlink() or not (run / top).is_dir():
+            _no_folder(run / top)
+        for at, folders, _, handle in os.fwalk(run / top, onerror=unreadable):
+            for name in folders:
+                if stat.S_ISLNK(os.lstat(name, dir_fd=handle).st_mode):
+                    _no_folder(Path(at, name))
+
+
+def _no_folder(path: Path) -> NoReturn:
+    raise UsageError(
+        f"{path} is a link or no folder: what is written there would be elsewhere",
+        fix="replace it by the folder that it leads to",
+    )
 
 
 _MOST_FILES, _MOST_BYTES = 500_000, 16 * 2**30

@@ -48,7 +48,7 @@ class FoundRobot:
         identity: empty for a built-in one; of a folder 32 hex digits of the SHA-256 of its files;
             of an installed package `package-version-` and 32 hex digits of its code's.
         folder: where it lies; None = nowhere that files could be sent from.
-        notes: sentences about what of it is not drawn.
+        notes: sentences about what of it is not drawn, or not simulated.
     """
 
     spec: RobotSpec
@@ -213,7 +213,7 @@ def _of_folder(folder: Path, *, is_known: bool = True) -> FoundRobot:
             raise RobotError([read.file.problem(("name",), message, "give another name")])
         stamps = _stamps(folder, read.files)
         spec, identity = spec_of(read), read.digest[:_DIGITS]
-        notes = tuple(read.notes)
+        notes = (*read.notes, *(f"not simulated: {each}" for each in read.account.sentences()))
         found = FoundRobot(spec=spec, identity=identity, folder=folder, notes=notes)
         before = _read[folder] = _Read(found, read.files, stamps)
     if is_known:

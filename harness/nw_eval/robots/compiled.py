@@ -44,6 +44,7 @@ class CompiledRobot:
         root, root_joint: names of the body with the free joint, and of that joint.
         bodies: names of all, parents before children.
         before, after: how many numbers of a keyframe belong to bodies that were left out.
+        solid: names of the geoms that touch ground or another geom.
 
     Raises:
         RobotError: MuJoCo cannot read or compile it, or it is no robot.
@@ -53,6 +54,8 @@ class CompiledRobot:
         self.folder = folder
         self.settings = folder.settings
         self._text = ""
+        self.masks: list[tuple[int, int]] = []
+        self.solid: set[str] = set()
         self.mjspec: Any = self._parsed()
         self._tidy()
         self.model: Any = self.compiled(self.mjspec)
@@ -92,21 +95,36 @@ class CompiledRobot:
 
     def _converted(self, urdf: Element) -> Element:
         """Return a URDF as MJCF."""
+        own: dict[str, str] = {}
         for each in urdf.findall("mujoco"):
             urdf.remove(each)
-        options = {"strippath": "true", "fusestatic": "false", "balanceinertia": "true"}
-        SubElement(SubElement(urdf, "mujoco"), "compiler", {**options, "discardvisual": "false"})
-        try:
-            spec = self._read_urdf(urdf)
-        except ValueError as error:
-            if next(urdf.iter("visual"), None) is None:
-                raise
-            for link in urdf.iter("link"):
-                for visual in link.findall("visual"):
-                    link.remove(visual)
-            spec = self._read_urdf(urdf)  # What is wrong without its looks, is.
-            said = str(error).strip().splitlines()[0]
-            self.folder.notes.append(f"its <visual> are not drawn: MuJoCo says {said}")
+            own |= {k: v for part in each.findall("compiler") for k, v in part.attrib.items()}
+        options = own | {"strippath": "true", "fusestatic": "false", "discardvisual": "false"}
+        compiler = SubElement(SubElement(urdf, "mujoco"), "compiler", options)
+        compiler.attrib.pop("meshdir", None)
+        tried = 0
+        while True:
+            try:
+                spec = self._read_urdf(urdf)
+                break
+            except ValueError as error:
+                said, *about = str(error).strip().splitlines()
+                if "balanceinertia" in said and compiler.get("balanceinertia") != "true":
+                    compiler.set("balanceinertia", "true")
+                    name = (re.findall(r"name '([^']+)'", " ".join(about)) or ["?"])[0]
+                    self.folder.account.loses(
+                        f"inertia of <link {name}>, and others: no body has it, as A + B < C; the "
+                        "mean of the three is taken",
+                        self.folder.line_of(name, "body"),
+                    )
+                elif tried or next(urdf.iter("visual"), None) is None:
+                    raise
+                else:  # What is wrong without its looks, is.
+                    tried = 1
+                    for link in urdf.iter("link"):
+                        for visual in link.findall("visual"):
+                            link.remove(visual)
+                    self.folder.notes.append(f"its <visual> are not drawn: MuJoCo says {said}")
         model = fromstring(spec.to_xml())  # noqa: S314 - MuJoCo's own text.
         for each in model.findall("compiler"):
             for key in ("meshdir", "texturedir", "strippath"):
@@ -142,25 +160,32 @@ class CompiledRobot:
         """Leave the floor out, give everything a name, and one root a free joint."""
         spec = self.mjspec
         world = spec.worldbody
-        for kind in ("geoms", "sites", "cameras"):
-            for each in list(getattr(world, kind)):
-                spec.delete(each)
         tops = list(world.bodies)
-        moving = [body for body in tops if _has_joints(body)]
+        moving = [place for place, body in enumerate(tops) if _has_joints(body)]
         if len(moving) > 1:
             # Some files keep bodies of joints that are locked beside the robot (Unitree's g1, h1).
-            moving = [body for body in moving if _is_free(body)] or moving
+            moving = [place for place in moving if _is_free(tops[place])] or moving
         if len(moving) > 1 or not tops:
-            names = ", ".join(body.name or "?" for body in moving) or "none"
+            names = ", ".join(tops[place].name or "?" for place in moving) or "none"
             raise self.fault(("model",), f"it must have one body at the top, and has {names}")
-        root = moving[0] if moving else tops[0]
-        place = [body.name for body in tops].index(root.name)
+        place = moving[0] if moving else 0
+        root, others = tops[place], [*tops[:place], *tops[place + 1 :]]
         # Keyframes have the numbers of the bodies that are left out, too.
         self.before = sum(map(_coordinates, tops[:place]))
         self.after = sum(map(_coordinates, tops[place + 1 :]))
-        for body in tops:
-            if body.name != root.name:
-                spec.delete(body)
+        fixed = [body for body in others if not _has_joints(body)]
+        self._meet_ground(root, [*world.geoms, *(g for body in fixed for g in _geoms(body))])
+        for body in others:
+            if body not in fixed:
+                self.folder.account.loses(
+                    f"body {body.name!r} beside the robot, with its joints and motors, is left out",
+                    self.folder.line_of(body.name, "body"),
+                )
+            spec.delete(body)
+        for kind in ("geoms", "sites", "cameras"):
+            for each in list(getattr(world, kind)):
+                self.folder.account.passes(f"{kind} of the world", "scenes have their own")
+                spec.delete(each)
         joints = list(root.joints)
         if not _is_free(root):
             if joints:
@@ -169,15 +194,59 @@ class CompiledRobot:
                 )
             root.add_freejoint()
         self._name()
+        paired = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+        self.solid = {g.name for g in self.geoms() if g.contype or g.conaffinity} | paired
+
+    def _meet_ground(self, root: Any, ground: Sequence[Any]) -> None:
+        """Let the geoms that touch ground of the file touch that of scenes, and no others.
+
+        Two geoms touch if a bit of the one's contype is in the other's conaffinity, if neither
+        their bodies are an <exclude> nor they are a <pair>; ground of scenes has 1 in both. Masks
+        that say the same of it stay as they are. Else bit 0 stands for ground, and theirs follow.
+        """
+        spec, geoms = self.mjspec, _geoms(root)
+        floors = [
+            (g.contype, g.conaffinity, g.parent.name) for g in ground if g.contype or g.conaffinity
+        ] or [(1, 1, "world")]
+        apart = {frozenset((each.bodyname1, each.bodyname2)) for each in spec.excludes}
+        names, own = {g.name for g in ground if g.name}, {g.name for g in geoms if g.name}
+        paired: set[str] = set()
+        for pair in list(spec.pairs):
+            ends = {pair.geomname1, pair.geomname2}
+            if ends & names:
+                paired |= ends & own
+            if not ends <= own:
+                spec.delete(pair)
+        if paired:
+            self.folder.account.loses(
+                f"<pair> of ground and {', '.join(sorted(paired))}: they touch, with the friction "
+                "and the solver's parameters of their geoms"
+            )
+        bodies = {"world", *(body.name for body in (root, *_below(root)))}
+        for each in list(spec.excludes):
+            if not {each.bodyname1, each.bodyname2} <= bodies:
+                spec.delete(each)
+        touches = [
+            geom.name in paired
+            or any(
+                (geom.contype & affinity or kind & geom.conaffinity)
+                and frozenset((geom.parent.name, body)) not in apart
+                for kind, affinity, body in floors
+            )
+            for geom in geoms
+        ]
+        self.masks = sorted({(g.contype, g.conaffinity) for g in geoms})
+        _mask(geoms, touches)
 
     def _name(self) -> None:
-        """Give all parts names, and let defaults of the file not act on the scene beside it."""
+        """Give all parts names, and let defaults of the file act on nothing that is added."""
         spec = self.mjspec
-        plain, own = mujoco.MjSpec().default.geom, spec.default.geom
-        for name in ("condim", "contype", "conaffinity", "friction", "margin", "gap", "group"):
-            setattr(own, name, getattr(plain, name))
-        for name in ("solref", "solimp", "solmix", "priority", "density", "rgba", "type"):
-            setattr(own, name, getattr(plain, name))
+        plain = mujoco.MjSpec()
+        for kind in ("geom", "joint", "actuator"):
+            theirs, own = getattr(plain.default, kind), getattr(spec.default, kind)
+            for name in set(dir(own)) - _NO_DEFAULT:
+                if not name.startswith(("_", "set_")):
+                    setattr(own, name, getattr(theirs, name))
         for kind, parts in (("body", spec.bodies), ("joint", spec.joints), ("geom", self.geoms())):
             taken = {part.name for part in parts}
             for number, part in enumerate(parts):
@@ -257,6 +326,38 @@ class CompiledRobot:
         """
         words = f"{self.settings.model.file}: {message}" if place == ("model",) else message
         return RobotError([self.folder.file.problem(place, words, fix)])
+
+
+_OWN = "id name classname parent frame signature info compiler alt plugin"
+_NO_DEFAULT = frozenset(_OWN.split())
+"""Of a part of MuJoCo's editable model: what no class of defaults sets."""
+
+
+def _mask(geoms: Sequence[Any], touches: Sequence[bool]) -> None:
+    """Write masks of which bit 0 says what touches ground; none for what touches nothing."""
+    masks = [g.contype | g.conaffinity for g in geoms]
+    if [bool(mask & 1) for mask in masks] != [*touches]:
+        bits = [bit for bit in range(32) if any(mask >> bit & 1 for mask in masks)]
+        for geom, touch in zip(geoms, touches, strict=True):
+            kind, affinity = (
+                sum(2 << n for n, bit in enumerate(bits) if mask >> bit & 1)
+                for mask in (geom.contype, geom.conaffinity)
+            )
+            geom.contype, geom.conaffinity = kind | touch, affinity
+    kinds = affinities = 0
+    for geom in geoms:
+        kinds, affinities = kinds | geom.contype, affinities | geom.conaffinity
+    for geom, touch in zip(geoms, touches, strict=True):
+        if not (touch or geom.contype & affinities or kinds & geom.conaffinity):
+            geom.contype = geom.conaffinity = 0
+
+
+def _below(body: Any) -> list[Any]:
+    return [part for child in body.bodies for part in (child, *_below(child))]
+
+
+def _geoms(body: Any) -> list[Any]:
+    return [geom for part in (body, *_below(body)) for geom in part.geoms]
 
 
 def _free_name(name: str, taken: set[str]) -> str:

@@ -137,7 +137,7 @@ def _group_geoms(robot: CompiledRobot, *, is_seen_apart: bool) -> None:
     for geom in robot.geoms():
         number = int(robot.model.geom(geom.name).id)
         geom.rgba, geom.material = list(colour_of(robot.model, number)), ""
-        if collides(robot.model, number):
+        if geom.name in robot.solid:
             geom.group = COLLISION_GROUP
         elif is_seen_apart:
             spec.delete(geom)
@@ -152,6 +152,8 @@ def _group_geoms(robot: CompiledRobot, *, is_seen_apart: bool) -> None:
 _GRAVITY = 9.806
 _FOOT_REACH = 0.02  # m above the lowest collision point, within which a body stands on the ground
 _UNLIMITED = 1e6  # rad
+# One and the same, for hinges.
+_ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
 def spec_of(folder: RobotFolder) -> RobotSpec:
@@ -174,6 +176,21 @@ class _Motor:
     torque: float | None = None
     armature: float = 0.0
     friction: float = 0.0
+    damping: float = 0.0  # of its own, which acts whatever it is told
+
+    def beside(self, other: _Motor) -> _Motor:
+        """Return what both do together on one joint."""
+        kps = [motor.kp for motor in (self, other) if motor.kp is not None]
+        kds = [motor.kd for motor in (self, other) if motor.kd is not None]
+        torques = (self.torque, other.torque)
+        return _Motor(
+            follows="velocity" if kds and not kps else "position",
+            kp=sum(kps) if kps else None,
+            kd=sum(kds) if kds else None,
+            torque=None if None in torques else sum(t for t in torques if t is not None),
+            armature=self.armature + other.armature,
+            damping=self.damping + other.damping,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,6 +200,8 @@ class ModelFacts:
     joints: tuple[str, ...]
     """Those with motors, or all hinges where the file has no motors."""
     has_motors: bool
+    followers: dict[str, str]
+    """Joints that an equality (URDF: <mimic>) moves, and which other joint each follows."""
     kp: tuple[float | None, ...]
     """Of servos, N m / rad."""
     kd: tuple[float, ...]
@@ -217,6 +236,8 @@ class _Derivation(CompiledRobot):
 
     def __init__(self, folder: RobotFolder) -> None:
         super().__init__(folder)
+        self.written = self._written()
+        self.followers = self._followers()
         self.joints = self._joints()
 
     def spec(self) -> RobotSpec:
@@ -286,7 +307,8 @@ class _Derivation(CompiledRobot):
         eye = Mounts(self).first_camera()
         return ModelFacts(
             joints=tuple(names),
-            has_motors=bool(self._written()),
+            has_motors=bool(self.written),
+            followers=self.followers,
             kp=tuple(motor.kp for motor in motors),
             kd=tuple(0.0 if motor.kd is None else motor.kd for motor in motors),
             torque=tuple(motor.torque for motor in motors),
@@ -314,13 +336,17 @@ class _Derivation(CompiledRobot):
                     "weld it: remove the joint",
                     self.folder.line_of(name, "joint"),
                 )
-        driven = [joint for joint in hinges if self.joint_names([joint])[0] in self._written()]
+        driven = [joint for joint in hinges if self.joint_names([joint])[0] in self.written]
         patterns = [p for group in self.settings.motors for p in _patterns(group.joints)]
         if not driven:  # The file has no motors; those of robot.yaml are all there are.
             driven = [
                 joint
                 for joint in hinges
-                if any(fnmatchcase(self.joint_names([joint])[0], pattern) for pattern in patterns)
+                for name in self.joint_names([joint])
+                if any(
+                    pattern == name or (fnmatchcase(name, pattern) and name not in self.followers)
+                    for pattern in patterns
+                )
             ]
         if not driven:
             raise self.fault(
@@ -330,6 +356,16 @@ class _Derivation(CompiledRobot):
             )
         return driven
 
+    def _followers(self) -> dict[str, str]:
+        """Return the joints that an equality moves with another joint, and which each follows."""
+        model, joint = self.model, int(mujoco.mjtEq.mjEQ_JOINT)
+        names = self.joint_names(range(model.njnt))
+        return {
+            names[model.eq_obj1id[n]]: names[model.eq_obj2id[n]]
+            for n in np.flatnonzero((model.eq_type == joint) & model.eq_active0).tolist()
+            if model.eq_obj2id[n] >= 0
+        }
+
     def _keyframes(self) -> Iterator[tuple[str, list[float]]]:
         for name in self.folder.poses:
             try:
@@ -338,7 +374,7 @@ class _Derivation(CompiledRobot):
                 continue  # Of other joints, as those of a scene are.
 
     def _motors(self, names: Sequence[str]) -> list[_Motor]:
-        written = self._written()
+        written = self.written
         motors: list[_Motor] = []
         matched = [False] * len(self.settings.motors)
         for joint, name in zip(self.joints, names, strict=True):
@@ -347,12 +383,15 @@ class _Derivation(CompiledRobot):
             follows, kp, torque = motor.follows, motor.kp, motor.torque
             gain = motor.kd if follows == "velocity" else None
             kd = float(np.ravel(self.model.dof_damping[dof])[0])
+            kd += motor.damping
+            own = kd
             if follows == "position":  # The damping of a servo comes on top of the joint's.
                 kd += motor.kd or 0.0
-            armature = float(self.model.dof_armature[dof])
+            armature = float(self.model.dof_armature[dof]) + motor.armature
             friction = float(self.model.dof_frictionloss[dof])
             if self.model.jnt_actfrclimited[joint]:
-                torque = float(np.abs(self.model.jnt_actfrcrange[joint]).max())
+                most = self._largest(name, "actuatorfrc", self.model.jnt_actfrcrange[joint])
+                torque = most if torque is None else min(torque, most)
             for number, group in enumerate(self.settings.motors):
                 if not any(fnmatchcase(name, pattern) for pattern in _patterns(group.joints)):
                     continue
@@ -366,6 +405,9 @@ class _Derivation(CompiledRobot):
                 friction = friction if group.friction is None else group.friction
             if follows == "velocity":  # The joint's own damping is no gain of a servo.
                 kp, kd = 0.0, gain or None
+                if own > 0.0:
+                    what = f"damping={own:g} of its joint has no effect beside kd of a velocity"
+                    self._loses(name, what)
             motors.append(
                 _Motor(
                     follows=follows,
@@ -400,32 +442,72 @@ class _Derivation(CompiledRobot):
                 )
 
     def _written(self) -> dict[str, _Motor]:
-        """Return gains and largest torque by joint, as the actuators of the file have them."""
-        model = self.model
-        found: dict[str, _Motor] = {}
-        for motor in range(model.nu):
-            if model.actuator_trntype[motor] != mujoco.mjtTrn.mjTRN_JOINT:
+        """Return gains and largest torque by joint, as the actuators of the file have them.
+
+        Several motors of a joint add up. What they have beyond that, the account says.
+        """
+        model, found = self.model, dict[str, _Motor]()
+        for motor in range(len(model.actuator_trntype)):  # Some have several controls.
+            name = str(model.actuator(motor).name) or str(motor)
+            if int(model.actuator_trntype[motor]) not in _ON_JOINTS:
+                kind = mujoco.mjtTrn(int(model.actuator_trntype[motor])).name[6:].lower()
+                self._loses(name, f"it acts on a {kind}, and is left out")
                 continue
             gear = abs(float(model.actuator_gear[motor, 0])) or 1.0
             gain = float(model.actuator_gainprm[motor, 0])
-            _, stiffness, damping = model.actuator_biasprm[motor, :3].tolist()
+            has_bias = float(model.actuator_biastype[motor] > 0)
+            constant, stiffness, damping = (has_bias * model.actuator_biasprm[motor, :3]).tolist()
             servo = gain > 0.0 and stiffness < 0.0
             # <velocity kv="...">; a damper or a motor with friction has another gain than kv.
             wheel = gain > 0.0 and stiffness == 0.0 and damping == -gain
             torque = None
             if model.actuator_forcelimited[motor]:
-                torque = gear * float(np.abs(model.actuator_forcerange[motor]).max())
-            elif not servo and not wheel and model.actuator_ctrllimited[motor]:
-                torque = gear * float(gain * np.abs(model.actuator_ctrlrange[motor]).max())
+                torque = gear * self._largest(name, "force", model.actuator_forcerange[motor])
+            is_other = model.actuator_gaintype[motor] > 0 or model.actuator_biastype[motor] > 1
+            if not (servo or wheel or is_other) and model.actuator_ctrllimited[motor]:
+                own = gear * gain * self._largest(name, "ctrl", model.actuator_ctrlrange[motor])
+                torque = own if torque is None else min(torque, own)
             joint = str(model.joint(int(model.actuator_trnid[motor, 0])).name)
             kd = gain if wheel else max(0.0, -damping) if servo else None
-            found[joint] = _Motor(
+            for what, is_so in (
+                ("it clamps its targets", (servo or wheel) and model.actuator_ctrllimited[motor]),
+                ("it has states of its own", model.actuator_dyntype[motor]),
+                ("its force is not linear in what it is told, position and speed", is_other),
+                ("its force has a constant", constant != 0.0),
+                ("its gain is not its stiffness", servo and not math.isclose(gain, -stiffness)),
+                ("its force has a share of the speed", not servo and not wheel and damping != 0.0),
+                ("its targets are late", model.actuator_delay[motor] > 0.0),
+            ):
+                if is_so:
+                    self._loses(name, f"{what}, which is not simulated")
+            more = _Motor(
                 follows="velocity" if wheel else "position",
                 kp=gain * gear * gear if servo else None,
                 kd=None if kd is None else kd * gear * gear,
                 torque=torque,
+                armature=float(model.actuator_armature[motor]) * gear * gear,
+                damping=float(model.actuator_damping[motor]) * gear * gear,
             )
+            found[joint] = found[joint].beside(more) if joint in found else more
         return found
+
+    def _loses(self, motor: str, what: str) -> None:
+        line = next(
+            (
+                self.folder.lines[each]
+                for each in self.folder.model.iter()
+                if each.get("name") == motor and "joint" in each.attrib
+            ),
+            0,
+        )
+        self.folder.account.loses(f"motor {motor!r}: {what}", line)
+
+    def _largest(self, name: str, what: str, limits: Any) -> float:
+        """Return the larger of two limits, which hold both ways here."""
+        low, high = np.abs(limits).tolist()
+        if not math.isclose(low, high, rel_tol=1e-6):
+            self._loses(name, f"its {what}range is not the same both ways; the larger end is taken")
+        return max(low, high)
 
     def _range(self, joint: int) -> tuple[float, float]:
         if not self.model.jnt_limited[joint]:
@@ -491,7 +573,12 @@ class _Derivation(CompiledRobot):
                 body = self.body_name(int(self.model.geom_bodyid[geom]))
                 lows[body] = min(lows.get(body, math.inf), lowest(self.model, self.data, geom))
         if not lows:
-            raise self.fault(("model",), "nothing of it collides with the ground")
+            masks = ", ".join(f"{kind} and {affinity}" for kind, affinity in self.masks[:4])
+            raise self.folder.fault(
+                f"nothing of it collides with the ground: its geoms have contype and conaffinity "
+                f"{masks}, ground has 1 and 1",
+                "set bit 1 in contype of what touches it, or let a floor in the file have theirs",
+            )
         return lows
 
     def _feet(self, lows: dict[str, float]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ import os
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, cast
 from xml.etree.ElementTree import Element, ParseError, XMLPullParser
 
@@ -33,6 +33,7 @@ from nw_eval.files.yaml_file import (
     validation_problems,
 )
 from nw_eval.lens import Intrinsics, ShutterTime
+from nw_eval.robots.account import SHAPES, Account, unexpanded
 
 Array = npt.NDArray[np.float64]
 
@@ -44,31 +45,18 @@ MESHES, MESH_BYTES, MESHES_BYTES = 500, 2**26, 2**28
 FACES, ALL_FACES = 200_000, 1_000_000
 """What a folder may hold: of the model file, of one mesh, of all of them."""
 
-# Elements that say nothing about the body, and those of URDF that MuJoCo does not read. What is
-# called <visual> are settings of a window in an MJCF, and what is seen of a link in a URDF.
-_LEFT_OUT = frozenset(
-    {
-        *("option", "size", "visual", "statistic", "custom", "sensor", "texture", "light"),
-        *("keyframe", "transmission", "gazebo", "dynamics", "safety_controller", "calibration"),
-    }
-)
 _MJCF = """mujoco compiler default asset mesh material worldbody body frame inertial joint freejoint
-    geom site camera contact pair exclude equality connect weld tendon fixed spatial actuator
-    general motor position velocity intvelocity damper"""
-_URDF = """robot link collision geometry box sphere cylinder origin mass inertia parent child axis
-    limit mimic color visual"""
-_KNOWN = frozenset([*_MJCF.split(), *_URDF.split()])
+    geom site camera contact pair exclude equality connect weld tendon fixed spatial pulley actuator
+    general motor position velocity intvelocity damper cylinder pid dcmotor"""
+KNOWN = frozenset(_MJCF.split())
+"""Of an MJCF; what a URDF may have, `account` says."""
 _READ = frozenset({".stl", ".obj"})
 _FARTHEST = 1e5  # of a mesh's numbers, before its scale
 _LENGTHS = frozenset({"pos", "size", "fromto", "xyz", "radius", "length"})
 _MOTION = frozenset({"damping", "armature", "stiffness", "frictionloss", "gravcomp", "margin"})
 _LONGEST, _STRONGEST, _LARGEST = 1e4, 1e6, 1e20  # m, N m and the like, any figure
-_PATHS = frozenset(
-    {
-        *("file", "meshdir", "texturedir", "assetdir", "strippath", "content_type"),
-        *("discardvisual", "fusestatic"),
-    }
-)
+_PATHS = frozenset({"file", "meshdir", "assetdir", "strippath"})
+_OTHERWISE = frozenset({"vertex", "face", "builtin", "params"})  # What else says a mesh.
 
 
 class _Part(BaseModel):
@@ -293,6 +281,7 @@ class RobotFolder:
         files: names of all files that were read.
         digest: hex SHA-256 of their names and bytes.
         notes: sentences about what is not drawn.
+        account: what of the model file is passed over, or is not simulated.
     """
 
     path: Path
@@ -306,6 +295,7 @@ class RobotFolder:
     files: tuple[str, ...]
     digest: str
     notes: list[str]
+    account: Account
 
     def fault(self, message: str, fix: str | None = None, line: int = 1) -> RobotError:
         """Return an error about the model file."""
@@ -322,12 +312,15 @@ class RobotFolder:
         return next((self.lines.get(element, 1) for element in found), 1)
 
 
-def read_folder(folder: Path, text: str | None = None) -> RobotFolder:
+def read_folder(
+    folder: Path, text: str | None = None, seen: dict[str, str] | None = None
+) -> RobotFolder:
     """Read a robot's folder.
 
     Args:
         folder: with the model file that `robot.yaml` names.
         text: of a `robot.yaml` that is not written yet; None = the folder's own.
+        seen: gets SHA-256 of the files that are read, by name, also if one cannot be read.
 
     Raises:
         RobotError: what is wrong with it, with file, line and column.
@@ -341,7 +334,7 @@ def read_folder(folder: Path, text: str | None = None) -> RobotFolder:
         settings = RobotFile.model_validate(file.data)
     except ValidationError as error:
         raise RobotError(validation_problems(error, file, RobotFile)) from None
-    reader = _Reader(folder, file)
+    reader = _Reader(folder, file, {} if seen is None else seen)
     reader.take(ROBOT_FILE, path.read_bytes() if text is None else text.encode())
     model = reader.xml(settings.model)
     keys = enumerate(model.iter("key"))
@@ -359,6 +352,7 @@ def read_folder(folder: Path, text: str | None = None) -> RobotFolder:
         files=tuple(reader.seen),
         digest=reader.digest,
         notes=reader.notes,
+        account=reader.account,
     )
 
 
@@ -374,6 +368,7 @@ class _Reader:
     names: dict[str, str] = field(default_factory=dict[str, str])
     lines: dict[Element, int] = field(default_factory=dict[Element, int])
     notes: list[str] = field(default_factory=list[str])
+    account: Account = field(default_factory=Account)
     where: str = ""
     base: str = ""
     """The folder of the model file, from which its paths start, within the robot's."""
@@ -427,21 +422,31 @@ class _Reader:
             raise RobotError([problem])
         root = self._tree(content, {"mujoco", "robot"})
         if root.tag == "mujoco":
-            self._include(root)
+            self._include(root, PurePosixPath(self.base))
+        elif (words := unexpanded(root)) is not None:
+            message = f"it is no URDF yet: it has {words}, which only xacro reads"
+            raise self.fault(message, "expand it: `xacro FILE > robot.urdf`")
         return root
 
     def fault(self, message: str, fix: str | None = None, line: int = 1) -> RobotError:
         """Return an error about the model file."""
         return RobotError([Problem(file=self.where, line=line, column=1, message=message, fix=fix)])
 
-    def _include(self, parent: Element) -> None:
-        """Put what each <include> names in its place."""
+    def _include(self, parent: Element, base: PurePosixPath) -> None:
+        """Put what each <include> names in its place.
+
+        Args:
+            parent: whose elements are replaced.
+            base: the folder of its file. Names begin there or, as MuJoCo has it, in the model's.
+        """
         for index, child in reversed(list(enumerate(parent))):
             if child.tag != "include":
-                self._include(child)
+                self._include(child, base)
                 continue
             line = self.lines[child]
-            name = Path(child.get("file", "")).as_posix()
+            said = child.get("file", "")
+            tried = [os.path.normpath(Path(each, said)) for each in (self.base, base)]
+            name = next(filter(self._has, tried), tried[-1]) if said else said
             if name in self.seen:  # MuJoCo refuses that, too.
                 raise self.fault(
                     f"<include>: {name!r} is read already", "include each file once", line
@@ -456,7 +461,7 @@ class _Reader:
                 raise self.fault(message, "put it into the folder", line) from None
             where, self.where = self.where, str(self.folder / name)
             root = self._tree(content, {"mujoco", "mujocoinclude"})
-            self._include(root)
+            self._include(root, PurePosixPath(name).parent)
             self.where = where
             for element in root.iter():  # Places are told in the model file.
                 self.lines[element] = self.lines[child]
@@ -483,50 +488,93 @@ class _Reader:
             raise self.fault(f"it begins with {tag}", "give an MJCF (<mujoco>) or a URDF (<robot>)")
         return root
 
+    def _has(self, name: str) -> bool:
+        """Return whether a name is one of a file in the folder."""
+        try:
+            return inside(self.folder, name).is_file()
+        except (OutsideError, OSError):
+            return False
+
     def tidy(self, root: Element) -> None:
         """Leave out what a body does not need, and read the meshes."""
-        is_urdf = root.tag == "robot"
-        self._check(root, _LEFT_OUT - {"visual"} if is_urdf else _LEFT_OUT)
         compiler = {k: v for each in root.iter("compiler") for k, v in each.attrib.items()}
-        if is_urdf:
-            self._urdf_meshes(root)
+        if root.tag == "robot":
+            self.account.attributes(root, root.tag, self.lines[root])
+        self._check(root, root.tag)
+        if root.tag == "robot":
+            self._urdf_meshes(root, compiler.get("meshdir", ""))
         else:
             self._mjcf_meshes(root, compiler)
         for element in root.iter():
             if element.tag != "mesh":
                 for key in _PATHS & set(element.attrib):
                     del element.attrib[key]
-            if element.tag == "material":
-                element.attrib.pop("texture", None)
 
-    def _check(self, parent: Element, left_out: frozenset[str]) -> None:
+    def _check(self, parent: Element, kind: str) -> None:
+        """Account for all elements below one; leave out, or refuse, what is not simulated."""
         for child in list(parent):
-            if child.tag in left_out:
+            line = self.lines[child]
+            if child.tag == "keyframe" and kind == "mujoco":
+                for key in {key for each in child for key in each.attrib} - {"name", "qpos"}:
+                    self.account.passes(f"{key} of <key>", "only positions of joints are taken")
                 parent.remove(child)
-            elif child.tag in _KNOWN:
-                for key, value in child.attrib.items():
-                    if key != "name" and _NOT_FINITE.search(value):
-                        raise self.fault(
-                            f"<{child.tag}> has {key}={value[:40]!r}",
-                            "write numbers",
-                            self.lines[child],
-                        )
-                    self._check_size(child, key, value)
-                if parent.tag == "equality" and child.tag in {"connect", "weld"}:
-                    bodies = [child.get(key) or "the world" for key in ("body1", "body2")]
-                    raise self.fault(
-                        f"<{child.tag}> closes a loop of {' and '.join(bodies)}, and closed loops "
-                        "are not simulated",
-                        "remove it, and drive the joints of a chain that is open",
-                        self.lines[child],
-                    )
-                self._check(child, left_out)
-            else:
+                continue
+            is_out = self.account.leaves_out(child, kind, line)
+            if is_out or (kind == "robot" and not self._is_drawable(child)):
+                parent.remove(child)
+                continue
+            if kind == "mujoco" and child.tag not in KNOWN:
                 raise self.fault(
                     f"<{child.tag}> is not among the elements that a robot may have",
                     "write what it stands for into the file, or remove it",
-                    self.lines[child],
+                    line,
                 )
+            self.account.attributes(child, kind, line)
+            for key, value in child.attrib.items():
+                if key != "name" and _NOT_FINITE.search(value):
+                    message = f"<{child.tag}> has {key}={value[:40]!r}"
+                    raise self.fault(message, "write numbers", line)
+                self._check_size(child, key, value)
+            if parent.tag == "equality" and child.tag in {"connect", "weld"}:
+                bodies = [child.get(key) or "the world" for key in ("body1", "body2")]
+                raise self.fault(
+                    f"<{child.tag}> closes a loop of {' and '.join(bodies)}, and closed loops "
+                    "are not simulated",
+                    "remove it, and drive the joints of a chain that is open",
+                    line,
+                )
+            if child.tag == "geom":
+                self._check_ground(child, parent)
+            self._check(child, kind)
+
+    def _check_ground(self, geom: Element, parent: Element) -> None:
+        """Let a plane stand for what ground of the file is a mesh or a height field.
+
+        Its masks say what touches the ground; scenes have their own.
+        """
+        is_field = geom.get("type") == "hfield" or "hfield" in geom.attrib
+        moves = any(True for tag in ("joint", "freejoint") for _ in parent.iter(tag))
+        if is_field and moves and parent.tag != "worldbody":
+            message = "a <geom> of the robot is a height field, which cannot move"
+            raise self.fault(message, "use a mesh", self.lines[geom])
+        if is_field or (parent.tag == "worldbody" and "mesh" in geom.attrib):
+            geom.attrib.update(type="plane", size="1 1 1")
+            for key in ("hfield", "mesh"):
+                geom.attrib.pop(key, None)
+
+    def _is_drawable(self, element: Element) -> bool:
+        """Return whether MuJoCo knows the shapes of a <collision> or <visual> of a URDF.
+
+        Raises:
+            RobotError: it does not know that of a <collision>.
+        """
+        shapes = [e.tag for g in element.findall("geometry") for e in g if e.tag not in SHAPES]
+        if shapes and element.tag == "collision":
+            message = f"<{shapes[0]}> is no shape of a URDF"
+            raise self.fault(message, f"use one of {', '.join(SHAPES)}", self.lines[element])
+        if shapes:
+            self.notes.append(f"a <visual> is not drawn: <{shapes[0]}> is no shape of a URDF")
+        return not shapes
 
     def _check_size(self, element: Element, key: str, value: str) -> None:
         """Refuse a figure that no robot has: physics would fail, and say less."""
@@ -558,18 +606,20 @@ class _Reader:
                         file = Path(file).name
                     mesh.set("file", self._mesh(Path(self.base, folder, file), mesh))
 
-    def _urdf_meshes(self, root: Element) -> None:
+    def _urdf_meshes(self, root: Element, meshdir: str) -> None:
+        for mesh in root.iter("mesh"):
+            mesh.set("filename", self._in_folder(mesh.get("filename", ""), meshdir))
         for link in root.iter("link"):
             for visual in link.findall("visual"):
                 if not self._is_drawn(visual):
                     link.remove(visual)
             for mesh in (mesh for each in link.findall("collision") for mesh in each.iter("mesh")):
-                mesh.set("filename", self._mesh(self._in_folder(mesh), mesh))
+                mesh.set("filename", self._mesh(Path(mesh.get("filename", "")), mesh))
 
     def _is_drawn(self, visual: Element) -> bool:
         """Read the mesh of what is seen of a link; where it cannot be read, say so in a note."""
         for mesh in visual.iter("mesh"):
-            path = self._in_folder(mesh)
+            path = Path(mesh.get("filename", ""))
             try:
                 mesh.set("filename", self._named(path, self._seen(path)))
             except FileNotFoundError:
@@ -621,12 +671,28 @@ class _Reader:
             raise self.fault(f"it has over {bound}", _THINNER, line)
         return name
 
-    def _in_folder(self, mesh: Element) -> Path:
-        """Return the path of a URDF's mesh."""
-        file = mesh.get("filename", "")
-        # `package://name/meshes/hip.stl`: the folder stands for the package.
-        _, scheme, rest = file.partition("package://")
-        return Path(os.path.normpath(rest.partition("/")[2] if scheme else Path(self.base, file)))
+    def _in_folder(self, file: str, meshdir: str) -> str:
+        """Return the path of a URDF's mesh within the folder, or the likeliest of one that is not.
+
+        `package://name/meshes/hip.stl` names a folder of some machine: the robot's may lie at any
+        place of that path, so that the longest end of it that is there is meant.
+        """
+        scheme = re.match(r"(?:package|model|file)://|\$\(find ([\w.-]+)\)/?", file)
+        if scheme is None:
+            tried = [Path(self.base, file), Path(self.base, meshdir, Path(file).name)]
+            names = [os.path.normpath(path) for path in tried]
+            return next(filter(self._has, names), names[0])
+        rest = (scheme[1] or "", *PurePosixPath(os.path.normpath(file[scheme.end() :])).parts)
+        parts = [part for part in rest if part not in {"", "/"}]
+        ends = ["/".join(parts[at:]) for at in range(max(1, len(parts) - 1))]
+        if len(parts) == 2:  # A mesh beside the package's own file.
+            ends.append(parts[1])
+        found = next(filter(self._has, ends), None)
+        if found is None:
+            return file if file.startswith("file:") else "/".join(parts[1:])
+        if found not in {"/".join(parts), "/".join(parts[1:])}:
+            self.account.passes(f"the beginning of {file[: -len(found)]}", "meshes lie in FOLDER")
+        return found
 
     def _named(self, path: str | Path, content: bytes) -> str:
         """Keep a mesh, and return the name that it has from now on."""
@@ -670,8 +736,10 @@ def fill_meshes(model: Element, folder: RobotFolder) -> None:
         file = mesh.attrib.pop("file", None)
         if file is None:
             continue
-        mesh.attrib.pop("content_type", None)
         name, line = folder.names[file], folder.line_of(mesh.get("name", ""), "mesh")
+        if twice := _OTHERWISE & set(mesh.attrib):
+            fix = "remove one of them"
+            raise folder.fault(f"mesh {name!r} has a file and {min(twice)}", fix, line)
         try:
             vertices, faces = triangles(folder.meshes[file], Path(file).suffix)
         except ValueError as error:

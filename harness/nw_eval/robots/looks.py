@@ -23,7 +23,6 @@ from nw_eval.errors import StoreError
 from nw_eval.files.cache import cache_dir, read_sealed, sealed_path
 from nw_eval.robots.compiled import CompiledRobot
 from nw_eval.robots.spec import Shape, Triangles
-from nw_eval.robots.standing import collides
 
 # Its classes live in compiled modules without type information.
 mujoco: Any = _mujoco
@@ -189,7 +188,7 @@ def visuals_of(robot: CompiledRobot) -> tuple[tuple[Shape, ...], Literal["geoms"
     """
     model = robot.model
     geoms = [g for g in range(model.ngeom) if colour_of(model, g)[3] > 0.0]
-    only_seen = [g for g in geoms if not collides(robot.model, g)]
+    only_seen = [g for g in geoms if str(model.geom(g).name) not in robot.solid]
     has_meshes = any(model.geom_type[g] == _MESH for g in only_seen)
     if only_seen and not has_meshes:
         shapes = [shape for g in only_seen[:_MOST_SHAPES] for shape in _shapes(robot, g, None)]

@@ -26,7 +26,7 @@ from nw_eval.memory import read_only
 from nw_eval.policies import ActionDelay
 from nw_eval.policies.policy_process import all_finite
 from nw_eval.results.row import VIEW_RATE
-from nw_eval.rollout.fault import PolicyFailedError, policy_at_fault
+from nw_eval.rollout.fault import PolicyFailedError, extension_at_fault, policy_at_fault
 from nw_eval.rollout.mcap.messages import Saved, SimState, StatePart
 from nw_eval.scenes.scene import Nearness
 from nw_eval.scores import TrialEnd
@@ -240,12 +240,14 @@ class Episode:
             except DivergedError as error:
                 raise PolicyFailedError(str(error), kind="diverged") from error
             self.step += 1
-            events = self.task.update(self.world)
-            outcome = self.task.end()
+            with extension_at_fault():
+                events = self.task.update(self.world)
+                outcome = self.task.end()
             self.state_digest.update(*self.world.coordinates())
             self.action_digest.update(decision.applied)
             if self._scores is not None:
-                self._scores.take(decision.targets)
+                with extension_at_fault():
+                    self._scores.take(decision.targets)
         return Step(decision, outcome, events)
 
     def scores(self, outcome: Outcome | None) -> tuple[tuple[str, float], ...]:
@@ -255,8 +257,9 @@ class Episode:
             outcome: how the trial ended; None if it came to no result.
         """
         end = TrialEnd(outcome=outcome, seconds=self.world.time, success=self.task.success)
-        own = tuple(self.task.scores().items())
-        return own if self._scores is None else (*own, *self._scores.values(end))
+        with extension_at_fault():
+            own = tuple(self.task.scores().items())
+            return own if self._scores is None else (*own, *self._scores.values(end))
 
     def scores_so_far(self) -> dict[str, float]:
         """Return scores of the trial until now, by name: see `ScoreMeter.so_far`."""

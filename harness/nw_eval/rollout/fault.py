@@ -7,13 +7,19 @@ trial and nothing else. Only Ctrl-C at this process is no fault and is raised ag
 from __future__ import annotations
 
 import re
-import signal
 import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nw_eval.clean import message_of
-from nw_eval.errors import ActionError, CodeError, NwEvalError, ServerError, TrialError
+from nw_eval.errors import (
+    ActionError,
+    CodeError,
+    NwEvalError,
+    ServerError,
+    TrialError,
+    is_interrupt,
+)
 
 if TYPE_CHECKING:
     from nw_eval.words import PolicyFault
@@ -62,6 +68,29 @@ class policy_at_fault:  # noqa: N801 - it reads like a function, and costs less 
             raise PolicyFailedError(str(error)) from error
 
 
+class ExtensionFailedError(NwEvalError):
+    """Code of a score, a task or a perturbation raised what would else count as the policy's."""
+
+
+class extension_at_fault:  # noqa: N801 - as `policy_at_fault`.
+    """Turn what code other than the policy's throws into an error that is not the policy's.
+
+    Raises:
+        ExtensionFailedError: SystemExit and its like, or an error of a policy, was raised inside.
+    """
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: object
+    ) -> None:
+        if error is not None and not is_interrupt(error) and fault_of(error) is not None:
+            raise ExtensionFailedError(
+                f"a score, task or perturbation raised {one_line(error)}", fix="mend its code"
+            ) from error
+
+
 def fault_of(error: BaseException) -> PolicyFault | None:
     """Return how the policy itself failed; None if this is no failure of the policy."""
     if isinstance(error, PolicyFailedError):
@@ -71,16 +100,6 @@ def fault_of(error: BaseException) -> PolicyFault | None:
     if isinstance(error, CodeError) or not isinstance(error, Exception):
         return "exception"
     return None
-
-
-def is_interrupt(error: BaseException) -> bool:
-    """Whether an exception is the user's Ctrl-C, which must end more than a trial.
-
-    Workers ignore Ctrl-C (`engine.worker.start`), so a KeyboardInterrupt in one of them is of the
-    policy.
-    """
-    hears = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
-    return hears and isinstance(error, KeyboardInterrupt)
 
 
 def one_line(error: BaseException) -> str:

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from nw_eval.cards import JointControl, mounted_robot, physics_steps
-from nw_eval.errors import PolicyError, ServerError, TrialError, UsageError
+from nw_eval.errors import PolicyError, ServerError, TrialError, UsageError, is_interrupt
 from nw_eval.policies import ActionFilter, Bundle, Policy, open_policy
 from nw_eval.policies.apart import AskedPolicy
 from nw_eval.protocol import EvaluationProtocol, protocol_named
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.episode import Episode
-from nw_eval.rollout.fault import fault_of, is_interrupt, one_line, policy_at_fault
+from nw_eval.rollout.fault import extension_at_fault, fault_of, one_line, policy_at_fault
 from nw_eval.rollout.job import StageClock, TrialResult
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.trial_log import TrialLog
@@ -77,7 +77,8 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
     bundle = library.bundle_of(job)
     _check_same(job, scene, bundle)
     robot = mounted_robot(get_robot(job.robot), bundle.card)
-    setup = perturbed(TrialSetup.of(trial, robot, bundle.card), dict(trial.perturbation))
+    with extension_at_fault():
+        setup = perturbed(TrialSetup.of(trial, robot, bundle.card), dict(trial.perturbation))
     robot, card = setup.robot, setup.card
 
     def opened(rendering: Rendering) -> Renderer:
@@ -98,8 +99,9 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             control_period=world.control_period,
             contact_termination=job.contact_termination,
         )
-        task = open_task(job.task, rules)
-        start = task.reset(trial, scene, robot)
+        with extension_at_fault():
+            task = open_task(job.task, rules)
+            start = task.reset(trial, scene, robot)
         with policy_at_fault():
             policy: Policy = open_policy(bundle, allow_code=job.allow_code)
             cleanup.callback(_close, policy)
@@ -120,6 +122,12 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
         for name, sensor in sensors.items():
             sensor.reset(_seed(trial.seed_sequence(f"sensor {name}")))
         control = JointControl.from_card(card, robot)
+        with extension_at_fault():
+            scores = (
+                ScoreMeter(job.scores, world, task, allow_code=job.allow_code)
+                if job.scores
+                else None
+            )
         episode = Episode(
             world=world,
             sensors=sensors,
@@ -132,11 +140,7 @@ def open_trial(job: TrialJob, library: Library, clock: StageClock) -> OpenTrial:
             clock=clock,
             pushes=pushes_of(setup),
             cones=standing_cones(setup, start.waypoints),
-            scores=(
-                ScoreMeter(job.scores, world, task, allow_code=job.allow_code)
-                if job.scores
-                else None
-            ),
+            scores=scores,
         )
         return OpenTrial(
             job=job,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import starmap
 
 import numpy as np
@@ -37,6 +38,22 @@ _AROUND = 2.0
 _SAMPLES = 20_000
 
 
+# Of a robot's camera over the ground, m; a face looks up or down from this z of its normal on.
+_EYE = 0.3
+_FACES = 0.3
+_MOSTLY = 0.5
+# Of a room: levels that its height is told in, what it holds at least as a share of the floor, and
+# where its contents hang rather than stand.
+_LEVELS = 100
+_CONTENTS = 0.05
+_ROOM = 0.1
+_HANGING = 0.55
+_TURN_OVER = (
+    "if it is upside down, turn it over: `nw-eval scenes level SCENE --flip --propose`, or import "
+    "it with another --up"
+)
+
+
 def check_scene(scene: Scene, *, read_splat: bool = True) -> tuple[SceneFinding, ...]:
     """Return what is wrong or remarkable about a scene.
 
@@ -45,15 +62,15 @@ def check_scene(scene: Scene, *, read_splat: bool = True) -> tuple[SceneFinding,
         read_splat: look into the splat as well; a splat file of a gigabyte takes seconds.
     """
     rays = RayScene(scene.mesh())
-    findings = [*_spawn(scene, rays), *_waypoints(scene, rays)]
+    findings = [*_overhead(scene, rays), *_spawn(scene, rays), *_waypoints(scene, rays)]
     if read_splat and scene.splat is not None:
         findings += _splat(scene)
     return tuple(findings)
 
 
-def _heights(scene: Scene, rays: RayScene, xy: Values) -> Values:
+def _heights(scene: Scene, rays: RayScene, xy: Values, z_from: float | Values = 50.0) -> Values:
     """Return the ground under points, as the sensors see it or else as physics has it."""
-    heights = rays.height(xy)
+    heights = rays.height(xy, z_from=z_from)
     fields = [solid.height(xy) for solid in scene.solids if isinstance(solid, HeightField)]
     if not fields:
         return heights
@@ -62,10 +79,118 @@ def _heights(scene: Scene, rays: RayScene, xy: Values) -> Values:
     return np.where(np.isneginf(heights) & (field > scene.ground.z + _ABOVE_VOID), field, heights)
 
 
+def _faces_above(scene: Scene, rays: RayScene, points: Values) -> tuple[Values, Values]:
+    """Return how far above points (N, 3) the next face is, m, and the z of its unit normal."""
+    distance, face = rays.cast(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)))
+    a, b, c = scene.mesh().triangles[np.maximum(face, 0)].swapaxes(0, 1)
+    normal = np.cross(b - a, c - a)
+    return distance, normal[:, 2] / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
+
+
+def _under_roofs(scene: Scene, rays: RayScene, points: Values) -> Values:
+    """Return from which z (N,) one looks down on points (N, 3): from under a roof, where one is.
+
+    A roof shows its underside to who stands below it, with room for a robot; what shows its back
+    is the top of a thing that stands there.
+    """
+    distance, turn = _faces_above(scene, rays, points + np.array([0.0, 0.0, _CLEARANCE]))
+    is_roof = np.isfinite(distance) & (distance > _BODY_TOP - _CLEARANCE) & (turn < -_FACES)
+    return np.where(is_roof, points[:, 2] + _CLEARANCE + distance - 0.01, 50.0)
+
+
+def _overhead(scene: Scene, rays: RayScene) -> list[SceneFinding]:
+    """Return that the course is under the floor, or on the ceiling of a room that stands on it."""
+    points = np.vstack([[scene.spawn.position], scene.trail])
+    eyes = points + np.array([0.0, 0.0, _EYE])
+    distance, turn = _faces_above(scene, rays, eyes)
+    under = np.isfinite(distance) & (turn > _FACES)
+    x, y, z = points[0].tolist()
+    if under[0] and under.mean() > _MOSTLY:
+        return [
+            SceneFinding(
+                code="under_floor",
+                severity="error",
+                message=f"a surface that faces up is {distance[0] + _EYE:.2f} m above the start, "
+                f"and over {int(under.sum())} of {len(points)} points of the course: the robot's "
+                "eye is under a floor",
+                fix=_TURN_OVER,
+                value=float(distance[0]),
+                place=(x, y, z),
+            )
+        ]
+    covered = np.isfinite(distance) & (turn < -_FACES)
+    room = room_of(scene.mesh().triangles, np.array([0.0, 0.0, 1.0]))
+    if covered.mean() > _MOSTLY and room is not None and room.contents > _HANGING:
+        return [
+            SceneFinding(
+                code="upside_down",
+                severity="warning",
+                message=f"{room.words()}: the room may stand on its ceiling",
+                fix=_TURN_OVER,
+                value=room.contents,
+                place=(x, y, z),
+            )
+        ]
+    return []
+
+
+@dataclass(frozen=True, kw_only=True)
+class Room:
+    """What lies under one ceiling.
+
+    Attributes:
+        floor: its height, in the unit of the mesh, as the next.
+        height: of the ceiling over the floor.
+        contents: how high what lies between has its level faces, area by area, as a share of
+            `height`: tables and shelves are low. nan = there is too little.
+    """
+
+    floor: float
+    height: float
+    contents: float
+
+    def words(self) -> str:
+        """Return where the contents are."""
+        return (
+            f"what is in the room has its level faces at {self.contents:.0%} of its height in the "
+            "mean"
+        )
+
+
+def room_of(triangles: Values, up: Values) -> Room | None:
+    """Return the room that triangles (F, 3, 3) enclose if `up` (3,) is up; None if they do not.
+
+    The largest level that faces down is the ceiling, and the largest below it that faces up the
+    floor, if neither is smaller than a tenth of the other: furniture hides floors, and ceilings
+    have a slab above them.
+    """
+    normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    turn = normal @ up / np.maximum(area, 1e-300)
+    height = triangles.mean(axis=1) @ up
+    low, span = float(height.min()), max(float(np.ptp(height)), 1e-9)
+    bins = np.minimum(((height - low) / span * _LEVELS).astype(np.int64), _LEVELS - 1)
+    sums = [np.bincount(bins[one], area[one], _LEVELS) for one in (turn > 0.94, turn < -0.94)]
+    ceiling = int(sums[1].argmax())
+    floor = int(sums[0][: max(ceiling - 1, 1)].argmax())
+    sizes = sorted((float(sums[0][floor]), float(sums[1][ceiling])))
+    if ceiling <= floor or not sizes[0] > _ROOM * sizes[1]:
+        return None
+    between = (bins > floor) & (bins < ceiling) & (np.abs(turn) > 0.5)
+    rise = span / _LEVELS * (ceiling - floor)
+    level = low + span / _LEVELS * (floor + 0.5)
+    contents = np.nan
+    if area[between].sum() > _CONTENTS * sums[0][floor]:
+        mean = np.average(height[between], weights=area[between])
+        contents = float((mean - level) / rise)
+    return Room(floor=level, height=rise, contents=contents)
+
+
 def _spawn(scene: Scene, rays: RayScene) -> list[SceneFinding]:
     x, y, z = scene.spawn.position
     here = np.array([[x, y]])
-    floor = float(_heights(scene, rays, here)[0])
+    roof = float(_under_roofs(scene, rays, np.array([[x, y, z]]))[0])
+    floor = float(_heights(scene, rays, here, roof)[0])
     place = (x, y, z)
     if _looks_down(scene, rays, x, y, z):
         return [
@@ -105,11 +230,12 @@ def _spawn(scene: Scene, rays: RayScene) -> list[SceneFinding]:
     body = np.stack(np.meshgrid(*sides), -1).reshape(-1, 2)
     c, s = np.cos(scene.spawn.yaw), np.sin(scene.spawn.yaw)
     points = here + body @ np.array([[c, s], [-s, c]])
-    under = _heights(scene, rays, points)
+    roofs = _under_roofs(scene, rays, np.column_stack([points, np.full(len(points), z)]))
+    under = _heights(scene, rays, points, roofs)
     highest = float(np.max(under))
     steps = np.linspace(-_ROUND, _ROUND, 17)
     nearby = here + np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
-    ground = _heights(scene, rays, nearby)
+    ground = _heights(scene, rays, nearby, roof)
     usual = float(np.median(ground[np.isfinite(ground)]))
     # A narrow block may stand on lower ground: where it is level under the robot, it carries it.
     level = max(usual, min(z, float(np.min(under))))
@@ -158,7 +284,8 @@ def _meets(box: Box | PropBox, points: Values) -> bool:
 
 
 def _waypoints(scene: Scene, rays: RayScene) -> list[SceneFinding]:
-    heights = _heights(scene, rays, scene.trail[:, :2])
+    roofs = _under_roofs(scene, rays, scene.trail)
+    heights = _heights(scene, rays, scene.trail[:, :2], roofs)
     rows = enumerate(zip(scene.trail.tolist(), heights.tolist(), strict=True))
     found = starmap(lambda index, row: _waypoint(index, row[0], row[1]), rows)
     return [finding for finding in found if finding is not None]
@@ -198,7 +325,7 @@ def _waypoint(index: int, point: list[float], ground: float) -> SceneFinding | N
 
 def _splat(scene: Scene) -> list[SceneFinding]:
     try:
-        means = _means(scene)
+        means, notes = _means(scene)
     except SceneError as error:
         empty = any(word in str(error) for word in ("empty", "none of", "no Gaussian"))
         code = "splat_empty" if empty else "splat_invalid"
@@ -217,10 +344,15 @@ def _splat(scene: Scene) -> list[SceneFinding]:
         float(((points > low) & (points < high)).all(axis=1).mean())
         for points in (world, _on_surface(mesh))
     )
+    found = [
+        SceneFinding(code="splat_partly_read", severity="note", message=f"splat: {note}")
+        for note in notes
+    ]
     if share >= min(_LEAST_INSIDE, _LEAST_OF_MESH * of_mesh):
-        return []
+        return found
     middle = np.median(world, axis=0).round(2).tolist()
     return [
+        *found,
         SceneFinding(
             code="splat_elsewhere",
             severity="error",
@@ -228,7 +360,7 @@ def _splat(scene: Scene) -> list[SceneFinding]:
             f"their middle is at {middle}",
             fix="check T_world_splat: scale, rotation and data_transforms.json",
             value=share,
-        )
+        ),
     ]
 
 
@@ -244,10 +376,11 @@ def _on_surface(mesh: TriangleMesh) -> Values:
     return a[face] + u * (b - a)[face] + v * (c - a)[face]
 
 
-def _means(scene: Scene) -> Values:
-    """Return the centres of a scene's Gaussians, (N, 3) in the splat's frame."""
+def _means(scene: Scene) -> tuple[Values, tuple[str, ...]]:
+    """Return the centres of a scene's Gaussians, (N, 3) in the splat's frame, and their notes."""
     from nw_eval.splat.store import GEOMETRY, GROUP, open_store
 
-    layout = open_store(scene.splat_store()).layout
+    store = open_store(scene.splat_store())
+    layout = store.layout
     centers = layout.geometry.reshape(-1, GEOMETRY, GROUP)[:, :3].transpose(0, 2, 1)
-    return centers.reshape(-1, 3)[: layout.count].astype(np.float64)
+    return centers.reshape(-1, 3)[: layout.count].astype(np.float64), store.notes

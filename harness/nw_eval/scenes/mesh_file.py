@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
-from nw_eval.files.inside import regular
+from nw_eval.files.inside import foreign, regular, what_is
 from nw_eval.files.ply import Ply
 from nw_eval.scenes.finding import SceneFinding
 from nw_eval.scenes.limits import MESH_BYTES, MESH_FACES, MESH_REACH, TEXTURES
@@ -34,6 +34,7 @@ from nw_eval.scenes.mesh_parts import (
     bytes_beside,
     check_count,
     cut_faces,
+    fast_numbers,
     numbers_of,
     strips,
 )
@@ -67,11 +68,6 @@ def inspect_mesh(
     Raises:
         SceneError: as `read_mesh`.
     """
-    suffix = path.suffix.lower()
-    if suffix not in MESH_SUFFIXES:
-        raise SceneError(
-            f"{path}: no mesh format that is read here", fix=f"give {', '.join(MESH_SUFFIXES)}"
-        )
     remarks = Remarks(path)
     vertices, faces = _read(path, remarks)
     vertices = vertices * np.asarray(scale, dtype=np.float64)
@@ -79,8 +75,12 @@ def inspect_mesh(
 
 
 def _read(path: Path, remarks: Remarks) -> Arrays:
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise unread(path, MESH_SUFFIXES)
     try:
         size = regular(path).stat().st_size
+        if (other := foreign(path)) is not None:
+            raise SceneError(f"{path}: it is {other[0]}", fix=other[1])
         if size > MESH_BYTES:
             raise SceneError(
                 f"{path} has {size} bytes", fix=f"decimate it below {MESH_BYTES} bytes"
@@ -92,6 +92,26 @@ def _read(path: Path, remarks: Remarks) -> Arrays:
     if len(faces) == 0 and remarks.dropped:
         raise SceneError(f"{path}: no triangles in it, {remarks.words()}", fix=AGAIN)
     return vertices, faces
+
+
+def unread(path: Path, suffixes: Sequence[str]) -> SceneError:
+    """Return what is wrong with a file of none of these suffixes: what it is, and what to give."""
+    fix = f"give {', '.join(suffixes)}"
+    if what_is(path) == "folder":
+        inside = sorted(one.name for one in path.iterdir() if one.suffix.lower() in suffixes)
+        listed = ", ".join(clean(one, at_most=60) for one in inside[:3])
+        return SceneError(
+            f"{path}: a folder", fix=f"give a file in it: {listed}" if inside else fix
+        )
+    if path.suffix.lower() == ".gltf":
+        fix = "pack it into one file: `npx @gltf-transform/cli copy IN.gltf OUT.glb`"
+        return SceneError(f"{path}: glTF that lies in several files", fix=fix)
+    known = foreign(path)
+    if known is None and path.suffix.lower() in {".splat", ".spz", ".sog", ".ksplat"}:
+        known = "a Gaussian splat, which has no surface", "give a mesh, and the splat with --splat"
+    if known is None:
+        return SceneError(f"{path}: no format that is read here", fix=fix)
+    return SceneError(f"{path}: it is {known[0]}", fix=known[1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,6 +127,7 @@ class PaintedMesh:
         material: (F,) int32 index into `materials`.
         materials: at least one.
         findings: what was left out of the file.
+        unit: that a comment of the file names, as it names it; of glTF the metre. None = none.
     """
 
     vertices: NDArray[np.float64]
@@ -116,6 +137,7 @@ class PaintedMesh:
     material: NDArray[np.int32]
     materials: tuple[Material, ...]
     findings: tuple[SceneFinding, ...]
+    unit: str | None = None
 
     @property
     def is_painted(self) -> bool:
@@ -140,10 +162,6 @@ def read_painted(path: Path) -> PaintedMesh:
         SceneError: as `read_mesh`, but a scan may lie far from its origin.
     """
     suffix = path.suffix.lower()
-    if suffix not in MESH_SUFFIXES:
-        raise SceneError(
-            f"{path}: no mesh format that is read here", fix=f"give {', '.join(MESH_SUFFIXES)}"
-        )
     paint = Paint()
     remarks = Remarks(path, paint)
     vertices, faces = _read(path, remarks)
@@ -165,7 +183,34 @@ def read_painted(path: Path) -> PaintedMesh:
         material=material[whole],
         materials=tuple(paint.materials) or (Material(),),
         findings=remarks.findings(),
+        unit="m" if suffix == ".glb" else _unit_of(path),
     )
+
+
+_UNIT = re.compile(
+    rb"\bunits?\b\W{0,3}(?:(?:is|are|in)\W+)?(mm|cm|m|in|ft|millimet\w+|centimet\w+|met(?:er|re)s?"
+    rb"|inch(?:es)?|foot|feet)\b",
+    re.IGNORECASE,
+)
+
+
+def _unit_of(path: Path) -> str | None:
+    """Return the unit that the head of an OBJ, PLY or STL names, such as `# units: mm`."""
+    with path.open("rb") as file:
+        found = {one.lower() for one in _UNIT.findall(file.read(4096))}
+    short = {
+        b"milli": "mm",
+        b"centi": "cm",
+        b"met": "m",
+        b"inch": "in",
+        b"foot": "ft",
+        b"fee": "ft",
+    }
+    named = {
+        next((unit for begin, unit in short.items() if one.startswith(begin)), one.decode())
+        for one in found
+    }
+    return named.pop() if len(named) == 1 else None
 
 
 def checked_mesh(
@@ -231,7 +276,7 @@ def _read_stl(path: Path, remarks: Remarks) -> Arrays:
         and re.match(rb"\s*solid\b", data, re.IGNORECASE)
         and b"facet" in data[:65536].lower()
     ):
-        return _read_ascii_stl(path, data)
+        return _read_ascii_stl(path, data, remarks)
     if len(data) < needed or len(data) < 84:
         raise SceneError(
             f"{path}: no readable STL mesh: {len(data)} bytes, its {count} facets need {needed}",
@@ -246,14 +291,42 @@ def _read_stl(path: Path, remarks: Remarks) -> Arrays:
     if len(data) > needed:
         remarks.dropped["bytes after the last facet"] += len(data) - needed
     check_count(path, 3 * count)
-    corners = np.frombuffer(data, _FACET, count, 84)["corners"].reshape(-1, 3)
-    return corners.astype(np.float64), np.arange(3 * count).reshape(-1, 3)
+    facets = np.frombuffer(data, _FACET, count, 84)
+    corners = facets["corners"].astype(np.float64)
+    # Programs keep colours or numbers of parts there, each in its own way.
+    if marked := int((facets["attribute"] != 0).sum()):
+        remarks.unread.append(f"the attributes of {marked} facets, such as colours")
+    if b"COLOR=" in data[:80]:
+        remarks.unread.append("the colour in its header")
+    _check_turns(facets["normal"].astype(np.float64), corners, remarks)
+    return corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
 
 
-def _read_ascii_stl(path: Path, data: bytes) -> Arrays:
+_STL_WORDS = "solid|endsolid|facet|endfacet|outer|endloop|vertex"
+
+
+def _check_turns(
+    normals: NDArray[np.float64] | None, corners: NDArray[np.float64], remarks: Remarks
+) -> None:
+    """Remark that stored normals (F, 3) contradict the order of corners (F, 3, 3), which counts."""
+    if normals is None or normals.size != 3 * len(corners):
+        return
+    normals = normals.reshape(-1, 3)
+    with np.errstate(all="ignore"):
+        turn = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        against = int(((turn * normals).sum(axis=1) < 0).sum())
+    if against:
+        remarks.unread.append(
+            f"the normals of {against} of {len(normals)} facets, which contradict the order of "
+            "their corners"
+        )
+
+
+def _read_ascii_stl(path: Path, data: bytes, remarks: Remarks) -> Arrays:
     text = data.decode("utf-8", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
     rows: list[str] = []
     lines: list[int] = []
+    normals: list[str] = []
     begun: int | None = None
     for number, line in enumerate(text.split("\n"), 1):
         words = line.split(maxsplit=1)
@@ -262,6 +335,7 @@ def _read_ascii_stl(path: Path, data: bytes) -> Arrays:
             if begun is not None:
                 break
             begun = len(rows)
+            normals.append(words[1].lower().removeprefix("normal") if len(words) > 1 else "")
         elif word == "vertex":
             rows.append(words[1] if len(words) > 1 else "")
             lines.append(number)
@@ -278,19 +352,27 @@ def _read_ascii_stl(path: Path, data: bytes) -> Arrays:
     if len(rows) % 3:
         raise SceneError(f"{path}: a vertex stands outside of a facet", fix=AGAIN)
     check_count(path, len(rows))
-    return numbers_of(path, rows, lines, "vertex"), np.arange(len(rows)).reshape(-1, 3)
+    vertices = numbers_of(path, rows, lines, "vertex")
+    _check_turns(fast_numbers(normals, np.float64), vertices.reshape(-1, 3, 3), remarks)
+    others = re.findall(rf"^[ \t]*(?!(?:{_STL_WORDS})\b)(\S+)", text, re.MULTILINE | re.IGNORECASE)
+    for other in others:
+        remarks.dropped[f"unknown lines {clean(other, at_most=20)!r}"] += 1
+    return vertices, np.arange(len(rows)).reshape(-1, 3)
 
 
 # --- PLY ---------------------------------------------------------------------------------------
 
 _PLY_SURFACES = ("face", "tristrips")
 _PLY_TEXTURE = re.compile(r"TextureFile\s+\S", re.IGNORECASE)
+_PLY_SAID = re.compile(r"(TextureFile|.*\bunits?\b).*", re.IGNORECASE)
 
 
 def _read_ply(path: Path, remarks: Remarks) -> Arrays:
     ply = Ply.open(path, most_rows={"vertex": MESH_FACES, "face": MESH_FACES})
     table = ply.elements.get("vertex")
     names = table.dtype.names or () if table is not None else ()
+    if not any(len(ply.elements.get(one, ())) for one in _PLY_SURFACES):
+        _no_surface(ply, names)
     if table is None or not {"x", "y", "z"} <= set(names):
         raise SceneError(f"{path}: no vertices with x, y and z in it", fix=AGAIN)
     vertices = np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=-1)
@@ -299,6 +381,8 @@ def _read_ply(path: Path, remarks: Remarks) -> Arrays:
             remarks.dropped[f"rows of {clean(name, at_most=20)!r}"] += len(rows)
     faces = [np.zeros((0, 3), np.int64)]
     looks = _PlyLooks(ply, remarks)
+    remarks.unread += ply.remarks("vertex", {"x", "y", "z", *looks.used}, _PLY_SILENT)
+    remarks.unread += ply.unread_comments(_PLY_SAID)
     for element in _PLY_SURFACES:
         lists = ply.lists.get(element, {})
         found = lists.get("vertex_indices") or lists.get("vertex_index")
@@ -310,6 +394,7 @@ def _read_ply(path: Path, remarks: Remarks) -> Arrays:
         if element == "tristrips":
             faces.append(strips(corners, found.counts))
             looks.add(faces[-1])
+            remarks.unread += ply.remarks(element, {*_PLY_CORNERS, *looks.used}, _PLY_SILENT)
             continue
         narrow = found.counts < 3
         if narrow.any():
@@ -317,7 +402,37 @@ def _read_ply(path: Path, remarks: Remarks) -> Arrays:
             corners = corners[np.repeat(~narrow, found.counts)]
         faces.append(cut_faces(path, vertices, found.counts[~narrow], corners))
         looks.add(faces[-1], is_whole=bool((found.counts == 3).all()))
+        remarks.unread += ply.remarks(element, {*_PLY_CORNERS, *looks.used}, _PLY_SILENT)
     return vertices, np.concatenate(faces)
+
+
+_PLY_CORNERS = ("vertex_indices", "vertex_index")
+_PLY_LOOKS = {
+    *("red", "green", "blue", "s", "t", "u", "v", "texture_u", "texture_v"),
+    *("texcoord", "texnumber"),
+}
+_PLY_SILENT = ("nx", "ny", "nz", "alpha", "flags")
+"""Normals, which the faces say themselves, opacity, and what editors selected."""
+
+
+def _no_surface(ply: Ply, names: Sequence[str]) -> None:
+    """Refuse a PLY without faces for what it is.
+
+    Raises:
+        SceneError: it is a splat or a point cloud.
+    """
+    count = len(ply.elements.get("vertex", ()))
+    if {"f_dc_0", "packed_position"} & set(names):
+        raise SceneError(
+            f"{ply.path}: {count} Gaussians of a splat, which has no surface to stand on",
+            fix="give the mesh of the same scan, and this file with --splat",
+        )
+    if count:
+        raise SceneError(
+            f"{ply.path}: a point cloud: {count} points and no faces, so nothing to stand on",
+            fix="export the scan as a mesh (Scaniverse, Polycam: as GLB or OBJ), or mesh the "
+            "points, such as with CloudCompare",
+        )
 
 
 class _PlyLooks:
@@ -327,12 +442,15 @@ class _PlyLooks:
         self.ply, self.paint = ply, remarks.paint
         self.colours: NDArray[np.float64] | None = None
         self.places: NDArray[np.float64] | None = None
+        self.used: set[str] = set()
         if self.paint is None:
+            self.used |= _PLY_LOOKS  # Who asks for surfaces alone passes over all that colours.
             return
         table = ply.elements["vertex"]
         names = table.dtype.names or ()
         if {"red", "green", "blue"} <= set(names):
             shades = [table[one] for one in ("red", "green", "blue")]
+            self.used |= {"red", "green", "blue"}
             whole = [one.dtype.kind == "f" or np.iinfo(one.dtype).max for one in shades]
             self.colours = np.stack(
                 [np.clip(one / w, 0.0, 1.0) for one, w in zip(shades, whole, strict=True)], axis=-1
@@ -340,7 +458,10 @@ class _PlyLooks:
         for u, v in (("s", "t"), ("u", "v"), ("texture_u", "texture_v")):
             if {u, v} <= set(names):
                 self.places = np.stack([table[u], table[v]], axis=-1).astype(np.float64)
+                self.used |= {u, v}
         pictures = [one.split(None, 1)[1] for one in ply.comments if _PLY_TEXTURE.match(one)]
+        if len(pictures) > TEXTURES:
+            remarks.dropped[f"textures over {TEXTURES}"] += len(pictures) - TEXTURES
         for picture in pictures[:TEXTURES]:
             texture = bytes_beside(ply.path, picture, remarks)
             self.paint.materials.append(Material(texture=texture))
@@ -355,6 +476,7 @@ class _PlyLooks:
         corners = self.ply.lists.get("face", {}).get("texcoord")
         if is_whole and corners is not None and (corners.counts == 6).all():
             uv = corners.values.reshape(-1, 3, 2).astype(np.float64)
+            self.used |= {"texcoord", "texnumber"}
             table = self.ply.elements["face"]
             if "texnumber" in (table.dtype.names or ()):
                 most = max(len(self.paint.materials) - 1, 0)

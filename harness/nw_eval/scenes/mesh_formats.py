@@ -37,6 +37,23 @@ _GLTF_LOOKS = re.compile(
     r"(KHR|EXT)_(materials|texture|lights|animation)_\w+|KHR_mesh_quantization"
 )
 """Extensions that change no surface, or that are understood."""
+_GLTF_SILENT = re.compile(
+    r"(KHR|EXT)_(materials|texture|lights|meshopt)_\w+|KHR_(mesh_quantization|xmp|draco)\w*"
+)
+"""Extensions that are read, or of no effect: gloss, lamps, authorship, and compressed copies of
+what stands plain beside, or else its accessors are refused. Textures not read are remarked."""
+_GLTF_FIELDS = re.compile(
+    r"asset|scenes?|nodes|mesh(es)?|accessors|bufferViews|buffers|materials?|textures|images|name"
+    r"|samplers|cameras?|skins?|animations|extensions(Used|Required)?|extras|children|matrix|mode"
+    r"|rotation|scale|translation|weights|primitives|attributes|indices|targets|alphaMode"
+    r"|alphaCutoff|doubleSided|pbrMetallicRoughness|(normal|occlusion|emissive)Texture"
+    r"|emissiveFactor"
+)
+"""Fields of the file, nodes, meshes, primitives and materials that are read, remarked elsewhere
+(skins, morph targets, animations, alphaMode), or of no effect: cameras, relief and glow, and
+`doubleSided`, for rays and feet meet faces from both sides."""
+_GLTF_ATTRIBUTES = re.compile(r"POSITION|COLOR_0|TEXCOORD_\d+|NORMAL|TANGENT|(JOINTS|WEIGHTS)_\d+")
+"""Of vertices: those that are read, directions that faces say themselves, and those of skins."""
 
 
 def read_glb(path: Path, remarks: Remarks) -> Arrays:
@@ -78,7 +95,7 @@ class _Glb:
         self.materials: dict[int | None, int] = {}
         self.pictures: dict[int, bytes] = {}
         self.size = len(data)
-        binary = data[28 + length : whole]
+        binary = self._second(data, 20 + length, whole)
         self.content: dict[str, Any] = json.loads(data[20 : 20 + length])
         self.buffers = [
             self._buffer(one.get("uri"), binary) for one in self.content.get("buffers", ())
@@ -90,6 +107,53 @@ class _Glb:
                 f"{path}: it needs {clean(', '.join(unknown), at_most=100)}",
                 fix="export it without compression of the mesh",
             )
+
+    def _second(self, data: bytes, at: int, whole: int) -> bytes:
+        """Return the bytes of the file's second part; others are passed over, and remarked."""
+        found = b""
+        while at + 8 <= whole:
+            size, kind = struct.unpack_from("<I4s", data, at)
+            if kind == b"BIN\0" and not found:
+                found = data[at + 8 : min(at + 8 + size, whole)]
+            else:
+                self.remarks.unread.append(
+                    f"a part {clean(repr(kind), at_most=20)} of {size} bytes"
+                )
+            at += 8 + size
+        return found
+
+    def _account(self, met: set[int]) -> None:
+        """Remark what of the file is not read: nodes, by number, stand in the scene."""
+        content, unread = self.content, self.remarks.unread
+        nodes: list[dict[str, Any]] = content.get("nodes", [])
+        if apart := [i for i, one in enumerate(nodes) if "mesh" in one and i not in met]:
+            self.remarks.dropped["nodes with meshes that are not in its default scene"] += len(
+                apart
+            )
+        if moves := content.get("animations"):
+            unread.append(f"{len(moves)} animations: nodes stand as they are without")
+        materials: list[dict[str, Any]] = content.get("materials", [])
+        modes = [
+            str(one["alphaMode"]) for one in materials if one.get("alphaMode", "OPAQUE") != "OPAQUE"
+        ]
+        if modes:
+            words = clean(", ".join(sorted(set(modes))), at_most=60)
+            unread.append(f"alphaMode {words} of {len(modes)} materials, which are solid here")
+        ways = {
+            s.get(way, 10497) for s in content.get("samplers", ()) for way in ("wrapS", "wrapT")
+        }
+        if ways - {10497} and self.remarks.paint is not None:
+            unread.append("that textures do not repeat (wrapS, wrapT): they do here")
+        meshes: list[dict[str, Any]] = content.get("meshes", [])
+        rows = [content, *nodes, *meshes, *materials, *(p for m in meshes for p in m["primitives"])]
+        names = {key for row in rows for key in row if not _GLTF_FIELDS.fullmatch(key)}
+        names |= {key for row in rows for key in row.get("attributes", ())
+                  if not _GLTF_ATTRIBUTES.fullmatch(key)}  # fmt: skip
+        used = {str(one) for one in content.get("extensionsUsed", ())}
+        used |= {key for row in rows for key in row.get("extensions", ())}
+        names |= {name for name in used if not _GLTF_SILENT.fullmatch(name)}
+        if names:
+            unread.append(clean(", ".join(sorted(names)), at_most=200))
 
     def _buffer(self, uri: str | None, binary: bytes) -> bytes:
         """Return the bytes of a buffer: the file's second part, or what is written in the JSON."""
@@ -149,6 +213,7 @@ class _Glb:
                 count += len(points)
                 triangles += len(corners)
                 check_count(self.path, max(count, triangles))  # A mesh may stand at many places.
+        self._account(met)
         return np.concatenate(vertices), np.concatenate(faces)
 
     def _parts(self, mesh: dict[str, Any]) -> Iterator[tuple[Arrays, dict[str, Any]]]:
@@ -305,6 +370,12 @@ _OBJ_SILENT = (
     "vt", "vn", "g", "o", "s", "mg", "usemtl", "mtllib", "usemap", "maplib", "bevel", "c_interp",
     "d_interp", "lod", "shadow_obj", "trace_obj",
 )  # fmt: skip
+_MTL_READ = re.compile(
+    r"|#.*|(newmtl|Kd)\b.*|map_Kd\s+[^-\s].*|d\s+1(\.0*)?|Tr\s+0(\.0*)?"
+    r"|((map_)?(K[ase]|N[si]|P[rms]|bump)|Tf|Pcr?|illum|sharpness|anisor?|norm|refl|map_aat)\b.*"
+)
+"""Lines of an MTL that are read, say that something is opaque, or are of no effect: gloss, glow and
+relief, which a splat of plain colours does not have."""
 _OBJ_DROPPED = {
     "p": "points", "l": "lines",
     **dict.fromkeys(("vp", "cstype", "bmat", "step", "curv", "curv2", "surf", "parm", "trim",
@@ -338,6 +409,7 @@ def read_obj(path: Path, remarks: Remarks) -> Arrays:
         elif kind not in _OBJ_SILENT:
             remarks.dropped[f"unknown lines {clean(kind, at_most=20)!r}"] += 1
     check_count(path, max(len(points), len(polygons)))
+    remarks.unread += _weights(points)
     vertices = numbers_of(path, points, point_lines, "v")
     widths = np.array([len(line.split()) for line in polygons], dtype=np.int64)
     if len(widths) and widths.min() < 3:
@@ -367,6 +439,13 @@ def read_obj(path: Path, remarks: Remarks) -> Arrays:
         path, remarks, cut, points, polygons, corners, np.repeat(own[: len(widths)], widths)
     )
     return vertices, corners[cut]
+
+
+def _weights(points: list[str]) -> list[str]:
+    """Return that vertices have a fourth number that is not 1, which curved surfaces alone use."""
+    fourth = [words[3] for one in points if len(words := one.split(None, 6)) == 4]
+    count = len([one for one in fourth if not re.fullmatch(r"1(\.0*)?", one)])
+    return [f"the weight of {count} vertices"] if count else []
 
 
 class _ObjLooks:
@@ -408,6 +487,9 @@ class _ObjLooks:
         read: dict[str, Material] = {}
         for library in dict.fromkeys(self.libraries):
             read |= _materials(path, library, remarks)
+        if lost := sorted(name for name in self.names if name and name not in read):
+            named = clean(", ".join(lost[:5]), at_most=100)
+            remarks.unread.append(f"{len(lost)} materials that no library has, white here: {named}")
         if len(self.names) > 10 * TEXTURES:
             raise SceneError(f"{path}: {len(self.names)} materials", fix="join them into an atlas")
         paint.materials += [read.get(name, Material()) for name in self.names]
@@ -417,6 +499,8 @@ class _ObjLooks:
             wide = len(rows) // len(points)
             shades = np.clip(rows.reshape(-1, wide)[:, 3:6], 0.0, 1.0)
             colours = shades[corners[cut]]
+        elif any(one.strip().count(" ") >= 5 for one in points):
+            remarks.unread.append("colours of vertices, which not all vertices have")
         paint.add(
             len(cut),
             colours=colours,
@@ -466,8 +550,10 @@ def _materials(path: Path, library: str, remarks: Remarks) -> dict[str, Material
             factor=(1.0, 1.0, 1.0) if texture is not None else factor, texture=texture
         )
 
-    for line in (content or b"").decode("utf-8-sig", errors="replace").splitlines():
-        word, _, rest = line.strip().replace("\t", " ").partition(" ")
+    text = (content or b"").decode("utf-8-sig", errors="replace")
+    lines = [line.strip() for line in text.splitlines()]
+    for line in lines:
+        word, _, rest = line.replace("\t", " ").partition(" ")
         if word == "newmtl":
             keep()
             name, factor, picture = rest.strip(), (1.0, 1.0, 1.0), ""
@@ -486,6 +572,9 @@ def _materials(path: Path, library: str, remarks: Remarks) -> dict[str, Material
             rest = rest.strip()
             picture = rest.rpartition(" ")[2] if rest.startswith("-") else rest
     keep()
+    if left := [one for one in dict.fromkeys(lines) if not _MTL_READ.fullmatch(one)]:
+        words = clean("; ".join(left), at_most=200)
+        remarks.unread.append(f"of {clean(library, at_most=60)}: {words}")
     return found
 
 

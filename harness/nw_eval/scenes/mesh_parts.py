@@ -217,12 +217,21 @@ class Paint:
 
 
 class Remarks:
-    """What is left out of a file, and its colours if somebody wants them."""
+    """What is left out of a file, and its colours where they are asked for.
+
+    Attributes:
+        path: of the file.
+        paint: gets the colours; None = they are not wanted.
+        dropped: surfaces and the like that are left out, and how many.
+        unread: fields that are not read, and what contradicts in the file, in words.
+        turned: whether its axes were turned.
+    """
 
     def __init__(self, path: Path, paint: Paint | None = None) -> None:
         self.path = path
         self.paint = paint
         self.dropped: Counter[str] = Counter()
+        self.unread: list[str] = []
         self.turned = False
 
     def words(self) -> str:
@@ -252,6 +261,15 @@ class Remarks:
                     severity="note",
                     message=f"{self.path.name}: only triangles are used; left out: {self.words()}",
                     fix="export these as triangles if a robot can touch them",
+                )
+            )
+        if self.unread:
+            found.append(
+                SceneFinding(
+                    code="mesh_partly_read",
+                    severity="note",
+                    message=f"{self.path.name}: not read: {'; '.join(self.unread)}",
+                    fix="nothing, unless the surface or its colours depend on it",
                 )
             )
         return tuple(found)

@@ -56,6 +56,7 @@ class CostOfTransport(_Energy):
     spec = lower_better(
         "cost_of_transport", "", 5.0, "mechanical energy for each newton of weight and metre of way"
     )
+    joined = ("x", "y")
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)

@@ -18,6 +18,7 @@ class _Differences(Score):
     """Root mean square of the differences of some order of what the motors are told, by time."""
 
     order: ClassVar[int]
+    joined = ("before",)
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)
@@ -134,6 +135,7 @@ class FootSlip(Score):
     as a mean speed.
     """
 
+    joined = ("before", "carried")
     spec = lower_better("foot_slip", "m/s", 1.0, "mean horizontal speed of feet that carry load")
 
     def __init__(self, figures: Figures) -> None:
@@ -214,6 +216,7 @@ class DistanceBeforeFall(Score):
         undefined=0.0,
         meaning="way of the trunk until it fell, or the trial ended",
     )
+    joined = ("x", "y")
 
     def __init__(self, figures: Figures) -> None:
         super().__init__(figures)

@@ -23,9 +23,19 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from nw_eval.clean import clean
-from nw_eval.errors import CodeError, UsageError, nearest
+from nw_eval.errors import CodeError, UsageError, is_interrupt, nearest
 from nw_eval.files.inside import OutsideError, bounded_bytes, inside
-from nw_eval.scores.score import READINGS, Array, Figures, Score, ScoreSpec, Stretch, TrialEnd
+from nw_eval.scores.score import (
+    READINGS,
+    Array,
+    Figures,
+    Score,
+    ScoreSpec,
+    Stretch,
+    TrialEnd,
+    unusable_range,
+)
+from nw_eval.words import Outcome
 
 EXPECT = "expect_"
 """What the names of expectations begin with, as scores."""
@@ -147,8 +157,8 @@ class OwnScore(BaseModel):
     @model_validator(mode="after")
     def _is_a_score(self) -> Self:
         low, high = self.range
-        if not low < high:
-            raise ValueError(f"range {low:g} to {high:g} is empty")
+        if fault := unusable_range(low, high):
+            raise ValueError(fault)
         try:
             spec = self.spec
         except ValidationError:
@@ -319,6 +329,10 @@ def _expecting(
     return type("Reaches", (_Reaches,), {"spec": declared, "expected": expected, "of": cls})
 
 
+_CUT_SHORT = frozenset[Outcome | None]({"fell", "collided", "policy_failed"})
+"""Ends of trials that leave unknown what would have been measured."""
+
+
 class Keeps(Score):
     """Whether a reading was never beyond a bound for longer than it may."""
 
@@ -335,7 +349,8 @@ class Keeps(Score):
         assert self.expected.reading is not None
         values = _READINGS[self.expected.reading][1](stretch)
         substeps, channels = values.shape[1:]
-        beyond = values.reshape(-1, channels) > (self.expected.at_most or 0.0)
+        # What is not a number was not measured, and keeps no bound.
+        beyond = ~(values.reshape(-1, channels) <= (self.expected.at_most or 0.0))
         before, self.instants = self.instants, self.instants + len(beyond)
         if not beyond.any():
             self.lasting = np.zeros(channels)
@@ -352,8 +367,10 @@ class Keeps(Score):
         self.lasting = lasting
 
     def value(self, end: TrialEnd) -> float | None:
-        """Return 1 or 0."""
-        return float(self.broken < 0) if end.seconds else None
+        """Return 1 or 0; None where nothing was measured."""
+        if end.outcome in _CUT_SHORT:
+            return 0.0
+        return float(self.broken < 0) if self.instants else None
 
     def moment(self) -> float | None:
         """Return when it was first broken, s."""
@@ -361,7 +378,10 @@ class Keeps(Score):
 
 
 class _Reaches(Score):
-    """Whether a score keeps to a bound; one that is undefined keeps to none."""
+    """Whether a score keeps to a bound; one that is undefined keeps to none.
+
+    Nor does one of which less is better, of a trial that was cut short: it had less time to grow.
+    """
 
     expected: ClassVar[Expectation]
     of: ClassVar[type[Score]]
@@ -379,6 +399,8 @@ class _Reaches(Score):
         value = self.score.value(end)
         if value is None or not math.isfinite(value):
             return 0.0  # A trial that never finishes does not finish within any bound.
+        if self.of.spec.better == "lower" and end.outcome in _CUT_SHORT:
+            return 0.0
         if self.expected.at_most is not None:
             return float(value <= self.expected.at_most)
         return float(value >= (self.expected.at_least or 0.0))
@@ -409,7 +431,9 @@ def _computing(own: OwnScore, source: str) -> type[Score]:
             exec(compile(source, file, "exec"), module.__dict__)  # noqa: S102 - it is allowed.
         function = getattr(module, wanted)
         parameters = tuple(inspect.signature(function).parameters)
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - the code may raise anything.
+    except BaseException as error:
+        if is_interrupt(error):
+            raise
         raise UsageError(
             f"score {own.spec.name!r}: {own.python} cannot be loaded: "
             f"{type(error).__name__}: {clean(error, at_most=200)}",

@@ -7,14 +7,15 @@ that names none pays nothing.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from nw_eval.words import Outcome
 
@@ -49,14 +50,22 @@ class ScoreSpec(BaseModel):
     meaning: str
     """One line."""
 
+    @model_validator(mode="after")
+    def _has_a_range(self) -> Self:
+        if fault := unusable_range(self.low, self.high):
+            raise ValueError(fault)
+        return self
+
     @property
     def width(self) -> float:
         """Of the range, in the score's unit."""
         return self.high - self.low
 
     def counted(self, value: float | None) -> float:
-        """Return a value as it is averaged: within the range; None is what is undefined."""
-        return min(max(self.undefined if value is None else value, self.low), self.high)
+        """Return a value as it is averaged, within the range; None and NaN are `undefined`."""
+        if value is None or not math.isfinite(value):
+            value = self.undefined
+        return min(max(value, self.low), self.high)
 
     def scaled(self, value: float | None) -> float:
         """Return a value as a number from 0, the worst, to 1, the best."""
@@ -71,6 +80,25 @@ class ScoreSpec(BaseModel):
         """Return the declaration with a narrower range."""
         bounded = min(max(self.undefined, low), high)
         return self.model_copy(update={"low": low, "high": high, "undefined": bounded})
+
+
+def unusable_range(low: float, high: float) -> str | None:
+    """Return why values cannot be scaled to a range from 0 to 1, or None.
+
+    A share of a width beyond the largest number is NaN, and one of a width of no normal number has
+    no digits.
+    """
+    if not low < high:
+        return f"range {low:g} to {high:g} is empty"
+    if high - low > MOST_WIDTH:
+        return f"range {low:g} to {high:g} is wider than {MOST_WIDTH:g}"
+    if high - low < 1.0 / MOST_WIDTH:
+        return f"range {low:g} to {high:g} is narrower than {1.0 / MOST_WIDTH:g}"
+    return None
+
+
+MOST_WIDTH = 1e300
+"""Of a score's range; sums and products of shares stay finite numbers."""
 
 
 def lower_better(name: str, unit: str, high: float, meaning: str) -> ScoreSpec:
@@ -251,6 +279,8 @@ class Score:
     """
 
     spec: ClassVar[ScoreSpec]
+    joined: ClassVar[tuple[str, ...]] = ()
+    """Attributes that join a stretch to the one before: they are as new after a pause of a log."""
 
     def __init__(self, figures: Figures) -> None:
         self.figures = figures

@@ -312,7 +312,7 @@ def geoms_of(model: MjModel, robot: RobotSpec, names: Sequence[str]) -> list[lis
     """
     if robot.touches == "geom":
         return [[int(model.geom(name).id)] for name in names]
-    collides = (model.geom_contype != 0) & (model.geom_conaffinity != 0)
+    collides = (model.geom_contype | model.geom_conaffinity) & 1 != 0
     return [
         np.flatnonzero(collides & (model.geom_bodyid == model.body(name).id)).tolist()
         for name in names

@@ -42,12 +42,14 @@ class Gaussians:
         means: (N, 3) float32 centres.
         log_scales: (N, 3) float32, natural logarithm of the standard deviations along own axes.
         quats: (N, 4) float32 w x y z, own axes to frame; any non-zero length.
-        opacity_logits: (N,) float32; opacity = 1 / (1 + exp(-logit)).
+        opacity_logits: (N,) float32; opacity = 1 / (1 + exp(-logit)), 1 of +inf. As a log scale of
+            -inf is a size of 0, this is what converters write of full opacity and of flat ones.
         sh: (N, K, 3) float32, K in 1, 4, 9, 16; coefficients in the order and signs of 3DGS.
             Colour seen along unit direction d = max(0, 0.5 + sum_k Y_k(d) sh[:, k]).
         rasterize_mode: what they were trained for, by the file's own mark; None where there is
             none: such are drawn antialiased.
         projection: how they became pixels in training, as above; a suite says how it draws them.
+        notes: what of their file was not read, and what is doubtful in it, for people.
     """
 
     means: F32
@@ -57,6 +59,7 @@ class Gaussians:
     sh: F32
     rasterize_mode: RasterizeMode | None = None
     projection: Projection | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Make arrays contiguous float32 and check shapes.
@@ -103,6 +106,24 @@ class Gaussians:
         return replace(self, **{name: change(getattr(self, name)) for name in ARRAYS})
 
 
+def drawable(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """Return which Gaussians (N,) can be drawn: the others are left out wherever they are used.
+
+    Not drawn are centres, sizes (squared, in single precision), colours or rotations that are not
+    finite, rotations of length 0, and opacities that are not a number.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        scales = np.exp(gaussians.log_scales)
+        return (
+            np.isfinite(gaussians.means).all(axis=1)
+            & np.isfinite(scales * scales).all(axis=1)
+            & np.isfinite(gaussians.quats).all(axis=1)
+            & (np.abs(gaussians.quats).max(axis=1, initial=0.0) > 0)
+            & np.isfinite(gaussians.sh).all(axis=(1, 2))
+            & ~np.isnan(gaussians.opacity_logits)
+        )
+
+
 def check_count(origin: object, count: int) -> None:
     """Check how many Gaussians a file claims to hold, before room is made for them.
 
@@ -129,6 +150,7 @@ def concatenate(*parts: Gaussians) -> Gaussians:
         quats=np.concatenate([part.quats for part in parts]),
         opacity_logits=np.concatenate([part.opacity_logits for part in parts]),
         sh=np.concatenate(sh),
+        notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )
 
 
@@ -138,8 +160,8 @@ class SplatFigures:
 
     Attributes:
         count: all of them.
-        visible: those with opacity of at least 1/255 and finite values.
-        not_finite: those with a value that is not finite.
+        visible: those that are drawn: with opacity of at least 1/255, and not of the next.
+        not_finite: those that cannot be drawn, see `drawable`; they are left out everywhere.
         sh_degree: degree of the harmonics, 0 to 3.
         rasterize_mode: what the file says that they were trained for; None: nothing.
         projection: as above, how they became pixels in training.
@@ -147,6 +169,7 @@ class SplatFigures:
         bulk: the same for the middle 98 % along each axis: floaters left out.
         scale_percentiles: 1, 50 and 99 % of the largest standard deviation, in file units.
         opacity_histogram: how many have opacity in each tenth of 0..1.
+        notes: as `Gaussians.notes`, and what is doubtful in these figures.
     """
 
     count: int
@@ -159,6 +182,7 @@ class SplatFigures:
     bulk: tuple[tuple[float, ...], tuple[float, ...]]
     scale_percentiles: tuple[float, float, float]
     opacity_histogram: tuple[int, ...]
+    notes: tuple[str, ...] = ()
 
 
 def describe(gaussians: Gaussians) -> SplatFigures:
@@ -167,12 +191,12 @@ def describe(gaussians: Gaussians) -> SplatFigures:
     centres = gaussians.means[finite]
     if len(centres) == 0:
         centres = np.zeros((1, 3), dtype=np.float32)
-    for values in (gaussians.log_scales, gaussians.quats):
-        finite &= np.isfinite(values).all(axis=1)
-    finite &= np.isfinite(gaussians.opacity_logits) & np.isfinite(gaussians.sh).all(axis=(1, 2))
+    finite = drawable(gaussians)
     opacity = sigmoid(gaussians.opacity_logits[finite])
     largest = np.exp(np.clip(gaussians.log_scales[finite].max(axis=1, initial=-80.0), -80.0, 80.0))
     percentiles = np.percentile(largest, [1, 50, 99]) if len(largest) else np.zeros(3)
+    bulk = np.percentile(centres, [1, 99], axis=0)
+    logits = gaussians.opacity_logits[finite]
     return SplatFigures(
         count=len(gaussians),
         visible=int((opacity >= 1.0 / 255.0).sum()),
@@ -181,13 +205,36 @@ def describe(gaussians: Gaussians) -> SplatFigures:
         rasterize_mode=gaussians.rasterize_mode,
         projection=gaussians.projection,
         bounds=(_point(centres.min(axis=0)), _point(centres.max(axis=0))),
-        bulk=(
-            _point(np.percentile(centres, 1, axis=0)),
-            _point(np.percentile(centres, 99, axis=0)),
-        ),
+        bulk=(_point(bulk[0]), _point(bulk[1])),
         scale_percentiles=(float(percentiles[0]), float(percentiles[1]), float(percentiles[2])),
         opacity_histogram=tuple(np.histogram(opacity, bins=10, range=(0.0, 1.0))[0].tolist()),
+        notes=(
+            *gaussians.notes,
+            *_doubts(float(np.ptp(bulk, axis=0).max()), float(percentiles[1]), centres, logits),
+        ),
     )
+
+
+_LARGE, _FEW = 0.1, 50
+"""Size of the median Gaussian as a share of the whole, from which on it is doubted; of so many."""
+
+
+def _doubts(width: float, size: float, centres: F32, logits: F32) -> list[str]:
+    """Return what speaks against a file's numbers being what its format says."""
+    found: list[str] = []
+    kept = float(np.spacing(np.abs(centres).max()))
+    if size > 0.0 and kept > size:
+        found.append(
+            f"centres are known to {kept:.2g} only, so far are they from the origin; the median "
+            f"size is {size:.2g}: subtract their middle before they are written as float32"
+        )
+    if len(logits) >= _FEW and size > _LARGE * width:
+        found.append(
+            f"the median size is {size / width:.0%} of the whole: are scales natural logarithms?"
+        )
+    if len(logits) >= _FEW and logits.min() >= 0.0 and 0.0 < logits.max() <= 1.0:
+        found.append("all stored opacities are from 0 to 1: are they logits?")
+    return found
 
 
 def _point(values: np.ndarray) -> tuple[float, ...]:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from nw_eval.errors import SceneError
 from nw_eval.files.cache import DamagedError, read_sealed, sealed_path
-from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians, quaternions
+from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians, drawable, quaternions
 from nw_eval.words import PROJECTIONS, RASTERIZE_MODES, Projection, RasterizeMode
 
 FORMAT = 4
@@ -69,7 +69,7 @@ class Store:
         path: the file behind them; None when they live in memory.
         key: what was compiled, as given to `compile_store`.
         rasterize_mode: see `Gaussians`; None is drawn antialiased.
-        projection: see `Gaussians`.
+        projection, notes: see `Gaussians`.
     """
 
     count: int
@@ -79,6 +79,7 @@ class Store:
     key: str
     rasterize_mode: RasterizeMode | None = None
     projection: Projection | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def chunks(self) -> int:
@@ -102,6 +103,7 @@ def memory_store(gaussians: Gaussians) -> Store:
         key="",
         rasterize_mode=gaussians.rasterize_mode,
         projection=gaussians.projection,
+        notes=gaussians.notes,
     )
 
 
@@ -134,12 +136,19 @@ def compile_store(gaussians: Gaussians, path: Path, *, key: str = "") -> None:
         "arrays": places,
         "rasterize_mode": store.rasterize_mode,
         "projection": store.projection,
+        "notes": _fitting(store.notes),
     }
     with sealed_path(path) as temporary, temporary.open("wb") as file:
         file.write(json.dumps(header).encode().ljust(_HEADER_LIMIT - 1) + b"\n")
         for name, array in arrays.items():
             file.seek(places[name][0])
             file.write(array.data)
+
+
+def _fitting(notes: tuple[str, ...]) -> list[str]:
+    """Return the first notes, as many as the header has room for."""
+    sizes = np.cumsum([len(json.dumps(note)) + 2 for note in notes])
+    return list(notes[: int((sizes < _HEADER_LIMIT // 2).sum())])
 
 
 def open_store(path: Path, *, key: str | None = None) -> Store:
@@ -186,6 +195,7 @@ def open_store(path: Path, *, key: str | None = None) -> Store:
         key=header["key"],
         rasterize_mode=header.get("rasterize_mode"),
         projection=header.get("projection"),
+        notes=tuple(map(str, header.get("notes", ()))),
     )
 
 
@@ -308,14 +318,7 @@ def arrange(gaussians: Gaussians) -> Layout:
     with np.errstate(over="ignore", invalid="ignore"):
         opacity = 1.0 / (1.0 + np.exp(-gaussians.opacity_logits.astype(np.float64)))
         scales = np.exp(gaussians.log_scales)
-        finite = (
-            np.isfinite(gaussians.means).all(axis=1)
-            & np.isfinite(scales * scales).all(axis=1)
-            & np.isfinite(gaussians.quats).all(axis=1)
-            & (np.abs(gaussians.quats).max(axis=1, initial=0.0) > 0)
-            & np.isfinite(gaussians.sh).all(axis=(1, 2))
-        )
-    kept = np.flatnonzero(finite & (opacity >= 1.0 / 255.0))
+    kept = np.flatnonzero(drawable(gaussians) & (opacity >= 1.0 / 255.0))
     if len(kept) == 0:
         raise SceneError(
             f"none of {len(gaussians)} Gaussians can be seen",

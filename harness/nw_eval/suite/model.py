@@ -53,6 +53,7 @@ from nw_eval.scores.own import (
     own_text,
     source_digest,
 )
+from nw_eval.scores.score import unusable_range
 from nw_eval.suite.axes import AXES, Perturb, each_once
 from nw_eval.suite.digest import digest_of
 from nw_eval.tasks import BUILT_IN as TASK_CLASSES
@@ -254,9 +255,15 @@ class ScoreGate(_Strict):
                     f"{name}: range {low:g} to {high:g} is not within {declared.low:g} to "
                     f"{declared.high:g}; narrow it"
                 )
+            if fault := unusable_range(low, high):
+                return f"{name}: {fault}"
         spec = self.spec(declared)
-        if self.bar is not None and not spec.low < self.bar < spec.high:
-            return f"{name}: bar {self.bar:g} is not between {spec.low:g} and {spec.high:g}"
+        # Nearer to an end, the bar is one with it in the numbers that statistics see.
+        if self.bar is not None and not 1e-6 <= spec.scaled(self.bar) <= 1.0 - 1e-6:
+            return (
+                f"{name}: bar {self.bar:g} is not between {spec.low:g} and {spec.high:g}, the ends "
+                "of its range, or too near to one; move it, or narrow `range`"
+            )
         if self.max_drop is not None and self.max_drop >= spec.width:
             return f"{name}: max_drop {self.max_drop:g} is as wide as its range; lower it"
         return None
@@ -269,8 +276,8 @@ class Gate(_Grown):
 
     success_rate: float | None = Field(
         None,
-        gt=0.0,
-        lt=1.0,
+        ge=1e-6,
+        le=1.0 - 1e-6,
         description="Absolute bar: the lower confidence bound of mean success must reach it. "
         "Without one nothing is judged, and the verdict is RAN.",
     )
@@ -748,11 +755,16 @@ def _with(suite: Suite, changes: Mapping[str, Any]) -> Suite:
     try:
         return new_suite({**suite.model_dump(by_alias=True), **changes}, suite.source)
     except ValidationError as error:
-        faults = "; ".join(
-            f"--{str(item['loc'][-1]).replace('_', '-')} {item['input']!r}: {item['msg'].lower()}"
-            for item in error.errors()
-        )
+        faults = "; ".join(_fault_of(changes, dict(item)) for item in error.errors())
         raise UsageError(faults) from None
+
+
+def _fault_of(changes: Mapping[str, Any], item: Mapping[str, Any]) -> str:
+    """Return which option cannot be used, and why; one that does not fit another says so."""
+    if isinstance(item["input"], Mapping):
+        return str(item["msg"]).removeprefix("Value error, ")
+    name = str(item["loc"][-1] if item["loc"] else next(iter(changes)))
+    return f"--{name.replace('_', '-')} {item['input']!r}: {item['msg'].lower()}"
 
 
 def json_schema() -> dict[str, Any]:

@@ -62,6 +62,9 @@ _RUN_UP = 0.5
 FLOOR = 0.02
 """A spawn may be so far from z = 0, metres."""
 
+_STEP_RUN, _EVEN = 4, 0.05
+"""Samples within which a rise is measured, and metres up to which a way is called flat."""
+
 _LONGEST_BAR = 0.9
 """Of a hurdle along the way, metres; what is longer is a platform."""
 _WIDEST_GAP = 1.3
@@ -160,9 +163,12 @@ def _proposed(
     is_cut = end > _LONGEST and (stands[-1] > _LONGEST - STEP or len(reached) < len(features))
     features = reached
     task, reasons = guess_task(features)
+    measured, is_even = _measured(profile, stands[-1])
+    if not features and not is_even:
+        reasons = ("no bar, gap, slope or step stands out along the way",)
     return CourseProposal(
         task=task,
-        reasons=reasons,
+        reasons=(*reasons, measured),
         spawn=_spawn(profile),
         trail=tuple(_point(profile, stand) for stand in stands),
         features=tuple(features),
@@ -190,6 +196,20 @@ def guess_task(features: Sequence[CourseFeature]) -> tuple[Task, tuple[str, ...]
         task = max(counts, key=lambda one: (counts[one], length[one]))
     ordered = sorted(features, key=lambda feature: feature.task != task)
     return task, tuple(f"{one.words}, {one.start:.1f} m along" for one in ordered)
+
+
+def _measured(profile: GroundProfile, end: float) -> tuple[str, bool]:
+    """Return what is measured of the ground up to a waypoint so far along, and if it is even."""
+    last = max(_STEP_RUN + 1, round(end / STEP) + 1)
+    z, lean = profile.height[:last], np.abs(profile.lean[:last])
+    steps = z[_STEP_RUN:] - z[:-_STEP_RUN] if len(z) > _STEP_RUN else np.zeros(1)
+    up, down = max(0.0, float(steps.max())), max(0.0, float(-steps.min()))
+    words = (
+        f"measured along {end:.1f} m of it: heights from {z.min():+.2f} to {z.max():+.2f} m; "
+        f"within {STEP * _STEP_RUN:.2f} m it rises by {up:.2f} m and falls by {down:.2f} m at "
+        f"most; it leans by {math.degrees(math.atan(float(lean.max()))):.0f} degrees at most"
+    )
+    return words, float(np.ptp(z)) < _EVEN and max(up, down) < _EVEN
 
 
 def _spawn(profile: GroundProfile) -> Spawn:

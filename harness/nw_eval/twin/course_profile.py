@@ -51,6 +51,8 @@ _SMOOTH = 0.6
 """Length over which a way is rounded off, metres: hands and steps swing by less."""
 _LEAST = 1.0
 """Of a way that can be a course, metres."""
+_SHORTEST = 5
+"""Samples of a profile."""
 _FREE_CELL, _MOST_CELLS = 0.1, 400
 """Edge of a square of ground where level ground is looked for, metres, and how many, each way."""
 _LEVEL = 0.15
@@ -120,12 +122,14 @@ def ground_along(
         shown: where photographs show the ground; None if unknown.
 
     Raises:
-        SceneError: less than half of the way has ground below it.
+        SceneError: less than half of the way has ground below it, or it is no way at all.
 
     The way begins and ends where there is ground to stand on: cameras look ahead, and rarely at
     what lies below the first of them. Of a way with holes longer than 1 m, or
     with ground that no photograph shows for so long, it is the longest piece between them.
     """
+    if len(way) < 2:
+        raise _too_short(STEP * len(way))
     # A robot stands on ground behind the start, too.
     run = round(_STAND / STEP)
     before = way[0] - np.arange(run, 0, -1)[:, None] * (way[1] - way[0])
@@ -149,6 +153,8 @@ def ground_along(
             f"{known:.0%} of the way has ground below it in the mesh",
             fix="photograph the ground too, from above, or set the waypoints on the label page",
         )
+    if len(way) < _SHORTEST:
+        raise _too_short(STEP * len(way))
     stations = STEP * np.arange(len(way), dtype=np.float64)
     filled = np.where(seen[:, None], heights, 0.0)
     middle = np.array([np.median(row[np.isfinite(row)]) for row in filled])
@@ -166,6 +172,13 @@ def ground_along(
         known=known,
         edge=max(EDGE_RISE, _NOISE * rough),
         left_out=left_out,
+    )
+
+
+def _too_short(metres: float) -> SceneError:
+    return SceneError(
+        f"the longest strip of ground is {metres:.2f} m long, which is too short for a course",
+        fix="photograph more of the ground, from above, or set the waypoints on the label page",
     )
 
 

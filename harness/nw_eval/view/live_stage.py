@@ -335,6 +335,7 @@ class SplatWithBoxes:
             },
             rasterize_mode=place.rasterize_mode,
             projection=place.projection,
+            notes=place.notes,
         )
 
 

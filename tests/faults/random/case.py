@@ -76,11 +76,12 @@ class Case:
     def journal(self):
         return self.folder / "journal.jsonl"
 
-    def start(self, *words, cache=None, limit=None, before=None, environment=None):
+    def start(self, *words, verb=("run",), cache=None, limit=None, before=None, environment=None):
         """Start nw-eval in a session of its own.
 
         Args:
-            words: of the command line, behind `run`.
+            words: of the command line, behind the verb.
+            verb: words of it.
             cache: a cache that holds something; an empty one if None.
             limit: bytes that every file may have: a disk that fills up.
             before: called in the new process first.
@@ -93,7 +94,7 @@ class Case:
             "NW_EVAL_CACHE_GB": str(self.cache_gb),
             "NW_EVAL_CACHE": str(cache or self.work / "cache"),
         }
-        pid = _forked(["nw-eval", "run", *map(str, words)], environment, output, before)
+        pid = _forked(["nw-eval", *verb, *map(str, words)], environment, output, before)
         if limit is not None:
             resource.prlimit(pid, resource.RLIMIT_FSIZE, (limit, limit))
         self.run = Run(pid=pid, output=output)

@@ -194,10 +194,17 @@ def test_ranks_on_starts_of_their_own_are_decided_only_by_what_the_scores_show()
     assert [each.ranks.worst for each in side_by_side(alike).policies] == [2, 2]
 
 
-def test_a_policy_without_any_result_from_a_scene_is_not_compared():
-    late = entrant("late", [[None] * 10, [4] * 10])
-    with pytest.raises(IncomparableError, match="late has no result from scene hurdles/low"):
-        side_by_side([GOOD, late])
+def test_a_run_that_stopped_early_is_compared_in_the_scenes_that_it_met():
+    late = entrant("late", [[None] * 10, [1] * 10])
+    found = side_by_side([GOOD, late])
+    assert [(each.scene, each.means) for each in found.scenes] == [("hurdles/high", (1.0, 0.25))]
+    assert found.unmet == ("hurdles/low",)
+    assert [each.mean for each in found.policies] == [1.0, 0.25]
+    few = entrant("few", [[None] * 10, [None] * 9 + [1]])
+    assert [each.mean for each in side_by_side([GOOD, few]).policies] == [1.0, 0.25]
+    other = entrant("other", [[4] * 10, [None] * 10])
+    with pytest.raises(IncomparableError, match="late and other have results from no scene in com"):
+        side_by_side([late, other])
 
 
 def test_one_policy_is_not_compared():

@@ -89,7 +89,7 @@ def test_only_what_is_absent_is_to_be_checked(onnx_file, drafted):
     del broken["observation_terms_clip"]
     text, card, _ = drafted(onnx_file({"obs": [1, 48]}, broken))
     assert "CHECK: clips are not in the file" in text
-    assert "CHECK: the scale of base_lin_vel is not in the file" in text
+    assert "CHECK: the scale of base_lin_vel cannot be read in the file" in text
     assert "# command  # CHECK: its scale cannot be read" in text
     assert card.observations["obs"].frame_terms[1].scale == 0.25
 

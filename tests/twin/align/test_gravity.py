@@ -148,9 +148,10 @@ def test_upright_edges_tell_a_floor_that_slopes_from_one_that_is_level(tmp_path,
     alignment = align(found, tmp_path, options=METRIC)
     cues = {cue.name: cue for cue in alignment.gravity}
     assert degrees_off(alignment, T) < 0.4
-    assert alignment.up_uncertain < 2.0
+    # Where two cues contradict each other, what is stated holds both.
+    assert slope - 0.4 < alignment.up_uncertain < slope + 2.0
     assert cues["floor"].degrees == pytest.approx(slope, abs=0.4)
-    assert any("up by floor is 3" in line for line in alignment.warnings) == (slope > 0)
+    assert any("up by floor is " in line for line in alignment.warnings) == (slope > 0)
     # Cameras 1.4 m above the floor, wherever it has risen to.
     assert scale_off(alignment, T) == pytest.approx(1.5 / 1.4 - 1, abs=0.02)
 

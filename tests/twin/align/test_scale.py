@@ -7,14 +7,14 @@ import cv2
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
-from rooms import capture, degrees_off, room, scale_off, similarity, walk
+from rooms import capture, degrees_off, patch, room, scale_off, similarity, straight, walk
 from tags import picture, texture
 
 from nw_eval.errors import PrerequisiteError, UsageError
 from nw_eval.splat.camera import look_at
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions, KnownLength, words_of
-from nw_eval.twin.align.positions import east_north_up, gps_positions
+from nw_eval.twin.align.positions import east_north_up, fit_positions, gps_positions
 from nw_eval.twin.align.tags import find_tags, triangulate
 from nw_eval.twin.lens import Lens
 
@@ -280,9 +280,69 @@ def test_cues_that_disagree_by_more_than_three_percent_are_named():
     T, poses = similarity(rng, 1.0), walk(rng)
     options = AlignOptions(camera_height=1.4, metric=True)  # It was 1.5.
     alignment = align(capture(room(rng), poses, T), None, options=options)
-    assert [cue.name for cue in alignment.scales] == ["camera height", "poses"]
-    assert any("the scale by poses differs by +" in warning for warning in alignment.warnings)
-    assert alignment.scale == alignment.scales[0].scale
+    # A phone's tracking is known better than the height at which somebody held it.
+    assert [cue.name for cue in alignment.scales] == ["poses", "camera height"]
+    assert any("scale by camera height differs by -" in warning for warning in alignment.warnings)
+    assert alignment.scale == alignment.scales[0].scale == 1.0
+    assert alignment.scale_uncertain == pytest.approx(0.033, abs=0.002)
+
+
+def test_two_sources_that_contradict_each_other_give_no_scale_and_a_third_decides():
+    rng = np.random.default_rng(10)
+    poses, points = walk(rng), room(rng)
+    wrong = AlignOptions(camera_height=0.3, metric=True)  # It was 1.5.
+    alignment = align(capture(points, poses), None, options=wrong)
+    assert not alignment.is_to_scale
+    assert alignment.scale_uncertain is None
+    (said,) = [line for line in alignment.warnings if "contradict" in line]
+    assert said.startswith("the scale is not known")
+    assert (
+        "poses says 1 m a unit, known to 3%; camera height says 0.202 m a unit, known to 10%"
+        in said
+    )
+    length = KnownLength(first=(1.0, 1.0, 0.0), second=(4.0, 5.0, 0.0), metres=5.05)
+    decided = align(capture(points, poses), None, options=replace(wrong, lengths=(length,)))
+    assert decided.is_to_scale
+    assert decided.scales[0].name == "length"
+    assert any("contradict each other" in line for line in decided.warnings)
+
+
+def ledge(rng, share):
+    """Return points of a facade with a ledge 0.2 m below the cameras, and of ground far below."""
+    count = int(2000 * share)
+    parts = [
+        patch(rng, 2000 - count, (0, 4, -3), (6, 0, 0), (0, 0, 5)),
+        patch(rng, count, (1, 3.5, 1.3), (4, 0, 0), (0, 0.5, 0)),
+        rng.uniform((0, 0, -1.5), (6, 4, 1.2), (160, 3)),
+    ]
+    return np.concatenate(parts) + rng.normal(0, 0.004, (2160, 3))
+
+
+@pytest.mark.parametrize("share", [0.02, 0.05, 0.3])
+def test_a_ledge_is_no_floor_from_which_a_camera_height_gives_a_scale(share):
+    rng = np.random.default_rng(11)
+    T, poses = similarity(rng), straight(rng, 12, pitch=5.0)
+    found = capture(ledge(rng, share), poses, T)
+    alignment = align(found, None, options=AlignOptions(camera_height=1.5))
+    assert not alignment.is_to_scale
+    gps = {f"{i:03d}.jpg": tuple(4.0 * pose[:3, 3]) for i, pose in enumerate(poses)}
+    options = AlignOptions(camera_height=1.5, positions=gps, positions_up="+z", positions_error=5.0)
+    both = align(found, None, options=options)
+    assert not both.is_to_scale  # Over 17 m GPS knows it to a third, and the ledge to nothing.
+    assert any("photographs lie too near together" in line for line in both.warnings)
+
+
+def test_nine_of_ten_scales_by_positions_are_as_near_as_they_claim():
+    rng = np.random.default_rng(12)
+    within = []
+    for _ in range(80):
+        count, span = int(rng.integers(3, 30)), rng.uniform(20, 200)
+        centres = rng.normal(0, span / 3, (count, 3)) * (1, rng.choice([0.05, 1]), 0.05)
+        drift = rng.normal(0, 5.0, 3) / np.sqrt(3) * (centres[:, :1] / span)  # Of GPS on a walk.
+        metres = centres + rng.normal(0, 5.0 / np.sqrt(3), (count, 3)) + drift
+        fit = fit_positions(centres / 3.0, metres, rng, error=5.0)
+        within.append(abs(np.log(fit.scale / 3.0)) <= 1.645 * fit.uncertain)
+    assert np.mean(within) >= 0.9
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])

@@ -1,6 +1,7 @@
 """Captures as apps of phones write them: cameras in the right place, in metres, damage named."""
 
 import json
+import re
 import zipfile
 
 import cv2
@@ -11,6 +12,7 @@ import synthetic_room
 from PIL import Image
 
 from nw_eval.errors import SceneError
+from nw_eval.twin.calibrate import exports
 from nw_eval.twin.calibrate.calibrate import calibrate, find_source
 from nw_eval.twin.capture import read_capture
 from nw_eval.twin.options import CalibrateOptions
@@ -243,6 +245,8 @@ def turned(T):
         (arkit_scenes, "lowres_wide.traj", "1234.5 9e14 0 0 0 0 0\n", "is turned by 9e.14 rad"),
         (record3d, "metadata", {"K": [-9e14, 0, 0, 0, 300, 0, 160, 90, 1]}, "metadata: .*focal"),
         (arkit_scenes, "lowres_wide.traj", "1 0 0 0 0 0 0\n", "no picture in .* of its time"),
+        (arkit_scenes, "vga_wide_intrinsics/41069021_1234.602.pincam", "1 1 1 1 1 1\n2 2 2 2 2 2",
+         "1234.602.pincam has 2 rows, and is of one lens"),
         (arkit_scenes, "vga_wide_intrinsics/41069021_1234.602.pincam", "320 180 wide",
          "1234.602.pincam is not rows of 6"),
     ],
@@ -272,3 +276,67 @@ def test_other_folders_with_such_names_are_what_they_were(tmp_path):
     put(tmp_path / "in" / "images" / "IMG_2.jpg", None)
     source, _ = found(tmp_path / "in", tmp_path)
     assert (source.kind, source.metric, source.up) == ("photographs", False, None)
+
+
+def nerfstudio(folder, cameras):
+    frames = []
+    for number, camera in enumerate(cameras):
+        put(folder / "images" / f"{number}.jpg", None)
+        pose = (camera.T_world_camera @ OPENGL).tolist()
+        frames.append({"file_path": f"images/{number}.jpg", "transform_matrix": pose})
+    one = cameras[0]
+    lens = {"w": 320, "h": 180, "fl_x": one.fx, "fl_y": one.fy, "cx": one.cx, "cy": one.cy}
+    put(folder / "transforms.json", {**lens, "frames": frames})
+
+
+@pytest.mark.parametrize(
+    ("write", "file", "kind"),
+    [
+        (nerfstudio, "transforms.json", "nerfstudio"),
+        (polycam, "keyframes/corrected_cameras/101.json", "polycam"),
+        (scanner_app, "frame_00002.json", "scanner"),
+        (record3d, "metadata", "record3d"),
+    ],
+)
+def test_each_field_of_an_export_is_used_or_harmless_or_noted_by_name(
+    tmp_path, cameras, write, file, kind
+):
+    write(tmp_path / "in", cameras)
+    clear, _ = found(tmp_path / "in", tmp_path)
+    assert clear.notes == ()
+    used = set(exports._FIELDS[kind].split())
+    harmless = {name for names in exports._PASSED.values() for name in names.split()}
+    assert not used & harmless
+    # What is known to be harmless changes nothing, whatever it says.
+    change(tmp_path / "in" / file, **dict.fromkeys(harmless, "mark"))
+    same, _ = found(tmp_path / "in", tmp_path / "same")
+    assert same.notes == ()
+    assert [one.T_world_camera.tolist() for one in same.cameras.placed] == [
+        one.T_world_camera.tolist() for one in clear.cameras.placed
+    ]
+    change(tmp_path / "in" / file, rolling_shutter=0.03, crop=[1, 2])
+    (note,) = found(tmp_path / "in", tmp_path / "other")[0].notes
+    assert note.startswith("nothing is made of these fields of ")
+    assert note.endswith(": crop, rolling_shutter")
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (
+            {"camera_angle_x": 0.3},
+            "json says fl_x .*, and by camera_angle_x 1058.*fl_x is",
+        ),
+        (
+            {"is_fisheye": True, "p1": 0.1, "k5": 1e-3},
+            "nothing is made of k5, p1 of transforms",
+        ),
+    ],
+)
+def test_what_transforms_json_says_twice_or_of_another_lens_is_noted(
+    tmp_path, cameras, values, words
+):
+    nerfstudio(tmp_path / "in", cameras)
+    change(tmp_path / "in" / "transforms.json", **values)
+    (note,) = found(tmp_path / "in", tmp_path)[0].notes
+    assert re.search(words, note), note

@@ -12,7 +12,7 @@ from PIL import Image
 
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.twin.calibrate.calibrate import find_source
-from nw_eval.twin.calibrate.video import choose
+from nw_eval.twin.calibrate.video import choose, frames_of
 from nw_eval.twin.options import CalibrateOptions
 
 
@@ -185,3 +185,33 @@ def test_one_picture_a_second_is_taken_though_the_rate_varies(wall, tmp_path, mo
 def test_no_frames_a_second_are_refused(rate):
     with pytest.raises(UsageError, match="frames a second"):
         CalibrateOptions(per_second=rate)
+
+
+@pytest.mark.parametrize(("rate", "said"), [(10000, True), (30, False)])
+def test_a_film_whose_header_lies_about_its_rate_is_read_all_the_same(tmp_path, rate, said):
+    lines = []
+    path = tmp_path / "film.mkv"
+    with av.open(str(path), "w") as film:
+        stream = film.add_stream("mpeg4", rate=rate)
+        stream.width, stream.height, stream.pix_fmt = 160, 96, "yuv420p"
+        for number in range(30):
+            picture = np.random.default_rng(1).integers(0, 255, (96, 320, 3), dtype=np.uint8)
+            shown = np.ascontiguousarray(picture[:, 4 * number : 4 * number + 160])
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(shown, format="rgb24")))
+        film.mux(stream.encode())
+    (tmp_path / "work").mkdir()
+    found = frames_of(path, tmp_path / "work", 20, lines.append)
+    assert len(found.files) >= 3
+    assert any("30 frames claim to last" in line for line in lines) == said
+
+
+def test_a_film_of_a_line_of_pixels_is_refused_in_words(tmp_path):
+    path = tmp_path / "line.mkv"
+    with av.open(str(path), "w") as film:
+        stream = film.add_stream("ffv1", rate=15)
+        stream.width, stream.height, stream.pix_fmt = 4000, 2, "yuv444p"
+        for _ in range(4):
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((2, 4000, 3), np.uint8))))
+        film.mux(stream.encode())
+    with pytest.raises(SceneError, match="pictures of 4000 x 2 pixels, which show nothing"):
+        frames_of(path, tmp_path, 20, lambda _: None)

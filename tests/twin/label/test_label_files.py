@@ -281,3 +281,13 @@ def test_a_place_that_is_not_to_scale_is_saved_in_metres_once_two_points_say_so(
     assert np.ptp(scene.static_mesh.vertices[:, 0]) == pytest.approx(9.0 / 4)
     assert scene.trail[0] == pytest.approx((2.6 / 4, 0.0, 0.1 / 4), abs=1e-4)
     assert np.linalg.det(scene.T_world_splat[:3, :3]) == pytest.approx(1 / 64)
+
+
+def test_a_save_clears_away_what_one_that_was_killed_has_left(tmp_path):
+    labelling = opened(tmp_path)
+    folder = labelling.save()
+    before = {path.name for path in folder.iterdir()}
+    (folder / ".label-killed").mkdir()
+    (folder / ".label-killed" / "collision.ply").write_bytes(b"half")
+    labelling.save()
+    assert {path.name for path in folder.iterdir()} == before

@@ -192,14 +192,19 @@ def test_a_texture_that_is_no_picture_is_said_and_the_rest_is_made(tmp_path):
     assert np.abs(colours - 1.0).max() < 0.05
 
 
-def test_the_axis_that_the_floor_looks_along_is_up_whatever_the_format_says(tmp_path):
+def test_up_is_that_of_gltf_and_else_the_axis_that_the_floor_looks_along(tmp_path):
     points, _, _ = ground()
-    scanned(points).export(tmp_path / "z-up.glb")
     scanned(points @ Y_UP.T).export(tmp_path / "y-up.stl")
-    for name in ("z-up.glb", "y-up.stl"):
-        written = import_scan(tmp_path / name, tmp_path / name.partition(".")[0])
-        assert f"up is +{name[0]} of the file" in "\n".join(written.lines)
-        assert errors_of(written.folder) == []
+    written = import_scan(tmp_path / "y-up.stl", tmp_path / "y")
+    assert "up is +y of the file" in "\n".join(written.lines)
+    assert errors_of(written.folder) == []
+    scanned(points).export(tmp_path / "z-up.glb")
+    written = import_scan(tmp_path / "z-up.glb", tmp_path / "z")
+    assert "up is +y of the file: 0 % of its area faces along it" in "\n".join(written.lines)
+    assert "by its faces up is +z" in written.fault
+    assert "give --up +z, or --up +y" in written.fault
+    written = import_scan(tmp_path / "z-up.glb", tmp_path / "told", ScanOptions(up="+z"))
+    assert errors_of(written.folder) == []
     written = import_scan(tmp_path / "z-up.glb", tmp_path / "wall", ScanOptions(up="+y"))
     assert "no two metres of even ground" in written.fault
 
@@ -338,7 +343,7 @@ def test_what_cannot_be_is_refused_by_name_and_nothing_is_left(tmp_path):
         ("scan.ply", "new", {"trail": ((0.0, 0.0),)}, "--trail has 1 points"),
         ("scan.ply", "new", {"trail": ((0.0, 0.0), (9.0, 0.0))}, "waypoint 0 at .* no ground"),
         ("scan.ply", "new", {"name": "a b"}, "name 'a b'"),
-        ("scan.usdz", "new", {}, "no scan that is read"),
+        ("scan.usdz", "new", {}, "no format that is read here"),
     ):
         with pytest.raises((SceneError, UsageError), match=why):
             import_scan(tmp_path / source, tmp_path / out, ScanOptions(**options))

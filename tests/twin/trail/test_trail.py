@@ -395,3 +395,39 @@ def test_a_table_with_no_room_for_a_robot_has_no_trail():
     assert "label page" in str(caught.value)
     with pytest.raises(SceneError, match=r"no level ground 0\.6 m wide"):
         propose_free_course(quad_mesh((0, 0, 0), (3, 0, 0), (0, 0.5, 0), "ground"), orbit())
+
+
+@pytest.mark.parametrize("wide", [0.60, 0.62])
+def test_half_a_square_metre_of_ground_has_no_course_and_says_how_much_there_is(wide):
+    # As wide as a robot: one square of 0.1 m has level ground all round it.
+    ground = quad_mesh((0, 0, 0), (wide + 0.1, 0, 0), (0, wide + 0.1, 0), "ground")
+    centres = np.array([[0.3, 0.3, 1.5], [0.4, 0.3, 1.5]])
+    with pytest.raises(SceneError, match=r"strip of ground is 0\.\d+ m long, .* too short"):
+        propose_free_course(ground, centres)
+
+
+def test_no_patch_of_ground_however_small_is_more_than_an_error_in_words():
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(60):
+        size = rng.uniform(0.02, 1.5, 2)
+        ground = quad_mesh((0, 0, 0), (size[0], 0, rng.normal(0, 0.05)), (0, size[1], 0), "ground")
+        centres = rng.uniform(-1, 2, (rng.integers(1, 5), 3)) * (1, 1, 0) + (0, 0, 1.5)
+        for propose in (propose_course, propose_free_course):
+            try:
+                propose(ground, centres)
+            except SceneError:
+                refused += 1
+    assert refused > 60
+
+
+def test_a_way_that_climbs_is_not_called_flat_and_says_by_how_much():
+    even = propose_course(GROUND, walk(4.0))
+    assert even.reasons[0] == "the way is flat: a course without obstacles"
+    assert "heights from +0.00 to +0.00 m" in even.reasons[-1]
+    rise = math.tan(math.radians(4.0))  # Flatter than what counts as a slope.
+    hill = quad_mesh((-5, -5, -5 * rise), (30, 0, 30 * rise), (0, 10, 0), "ground")
+    climbing = propose_course(hill, walk(4.0, height=2.5))
+    assert climbing.reasons[0] == "no bar, gap, slope or step stands out along the way"
+    assert "heights from -0.00 to +0.28 m" in climbing.reasons[-1].replace("+0.00", "-0.00")
+    assert "rises by 0.01 m and falls by 0.00 m" in climbing.reasons[-1]

@@ -33,9 +33,12 @@ class MergeRuns(Publishing):
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.api.ledgers import check_ledger
         from nw_eval.cli.verbs.options import summary
 
         with self.publishing(str(self.out)) as judged:
+            if self.ledger is not None:
+                check_ledger(self.ledger)
             judged.run = outcome = api.merge(self.runs, out=self.out, baseline=self.baseline)
             print(summary(outcome, folded=self.on_github))
             if self.ledger is not None:

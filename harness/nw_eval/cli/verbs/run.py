@@ -58,6 +58,7 @@ class Run(Publishing, Options):
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_eval.api.ledgers import check_ledger
         from nw_eval.cli.terminal.interruption import INTERRUPTED
         from nw_eval.cli.terminal.progress import RunProgress
         from nw_eval.cli.verbs.options import summary
@@ -70,6 +71,8 @@ class Run(Publishing, Options):
                     f"--ledger with --shard {self.shard}: a part has no verdict",
                     fix="give --ledger to `nw-eval merge`",
                 )
+            if self.ledger is not None:
+                check_ledger(self.ledger)
             with (
                 group(f"nw-eval run {self.suite or self.resume}", wanted=self.on_github),
                 RunProgress(bars=not self.in_process) as progress,

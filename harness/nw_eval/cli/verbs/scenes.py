@@ -162,17 +162,19 @@ class ImportScan:
 
     Meshes are GLB, OBJ, PLY or STL; elevation maps are PNG or GeoTIFF. The scene is in metres with
     z up, the ground under the start is at z = 0, and a suite that runs it lies beside. Colours of
-    textures and vertices become Gaussians, which camera images show.
+    textures and vertices become Gaussians, which camera images show. The scene is checked as by
+    `scenes check`; exit code 2 if it is not ready.
     """
 
     scan: tyro.conf.Positional[Path]
     """The mesh, or the elevation map."""
     out: Path
     """The scene's folder, which must not be there."""
-    unit: Literal["m", "cm", "mm", "ft", "in"] = "m"
-    """Of the mesh's numbers."""
+    unit: Literal["auto", "m", "cm", "mm", "ft", "in"] = "auto"
+    """Of the mesh's numbers; what a comment of the file names, or else m, when `auto`."""
     up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
-    """Axis of the file that is up; the one that most of the ground looks along when `auto`."""
+    """Axis of the file that is up; +y of a GLB, else the one that most of the ground looks along,
+    when `auto`."""
     splat: Path | None = None
     """Gaussians of the same place, as the same app exports them (PLY, SPZ, SOG); those of the
     mesh's colours when absent."""
@@ -201,6 +203,7 @@ class ImportScan:
     """The robot of the scene's suite."""
 
     def __call__(self) -> int:
+        from nw_eval.errors import SceneError
         from nw_eval.twin.scans.scan import ScanOptions, import_scan
 
         options = ScanOptions(
@@ -219,8 +222,9 @@ class ImportScan:
             licence=self.licence,
             robot=self.robot,
         )
-        print(scan_lines(import_scan(self.scan, self.out, options)))
-        return 0
+        written = import_scan(self.scan, self.out, options)
+        print(scan_lines(written))
+        return 0 if written.fault is None else SceneError.exit_code
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,6 +252,7 @@ class LevelScene:
     """Write a copy to this folder, which must not be there, and leave the scene as it is."""
 
     def __call__(self) -> int:
+        from nw_eval.errors import SceneError
         from nw_eval.twin.scans.levelling import level_scene
 
         written = level_scene(
@@ -260,7 +265,7 @@ class LevelScene:
             out=self.out,
         )
         print(scan_lines(written))
-        return 0
+        return 0 if written.fault is None else SceneError.exit_code
 
 
 def scene_table(scenes: Sequence[ListedScene]) -> str:

@@ -27,7 +27,7 @@ class Scores:
     """
 
     log: tyro.conf.Positional[Path]
-    """A trial's MCAP file, or one with joint states and commands of a robot."""
+    """A trial's MCAP file, or one with joint states and commands of a robot, or a bag's folder."""
     score: tuple[str, ...] = ()
     """Which scores; all if none is named."""
     robot: str | None = None
@@ -66,6 +66,9 @@ def scores_json(found: LogScores) -> str:
         "limit_passed_at": dict(found.moments),
         "missing": dict(found.missing),
         "topics": dict(found.topics),
+        "unused_topics": dict(found.unused),
+        "fields": {topic: dict(uses) for topic, uses in found.fields.items()},
+        "notes": list(found.notes),
         "recorded": dict(found.recorded),
     }
     return json.dumps(whole, indent=2)
@@ -100,4 +103,7 @@ def scores_text(found: LogScores) -> str:
             f"bits are others here than where it was recorded: the trial went on from a recorded "
             f"state {plural(found.restored, 'time')}"
         )
-    return "\n".join([*lines, "", "; ".join(notes)])
+    if found.unused:
+        notes.append(f"{plural(len(found.unused), 'topic')} not read (--json lists them)")
+    said = [f"note: {clean(each)}" for each in found.notes]
+    return "\n".join([*lines, "", "; ".join(notes), *said])

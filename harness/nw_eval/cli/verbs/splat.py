@@ -44,7 +44,8 @@ class Convert:
     def __call__(self) -> int:
         from nw_eval import api
 
-        print(written_line(api.splat_convert(self.source, self.out)))
+        written = api.splat_convert(self.source, self.out)
+        print("\n".join([*(f"note: {note}" for note in written.notes), written_line(written)]))
         return 0
 
 
@@ -101,7 +102,7 @@ _BAR = 40
 def splat_page(figures: SplatFigures) -> str:
     """Return all figures of a set of Gaussians, the histogram of opacities as bars."""
     most = max(*figures.opacity_histogram, 1)
-    seen, broken = f"{figures.visible:,} visible", f"{figures.not_finite:,} not finite"
+    seen, broken = f"{figures.visible:,} visible", f"{figures.not_finite:,} cannot be drawn"
     lines = [
         f"Gaussians  {figures.count:,} ({seen}, {broken})",
         f"harmonics  degree {figures.sh_degree}",
@@ -115,12 +116,14 @@ def splat_page(figures: SplatFigures) -> str:
     for i, number in enumerate(figures.opacity_histogram):
         bar = "#" * round(_BAR * number / most)
         lines.append(f"  {i / 10:.1f}-{(i + 1) / 10:.1f} {number:>10,} {bar}".rstrip())
+    lines += [f"note       {note}" for note in figures.notes]
     return "\n".join(lines)
 
 
 def written_line(splat: WrittenSplat) -> str:
     """Return what was written, and how large it is."""
-    return f"{splat.file}: {splat.gaussians:,} Gaussians, {splat.bytes / 2**20:.1f} MiB"
+    left = f", {splat.left_out:,} that cannot be drawn left out" if splat.left_out else ""
+    return f"{splat.file}: {splat.gaussians:,} Gaussians, {splat.bytes / 2**20:.1f} MiB{left}"
 
 
 def _box(corners: tuple[tuple[float, ...], tuple[float, ...]]) -> str:

@@ -237,7 +237,9 @@ class AblateSplat(SplatFlags):
 
         settings = settings_of(self, self.workers)
         folder = BuildFolder(self.scene)
-        outcomes = ablate(folder, settings.splat, _say, threads=settings.threads)
+        folder.needs("reconstruct")
+        with folder.held():
+            outcomes = ablate(folder, settings.splat, _say, threads=settings.threads)
         print(table_text(outcomes))
         print(f"table: {write_table(folder.path / 'ablation', outcomes)}")
         return 0

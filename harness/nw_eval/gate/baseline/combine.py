@@ -44,9 +44,10 @@ def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | 
     Raises:
         IncomparableError, StoreError: as `compare`.
     """
-    whole = run.shard is None
-    verdict = _of_rows(rows, run, gate, against) if whole else _of_part(rows, run, gate)
-    if whole:
+    if run.is_part:
+        verdict = _of_part(rows, run, gate)
+    else:
+        verdict = _of_rows(rows, run, gate, against)
         verdict = with_scores(verdict, rows, run, gate, against)
     verdict = replace(
         verdict,

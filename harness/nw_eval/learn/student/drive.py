@@ -7,7 +7,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from nw_eval.rollout.fault import is_interrupt
+from nw_eval.errors import is_interrupt
 from nw_eval.rollout.job import TrialResult
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, TypeVar
 
 from nw_eval.errors import PolicyError, nearest
 
@@ -21,6 +21,18 @@ _GATES: dict[int, LayerKind] = {4: "lstm", 3: "gru", 1: "rnn"}
 """Rows of a recurrent layer's weights for each of its units."""
 _RECURRENT = re.compile(r"(weight|bias)_(ih|hh)_l(\d+)")
 _LAYER = {("weight",), ("kernel",), ("weight", "bias"), ("kernel", "bias")}
+_WRAPPERS = re.compile(
+    r"(?<![^.])(?:_orig_mod|_fsdp_wrapped_module|_checkpoint_wrapped_module|_forward_module"
+    r"|module(?=\.[A-Za-z_]))\."
+)
+"""What torch.compile, DistributedDataParallel and their like put into the names of tensors."""
+_Item = TypeVar("_Item")
+
+
+def unwrapped(items: Mapping[str, _Item]) -> dict[str, _Item]:
+    """Return items by names without those of wrappers; as they are if two were called the same."""
+    plain = {_WRAPPERS.sub("", name): item for name, item in items.items()}
+    return plain if len(plain) == len(items) else dict(items)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -140,6 +140,11 @@ def open_archive(data: bytes, where: str, limits: FileLimits | None = None) -> A
             f"{where}: the archive has {len(members)} members, over the limit of {limits.members}",
             fix="export the actor alone",
         )
+    if min((member.header_offset for member in members), default=0) > 0:
+        raise PolicyError(
+            f"{where}: the archive begins behind other bytes: readers may disagree about it",
+            fix="do not use this file; export the policy again",
+        )
     seen: set[str] = set()
     folded: set[str] = set()
     for member in members:

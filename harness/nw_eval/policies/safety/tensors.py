@@ -101,6 +101,44 @@ def tensor_facts(
     )
 
 
+def plain_entries(data: bytes, where: str, limits: FileLimits | None = None) -> tuple[str, ...]:
+    """Return the names of what a file of weights holds beside its tensors: numbers, texts, lists.
+
+    Raises:
+        PolicyError: as `read_tensors`.
+    """
+    limits = limits or FileLimits()
+    kind = file_kind(data, where)
+    if kind == "stable-baselines3":
+        return plain_entries(_policy_member(data, where, limits), where, limits)
+    if kind == "safetensors":
+        return ()
+    if kind == "state-dict":
+        tree = checked_tree(data, where, limits, _STATE_MEMBERS)[1].tree
+    else:
+        tree = _own_numbers(kind, data, where, limits).tree
+    names: list[str] = []
+
+    def walk(value: Any, name: str) -> None:
+        if isinstance(value, TensorRef) or value is None:
+            return
+        items = list(_items(value))
+        if items and not (isinstance(value, list) and not any(map(_holds, value))):
+            for key, item in items[: limits.tensors]:
+                walk(item, f"{name}.{key}" if name else str(key))
+        elif (name and not _holds(value)) or items:
+            names.append(name)
+
+    for _ in _references(tree, where, limits):
+        pass  # It refuses what nests too deep or repeats itself.
+    walk(tree, "")
+    return tuple(dict.fromkeys(names))
+
+
+def _holds(value: Any) -> bool:
+    return isinstance(value, dict | list | tuple | Record | TensorRef)
+
+
 def read_tensors(
     data: bytes, where: str, limits: FileLimits | None = None
 ) -> dict[str, torch.Tensor]:

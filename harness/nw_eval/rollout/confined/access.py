@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.catalogue import scene_paths
 from nw_eval.confinement import Rules, memory_to_open, memory_to_run, raise_fence
+from nw_eval.confinement.rights import give_up
 from nw_eval.errors import StoreError
 from nw_eval.files.cache import cache_dir
 from nw_eval.policies.bundle import senses_by_code
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from nw_eval.policies import Bundle
     from nw_eval.words import Backend, Kernels
 
+_FREE_PORTS = 1024
+"""The first port at which anybody may listen."""
 OPENING_SECONDS = 25
 """Of processor time to open a checkpoint in: imports take 2 to 5 s of it, 100 MB another 1."""
 
@@ -126,11 +129,17 @@ def drawing_rules(*, scenes: Iterable[str], also: Sequence[Path]) -> Rules:
     )
 
 
-def fence_in_server(bundle: Bundle) -> None:
+def fence_in_server(bundle: Bundle, *, port: int) -> None:
     """Fence this process in, which serves a policy, before it opens it.
 
     It may listen, but open no connection; its memory has no limit, each client takes some.
+
+    Args:
+        bundle: of the policy.
+        port: where it will listen; 0 = any.
     """
+    if not 0 < port < _FREE_PORTS:  # Others take a capability.
+        give_up()
     raise_fence(reads=_files(bundle), writes=(), network="server")
 
 

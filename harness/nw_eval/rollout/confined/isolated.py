@@ -11,6 +11,7 @@ import signal
 from collections.abc import Callable, Collection, Mapping
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from time import monotonic
 from typing import Any, Self
 
 from nw_eval.confinement import Rules, confine, kill_group
@@ -27,6 +28,7 @@ from nw_eval.errors import (
     UsageError,
 )
 from nw_eval.policies.apart import use_line
+from nw_eval.rollout.confined.progress import Progress
 from nw_eval.rollout.confined.start import Started, WorldAndPolicy, parts_of, start_pair
 from nw_eval.words import Kernels
 
@@ -35,6 +37,8 @@ TIME_LIMIT = 120.0
 
 _LAST_MOMENTS = 5.0
 """Seconds in which a process that has closed its pipe, or was killed, must be gone."""
+_LOOK = 1.0
+"""Seconds between two looks at whether it gets on."""
 _ANSWER = 2**26
 """Bytes of an answer: a report, or a picture."""
 _LINES = 100
@@ -109,6 +113,7 @@ class IsolatedCall:
 
     Attributes:
         receiver: what to wait for: it is ready when there is an answer, or never will be one.
+        progress: how its processes get on.
 
     Raises:
         OSError: no process can be started.
@@ -141,6 +146,10 @@ class IsolatedCall:
         except BaseException:
             self.receiver.close()
             raise
+        pids = [part.pid for part in parts_of(self._process)]
+        self.progress = Progress(
+            *(pid for pid in pids if pid is not None), waits=(policy or rules).network != "none"
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -154,7 +163,17 @@ class IsolatedCall:
         Raises:
             NwEvalError, PolicyError: as `call_isolated`.
         """
-        answer = _received(self.receiver, self._process, self._subject, time_limit)
+        deadline = monotonic() + time_limit
+        while not self.receiver.poll(min(_LOOK, max(0.0, deadline - monotonic()))):
+            why = self.progress.look()
+            if not why and monotonic() >= deadline:
+                why = f"no answer from the checkpoint within {time_limit:g} s"
+            if why:
+                raise PolicyError(
+                    f"{self._subject}: {why}",
+                    fix="run it on its own: it may wait for something, or be too large",
+                )
+        answer = _received(self.receiver, self._process, self._subject)
         if "error" in answer:
             kind = _KINDS.get(str(answer.get("kind")))
             lines = str(answer["error"]).splitlines()[:_LINES] or [""]
@@ -172,18 +191,13 @@ class IsolatedCall:
 
 
 def _received(
-    receiver: Connection, process: Started | WorldAndPolicy, subject: str, time_limit: float
+    receiver: Connection, process: Started | WorldAndPolicy, subject: str
 ) -> dict[str, Any]:
     """Return what a process says.
 
     Raises:
-        PolicyError: it says nothing, in time or ever, or nothing that can be read.
+        PolicyError: it ends without a word, or says nothing that can be read.
     """
-    if not receiver.poll(time_limit):
-        raise PolicyError(
-            f"{subject}: no answer from the checkpoint within {time_limit:g} s",
-            fix="run it on its own: it may wait for something, or be too large",
-        )
     try:
         answer = json.loads(receiver.recv_bytes(_ANSWER))
     except EOFError:

@@ -13,7 +13,6 @@ import atexit
 import json
 import os
 import signal
-import subprocess
 import threading
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import Pipe, get_context, resource_tracker
@@ -30,8 +29,8 @@ from nw_eval.confinement import (
     interrupts_blocked,
     without_script,
 )
-from nw_eval.confinement.family import environment_of_child
-from nw_eval.errors import PolicyError, TrialError
+from nw_eval.confinement.family import die_with_parent, environment_of_child
+from nw_eval.errors import TrialError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Hashable, Sequence
@@ -317,23 +316,13 @@ def open_policy_process(
         hear, answers = map(closing.enter_context, Pipe(duplex=False))
         memory = closing.enter_context(Connection(shared_memory()))
         printed = () if output is None else (output,)
-        process: Started
-        if rules.python is not None:
-            try:
-                process = OwnInterpreter(rules, questions, answers, memory, output)
-            except OSError as error:
-                raise PolicyError(
-                    f"{rules.python} cannot be started: {error.strerror or error}",
-                    fix="correct `python` on the card",
-                ) from None
-        else:
-            process = start_process(
-                serve_policies,
-                (rules,),
-                (questions, answers, memory, *printed),
-                rules=rules,
-                is_one_of_many=is_one_of_many,
-            )
+        process = start_process(
+            serve_policies if rules.python is None else _be_interpreter,
+            (rules,),
+            (questions, answers, memory, *printed),
+            rules=rules,
+            is_one_of_many=is_one_of_many,
+        )
         questions.close()
         answers.close()
         yield process, (hear, ask, memory)
@@ -346,13 +335,14 @@ for name in "nw_eval", "nw_eval.policies", "nw_eval.files":  # It is not install
     package = types.ModuleType(name)
     package.__path__ = [os.path.join(orders["root"], *name.split(".")[1:])]
     sys.modules[name] = package
-from nw_eval.files.lifeline import hold
-hold(orders["life"])
 from pathlib import Path
 from nw_eval.confinement import LEFT, Rules, confine
+from nw_eval.confinement.family import set_parent
+set_parent(os.getppid())
 reads = tuple(map(Path, orders["reads_files"]))
 reads += Path(sys.executable).parents[1],  # Its environment, which `site` has not found yet.
-confine(Rules(reads=reads, network=orders["network"], memory=None), output=orders["output"])
+rules = Rules(reads=reads, network=orders["network"], memory=orders["bytes"])
+confine(rules, output=orders["output"])
 import site
 site.main()
 from nw_eval.policies.policy_process import run_program
@@ -368,76 +358,48 @@ What its environment runs by itself (`.pth` files, `sitecustomize`) runs behind 
 keeps `site` from running before."""
 
 
-class OwnInterpreter:
-    """A policy's process with an interpreter of its own: `Started`.
+def _be_interpreter(
+    rules: Rules,
+    questions: Connection,
+    answers: Connection,
+    memory: Connection,
+    output: Connection | None = None,
+) -> NoReturn:
+    """Become a policy's process with an interpreter of its own, which confines itself.
 
     Args:
-        rules: by which it confines itself, before it imports the policy.
+        rules: by which it does so, before it imports the policy.
         questions: what it is asked.
         answers: what it says.
         memory: for observations.
         output: where what it prints goes; None = nowhere.
-
-    Raises:
-        OSError: it cannot be started.
     """
+    from nw_eval.policies.policy_process import MessageLine
 
-    def __init__(
-        self,
-        rules: Rules,
-        questions: Connection,
-        answers: Connection,
-        memory: Connection,
-        output: Connection | None,
-    ) -> None:
-        life, self._life = Pipe(duplex=False)
-        passed = {"reads": questions, "writes": answers, "memory": memory, "life": life}
-        handles = {name: connection.fileno() for name, connection in passed.items()}
-        orders = {
-            **handles,
-            "output": None if output is None else output.fileno(),
-            "root": str(Path(__file__).resolve().parents[2]),
-            "reads_files": [str(path) for path in rules.reads],
-            "network": rules.network,
-        }
-        printed = () if output is None else (output.fileno(),)
-        with life, interrupts_blocked():
-            self._process = subprocess.Popen(  # noqa: S603  # What the caller allowed.
-                [str(rules.python), "-I", "-S", "-B", "-c", _PROGRAM, json.dumps(orders)],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                pass_fds=(*handles.values(), *printed),
-                env=environment_of_child(),
-            )
-        self.pid = self._process.pid
-        self._watch = os.pidfd_open(self.pid)
-
-    @property
-    def sentinel(self) -> int:
-        """What is ready when it has ended."""
-        return self._watch
-
-    @property
-    def exitcode(self) -> int | None:
-        """How it ended; None while it runs."""
-        return self._process.poll()
-
-    def kill(self) -> None:
-        """End it, without waiting."""
-        self._process.kill()
-
-    def join(self, timeout: float | None = None) -> None:
-        """Wait until it has ended, or so many seconds."""
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(timeout)
-
-    def close(self) -> None:
-        """Forget it; it has ended."""
-        self._life.close()
-        if self._watch >= 0:
-            os.close(self._watch)
-            self._watch = -1
+    die_with_parent(has_children=False)  # The system remembers it over `exec`.
+    passed = {"reads": questions, "writes": answers, "memory": memory, "output": output}
+    handles = {name: end.fileno() for name, end in passed.items() if end is not None}
+    for handle in handles.values():
+        os.set_inheritable(handle, True)
+    orders = {
+        "output": None,
+        **handles,
+        "root": str(Path(__file__).resolve().parents[2]),
+        "reads_files": [str(path) for path in rules.reads],
+        "network": rules.network,
+        "bytes": rules.memory,
+    }
+    program = [str(rules.python), "-I", "-S", "-B", "-c", _PROGRAM, json.dumps(orders)]
+    try:
+        os.execve(program[0], program, environment_of_child())  # noqa: S606  # The caller allowed it.
+    except OSError as error:
+        said = f"{rules.python} cannot be started: {error.strerror or error}"
+        fault = {"kind": "PolicyError", "lines": [said], "fix": "correct `python` on the card"}
+        line = MessageLine(questions.fileno(), answers.fileno())
+        with suppress(OSError, EOFError, ValueError):  # It has no reader.
+            line.receive()
+            line.tell({"error": fault})
+        os._exit(LEFT)
 
 
 class PolicyProcess:

@@ -92,6 +92,10 @@ class ForeignMessage:
     data: bytes
 
 
+class CompressionError(ValueError):
+    """A chunk is whole, and compressed in a way that is not read here."""
+
+
 class _Exact(ReadDataStream):
     """A record's content, which must be as long as it says."""
 
@@ -236,7 +240,7 @@ def _unpacked(chunk: Chunk) -> bytes:
     if size > _MOST_RECORD or size > max(_MOST_RATIO * packed, _FREE):
         raise ValueError(f"a chunk of {packed} bytes unpacks to {size}")
     if chunk.compression not in {"", "zstd"}:
-        raise ValueError(f"a chunk is compressed by {chunk.compression[:20]!r}, not zstd")
+        raise CompressionError(f"a chunk is compressed by {chunk.compression[:20]!r}, not zstd")
     data = chunk.data
     if chunk.compression:
         # zstd believes a frame's own word for its size, whatever limit one gives.
@@ -299,7 +303,7 @@ _KINDS: dict[str, Any] = {kind.DESCRIPTOR.full_name: kind for kind in _WRITTEN}
 
 _MOST_KEPT = 256 * 2**20  # bytes of texts, attachments or states that are returned at once
 # What a damaged file may cause in the libraries that read it.
-_DAMAGE = (
+DAMAGE = (
     ArithmeticError,
     AttributeError,
     DecodeError,
@@ -419,7 +423,7 @@ class LogReader:
             raise StoreError(
                 f"cannot read {self.path}: {error.strerror or clean(error)}", fix="check the path"
             ) from error
-        except _DAMAGE as error:
+        except DAMAGE as error:
             reason = clean(error, at_most=200) or type(error).__name__
             raise StoreError(
                 f"{self.path} is damaged, or not a log of nw-eval: {reason}",

@@ -255,9 +255,11 @@ def attribute_apart(
             if not running:
                 continue
             nearest = min(each.deadline for each in running) - monotonic()
-            answered = wait([each.call.receiver for each in running], max(0.0, nearest))
+            receivers = [each.call.receiver for each in running]
+            answered = wait(receivers, min(1.0, max(0.0, nearest)))
             for each in tuple(running):
-                if each.call.receiver in answered or each.deadline <= monotonic():
+                is_late = each.deadline <= monotonic() or each.call.progress.look()
+                if each.call.receiver in answered or is_late:
                     running.remove(each)
                     with each.call:
                         yield each.place, _answer(each.call, logs[each.place])

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.clean import clean
-from nw_eval.errors import NwEvalError, PrerequisiteError, StoreError
+from nw_eval.errors import NwEvalError, PrerequisiteError, StoreError, is_interrupt
 from nw_eval.files.cache import atomic_path, followed
 from nw_eval.robots import get_robot
 from nw_eval.rollout.episode import Observer
-from nw_eval.rollout.fault import is_interrupt, one_line
+from nw_eval.rollout.fault import one_line
 from nw_eval.rollout.job import StageClock
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.observed import views_of

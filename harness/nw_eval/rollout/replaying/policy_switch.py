@@ -22,11 +22,10 @@ from pydantic import TypeAdapter, ValidationError
 from nw_eval.cards import JointControl, motors_follow
 from nw_eval.cards.load import CARD_FILE, parse_card
 from nw_eval.clean import clean
-from nw_eval.errors import PolicyError, StoreError, TrialError, UsageError
+from nw_eval.errors import PolicyError, StoreError, TrialError, UsageError, is_interrupt
 from nw_eval.policies import Bundle
 from nw_eval.policies.bundle import NOTHING
 from nw_eval.rollout.episode import Decision
-from nw_eval.rollout.fault import is_interrupt
 from nw_eval.rollout.job import StageClock, TrialResult
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.mcap.messages import SimState, StatePart

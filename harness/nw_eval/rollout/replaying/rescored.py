@@ -10,7 +10,7 @@ A robot's log (`robot_log`) has readings only, and gives the scores that those a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
 
@@ -31,9 +31,11 @@ from nw_eval.rollout.replaying.policy_switch import (
     replay_bundle,
     switch_of,
 )
-from nw_eval.rollout.replaying.robot_log import read_robot_log
+from nw_eval.rollout.replaying.robot_log import RobotLog, log_file, read_robot_log
 from nw_eval.scores import (
+    BUILT_IN,
     MissingReadingError,
+    Score,
     ScoreSpec,
     TrialEnd,
     score_class,
@@ -73,6 +75,12 @@ class LogScores:
     restored: int = 0
     """Of a run's log: how often the trial went another way here than recorded, as on a CPU of
     another kind, and went on from the next state of the log."""
+    unused: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Of a robot's log: why other topics were not read."""
+    fields: Mapping[str, Mapping[str, str]] = field(default_factory=dict[str, Mapping[str, str]])
+    """Of a robot's log: by topic that was read, what became of the fields of its messages."""
+    notes: Sequence[str] = ()
+    """Of a robot's log: what is doubtful, and what was left out."""
 
 
 def scores_of_log(
@@ -86,7 +94,7 @@ def scores_of_log(
     """Return the scores of a log; a run's is led in a process of its own.
 
     Args:
-        path: an MCAP file.
+        path: an MCAP file, or the folder of a bag with one.
         names: of the scores; empty = all.
         robot: whose log it is; of a run's, the log says it.
         topics: of a robot's log, from which readings are taken: see `read_robot_log`.
@@ -98,7 +106,7 @@ def scores_of_log(
         UsageError: there is no such score or robot, or a robot's log names none.
         SceneError: the scene of the trial is not here.
     """
-    asked = tuple(dict.fromkeys(names))
+    asked, path = tuple(dict.fromkeys(names)), log_file(path)
     if TRIAL in LogReader(path).metadata():
         if topics or robot is not None:
             raise UsageError(
@@ -231,25 +239,26 @@ def _of_robot(
     values: dict[str, float] = {}
     missing: dict[str, str] = {}
     moments: dict[str, float] = {}
-    end = TrialEnd(outcome=None, seconds=read.seconds, success=float("nan"))
+    fell = "" if read.fell is None else f"the trunk lies on its side at {read.fell:.4g} s"
+    end = TrialEnd(outcome="fell" if fell else None, seconds=read.seconds, success=float("nan"))
     for name in names:
         score = score_class(name)(read.figures)
         try:
-            score.update(read.stretch)
-            value = score.value(end)
+            value = _value(score, read, end)
         except MissingReadingError as error:
             missing[name] = read.lacks(error.reading)
             continue
-        if value is None or not np.isfinite(value):
-            missing[name] = (
-                "undefined: the log does not say how the task ended"
-                if (name == "time_to_finish")
-                else "undefined in this log"
-            )
+        if name == "time_to_finish":
+            missing[name] = "undefined: the log does not say how the task ended"
+        elif name == "distance_before_fall" and (fell or len(read.stretches) > 1):
+            missing[name] = f"undefined: {fell or 'the way in a pause of the log is unknown'}"
+        elif value is None or not np.isfinite(value):
+            unknown = fell if value is None else read.empty.get("tilt")
+            missing[name] = unknown or "undefined in this log"
         else:
             values[name] = float(value)
             if (moment := score.moment()) is not None:
-                moments[name] = moment
+                moments[name] = float(read.ends[round(moment / read.figures.control_period) - 1])
     return LogScores(
         log=path,
         seconds=read.seconds,
@@ -258,5 +267,20 @@ def _of_robot(
         missing=missing,
         specs=specs,
         topics=read.topics,
+        unused=read.unused,
+        fields=read.fields,
+        notes=(*read.notes, fell) if fell else read.notes,
         recorded={},
     )
+
+
+def _value(score: Score, read: RobotLog, end: TrialEnd) -> float | None:
+    """Return the value of a score; None, too, of a package's in a log with pauses."""
+    if len(read.stretches) > 1 and not score.joined and score.spec.name not in BUILT_IN:
+        return None
+    fresh = score.state()
+    for stretch in read.stretches:
+        for joined in score.joined:
+            setattr(score, joined, fresh[joined])
+        score.update(stretch)
+    return score.value(end)

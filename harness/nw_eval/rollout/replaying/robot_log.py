@@ -3,82 +3,108 @@
 Which topics are taken follows from what their messages are. They have rates of their own: each
 reading is the newest message of its topic at the end of a physics step, as many of which stand in a
 control step of 1 / 50 s as joints are logged, so that a score means what it means in simulation.
+Readings that two sources tell otherwise, or that were not measured, are left out with the reason.
 """
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import re
+import stat
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from google.protobuf.message import DecodeError
-from mcap.exceptions import McapError
 from mcap_ros2.decoder import DecoderFactory
-from zstandard import ZstdError
 
 from nw_eval.cards.model import CONTROL_RATE
 from nw_eval.catalogue import get_scene
 from nw_eval.clean import clean
 from nw_eval.errors import StoreError, UsageError, nearest
+from nw_eval.plural import plural
 from nw_eval.robots import RobotSpec, get_robot
-from nw_eval.rollout.mcap.reader import MOST_MESSAGE, ForeignMessage, foreign
+from nw_eval.rollout.mcap.reader import DAMAGE, CompressionError, foreign
+from nw_eval.rollout.replaying.log_clock import Stamps, common, on_one_clock, stretches
+from nw_eval.rollout.replaying.log_doubts import Readings, doubt
+from nw_eval.rollout.replaying.log_messages import (
+    FIELDS,
+    IMU,
+    JOINTS,
+    Values,
+    decoded,
+    frames_of,
+    kind_of,
+    noted_in,
+    stamp_of,
+    unreadable,
+    values_of,
+)
 from nw_eval.scores.score import Array, Figures, Stretch
 from nw_eval.sim import World
 
-_JOINTS = ("sensor_msgs/msg/JointState", "foxglove.JointStates")
-_SOURCES: dict[str, tuple[str, ...]] = {
-    "joints": _JOINTS,
-    "targets": (*_JOINTS, "std_msgs/msg/Float64MultiArray"),
+_SOURCES: dict[str, tuple[tuple[str, ...], ...]] = {
+    "joints": tuple((kind,) for kind in JOINTS),
+    "targets": tuple((kind,) for kind in (*JOINTS, "std_msgs/msg/Float64MultiArray")),
     "pose": (
-        "nav_msgs/msg/Odometry",
-        "geometry_msgs/msg/PoseStamped",
-        "foxglove.PoseInFrame",
-        "sensor_msgs/msg/Imu",
+        ("nav_msgs/msg/Odometry",),
+        ("geometry_msgs/msg/PoseStamped",),
+        ("foxglove.PoseInFrame",),
+        (IMU,),
     ),
-    "command": ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist"),
+    "command": (("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist"),),
 }
-"""What is looked for, and in which messages, the best first."""
+"""What is looked for, and in which messages, the best first; equally good ones stand together."""
 SOURCES = tuple(_SOURCES)
-_TOLD = ("command", "cmd", "target", "desired", "action")
-"""In the name of a topic of joints that says where they are to go."""
-_PROTOBUF: dict[str, Any] = {
-    "foxglove.JointStates": JointStates,
-    "foxglove.PoseInFrame": PoseInFrame,
-}
+_TOLD = re.compile(
+    r"^(actions?|desired|goals?|input|joy|ref|references?|teleop|cmd.*"
+    r"|.*(cmds?|commands?|targets?|setpoints?))$"
+)
+"""Words in the name of a topic that says where the robot is to go."""
+_MEASURED = frozenset(["actual", "encoders", "feedback", "measured", "state", "states"])
 _MOST_SUBSTEPS = 20  # 1 kHz
 _FEWEST = 0.9 * CONTROL_RATE  # messages a second of joints and targets
-_DAMAGE = (
-    ArithmeticError,
-    AttributeError,
-    DecodeError,
-    EOFError,
-    LookupError,
-    McapError,
-    MemoryError,
-    TypeError,
-    ValueError,
-    ZstdError,
-    struct.error,
+_FEWEST_POSES = 4.5  # The trunk's way is sampled at 5 Hz.
+_ROS_1 = "convert it: `rosbags-convert --src BAG --dst OUT --dst-storage mcap`"
+_CONTAINERS = (
+    (b"SQLite format 3\0", "a SQLite bag", "convert it: `mcap convert BAG.db3 OUT.mcap`"),
+    (b"#ROSBAG", "a ROS 1 bag", _ROS_1),
+    (b"\x28\xb5\x2f\xfd", "compressed as a whole", "unpack it first: `zstd -d FILE`"),
+    (b"\x1f\x8b", "compressed as a whole", "unpack it first: `gunzip FILE`"),
+    (b"\x04\x22\x4d\x18", "compressed as a whole", "unpack it first: `lz4 -d FILE`"),
+    (b"PK\x03\x04", "a zip archive", "unpack it first"),
+    (b"version https://git-lfs", "a Git LFS pointer, not the file", "get the file: `git lfs pull`"),
 )
+"""What a log may lie in: its first bytes, what that is, and what to do."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class RobotLog:
     """What a log says, as scores are shown it."""
 
     figures: Figures
-    stretch: Stretch
-    """All control steps; readings that the log lacks are left out."""
-    seconds: float
+    stretches: tuple[Stretch, ...]
+    """The control steps without a pause between them; readings that the log lacks are left out."""
+    ends: Array
+    """When each control step of all stretches ended, s from the first one's begin, (N,)."""
+    fell: float | None
+    """When the trunk lay on its side first, s; None where it never did."""
     topics: Mapping[str, str]
     """Topic by what was looked for, one of `SOURCES`."""
     empty: Mapping[str, str]
-    """Readings that a topic could have and does not, and why."""
+    """Readings that are not there, and why; those of a source by its name."""
+    notes: tuple[str, ...]
+    """What is doubtful, and what was left out."""
+    unused: Mapping[str, str]
+    """Why other topics were not read."""
+    fields: Mapping[str, Mapping[str, str]]
+    """By topic that was read, what became of the fields of its messages."""
+
+    @property
+    def seconds(self) -> float:
+        """How much of the log is scored, s."""
+        return len(self.ends) * self.figures.control_period
 
     def lacks(self, reading: str) -> str:
         """Return why there is no such reading."""
@@ -87,9 +113,11 @@ class RobotLog:
         source = _FROM.get(reading)
         if source is None:
             return f"no message has {reading.replace('_', ' ')}"
+        if source in self.empty:
+            return self.empty[source]
         if (topic := self.topics.get(source)) is not None:
             return f"{topic} has no {reading.replace('_', ' ')}"
-        return f"no topic has {source}: {' or '.join(_SOURCES[source])}"
+        return f"no topic has {source}: {' or '.join(_kinds_of(source))}"
 
 
 _FROM = {
@@ -105,9 +133,40 @@ _FROM = {
 }
 
 
-class _Track(NamedTuple):
-    times: Array  # (N,) s
-    values: dict[str, Array]  # (N, ...) by reading
+def _kinds_of(source: str) -> tuple[str, ...]:
+    return tuple(kind for rank in _SOURCES[source] for kind in rank)
+
+
+def log_file(path: Path) -> Path:
+    """Return the MCAP file that a path means: itself, or the one in the folder of a bag.
+
+    Raises:
+        StoreError: there is nothing, or no file.
+        UsageError: it is a log in another form, or there is not one MCAP file in the folder.
+    """
+    if path.is_dir():
+        found = sorted(each for each in path.iterdir() if each.suffix in {".mcap", ".db3", ".zstd"})
+        logs = [each for each in found if each.suffix == ".mcap"] or found
+        if len(logs) != 1:
+            names = ", ".join(each.name for each in logs[:5]) or "no MCAP file"
+            raise UsageError(
+                f"{path} is a folder with {clean(names, at_most=300)}",
+                fix="name one MCAP file; `mcap merge` puts the parts of a bag together",
+            )
+        path = logs[0]
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):  # A pipe may never end.
+            raise StoreError(f"{path} is not a file", fix="name an MCAP file")
+        with path.open("rb") as stream:
+            start = stream.read(64)
+    except OSError as error:
+        raise StoreError(f"cannot read {path}: {error.strerror}", fix="check the path") from None
+    if not start:
+        raise UsageError(f"{path} is empty", fix="name another log")
+    for magic, what, fix in _CONTAINERS:
+        if start.startswith(magic):
+            raise UsageError(f"{path} is {what}", fix=fix)
+    return path
 
 
 def read_robot_log(path: Path, *, robot: str, topics: Mapping[str, str]) -> RobotLog:
@@ -121,262 +180,283 @@ def read_robot_log(path: Path, *, robot: str, topics: Mapping[str, str]) -> Robo
     Raises:
         StoreError: the log is missing or damaged.
         UsageError: there is no such robot or topic, several topics could be meant, a message lacks
-            a joint of the robot, or joints are logged too seldom.
+            a joint of the robot, joints are logged too seldom, or no time of them is known.
     """
     spec = get_robot(robot)
     if unknown := [name for name in topics if name not in _SOURCES]:
         raise UsageError(f"--topic {unknown[0]}=... is unknown", fix=nearest(unknown[0], SOURCES))
+    if len(set(topics.values())) < len(topics):
+        raise UsageError("--topic names one topic for two readings", fix="name another for one")
     try:
-        kinds = _kinds(path)
-        chosen = _chosen(path, kinds, topics)
-        tracks = _tracks(path, spec, chosen, kinds)
+        kinds, unused = _kinds(path)
+        chosen = _chosen(path, kinds, unused, topics)
+        read = _read(path, spec, chosen)
+    except CompressionError as error:
+        raise UsageError(f"{path}: {error}", fix="convert it: `mcap compress IN -o OUT`") from None
     except OSError as error:
         raise StoreError(f"cannot read {path}: {error.strerror}", fix="check the path") from None
-    except _DAMAGE as error:
+    except DAMAGE as error:
         reason = clean(error, at_most=200) or type(error).__name__
         raise StoreError(
             f"{path} is damaged, or no MCAP file: {reason}",
-            fix="save what is left with `mcap recover`; lz4 becomes zstd with `mcap compress`",
+            fix="save what is left with `mcap recover`",
         ) from error
-    if not tracks:
-        wanted = ", ".join(dict.fromkeys(kind for each in _SOURCES.values() for kind in each))
+    if not read:
+        wanted = ", ".join(dict.fromkeys(kind for name in SOURCES for kind in _kinds_of(name)))
+        there = "; ".join(f"{name}: {why}" for name, why in unused.items()) or "no messages"
         raise UsageError(
-            f"{path} has no topic that scores are computed from",
-            fix=f"log one of {wanted}, or name it with --topic",
+            f"{path} has no topic that scores are computed from: {clean(there, at_most=600)}",
+            fix=_ROS_1 if "(ros1msg)" in there else f"log one of {wanted}, or name it with --topic",
         )
-    return _gridded(path, spec, chosen, tracks)
+    return _gridded(path, spec, read, unused)
 
 
-def _kinds(path: Path) -> dict[str, str]:
-    """Return the schema of each topic."""
+def _kinds(path: Path) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the kind of message of each topic that can be read, and why others cannot."""
+    kinds, others = dict[str, str](), dict[str, str]()
     with path.open("rb") as stream:
-        return {each.topic: _kind(each) for each in foreign(stream)}
+        for each in foreign(stream):
+            kind, reason = kind_of(each), unreadable(each)
+            if kinds.setdefault(each.topic, kind) != kind:
+                reason = f"its messages are of two kinds, {kinds[each.topic]} and {kind}"
+            if reason:
+                others[each.topic] = clean(reason, at_most=200)
+    return {topic: kind for topic, kind in kinds.items() if topic not in others}, others
 
 
-def _kind(message: ForeignMessage) -> str:
-    return "" if message.schema is None else message.schema.name
+def _fits(source: str, topic: str) -> str:
+    """Return why a topic's name is not that of a source; nothing where it may be.
+
+    Its last part decides whether it says where the robot is to go; of joints and commands, the
+    parts before it where the last says neither.
+    """
+    *before, last = (
+        {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", part)}
+        for part in topic.strip("/").split("/")
+    )
+    told = any(map(_TOLD.match, last))
+    if not told and source != "pose" and any(map(_TOLD.match, set[str]().union(*before))):
+        if last & _MEASURED:
+            return f"its name says both: --topic joints={topic} or targets={topic}"
+        told = True
+    if told == (source in {"targets", "command"}):
+        return ""
+    return "its name says where the robot is to go" if told else "its name does not say a command"
 
 
-def _chosen(path: Path, kinds: Mapping[str, str], topics: Mapping[str, str]) -> dict[str, str]:
-    """Return the topic of each source that has one."""
+def _chosen(
+    path: Path, kinds: Mapping[str, str], unused: dict[str, str], topics: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the topic of each source that has one; note why others are not taken."""
     chosen: dict[str, str] = {}
-    for source, wanted in _SOURCES.items():
-        if source in topics:
-            if (topic := topics[source]) not in kinds:
-                raise UsageError(f"{path} has no topic {topic!r}", fix=nearest(topic, tuple(kinds)))
-            if kinds[topic] not in wanted:
+    for source, ranks in _SOURCES.items():
+        if (topic := topics.get(source)) is not None:
+            if topic not in kinds:
+                there = f"cannot be read: {unused[topic]}" if topic in unused else "is not there"
+                raise UsageError(f"{path}: topic {topic!r} {there}", fix=nearest(topic, kinds))
+            if kinds[topic] not in _kinds_of(source):
                 raise UsageError(
                     f"{path}: {topic} has {clean(kinds[topic], at_most=80)!r}, not {source}",
-                    fix=f"name a topic of {' or '.join(wanted)}",
+                    fix=f"name a topic of {' or '.join(_kinds_of(source))}",
                 )
             chosen[source] = topic
             continue
-        for kind in wanted:
-            found = [topic for topic in kinds if kinds[topic] == kind]
-            if source in {"joints", "targets"}:
-                told = source == "targets"
-                found = [
-                    topic for topic in found if any(word in topic.lower() for word in _TOLD) == told
-                ]
-            if len(found) > 1:
+        for rank in ranks:
+            free = [each for each in kinds if kinds[each] in rank and each not in topics.values()]
+            unused.update({each: reason for each in free if (reason := _fits(source, each))})
+            fitting = [each for each in free if not _fits(source, each)]
+            if len(fitting) > 1:
                 raise UsageError(
-                    f"{path}: {' and '.join(sorted(found))} could all be {source}",
-                    fix=f"name one: --topic {source}={min(found)}",
+                    f"{path}: {' and '.join(sorted(fitting))} could all be {source}",
+                    fix=f"name one: --topic {source}={min(fitting)}",
                 )
-            if found:
-                chosen[source] = found[0]
+            if fitting:
+                chosen[source] = fitting[0]
                 break
+    _beside(kinds, unused, chosen)
     return chosen
 
 
-def _tracks(
-    path: Path, robot: RobotSpec, chosen: Mapping[str, str], kinds: Mapping[str, str]
-) -> dict[str, _Track]:
+def _beside(kinds: Mapping[str, str], unused: dict[str, str], chosen: dict[str, str]) -> None:
+    """Add an IMU that the pose is compared with; note why other topics are not read."""
+    imus = [topic for topic in kinds if kinds[topic] == IMU]
+    if len(imus) == 1 and "pose" in chosen and chosen["pose"] not in imus:
+        chosen["imu"] = imus[0]
+    for topic, kind in kinds.items():
+        if topic in chosen.values():
+            unused.pop(topic, None)
+        else:
+            unused.setdefault(topic, f"{kind}, beside the topics that are used")
+
+
+@dataclass
+class _Source:
+    """The messages of one topic, in the order of the file."""
+
+    topic: str
+    kind: str
+    times: list[tuple[int | None, int]] = field(default_factory=list)  # stamp, logged; ns
+    values: list[Values] = field(default_factory=list)
+    frames: set[tuple[str, str]] = field(default_factory=set)
+    noted: Counter[str] = field(default_factory=Counter)
+    seen: set[tuple[int, int]] = field(default_factory=set)
+
+
+def _read(path: Path, robot: RobotSpec, chosen: Mapping[str, str]) -> dict[str, _Source]:
     decoders = DecoderFactory()
     by_topic = {topic: source for source, topic in chosen.items()}
-    seen: dict[str, list[tuple[float, dict[str, list[float]]]]] = {}
-    orders: dict[tuple[str, ...], list[int]] = {}
+    found: dict[str, _Source] = {}
+    orders: dict[Any, Any] = {}
     with path.open("rb") as stream:
         for each in foreign(stream):
-            source = by_topic.get(each.topic)
-            if source is None:
+            if (source := by_topic.get(each.topic)) is None:
                 continue
-            message = _decoded(each, decoders)
-            values = _VALUES[source](message, kinds[each.topic], robot, orders, each.topic)
-            if any(not np.isfinite(value).all() for value in values.values()):
-                raise ValueError(f"{each.topic} has numbers that are not finite")
-            seen.setdefault(source, []).append((each.time_ns * 1e-9, values))
-    tracks: dict[str, _Track] = {}
-    for source, rows in seen.items():
-        rows.sort(key=lambda row: row[0])
-        names = [name for name in rows[0][1] if all(name in values for _, values in rows)]
-        tracks[source] = _Track(
-            np.array([time for time, _ in rows]),
-            {name: np.array([values[name] for _, values in rows]) for name in names},
+            kind, message = kind_of(each), decoded(each, decoders)
+            into = found.setdefault(source, _Source(each.topic, kind))
+            if (stamp := stamp_of(message, kind)) is not None:
+                if (key := (stamp, hash(each.data))) in into.seen:
+                    into.noted["are there twice"] += 1
+                    continue
+                into.seen.add(key)
+            if source in {"pose", "imu"}:
+                into.frames.add(frames_of(message, kind))
+            into.noted.update(f"have {what}" for what in noted_in(message, kind))
+            into.times.append((stamp, each.time_ns))
+            into.values.append(values_of(source, message, kind, robot, orders, each.topic))
+    return {source: found[source] for source in (*_SOURCES, "imu") if source in found}
+
+
+def _tracks(path: Path, robot: RobotSpec, read: Mapping[str, _Source]) -> Readings:
+    """Return every reading on its times; note which messages lack one."""
+    topics = {source: each.topic for source, each in read.items()}
+    frames = {source: each.frames for source, each in read.items() if each.frames}
+    found = Readings(robot=robot, topics=topics, frames=frames)
+    middle = sorted(time for each in read.values() for _, time in each.times)
+    origin = middle[len(middle) // 2]
+    stamps = {
+        source: Stamps(
+            each.topic,
+            *(
+                np.array([np.nan if time is None else (time - origin) * 1e-9 for time in column])
+                for column in zip(*each.times, strict=True)
+            ),
+            steady=source != "command",
         )
-    return tracks
-
-
-def _decoded(message: ForeignMessage, decoders: DecoderFactory) -> Any:
-    if len(message.data) > MOST_MESSAGE:
-        raise ValueError(f"a message of {message.topic} has over {MOST_MESSAGE // 2**20} MiB")
-    if (kind := _PROTOBUF.get(_kind(message))) is not None:
-        return kind.FromString(message.data)
-    decode = decoders.decoder_for(message.encoding, message.schema)
-    if decode is None:
-        raise ValueError(f"messages of {message.topic} are encoded as {message.encoding!r}")
-    return decode(message.data)
-
-
-def _joints(
-    message: Any,
-    kind: str,
-    robot: RobotSpec,
-    orders: dict[tuple[str, ...], list[int]],
-    topic: str,
-) -> dict[str, list[float]]:
-    if kind == "foxglove.JointStates":
-        names = tuple(joint.name for joint in message.joints)
-        columns = {
-            "joint_positions": [joint.position for joint in message.joints],
-            "joint_rates": [joint.velocity for joint in message.joints],
-            "torques": [joint.effort for joint in message.joints],
-        }
-    else:
-        names = tuple(message.name)
-        columns = {
-            "joint_positions": list(message.position),
-            "joint_rates": list(message.velocity),
-            "torques": list(message.effort),
-        }
-    if names not in orders:
-        orders[names] = _order(names, robot, topic)
-    order = orders[names]
-    return {
-        name: [column[index] for index in order]
-        for name, column in columns.items()
-        if len(column) == len(names)
+        for source, each in read.items()
     }
-
-
-def _order(names: Sequence[str], robot: RobotSpec, topic: str) -> list[int]:
-    """Return where the joints of a robot are in a message."""
-    short = [name.removesuffix("_joint") for name in names]
-    found: list[int] = []
-    for joint in robot.joints:
-        if (own := joint.removesuffix("_joint")) not in short:
-            raise UsageError(
-                f"{topic} has no joint {joint!r} of {robot.name}; it has "
-                f"{clean(', '.join(names), at_most=200)}",
-                fix="name another robot with --robot, or another topic with --topic",
-            )
-        found.append(short.index(own))
+    clock, faults = on_one_clock(stamps, found.notes)
+    for source, fault in faults.items():
+        found.empty[source] = f"when messages of {topics[source]} were measured is unknown: {fault}"
+    if "joints" in faults or not clock:
+        raise UsageError(
+            f"{path}: {found.empty.get('joints') or next(iter(found.empty.values()))}",
+            fix="record stamps in the headers, or cut the log where its clock was set",
+        )
+    for source, times in clock.items():
+        _add_tracks(found, read[source], times, "imu_" if source == "imu" else "")
+    lacking = {found.empty.get(name, "") for name, source in _FROM.items() if source == "joints"}
+    if all(": no joint " in reason for reason in lacking):
+        fix = "name another robot with --robot, or a topic with --topic"
+        raise UsageError(lacking.pop(), fix=fix)
     return found
 
 
-def _targets(
-    message: Any,
-    kind: str,
-    robot: RobotSpec,
-    orders: dict[tuple[str, ...], list[int]],
-    topic: str,
-) -> dict[str, list[float]]:
-    if kind in _JOINTS:
-        values = _joints(message, kind, robot, orders, topic)
-        return {"targets": values.get("joint_positions") or values["torques"]}
-    values = list(message.data)
-    if len(values) != len(robot.joints):
-        raise UsageError(
-            f"{topic} has {len(values)} numbers, {robot.name} has {len(robot.joints)} joints",
-            fix="name another topic with --topic",
+def _add_tracks(found: Readings, each: _Source, times: Array, prefix: str) -> None:
+    count, topic = len(times), each.topic
+    order = np.argsort(times, kind="stable")[: np.count_nonzero(np.isfinite(times))].tolist()
+    each.noted["have no time and are left out"] = count - len(order)
+    found.notes += [
+        f"{n} of {count} messages of {topic} {what}" for what, n in each.noted.items() if n
+    ]
+    lacks: dict[str, list[str]] = {}
+    for reading in dict.fromkeys(name for values in each.values for name in values):
+        said = [values.get(reading, "is missing") for values in each.values]
+        whys = Counter(clean(value, at_most=200) for value in said if isinstance(value, str))
+        why = max(whys, key=whys.__getitem__, default="")
+        name = reading.replace("_", " ")
+        kept = [index for index in order if not isinstance(said[index], str)]
+        if not kept:
+            found.empty[f"{prefix}{reading}"] = f"{topic} has no {name}: {why}"
+            continue
+        if whys and reading != "target_torques":
+            lacks.setdefault(f"{whys.total()} of {count} messages, {why}", []).append(name)
+        last = np.append(np.diff(times[kept]) > 0.0, True)
+        found.tracks[f"{prefix}{reading}"] = (
+            times[kept][last],
+            np.array([said[index] for index in kept])[last],
         )
-    return {"targets": values}
+    found.notes += [f"{topic} has no {', '.join(names)} in {why}" for why, names in lacks.items()]
 
 
-def _pose(message: Any, kind: str, *_: Any) -> dict[str, list[float]]:
-    values: dict[str, list[float]] = {}
-    if kind == "sensor_msgs/msg/Imu":
-        turned, twist = message.orientation, None
-        values["rates"] = _xyz(message.angular_velocity)
-    elif kind == "nav_msgs/msg/Odometry":
-        turned, twist = message.pose.pose.orientation, message.twist.twist
-        values["position"] = _xyz(message.pose.pose.position)
-        values["rates"] = _xyz(twist.angular)
-    else:
-        turned, twist = message.pose.orientation, None
-        values["position"] = _xyz(message.pose.position)
-    rotation = _rotation(turned)
-    values["rotation"] = rotation.ravel().tolist()
-    if twist is not None:  # In the frame of the trunk.
-        values["world_velocity"] = (rotation @ _xyz(twist.linear)).tolist()
-    return values
-
-
-def _command(message: Any, kind: str, *_: Any) -> dict[str, list[float]]:
-    twist = message.twist if kind == "geometry_msgs/msg/TwistStamped" else message
-    return {"command": [twist.linear.x, twist.linear.y, twist.angular.z]}
-
-
-_VALUES: dict[str, Any] = {
-    "joints": _joints,
-    "targets": _targets,
-    "pose": _pose,
-    "command": _command,
-}
-
-
-def _xyz(vector: Any) -> list[float]:
-    return [vector.x, vector.y, vector.z]
-
-
-def _rotation(quat: Any) -> Array:
-    """Return the rotation matrix of a quaternion, which need not be normalised."""
-    numbers = np.array([quat.w, quat.x, quat.y, quat.z])
-    w, x, y, z = numbers / np.linalg.norm(numbers)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def _gridded(
-    path: Path, robot: RobotSpec, chosen: Mapping[str, str], tracks: Mapping[str, _Track]
-) -> RobotLog:
-    """Return all readings at the ends of control and physics steps."""
-    for source in ("joints", "targets"):
-        if source in tracks and (rate := _rate(tracks[source].times)) < _FEWEST:
+def _slow(found: Readings, path: Path) -> dict[str, list[tuple[float, float]]]:
+    """Drop what is logged too seldom; return where the others have no pause, and the rates."""
+    spans: dict[str, list[tuple[float, float]]] = {}
+    fastest: dict[str, float] = {}
+    alone: dict[str, int] = {}
+    for reading, (times, _) in tuple(found.tracks.items()):
+        source = _FROM.get(reading, "")
+        if source == "command" or not source:
+            continue
+        spans[reading], rate, alone[source] = stretches(times)
+        fastest[source] = max(fastest.get(source, 0.0), rate)
+        if rate < (fewest := _FEWEST_POSES if source == "pose" else _FEWEST):
+            found.drop(
+                reading,
+                f"{found.topics[source]} has it {rate:.1f} times a second, under {fewest:.3g}",
+            )
+            del spans[reading]
+    for source, rate in fastest.items():
+        if source != "pose" and rate < _FEWEST:
             raise UsageError(
-                f"{path}: {chosen[source]} has {rate:.1f} messages a second, scores are of "
+                f"{path}: {found.topics[source]} has {rate:.1f} messages a second, scores are of "
                 f"{CONTROL_RATE} control steps a second",
                 fix="log it at 50 Hz or more",
             )
+    for source, count in alone.items():
+        if count:
+            found.notes.append(
+                f"{plural(count, 'message')} of {found.topics[source]} left out: far from "
+                "all others in time"
+            )
+    return spans
+
+
+def _gridded(
+    path: Path, robot: RobotSpec, read: Mapping[str, _Source], unused: Mapping[str, str]
+) -> RobotLog:
+    """Return all readings at the ends of control and physics steps."""
+    found = _tracks(path, robot, read)
+    doubt(found)
+    spans = _slow(found, path)
+    tracks = {name: found.tracks[name] for name in _FROM if name in found.tracks}
+    if not tracks:
+        raise UsageError([f"{path} has no reading that can be used", *found.empty.values()])
     substeps = 1
-    if "joints" in tracks:
-        ratio = round(_rate(tracks["joints"].times) / CONTROL_RATE)
-        substeps = min(max(ratio, 1), _MOST_SUBSTEPS)
-    # From when on all are known; a command may come later, or be none.
-    moving = [track.times for source, track in tracks.items() if source != "command"]
-    moving = moving or [track.times for track in tracks.values()]
-    begin = max(float(times[0]) for times in moving)
-    end = min(float(times[-1]) for times in moving)
-    steps = int((end - begin) * CONTROL_RATE + 1e-6)
-    if steps < 2:
-        raise UsageError(f"{path}: its topics have no time in common", fix="name other topics")
-    # The hair lets a message count that comes at the very end of a step.
-    fine = begin + np.arange(1, steps * substeps + 1) / (CONTROL_RATE * substeps) + 1e-6
-    readings: dict[str, Array] = {}
-    for source, track in tracks.items():
-        newest = np.searchsorted(track.times, fine, side="right") - 1
-        for name, values in track.values.items():
-            held = values[np.maximum(newest, 0)]
-            held[newest < 0] = np.nan
-            shaped = held.reshape(steps, substeps, -1)
-            at_physics_rate = name in {"torques", "joint_rates"}
-            readings[name] = shaped if at_physics_rate else shaped[:, -1]
-        del source
+    for name in ("torques", "joint_rates"):
+        if name in spans:
+            ratio = round(stretches(tracks[name][0])[1] / CONTROL_RATE)
+            substeps = min(max(ratio, 1), _MOST_SUBSTEPS)
+            break
+    # Where all are known; a command may come later, or be none.
+    whole = [(float(tracks[name][0][0]), float(tracks[name][0][-1])) for name in tracks]
+    parts = [
+        (begin, steps)
+        for begin, end in common(list(spans.values()) or [[each] for each in whole])
+        if (steps := int((end - begin) * CONTROL_RATE + 1e-6)) >= 2
+    ]
+    if not parts:
+        raise UsageError(
+            f"{path}: its topics have no two control steps of 0.02 s in common",
+            fix="name other topics with --topic",
+        )
+    first, last = parts[0][0], parts[-1][0] + parts[-1][1] / CONTROL_RATE
+    ends = np.concatenate(
+        [begin - first + np.arange(1, steps + 1) / CONTROL_RATE for begin, steps in parts]
+    )
+    if (paused := last - first - len(ends) / CONTROL_RATE) > 0.5 / CONTROL_RATE:
+        found.notes.append(
+            f"{paused:.4g} s in {plural(len(parts) - 1, 'pause')} of the log are left out"
+        )
     with World(robot, get_scene(_FLAT)) as world:
         mass, gravity = world.mass, world.gravity
     figures = Figures(
@@ -387,17 +467,16 @@ def _gridded(
         torque_limits=np.array(robot.torque_limits),
         joint_ranges=np.array(robot.joint_ranges),
     )
-    empty = {
-        reading: f"{chosen[source]} has no {reading.replace('_', ' ')}"
-        for reading, source in _FROM.items()
-        if source in chosen and reading not in readings
-    }
     return RobotLog(
         figures=figures,
-        stretch=Stretch(figures, **readings),
-        seconds=steps / CONTROL_RATE,
-        topics=dict(chosen),
-        empty=empty,
+        stretches=tuple(_stretch(figures, found, begin, steps) for begin, steps in parts),
+        ends=ends,
+        fell=None if found.fell is None else found.fell - first,
+        topics=found.topics,
+        empty=found.empty,
+        notes=tuple(found.notes),
+        unused=unused,
+        fields={each.topic: FIELDS[each.kind] for each in read.values()},
     )
 
 
@@ -405,5 +484,18 @@ _FLAT = "flat/carpet_room"
 """Where the robot's mass is weighed."""
 
 
-def _rate(times: Array) -> float:
-    return (len(times) - 1) / max(float(times[-1] - times[0]), 1e-9)
+def _stretch(figures: Figures, found: Readings, begin: float, steps: int) -> Stretch:
+    """Return the readings of control steps from a time on: the newest at the end of each."""
+    count = steps * (substeps := round(figures.control_period / figures.timestep))
+    # The hair lets a message count that comes at the very end of a step.
+    fine = begin + np.arange(1, count + 1) * figures.timestep + 1e-6
+    readings: dict[str, Array] = {}
+    for name in _FROM.keys() & found.tracks.keys():
+        times, values = found.tracks[name]
+        newest = np.searchsorted(times, fine, side="right") - 1
+        held = values[np.maximum(newest, 0)]
+        held[newest < 0] = np.nan
+        shaped = held.reshape(steps, substeps, -1)
+        at_physics_rate = name in {"torques", "joint_rates"}
+        readings[name] = shaped if at_physics_rate else shaped[:, -1]
+    return Stretch(figures, **readings)

@@ -12,6 +12,7 @@ the user's cache; they are made on first use.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from typing import cast
 
 from nw_eval.errors import NwEvalError, PluginError, SceneError, UsageError, nearest
 from nw_eval.files.cache import atomic_path, cache_dir, followed
-from nw_eval.files.inside import regular
+from nw_eval.files.inside import foreign, regular
 from nw_eval.plugins import (
     SPLAT_FORMATS,
     identity_of,
@@ -30,11 +31,11 @@ from nw_eval.plugins import (
     warn_if_built_in,
 )
 from nw_eval.splat.files.format import SplatFormat
-from nw_eval.splat.files.gsplat_pt import GSPLAT_PT, rank_files
-from nw_eval.splat.files.ply import DOT_SPLAT, PLY, read_nerfstudio
+from nw_eval.splat.files.gsplat_pt import EXPORT, GSPLAT_PT, rank_files
+from nw_eval.splat.files.ply import DOT_SPLAT, PLY, TRANSFORMS, read_nerfstudio
 from nw_eval.splat.files.sog import META, SOG, read_sog
 from nw_eval.splat.files.spz import SPZ
-from nw_eval.splat.gaussians import Gaussians
+from nw_eval.splat.gaussians import Gaussians, drawable
 from nw_eval.splat.store import (
     FORMAT,
     MARK,
@@ -46,7 +47,7 @@ from nw_eval.splat.store import (
 )
 from nw_eval.words import RasterizeMode
 
-_READING = 1
+_READING = 2
 """Changes with what the readers make of a file; part of the key of every file's store."""
 
 NWSPLAT = SplatFormat(
@@ -82,7 +83,7 @@ def read_splat(path: Path) -> Gaussians:
     path = Path(path)
     try:
         if path.is_dir():
-            return read_sog(path / META) if (path / META).is_file() else read_nerfstudio(path)
+            return read_sog(path / META) if (path / META).is_file() else _of_folder(path)
         with regular(path).open("rb") as file:
             mark = file.read(max(_MARK, len(MARK)))
         if (name := package_format(path)) is not None:
@@ -90,6 +91,25 @@ def read_splat(path: Path) -> Gaussians:
         return _format_of(path, mark).read(path)
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror or error}", fix="give a splat file") from error
+
+
+def _of_folder(folder: Path) -> Gaussians:
+    """Read a nerfstudio export.
+
+    Raises:
+        SceneError: it is none; of a training's folder, with the file to give.
+    """
+    plys = folder.glob("point_cloud/iteration_*/point_cloud.ply"), folder.glob("ply/*.ply")
+    found = [one for each in (*plys, folder.glob("ckpts/*.pt")) for one in each]
+    if found and not (folder / TRANSFORMS).is_file():
+        newest = max(found, key=lambda one: [int(n) for n in re.findall(r"\d+", str(one))])
+        raise SceneError(
+            f"{folder}: the folder of a 3DGS training, with {len(found)} splats in it",
+            fix=f"give the splat of one iteration, such as {newest}",
+        )
+    if (folder / "nerfstudio_models").is_dir():
+        raise SceneError(f"{folder}: the folder of a nerfstudio training", fix=EXPORT)
+    return read_nerfstudio(folder)
 
 
 _MARK = 16
@@ -102,14 +122,18 @@ def _format_of(path: Path, mark: bytes) -> SplatFormat:
     for each in FORMATS.values():
         if each.sniff is not None and each.sniff(path, mark):
             return each
+    other = foreign(path)
+    known = other or _NOT_READ.get(suffix)
     for each in FORMATS.values():
-        if each.sniff is None and each.suffix == suffix:
+        if known is None and each.sniff is None and each.suffix == suffix:
             return each
-    known = _NOT_READ.get(suffix)
+    if known is None and path.name == "cfg_args":
+        known = "the options of a 3DGS training", "give point_cloud/iteration_N/point_cloud.ply"
     if known is None and mark[:1] == b"\x80":
         known = "a pickle", "load it with torch and save it again with torch.save"
     if known is not None:
-        raise SceneError(f"{path}: {known[0]}, which is not read", fix=known[1])
+        what = f"{path}: it is {known[0]}" + (", which is not read" if other is None else "")
+        raise SceneError(what, fix=known[1])
     raise SceneError(
         f"{path}: starts with {mark[:4]!r}, which is not a splat format",
         fix="give .ply, .spz, .sog, .splat, a gsplat .pt, or a nerfstudio export folder",
@@ -169,7 +193,7 @@ def files_of_splat(path: Path) -> tuple[Path, ...]:
 def write_splat(path: Path, gaussians: Gaussians) -> int:
     """Write Gaussians in the format of the name: .ply, .pt (exact), .spz or .splat (lossy).
 
-    A package's format writes its own files.
+    A package's format writes its own files. What cannot be drawn is left out, see `left_out`.
 
     Returns:
         The size of the file in bytes.
@@ -181,8 +205,20 @@ def write_splat(path: Path, gaussians: Gaussians) -> int:
     path = Path(path)
     write = _writer(path)
     with atomic_path(followed(path)) as temporary:
-        write(temporary, gaussians)
+        write(temporary, gaussians if _is_exact(path) else gaussians.take(drawable(gaussians)))
         return temporary.stat().st_size
+
+
+def left_out(path: Path, gaussians: Gaussians) -> int:
+    """Return how many Gaussians `write_splat` leaves out: those that cannot be drawn.
+
+    Exact formats keep them as they are. Others would make something of them: bytes have no nan.
+    """
+    return 0 if _is_exact(path) else int((~drawable(gaussians)).sum())
+
+
+def _is_exact(path: Path) -> bool:
+    return path.suffix.lower() in {PLY.suffix, GSPLAT_PT.suffix}
 
 
 def _writer(path: Path) -> Callable[[Path, Gaussians], None]:

@@ -24,9 +24,11 @@ from nw_eval.splat.files.format import SplatFormat
 from nw_eval.splat.gaussians import SH_COUNTS, Gaussians, check_count, concatenate
 
 _KEYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
+_OF_TRAINING = ("splats", "step", "optimizers", "schedulers", "pose_adjust")
+"""What goes on with a training, and how it moved cameras; no Gaussian changes by it."""
 _FIX = "give a checkpoint of gsplat's simple_trainer"
 _RANK = re.compile(r"(?P<step>ckpt_[0-9]+)_rank(?P<rank>[0-9]{1,4})\.pt")
-_EXPORT = "run `ns-export gaussian-splat` and give the folder that it writes"
+EXPORT = "run `ns-export gaussian-splat` and give the folder that it writes"
 _MEMBERS = re.compile(
     r"data\.pkl|data/[0-9]+|version|byteorder|\.format_version|\.storage_alignment"
     r"|\.data/serialization_id"
@@ -79,7 +81,7 @@ def read_gsplat_pt(path: Path) -> Gaussians:
 def _read_one(path: Path) -> Gaussians:
     if path.suffix.lower() == ".ckpt":
         raise SceneError(
-            f"{path}: a training checkpoint of nerfstudio, which is not read", fix=_EXPORT
+            f"{path}: a training checkpoint of nerfstudio, which is not read", fix=EXPORT
         )
     _check_archive(path)
     torch = _torch(path)
@@ -88,11 +90,15 @@ def _read_one(path: Path) -> Gaussians:
     except Exception as error:  # torch raises whatever its unpickler meets.
         first = str(error).strip().splitlines()[:1] or [type(error).__name__]
         raise SceneError(f"{path}: torch cannot load it: {first[0][:120]}", fix=_FIX) from error
+    notes: list[str] = []
     if isinstance(content, dict) and isinstance(content.get("splats"), dict):
+        others = [str(key) for key in content if key not in _OF_TRAINING]
+        if others:
+            notes.append(f"keys that are not read: {clean(', '.join(others), at_most=200)}")
         content = content["splats"]
     if isinstance(content, dict) and "pipeline" in content:
         raise SceneError(
-            f"{path}: a training checkpoint of nerfstudio, which is not read", fix=_EXPORT
+            f"{path}: a training checkpoint of nerfstudio, which is not read", fix=EXPORT
         )
     if isinstance(content, dict) and "features" in content and "sh0" not in content:
         raise SceneError(
@@ -106,12 +112,14 @@ def _read_one(path: Path) -> Gaussians:
         sh = np.concatenate([arrays["sh0"].reshape(n, 1, 3), arrays["shN"].reshape(n, -1, 3)], 1)
     except ValueError as error:
         raise SceneError(f"{path}: sh0 and shN do not fit {n} Gaussians", fix=_FIX) from error
+    left = ", ".join(clean(str(key), at_most=40) for key in content if key not in _KEYS)
     return Gaussians(
         means=arrays["means"],
         log_scales=arrays["scales"],
         quats=arrays["quats"],
         opacity_logits=arrays["opacities"].reshape(-1),
         sh=sh,
+        notes=(*notes, *([f"keys of its Gaussians that are not read: {left}"] if left else [])),
     )
 
 
@@ -140,6 +148,18 @@ def write_gsplat_pt(path: Path, gaussians: Gaussians) -> None:
     # depend on the name.
     with path.open("wb") as file:
         torch.save({"step": 0, "splats": splats}, file)
+
+
+def _is_torch(path: Path) -> bool:
+    """Return whether a zip archive may be torch's: it has its pickle, or the suffix."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        names = []
+    return path.suffix.lower() in {".pt", ".pth", ".ckpt"} or any(
+        name.endswith("data.pkl") for name in names
+    )
 
 
 def _torch(path: Path) -> Any:
@@ -190,5 +210,5 @@ GSPLAT_PT = SplatFormat(
     description="a gsplat training checkpoint, with the other ranks of its step beside it",
     read=read_gsplat_pt,
     write=write_gsplat_pt,
-    sniff=lambda _, mark: mark[:4] == b"PK\x03\x04",
+    sniff=lambda path, mark: mark[:4] == b"PK\x03\x04" and _is_torch(path),
 )

@@ -1,8 +1,9 @@
 """Splats in PLY files (3DGS's own, SuperSplat's compressed one, nerfstudio's export) and .splat.
 
 **3DGS** has one row of floats for each Gaussian. Columns x y z, f_dc_0..2, f_rest_0.., opacity
-(logit), scale_0..2 (logarithms), rot_0..3 (w x y z); found by name, others ignored. f_rest comes in
-two arrangements. Everyone's is channel-major: all red coefficients, then green, then blue. The
+(logit), scale_0..2 (logarithms), rot_0..3 (w x y z); found by name, others are noted.
+f_rest comes in two arrangements. Everyone's is channel-major: all red coefficients, then green,
+then blue. The
 published Neverwhere toolchain writes coefficient-major: red, green, blue of the first coefficient,
 then of the second. Nothing in such a file says so, but the three channels of a coefficient resemble
 one another much more than any other three values, which tells the two apart.
@@ -39,6 +40,7 @@ from typing import Literal, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import regular
 from nw_eval.files.ply import Ply
@@ -70,7 +72,7 @@ _THREE = ((21, 11), (11, 10), (0, 11))
 
 _TRANSFORM_BYTES = 1_000_000
 _REACH = 1e6  # of every number, either way
-_TRANSFORMS = "dataparser_transforms.json"
+TRANSFORMS = "dataparser_transforms.json"
 _FIX_EXPORT = (
     "give the folder that `ns-export gaussian-splat` wrote, with that file beside splat.ply"
 )
@@ -128,8 +130,33 @@ def read_threedgs_ply(ply: Ply, *, rest_order: RestOrder = "detect") -> Gaussian
         quats=ply.columns("vertex", ["rot_0", "rot_1", "rot_2", "rot_3"]),
         opacity_logits=opacity_logits,
         sh=sh,
+        notes=_unread(ply),
         **marks,
     )
+
+
+_READ = re.compile(
+    r"[xyz]|f_dc_[012]|f_rest_\d+|opacity|scale_[012]|rot_[0123]|filter_3D"
+    r"|(min|max)_((scale_)?[xyz]|[rgb])|packed_(position|rotation|scale|color)"
+)
+_NO_EFFECT = ("nx", "ny", "nz", "red", "green", "blue", "alpha")
+"""Normals, which 3DGS writes as zeros, and a preview of f_dc for viewers of points."""
+_SAID = re.compile(
+    rf"SplatRenderMode[\s:=]+({'|'.join(_MODES)})|SplatProjection[\s:=]+({'|'.join(_PROJECTIONS)})"
+    rf"|{_COMMENT}"
+)
+
+
+def _unread(ply: Ply) -> tuple[str, ...]:
+    """Return what of a file is not read, by name: elements, properties, comments."""
+    notes: list[str] = []
+    for element, table in ply.elements.items():
+        if element not in {"vertex", *(("chunk", "sh") if "chunk" in ply.elements else ())}:
+            notes.append(f"element that is not read: {clean(element, at_most=40)}, {len(table)}")
+        else:
+            used = [one for one in table.dtype.names or () if _READ.fullmatch(one)]
+            notes += ply.remarks(element, used, _NO_EFFECT)
+    return (*notes, *ply.unread_comments(_SAID))
 
 
 def marks_of(ply: Ply) -> _Marks:
@@ -152,7 +179,7 @@ def _smoothed(
     with np.errstate(all="ignore"):
         before = np.exp(2 * log_scales.astype(np.float64))
         after = before + filters.astype(np.float64) ** 2
-        share = np.sqrt((before / after).prod(axis=1))
+        share = np.sqrt(np.where(after > 0, before / after, 1.0).prod(axis=1))
         opacity = share / (1 + np.exp(-logits.astype(np.float64)))
         return (
             (0.5 * np.log(after)).astype(np.float32),
@@ -243,6 +270,7 @@ def read_compressed_ply(ply: Ply) -> Gaussians:
         quats=_quats(_packed(ply, "packed_rotation")),
         opacity_logits=logit(colour[:, 3]),
         sh=np.concatenate([dc[:, None], _rest(ply, n)], axis=1),
+        notes=_unread(ply),
         **marks_of(ply),
     )
 
@@ -318,7 +346,7 @@ def read_nerfstudio(folder: Path, *, rest_order: RestOrder = "detect") -> Gaussi
         cloud = clouds[0]
     if cloud is None:
         raise SceneError(f"{folder}: {len(clouds)} .ply files, none is splat.ply", fix=_FIX_EXPORT)
-    T_trainer_capture = _read_transform(folder / _TRANSFORMS)
+    T_trainer_capture = _read_transform(folder / TRANSFORMS)
     gaussians = read_threedgs_ply(Ply.open(regular(cloud)), rest_order=rest_order)
     return transformed(gaussians, np.linalg.inv(T_trainer_capture).astype(np.float64))
 

@@ -34,6 +34,14 @@ _BYTES = 1 << 29
 _PIXELS = 1 << 20
 _WIDTHS = {192: 3, 512: 8, 960: 15}
 """Of a palette's image, 64 sets a row, to harmonics above the constant."""
+_BOUNDS = ("files", "mins", "maxs", "shape", "dtype")
+_KEYS: dict[str, tuple[str, ...]] = {
+    "version": (), "count": (), "antialias": (), "asset": ("generator", "version"),
+    "means": _BOUNDS, "scales": (*_BOUNDS, "codebook"), "sh0": (*_BOUNDS, "codebook"),
+    "quats": (*_BOUNDS, "encoding"),
+    "shN": (*_BOUNDS, "codebook", "bands", "count", "quantization"),
+}  # fmt: skip
+"""What is read of meta.json, or says again what the images say."""
 _FAULTS = (
     ArithmeticError, AttributeError, LookupError, NotImplementedError, OSError, RecursionError,
     RuntimeError, SyntaxError, TypeError, ValueError, zipfile.BadZipFile,
@@ -144,7 +152,18 @@ class _Sog:
             opacity_logits=opacity_logits.astype(np.float32),
             sh=sh.astype(np.float32),
             rasterize_mode=mode,
+            notes=self._unread(),
         )
+
+    def _unread(self) -> tuple[str, ...]:
+        """Return keys of meta.json that are not read, by name; `asset` says who wrote it."""
+        names = [str(key) for key in self.meta if key not in _KEYS]
+        for key, fields in _KEYS.items():
+            part = self.meta.get(key)
+            if isinstance(part, dict):
+                names += [f"{key}.{name}" for name in part if name not in fields]
+        left = ", ".join(clean(name, at_most=40) for name in names)
+        return (f"keys of {META} that are not read: {left}",) if left else ()
 
     def _decoded(self, name: str, most: int) -> Bytes:
         with open_picture(BytesIO(self.load(name)), ["WEBP"]) as image:

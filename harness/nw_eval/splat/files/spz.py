@@ -7,8 +7,8 @@ and z change sign on the way, and with them the quaternion's y and z and the har
 odd in y z. After nianticlabs/spz (load-spz.cc, splat-utils.h).
 
 Flag 1 says that the splat was trained antialiased, flag 2 that records of extensions follow: behind
-the stream of versions 2 and 3, between header and table in version 4. One of them names other axes;
-the others change no Gaussian.
+the stream of versions 2 and 3, between header and table in version 4. One of them names other axes,
+one bounds a viewer's camera and is passed over, others are noted by number.
 """
 
 from __future__ import annotations
@@ -52,6 +52,7 @@ _BROKEN = "the file is damaged; export it again"
 _ANTIALIASED, _EXTENDED = 1, 2
 _EXTENSION_BYTES = 1 << 20
 _AXES_RECORD = 0xADBE0003  # SPZ_ADOBE_coordinate_system
+_ORBIT_RECORD = 0xADBE0002  # SPZ_ADOBE_safe_orbit_camera: where viewers let one look from
 _SYSTEMS = (
     "RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF",
     "LBU", "RBU", "LFU", "RFU", "LBD", "RBD", "LFD", "RFD",
@@ -77,6 +78,8 @@ class _Header:
     sh_count: int
     fraction_bits: int
     flags: int
+    left: str = ""
+    """What no field describes, in words."""
 
     def sizes(self) -> tuple[int, ...]:
         """Bytes of positions, opacities, colours, scales, rotations, harmonics."""
@@ -87,16 +90,23 @@ class _Header:
 
 
 def read_spz(path: Path) -> Gaussians:
-    """Read an SPZ file; harmonics of degree 4 are left out.
+    """Read an SPZ file; harmonics of degree 4 are left out, and said in the notes.
 
     Raises:
         SceneError: for damage of any kind, or sizes out of proportion to the file.
         PrerequisiteError: for version 4 without the package zstandard.
     """
     raw = path.read_bytes()
-    unpack = _unpack_v4 if raw[:4] == b"NGSP" else _unpack_gzip
+    is_plain = raw[:4] == b"NGSP"
+    unpack = _unpack_v4 if is_plain and raw[4:8] >= b"\4" else _unpack_stream
     header, parts, records = unpack(path, raw)
-    system = _system(path, records)
+    system, notes = _system(path, records)
+    if unknown := header.flags & ~(_ANTIALIASED | _EXTENDED):
+        notes.append(f"flags that are not known: {unknown:#x}")
+    if header.sh_count > SH_COUNTS[-1]:
+        notes.append("harmonics of degree 4, which are left out")
+    if header.left:
+        notes.append(f"{header.left} that no field of the format describes, which are not read")
     positions, alphas, colours, scales, rotations, sh = parts
     n = header.count
     rest = (sh.reshape(n, -1, 3).astype(np.float32) - 128) / np.float32(128)
@@ -110,17 +120,19 @@ def read_spz(path: Path) -> Gaussians:
         opacity_logits=logit(alphas.astype(np.float32) / 255),
         sh=harmonics * _SH_SIGNS[: harmonics.shape[1], None],
         rasterize_mode="antialiased" if header.flags & _ANTIALIASED else "classic",
+        notes=tuple(notes),
     )
     return gaussians if system == "RUB" else _turned(gaussians, system)
 
 
-def _system(path: Path, records: bytes) -> str:
-    """Return what the stored x, y and z point to.
+def _system(path: Path, records: bytes) -> tuple[str, list[str]]:
+    """Return what the stored x, y and z point to, and which records are not read.
 
     Raises:
         SceneError: the records are damaged, or name other axes than there are.
     """
     at, system = 0, "RUB"
+    notes: list[str] = []
     while at < len(records):
         if at + 8 > len(records):
             raise SceneError(f"{path}: a record of an extension is cut short", fix=_BROKEN)
@@ -135,7 +147,9 @@ def _system(path: Path, records: bytes) -> str:
             if not 0 <= number < len(_SYSTEMS):
                 raise SceneError(f"{path}: its axes are number {number}", fix="0 to 16 are known")
             system = _SYSTEMS[number]
-    return system
+        elif kind != _ORBIT_RECORD:
+            notes.append(f"record of an extension that is not read: {kind:#x}")
+    return system, notes
 
 
 def _turned(gaussians: Gaussians, system: str) -> Gaussians:
@@ -217,8 +231,14 @@ def _check_header(path: Path, raw: bytes, *, versions: range) -> _Header:
             f"{path}: SPZ header says degree {degree}, {bits} fraction bits, {count} Gaussians",
             fix=_BROKEN,
         )
+    spare = raw[15:16] if version < 4 else raw[20:32]  # Zeros, as the format says.
     return _Header(
-        version=version, count=count, sh_count=_COUNTS[degree], fraction_bits=bits, flags=flags
+        version=version,
+        count=count,
+        sh_count=_COUNTS[degree],
+        fraction_bits=bits,
+        flags=flags,
+        left="bits of its header" if any(spare) else "",
     )
 
 
@@ -242,18 +262,28 @@ def _split(path: Path, body: bytes, header: _Header) -> list[Bytes]:
     return [whole[a:b] for a, b in pairwise(edges)]
 
 
-def _unpack_gzip(path: Path, raw: bytes) -> tuple[_Header, list[Bytes], bytes]:
+def _unpack_stream(path: Path, raw: bytes) -> tuple[_Header, list[Bytes], bytes]:
+    """Return the parts of versions 1 to 3, gzipped or, as some tools keep them, plain."""
+    behind = b""
     try:
-        head = zlib.decompressobj(31).decompress(raw, 16)
+        is_plain = raw[:4] == b"NGSP"
+        head = raw[:16] if is_plain else zlib.decompressobj(31).decompress(raw, 16)
         header = _check_header(path, head, versions=range(1, 4))
         needed = sum(header.sizes()) + 16
         _check_proportion(path, header, needed, len(raw))
         # One byte more than needed tells a longer stream apart without holding it.
         more = _EXTENSION_BYTES if header.flags & _EXTENDED else 1
-        body = zlib.decompressobj(31).decompress(raw, needed + more)
+        if is_plain:
+            body = raw[: needed + more]
+        else:
+            stream = zlib.decompressobj(31)
+            body = stream.decompress(raw, needed + more)
+            behind = stream.unused_data
     except zlib.error as error:
         raise SceneError(f"{path}: gzip: {error}", fix=_BROKEN) from error
     records = body[needed:] if header.flags & _EXTENDED else b""
+    if behind:
+        header = replace(header, left=f"{len(behind)} bytes behind its stream")
     return header, _split(path, body[16 : len(body) - len(records)], header), records
 
 
@@ -287,6 +317,9 @@ def _unpack_v4(path: Path, raw: bytes) -> tuple[_Header, list[Bytes], bytes]:
             raise SceneError(f"{path}: stream {i}: {error}", fix=_BROKEN) from error
         offset += packed
     records = raw[32:table] if header.flags & _EXTENDED else b""
+    unread = len(raw) - offset + (0 if header.flags & _EXTENDED else table - 32)
+    if unread:
+        header = replace(header, left=f"{unread} bytes")
     return header, _split(path, b"".join(body), header), records
 
 
@@ -358,10 +391,21 @@ def _pack_smallest_three(quats: NDArray[np.float64]) -> Bytes:
     return word.astype("<u4").reshape(-1, 1).view(np.uint8)
 
 
+def _is_gzipped(path: Path, mark: bytes) -> bool:
+    """Return whether a gzip stream is an SPZ: by what it begins with; if damaged, by its name."""
+    if mark[:2] != b"\x1f\x8b":
+        return False
+    try:
+        with path.open("rb") as file:
+            return zlib.decompressobj(31).decompress(file.read(1 << 16), 4) == b"NGSP"
+    except zlib.error:
+        return path.suffix.lower() == ".spz"
+
+
 SPZ = SplatFormat(
     name="spz",
     description="Niantic's, versions 1 to 4",
     read=read_spz,
     write=write_spz,
-    sniff=lambda _, mark: mark[:2] == b"\x1f\x8b" or mark[:4] == b"NGSP",
+    sniff=lambda path, mark: mark[:4] == b"NGSP" or _is_gzipped(path, mark),
 )

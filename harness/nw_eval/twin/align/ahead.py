@@ -87,9 +87,10 @@ class SourceFacts:
         """
         options = replace(options, metric=options.metric or self.metric, up=options.up or self.up)
         gps = {name: self.positions[name] for name in names if name in self.positions}
-        if options.positions or len(gps) < 3 or _span(gps) < _FAR:
+        # Where they lie too near together for a scale they are compared with others.
+        if options.positions or len(gps) < 3 or _span(gps) < _GPS:
             return options
-        return replace(options, positions=gps, positions_up="+z")
+        return replace(options, positions=gps, positions_up="+z", positions_error=_GPS)
 
 
 def facts_of_source(footage: Footage, options: AlignOptions) -> SourceFacts:

@@ -30,9 +30,10 @@ from nw_eval.twin.align.alignment import (
     check_inside,
     words_of,
 )
-from nw_eval.twin.align.gravity import KnownUp, Mesh, find_gravity
+from nw_eval.twin.align.gravity import Mesh, find_gravity
 from nw_eval.twin.align.positions import PositionFit, fit_positions
 from nw_eval.twin.align.tags import PlacedTag, find_tags, place_tags, triangulate
+from nw_eval.twin.align.up import KnownUp
 from nw_eval.twin.capture import Capture, PlacedShot
 from nw_eval.twin.place import moved_mesh
 from nw_eval.words import UpAxis
@@ -42,7 +43,14 @@ _VAGUE = 0.02
 _ROUGH = 0.03
 """A scale by a length that a pixel changes by more is worth a word."""
 _USELESS = 0.15
-"""A scale by positions that is known worse is none."""
+"""A scale that is known worse is none: it is compared with others."""
+_TAG, _LENGTH, _HEIGHT, _POSES = 0.01, 0.01, 0.06, 0.02
+"""Relative standard deviations of an edge and a length that somebody measured, of the height at
+which somebody says that a camera was held, and of a phone's tracking."""
+_CONTRADICT = 3.0
+"""Standard deviations of their difference from which on two sources contradict each other."""
+_NINE_OF_TEN = 1.645
+"""Standard deviations within which a scale lies nine times out of ten."""
 CARRIED = 1.5
 """Metres above the floor at which people carry a camera: the unit where nothing gives a scale."""
 
@@ -54,20 +62,30 @@ _TOLERANCE = 8.0
 class ScaleAnswer:
     """Metres in a unit, each cue's answer, and what somebody should look at.
 
-    Without cues nothing gives a scale: `scale` is such that the cameras are `CARRIED` above the
-    floor.
+    Where no cue is used nothing gives a scale: `scale` is such that the cameras are `CARRIED` above
+    the floor, and `uncertain` is None.
     """
 
     scale: float
     cues: tuple[ScaleCue, ...]
     warnings: tuple[str, ...]
+    uncertain: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class _ScaleBy:
     name: str
     scale: float
+    sigma: float
     reason: str
+
+    def contradicts(self, other: _ScaleBy) -> bool:
+        apart = abs(math.log(self.scale / other.scale))
+        return apart > _CONTRADICT * math.hypot(self.sigma, other.sigma)
+
+    def __str__(self) -> str:
+        known = f"known to {min(_NINE_OF_TEN * self.sigma, 9.99):.0%}"
+        return f"{self.name} says {self.scale:.3g} m a unit, {known}"
 
 
 def find_scale(
@@ -77,12 +95,15 @@ def find_scale(
     *,
     up: Values,
     heights: Values,
+    lower: float,
     has_floor: bool,
     surface: RayScene | None,
     positions: PositionFit | None,
     say: Callable[[str], None],
 ) -> ScaleAnswer:
-    """Return the scale by tags, else by a length, a height, poses, or positions.
+    """Return the scale by the source that is known best: tags, lengths, height, poses, positions.
+
+    Where two contradict each other by more than both claim, and no third decides, there is none.
 
     Args:
         capture: with its pictures in `folder`.
@@ -90,6 +111,7 @@ def find_scale(
         options: what somebody knows.
         up: (3,) unit vector in the capture's frame.
         heights: (V,) of the cameras above the floor, in the capture's unit.
+        lower: share of their height by which the lowest points lie below the floor.
         has_floor: whether a plane was found for a floor.
         surface: mesh on which points lie that were picked in one photograph; None without.
         positions: the fit to known positions; None without.
@@ -104,25 +126,60 @@ def find_scale(
     answers = [
         *_by_tags(capture, folder, options, warnings, say),
         *_by_lengths(capture, options, up, surface, warnings),
-        *_by_camera_height(options, heights if has_floor else None, warnings),
+        *_by_camera_height(options, heights if has_floor else None, lower, warnings),
         *_by_poses(options, positions, warnings),
     ]
-    if not answers:
+    best = _best(answers, warnings)
+    if best is None:
         warnings.append(_nothing(capture, folder, options))
         own = _own_unit(capture, heights)
-        return ScaleAnswer(scale=own, cues=(), warnings=tuple(warnings))
-    chosen = answers[0].scale
-    cues = tuple(
+        return ScaleAnswer(scale=own, cues=_scale_cues(answers, None), warnings=tuple(warnings))
+    return ScaleAnswer(
+        scale=best.scale,
+        cues=_scale_cues(answers, best),
+        warnings=tuple(warnings),
+        uncertain=_NINE_OF_TEN * best.sigma,
+    )
+
+
+def _best(answers: list[_ScaleBy], warnings: list[str]) -> _ScaleBy | None:
+    """Return the source that is known best of those that most others agree with; None without."""
+
+    def votes(one: _ScaleBy) -> int:
+        return sum(-1 if one.contradicts(other) else 1 for other in answers if other is not one)
+
+    usable = [one for one in answers if one.sigma <= _USELESS]
+    best = max(usable, key=lambda one: (votes(one), -one.sigma), default=None)
+    if best is None:
+        return None
+    against = [one for one in answers if best.contradicts(one)]
+    if not against:
+        return best
+    which = "; ".join(map(str, [best, *against]))
+    if votes(best) >= 0:  # Two against one, itself counted.
+        warnings.append(f"sources of the scale contradict each other: {which}. The first is used")
+        return best
+    warnings.append(
+        f"the scale is not known, since its sources contradict each other: {which}. Give another "
+        "length (--length A B METRES), or leave the wrong one out"
+    )
+    return None
+
+
+def _scale_cues(answers: list[_ScaleBy], best: _ScaleBy | None) -> tuple[ScaleCue, ...]:
+    """Return what each source says, the one that is used first."""
+    ordered = sorted(answers, key=lambda one: one is not best)
+    return tuple(
         ScaleCue(
             name=one.name,
             scale=one.scale,
-            difference=one.scale / chosen - 1.0,
-            used=place == 0,
+            difference=one.scale / ordered[0].scale - 1.0,
+            used=one is best,
+            uncertain=_NINE_OF_TEN * one.sigma,
             reason=one.reason,
         )
-        for place, one in enumerate(answers)
+        for one in ordered
     )
-    return ScaleAnswer(scale=chosen, cues=cues, warnings=tuple(warnings))
 
 
 def _by_tags(
@@ -169,11 +226,12 @@ def _tag_answer(tags: list[PlacedTag], edges: dict[int, float], warnings: list[s
         f"tag {_listed([tag.number for tag in tags])} in {plural(int(shots.max()), 'shot')}"
         f"{agree}; corners off by {pixels:.2f} pixels"
     )
-    return _ScaleBy(name="tag", scale=math.exp(middle), reason=reason)
+    sigma = math.hypot(_TAG, spread)
+    return _ScaleBy(name="tag", scale=math.exp(middle), sigma=sigma, reason=reason)
 
 
 def _by_camera_height(
-    options: AlignOptions, heights: Values | None, warnings: list[str]
+    options: AlignOptions, heights: Values | None, lower: float, warnings: list[str]
 ) -> list[_ScaleBy]:
     if options.camera_height is None:
         return []
@@ -189,7 +247,14 @@ def _by_camera_height(
         return []
     low, high = np.quantile(heights, [0.1, 0.9]) / height * options.camera_height
     reason = f"median {options.camera_height:g} m; most cameras from {low:.2f} to {high:.2f} m"
-    return [_ScaleBy(name="camera height", scale=options.camera_height / height, reason=reason)]
+    sigma = math.hypot(_HEIGHT, math.log1p(lower))
+    if sigma > _USELESS:
+        warnings.append(
+            f"points lie {lower:.0%} of the cameras' height below the floor that was found, which "
+            "may be a ledge, so that their height gives no scale"
+        )
+    scale = options.camera_height / height
+    return [_ScaleBy(name="camera height", scale=scale, sigma=sigma, reason=reason)]
 
 
 def _by_lengths(
@@ -215,7 +280,9 @@ def _by_lengths(
                     "nearer to the camera and farther apart, in photographs taken well apart"
                 )
         name = "height" if length.vertical else "length"
-        answers.append(_ScaleBy(name=name, scale=length.metres / units, reason=reason))
+        sigma = math.hypot(_LENGTH, 0.0 if off is None else off / units)
+        scale = length.metres / units
+        answers.append(_ScaleBy(name=name, scale=scale, sigma=sigma, reason=reason))
     return answers
 
 
@@ -253,23 +320,23 @@ def _by_poses(
 ) -> list[_ScaleBy]:
     answers: list[_ScaleBy] = []
     if options.metric:
-        answers.append(_ScaleBy(name="poses", scale=1.0, reason="they come in metres"))
-    if positions is not None and positions.uncertain > _USELESS:
+        reason = "they come in metres"
+        answers.append(_ScaleBy(name="poses", scale=1.0, sigma=_POSES, reason=reason))
+    if positions is None or not positions.scale > 0:
+        return answers
+    known = f"the positions{' (GPS)' if options.positions_error else ''} are off by"
+    sigma, off = positions.uncertain, max(positions.off, options.positions_error)
+    reason = (
+        f"{plural(len(options.positions), 'shot')}, off by {off:.3g} m; scale known to {sigma:.1%}"
+    )
+    answers.append(_ScaleBy(name="positions", scale=positions.scale, sigma=sigma, reason=reason))
+    if sigma > _USELESS:
         warnings.append(
-            f"the positions (GPS) are off by {positions.off:.2g} m, so they know the scale to "
-            f"{positions.uncertain:.0%} only, which is none: the photographs lie too near together"
+            f"{known} {off:.2g} m, so they know the scale to {sigma:.0%} only, which is none: the "
+            "photographs lie too near together"
         )
-    elif positions is not None:
-        reason = (
-            f"{plural(len(options.positions), 'shot')}, off by {positions.off:.3g} m; scale known "
-            f"to {positions.uncertain:.1%}"
-        )
-        answers.append(_ScaleBy(name="positions", scale=positions.scale, reason=reason))
-        if positions.uncertain > _VAGUE:
-            warnings.append(
-                f"the positions are off by {positions.off:.2g} m, so they know the scale to "
-                f"{positions.uncertain:.0%} only"
-            )
+    elif sigma > _VAGUE:
+        warnings.append(f"{known} {off:.2g} m, so they know the scale to {sigma:.0%} only")
     return answers
 
 
@@ -416,13 +483,16 @@ def align(
             f"up by {cue.name}: {cue.degrees:.2f} degrees from the chosen one, uncertain by "
             f"{cue.uncertain:.1f}; {cue.reason}"
         )
-    say(f"up is known to {gravity.uncertain:.1f} degrees")
+    others = {cue.name for cue in gravity.cues} - {"horizon", "mesh"}
+    alone = f": by the cameras and the {min(others)} alone" if len(others) == 1 else ""
+    say(f"up is known to {gravity.uncertain:.1f} degrees, nine times out of ten{alone}")
     scale = find_scale(
         capture,
         capture_folder,
         options,
         up=gravity.up,
         heights=gravity.heights,
+        lower=gravity.lower,
         has_floor=gravity.has_floor,
         surface=None
         if mesh is None or not options.lengths
@@ -431,7 +501,12 @@ def align(
         say=say,
     )
     for cue in scale.cues:
-        say(f"scale by {cue.name}: {cue.scale:.5g} m, {cue.difference:+.1%}; {cue.reason}")
+        used = "used" if cue.used else "not used"
+        if scale.cues[0].used and not cue.used:
+            used = f"{cue.difference:+.1%}"
+        say(f"scale by {cue.name}: {cue.scale:.5g} m, {used}; {cue.reason}")
+    if scale.uncertain is not None:
+        say(f"the scale is known to {scale.uncertain:.1%}, nine times out of ten")
     warnings = (
         *gravity.warnings,
         *scale.warnings,
@@ -453,6 +528,7 @@ def align(
         floor_share=gravity.floor_share,
         warnings=warnings,
         up_uncertain=gravity.uncertain,
+        scale_uncertain=scale.uncertain,
     )
 
 
@@ -471,14 +547,15 @@ def _positions(
         )
     rows = [places[name] for name in known]
     metres = np.array([options.positions[name] for name in known], dtype=np.float64)
-    return fit_positions(capture.centres[rows], metres, rng)
+    return fit_positions(capture.centres[rows], metres, rng, error=options.positions_error)
 
 
 def _known(options: AlignOptions, positions: PositionFit | None) -> list[KnownUp]:
     known: list[KnownUp] = []
     if options.up is not None:
         reason = f"{options.up} is up, as their source says"
-        known.append(KnownUp(name="poses", up=_axis(options.up), sigma=_SOURCE, reason=reason))
+        up = _axis(options.up)
+        known.append(KnownUp(name="poses", up=up, sigma=_SOURCE, right=0.98, reason=reason))
     if positions is not None and options.positions_up is not None:
         up = positions.rotation.T @ _axis(options.positions_up)
         if positions.turned <= _MOST_TURNED:
@@ -502,7 +579,7 @@ def _disagreements(gravity: tuple[GravityCue, ...], scales: tuple[ScaleCue, ...]
     ] + [
         f"the scale by {cue.name} differs by {cue.difference:+.1%} from that by {scales[0].name}"
         for cue in scales
-        if abs(cue.difference) > MOST_DIFFERENCE
+        if scales[0].used and abs(cue.difference) > MOST_DIFFERENCE
     ]
 
 

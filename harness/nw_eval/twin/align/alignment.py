@@ -147,6 +147,7 @@ class AlignOptions:
         positions: where shots were taken, (x, y, z) in metres of any frame, by their names: ARKit,
             or GPS by `gps_positions`. Three at least.
         positions_up: which way is up in the frame of `positions`; None if unknown.
+        positions_error: metres by which all positions may be off as GPS is, besides their scatter.
         up: which way is up in the capture's own frame, where its poses' source says so.
         seed: of the draws.
     """
@@ -159,6 +160,7 @@ class AlignOptions:
     metric: bool = False
     positions: Mapping[str, Vector] = field(default_factory=dict[str, Vector])
     positions_up: UpAxis | None = None
+    positions_error: float = 0.0
     up: UpAxis | None = None
     seed: int = 0
 
@@ -213,7 +215,7 @@ class GravityCue:
     """One answer to which way is up.
 
     Attributes:
-        name: `horizon`, `floor`, `walls`, `mesh`, `poses` or `positions`.
+        name: `horizon`, `floor`, `walls`, `mesh`, `edges`, `poses` or `positions`.
         up: unit vector in the capture's frame.
         degrees: between it and the chosen direction.
         uncertain: standard deviation of what it says, degrees.
@@ -237,6 +239,8 @@ class ScaleCue:
         difference: relative to the chosen scale; 0.01 is one percent more.
         used: whether it is the chosen one.
         reason: what it is and how sure, for people.
+        uncertain: relative error that it has nine times out of ten at most; None in a file that
+            does not say.
     """
 
     name: str
@@ -244,6 +248,7 @@ class ScaleCue:
     difference: float
     used: bool
     reason: str
+    uncertain: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -257,11 +262,14 @@ class Alignment:
         scale: metres in a unit of the capture; where nothing gives a scale, such that the cameras
             are as high above the floor as people hold them.
         gravity: each cue's answer.
-        scales: each cue's answer, the chosen one first; none where nothing gives a scale.
-        floor_share: of the sparse points, which lies on the floor.
+        scales: each cue's answer, the chosen one first; none is used where nothing gives a scale,
+            or where they contradict each other.
+        floor_share: of the points, those on the mesh with them, which lies on the floor.
         warnings: what somebody should look at.
-        up_uncertain: standard deviation of up by all cues that agree, along the direction that is
-            known least, degrees; None in a file that does not say.
+        up_uncertain: angle within which up lies nine times out of ten, degrees; None in a file that
+            does not say.
+        scale_uncertain: relative error of the scale, nine times out of ten at most; None where
+            nothing gives one.
     """
 
     T_metric_capture: NDArray[np.float64]
@@ -271,11 +279,12 @@ class Alignment:
     floor_share: float
     warnings: tuple[str, ...]
     up_uncertain: float | None = None
+    scale_uncertain: float | None = None
 
     @property
     def is_to_scale(self) -> bool:
         """Whether the metric frame is in metres, not in an unknown unit."""
-        return bool(self.scales)
+        return any(cue.used for cue in self.scales)
 
 
 class _AlignModel(BaseModel):
@@ -296,6 +305,7 @@ class _ScaleEntry(_AlignModel):
     difference: FiniteFloat
     used: bool
     reason: str
+    uncertain: Annotated[FiniteFloat, Field(ge=0)] | None = None
 
 
 class _AlignFile(_AlignModel):
@@ -307,6 +317,7 @@ class _AlignFile(_AlignModel):
     scales: tuple[_ScaleEntry, ...]
     warnings: tuple[str, ...]
     up_uncertain: Annotated[float, Field(ge=0, le=180)] | None = None
+    scale_uncertain: Annotated[FiniteFloat, Field(ge=0)] | None = None
 
 
 def write_alignment(alignment: Alignment, path: Path) -> None:
@@ -324,6 +335,7 @@ def write_alignment(alignment: Alignment, path: Path) -> None:
         "scales": [vars(cue) for cue in alignment.scales],
         "warnings": alignment.warnings,
         "up_uncertain": alignment.up_uncertain,
+        "scale_uncertain": alignment.scale_uncertain,
     }
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -361,4 +373,5 @@ def read_alignment(path: Path) -> Alignment:
         floor_share=file.floor_share,
         warnings=file.warnings,
         up_uncertain=file.up_uncertain,
+        scale_uncertain=file.scale_uncertain,
     )

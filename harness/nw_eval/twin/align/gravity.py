@@ -1,8 +1,7 @@
 """Which way is up and where the floor is: cameras are held level, floors level, walls upright.
 
-What each cue says is one quadratic form A, in units of its own uncertainty: a direction u is the
-less likely the larger u' A u is. Forms add up, and their smallest eigenvector is what all of them
-together take for up. The floor is the level plane below all cameras with little below it.
+`up.py` weighs the cues. The floor is the level plane below all cameras with little below it, in the
+sparse points and in the mesh.
 
 An edge in a picture spans a plane with its camera's centre, and the edge itself lies in that plane.
 Edges that are upright in space, those of houses, doors and windows, have plane normals that are all
@@ -25,21 +24,21 @@ from nw_eval.errors import SceneError
 from nw_eval.plural import plural
 from nw_eval.twin.align.alignment import GravityCue
 from nw_eval.twin.align.planes import (
+    AGREES,
     LEVEL,
     UPRIGHT,
-    Consensus,
     FittedPlane,
     Horizon,
-    consensus,
     find_planes,
     fit_plane,
     gram,
     horizon,
-    known_to,
     level_form,
     smallest,
     upright_form,
+    upwards,
 )
+from nw_eval.twin.align.up import KnownUp, solve_up
 from nw_eval.twin.capture import Capture, PlacedShot, read_picture
 
 _SHOTS = 60
@@ -61,12 +60,15 @@ _LEAST_SHARE = 0.08
 """Of the length of all edges. Where edges lie anyhow, the best direction has 0.02."""
 _LEAN = math.radians(0.3)
 """By how much houses lean, and lenses bend, in common."""
+_HALF_RIGHT, _FEW = 0.15, math.radians(1.5)
+"""Share of all edges at which it is as likely that they lie along furniture, or a view: of real
+places, 0.14 were once 15 degrees off. And how far off so few are where they are upright."""
 
 
 def upright_edges(
     capture: Capture, folder: Path, like: Values, rng: np.random.Generator
-) -> tuple[Values, float, str] | None:
-    """Return up by the upright edges in a capture's pictures, its sigma in radians, and a reason.
+) -> KnownUp | None:
+    """Return up by the upright edges in a capture's pictures.
 
     Args:
         capture: whose pictures lie in `folder`.
@@ -121,7 +123,9 @@ def upright_edges(
         f"{plural(int(upright.sum()), 'upright edge')} in {plural(seen_by, 'photograph')}, "
         f"{share:.0%} of the length of all edges"
     )
-    return up, math.hypot(_LEAN, noise), reason
+    sigma = math.hypot(_LEAN, noise, _FEW * min(1.0, _HALF_RIGHT / share))
+    right = 0.95 * share / (share + _HALF_RIGHT)
+    return KnownUp(name="edges", up=up, sigma=sigma, right=right, reason=reason)
 
 
 def _edges(shot: PlacedShot, folder: Path) -> tuple[Values, Values]:
@@ -155,13 +159,18 @@ Mesh = tuple[NDArray[np.floating], NDArray[np.integer]]
 
 _TOLERANCE = 0.01
 """How far off a plane a point may be, of the distance from which it was photographed."""
-_MESH = LEVEL / 4
-"""Of a mesh's floor: what the points say is of the same floor, and of less of it."""
+_SAMPLES = 4000
+"""Points on a mesh in which planes are looked for."""
 _LEAST_POINTS = 12
 _SURE = 5.0
-"""Degrees: cameras that know up worse than this are worth a word where no plane helps."""
-_STEEPEST = 15.0
-"""Degrees by which a floor may slope against upright edges and still be the floor."""
+"""Degrees: up that is known worse is worth a word."""
+_STEEPEST, _SLOPE = math.radians(6.0), math.radians(15.0)
+"""By which a floor may slope where up is not known better; and where upright edges say that up."""
+_SAME_UP = math.cos(math.radians(1.0))
+_LEAST_WALL = 0.03
+"""Share of points of a plane that counts as a wall."""
+_LEAST_FLOOR = 0.03
+"""Share of the points, or of the mesh's area, of a plane that can be the floor: no ledge is."""
 _RAMP = 0.1
 """Share of points of a slope that is worth a word."""
 
@@ -174,33 +183,17 @@ _LOWEST = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownUp:
-    """Up as a source of poses has it.
-
-    Attributes:
-        name: of its cue.
-        up: (3,) unit vector in the capture's frame.
-        sigma: its standard deviation, radians.
-        reason: for people.
-    """
-
-    name: str
-    up: Values
-    sigma: float
-    reason: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class GravityAnswer:
     """Up and the floor.
 
     Attributes:
         up: (3,) unit vector in the capture's frame.
         floor: height of the floor along it below the first camera, in the capture's unit.
-        floor_share: of the points, which lies on it.
+        floor_share: of the points, those on the mesh with them, which lies on it.
         has_floor: whether a level plane was found there; else it is as high as the lowest points.
         heights: (V,) of the cameras above the floor, along `up`, in the capture's unit.
-        uncertain: standard deviation of up along the direction that is known least, degrees.
+        lower: share of the cameras' median height by which the lowest points lie below the floor.
+        uncertain: angle within which up lies with a probability of 0.9, degrees.
         cues: what each says.
         warnings: what somebody should look at, disagreements aside.
     """
@@ -210,6 +203,7 @@ class GravityAnswer:
     floor_share: float
     has_floor: bool
     heights: Values
+    lower: float
     uncertain: float
     cues: tuple[GravityCue, ...]
     warnings: tuple[str, ...]
@@ -224,9 +218,6 @@ def find_gravity(
     folder: Path | None = None,
 ) -> GravityAnswer:
     """Return up and the floor of a capture.
-
-    Where upright edges of houses say that the floor slopes, by more than both may err, up is by
-    the edges.
 
     Args:
         capture: as calibrated.
@@ -248,57 +239,74 @@ def find_gravity(
     poses = np.array([shot.camera.T_world_camera[:3, :3] for shot in capture.shots])
     level = horizon(poses / np.linalg.norm(poses[:, :, :1], axis=1, keepdims=True), rng)
     tolerance = _TOLERANCE * _distance(capture)
-    planes = find_planes(capture.points, tolerance, rng)
     points, centres = capture.points, capture.centres
-    doubts = [doubt(one, points, centres, level.up, 3.0 * tolerance) for one in planes]
-    found = consensus(level, planes, doubts, [(one.up, one.sigma) for one in known])
-    floor = find_floor(points, centres, found.up, found.level, tolerance)
-    by_mesh = None
-    up, form = found.up, found.form
+    planes = find_planes(points, tolerance, rng)
+    cloud = points
     if mesh is not None:
-        begin = floor.plane or FittedPlane(normal=up, offset=floor.height, share=0.0, sigma=0.0)
-        vertices, faces = mesh
-        by_mesh = floor_of_mesh(vertices.astype(np.float64), faces, begin, tolerance)
-        if by_mesh is not None:
-            sigma = math.hypot(_MESH, by_mesh.sigma)
-            form = form + level_form(by_mesh.normal, sigma)
-            up = smallest(form, up)
-    uncertain = max(known_to(form), math.degrees(LEVEL))
-    extra: list[KnownUp] = []
-    edges = None if folder is None else upright_edges(capture, folder, up, rng)
+        # Ground without texture has few points, and depth all the same.
+        sampled = _sampled(*mesh, rng)
+        planes += find_planes(sampled, tolerance, rng)
+        cloud = np.concatenate([points, sampled])
+    doubts = [doubt(one, cloud, centres, level.up, 3.0 * tolerance) for one in planes]
+    found = solve_up(level, planes, doubts, known)
+    edges = None if folder is None else upright_edges(capture, folder, found.up, rng)
     if edges is not None:
-        upright, sigma, reason = edges
-        extra.append(KnownUp(name="edges", up=upright, sigma=sigma, reason=reason))
-        apart = math.degrees(math.acos(min(1.0, float(upright @ up))))
-        if apart <= 2.0 * math.hypot(uncertain, math.degrees(sigma)) or not (
-            floor.plane or by_mesh
-        ):
-            form = form + level_form(upright, sigma)
-            up = smallest(form, up)
-            uncertain = max(known_to(form), math.degrees(min(sigma, LEVEL)))
-        elif apart <= _STEEPEST:
-            say(
-                f"the floor slopes by {apart:.1f} degrees against upright edges: up is by the edges"
-            )
-            up, uncertain = upright, max(math.degrees(sigma), min(apart / 2.0, 1.0))
+        known = [*known, edges]
+        found = solve_up(level, planes, doubts, known)
+    up = found.up
+    steep = max(AGREES, min(1.5 * math.radians(found.uncertain), _STEEPEST))
+    if edges is not None and edges.up @ up > _SAME_UP:
+        steep = _SLOPE
+    near = math.cos(steep)
+    flat = [upwards(plane, up) for plane in planes if abs(plane.normal @ up) > near]
+    walls = [
+        plane
+        for plane in planes
+        if abs(plane.normal @ up) < math.sin(AGREES) and plane.share > _LEAST_WALL
+    ]
+    floor = find_floor(cloud, centres, up, flat, tolerance)
+    by_mesh = None
+    if mesh is not None and floor.plane is not None:
+        vertices, faces = mesh
+        by_mesh = floor_of_mesh(vertices.astype(np.float64), faces, floor.plane, tolerance)
     for plane in planes:
         slope = math.degrees(math.acos(min(1.0, abs(float(plane.normal @ up)))))
         if plane.share > _RAMP and math.degrees(LEVEL) * 12 < slope < 40:
             say(f"a plane with {plane.share:.0%} of the points slopes by {slope:.1f} degrees")
     plane = by_mesh or floor.plane
     heights = np.einsum("ni,i->n", capture.centres, up) - floor.height
+    lower = 0.0
     if plane is not None:
         heights = plane.distances(capture.centres) / float(plane.normal @ up)
+        deep = -float(np.quantile(plane.distances(cloud), _LOWEST)) - tolerance
+        lower = max(0.0, deep) / max(float(np.median(heights)), 1e-12)
     return GravityAnswer(
         up=up,
         floor=float(centres[0] @ up - heights[0]),
         heights=heights,
+        lower=lower,
         floor_share=floor.share,
         has_floor=plane is not None,
-        uncertain=uncertain,
-        cues=_cues(up, level, found, floor, by_mesh, [*extra, *known]),
-        warnings=_warnings(level, floor, uncertain),
+        uncertain=found.uncertain,
+        cues=(cues := _cues(up, level, walls, floor, by_mesh, known)),
+        warnings=_warnings(level, floor, found.uncertain, cues),
     )
+
+
+def _sampled(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], rng: np.random.Generator
+) -> Values:
+    """Return points (N, 3) on a mesh, as dense on each face as on any other."""
+    corners = vertices.astype(np.float64)[faces]
+    sides = corners[:, 1:] - corners[:, :1]
+    area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    if not area.sum() > 0:
+        return np.zeros((0, 3))
+    chosen = np.searchsorted(np.cumsum(area), rng.random(_SAMPLES) * area.sum())
+    chosen = np.minimum(chosen, len(faces) - 1)
+    share = np.sort(rng.random((_SAMPLES, 2)), axis=1)
+    weights = np.column_stack([share[:, 0], share[:, 1] - share[:, 0], 1.0 - share[:, 1]])
+    return np.einsum("nk,nki->ni", weights, corners[chosen])
 
 
 def _distance(capture: Capture) -> float:
@@ -318,7 +326,7 @@ def _distance(capture: Capture) -> float:
 def _cues(
     up: Values,
     level: Horizon,
-    found: Consensus,
+    walls: Sequence[FittedPlane],
     floor: FloorLevel,
     by_mesh: FittedPlane | None,
     known: Sequence[KnownUp],
@@ -333,12 +341,12 @@ def _cues(
         reason = f"a plane below the cameras with {floor.share:.0%} of the points"
         sigma = math.hypot(LEVEL, floor.plane.sigma)
         cues.append(_cue("floor", floor.plane.normal, up, sigma, reason))
-    if found.walls:
+    if walls:
         form = 1e-3 * level_form(level.up, UPRIGHT)
-        for plane in found.walls:
+        for plane in walls:
             form = form + upright_form(plane.normal, math.hypot(UPRIGHT, plane.sigma))
         sigma = 1.0 / math.sqrt(float(np.linalg.eigvalsh(form)[1]))
-        reason = f"{plural(len(found.walls), 'upright plane')}"
+        reason = f"{plural(len(walls), 'upright plane')}"
         cues.append(_cue("walls", smallest(form, up), up, sigma, reason))
     if by_mesh is not None:
         reason = f"the mesh's faces along the floor, {by_mesh.share:.0%} of its area"
@@ -360,7 +368,9 @@ def _cue(name: str, own: Values, up: Values, sigma: float, reason: str) -> Gravi
     )
 
 
-def _warnings(level: Horizon, floor: FloorLevel, uncertain: float) -> tuple[str, ...]:
+def _warnings(
+    level: Horizon, floor: FloorLevel, uncertain: float, cues: Sequence[GravityCue]
+) -> tuple[str, ...]:
     warnings: list[str] = []
     if floor.plane is None:
         warnings.append(
@@ -368,12 +378,13 @@ def _warnings(level: Horizon, floor: FloorLevel, uncertain: float) -> tuple[str,
             "that of the lowest points. Does the floor mirror, or has it no texture? Lay something "
             "matt with a pattern on it, and photograph again"
         )
-        if uncertain > _SURE:
-            warnings.append(
-                f"up is known to {uncertain:.0f} degrees only: all cameras point the same way. "
-                "Three "
-                "clicks on the floor in `nw-eval twin label` set it"
-            )
+    if uncertain > _SURE:
+        agree = [cue.name for cue in cues if cue.degrees <= max(2.0, 2.0 * cue.uncertain)]
+        which = "no two cues agree" if len(agree) < 2 else f"only {' and '.join(agree)} agree"
+        warnings.append(
+            f"up is known to {uncertain:.0f} degrees only: {which}. Three clicks on the floor in "
+            "`nw-eval twin label` set it"
+        )
     if level.sideways:
         warnings.append("the pictures seem to lie on their sides: check which way is up")
     return tuple(warnings)
@@ -437,8 +448,9 @@ def find_floor(
         if not on_it.any():
             continue
         height = settled(heights[on_it])
-        below = float((heights < height - 3.0 * tolerance).mean())
-        if (cameras > height).mean() >= _ABOVE and below <= _BELOW:
+        below = float((plane.distances(points) < -3.0 * tolerance).mean())
+        above = float((plane.distances(centres) > 0.0).mean())
+        if plane.share >= _LEAST_FLOOR and above >= _ABOVE and below <= _BELOW:
             floors.append((plane.share, height, plane))
     if floors:
         share, height, plane = max(floors, key=lambda one: one[0])

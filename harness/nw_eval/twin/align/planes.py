@@ -1,13 +1,12 @@
 """Planes in a cloud of points: drawn, voted for, taken one after another, and fitted.
 
-Up by all cues together follows from them: the cameras' horizon, and which planes are level, walls,
-or neither. Of the way that cameras are held: people tilt them up and down, hardly ever sideways.
+And the cameras' horizon, of the way that cameras are held: people tilt them up and down, hardly
+ever sideways.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,12 +36,14 @@ class FittedPlane:
         offset: in the points' unit.
         share: of all points, which lies on it.
         sigma: standard deviation of its normal by the scatter of its points, radians.
+        tolerance: how far off a point of it may be, in the points' unit.
     """
 
     normal: Values
     offset: float
     share: float
     sigma: float
+    tolerance: float = 0.0
 
     @property
     def equation(self) -> tuple[Values, float]:
@@ -125,6 +126,7 @@ def fit_plane(
         offset=offset,
         share=float(prior[np.abs(off) <= tolerance].sum() / prior.sum()),
         sigma=math.sqrt(scatter / max(count, 1)),
+        tolerance=tolerance,
     )
 
 
@@ -138,7 +140,7 @@ def _settled(points: Values, plane: FittedPlane, tolerance: float) -> FittedPlan
     off = np.abs(plane.distances(points))
     spread = 3.0 * 1.4826 * float(np.median(off[off <= tolerance])) if plane.share else tolerance
     fine = fit_plane(points, *plane.equation, float(np.clip(spread, 0.2 * tolerance, tolerance)))
-    return replace(fine, share=plane.share)
+    return replace(fine, share=plane.share, tolerance=tolerance)
 
 
 def _drawn(points: Values, rng: np.random.Generator) -> tuple[Values, Values]:
@@ -164,108 +166,26 @@ def _votes(points: Values, normals: Values, offsets: Values, tolerance: float) -
     return votes
 
 
-_WIDEST = math.radians(30.0)
-"""Between a plane's normal and the cameras' up, for it to be tried as a floor."""
-_WIDENED = 1.8
-"""The cone is this many standard deviations wide where the cameras know up badly."""
-_LIKE = math.radians(1.5)
-"""Planes this far from level or upright still speak for an up, with a weight of exp(-1/2)."""
 AGREES = math.radians(3.0)
 """Planes within this are taken for level, or for upright."""
-_BASE = 0.02
-"""Share of points that the cameras' own up is worth where no plane agrees with it."""
 LEVEL = math.radians(0.25)
 """How level floors are that were built level."""
 UPRIGHT = math.radians(0.7)
 """How upright walls are; furniture is less."""
-_CAUTIOUS = math.radians(2.0)
-"""How well any source of poses is taken to know up, before planes are looked at."""
-_LEAST_WALL = 0.03
-"""Share of points of a plane that counts as a wall."""
 
 _ROLL = math.radians(1.0)
 """Least roll of a camera that is held by hand: none is assumed to be better."""
-_INDEPENDENT = 30
-"""Shots that count as such: frames of a film are rolled alike."""
+_INDEPENDENT = 8
+"""Shots that count as such: one hand rolls all of them alike."""
 _TILT = math.radians(2.0)
 """What all shots may have in common: a phone held askew."""
-_PITCH = math.radians(25.0)
-"""Of the mean of all cameras' ups from up: cameras look down at what they show."""
+_DOWN, _PITCH = math.radians(15.0), math.radians(20.0)
+"""By which cameras look down at what they show, all together: usually, and its scatter."""
 _PAIRS = 400
 _TURN = 0.95
 """Length of the mean of the sideways axes from which on the cameras hardly turn."""
 _CLIPPED = math.sin(math.radians(12.0))
 """A sideways axis that points further up or down is no sideways axis."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Consensus:
-    """Up by all cues that agree.
-
-    Attributes:
-        up: (3,) unit vector.
-        level: planes that are level to within `AGREES`, normals upwards.
-        walls: planes that are upright to within it.
-        form: (3, 3) of all of them together.
-    """
-
-    up: Values
-    form: Values
-    level: tuple[FittedPlane, ...]
-    walls: tuple[FittedPlane, ...]
-
-
-def consensus(
-    horizon: Horizon,
-    planes: Sequence[FittedPlane],
-    doubts: Sequence[float],
-    known: Sequence[tuple[Values, float]] = (),
-) -> Consensus:
-    """Return up by cameras, planes, and directions that a source of poses knows.
-
-    Tried as up are the cameras' own up, the known ones, and each plane's normal near it. The best
-    is the one that the cameras find likely and that makes most points lie on planes that are level
-    or upright; so a ramp does not win because it is large. The cues that agree with it then give
-    the answer together.
-
-    Args:
-        horizon: of the cameras.
-        planes: in the sparse points.
-        doubts: for each plane, how little it looks like a floor, see `doubt`.
-        known: (3,) unit vectors, each with its standard deviation in radians.
-    """
-    cautious = [(up, max(sigma, _CAUTIOUS)) for up, sigma in known]
-    prior = _sum(horizon.form, cautious)
-    likely = smallest(prior, horizon.up if not known else known[0][0])
-    cone = math.cos(max(_WIDEST, min(_WIDENED * math.radians(horizon.degrees), 2.0 * _WIDEST)))
-    turned = [_upwards(plane, likely).normal for plane in planes]
-    tried = [(likely, 0.0), *zip(turned, doubts, strict=True)]
-    least = float(likely @ prior @ likely)
-    scores = [
-        math.log(_BASE + _agreement(up, planes)) - 0.5 * (float(up @ prior @ up) - least) - doubt
-        if up @ likely >= cone
-        else -math.inf
-        for up, doubt in tried
-    ]
-    up = tried[int(np.argmax(scores))][0]
-    level: list[FittedPlane] = []
-    walls: list[FittedPlane] = []
-    form = prior
-    # A source that is off by more than planes may be takes no part.
-    agree = [one for one in known if one[0] @ up > math.cos(AGREES)]
-    prior = _sum(horizon.form, agree)
-    for _ in range(3):
-        level = [_upwards(p, up) for p in planes if abs(p.normal @ up) > math.cos(AGREES)]
-        walls = [
-            p for p in planes if abs(p.normal @ up) < math.sin(AGREES) and p.share > _LEAST_WALL
-        ]
-        form = prior.copy()
-        for plane in level:
-            form += level_form(plane.normal, math.hypot(LEVEL / _voice(plane), plane.sigma))
-        for plane in walls:
-            form += upright_form(plane.normal, math.hypot(UPRIGHT / _voice(plane), plane.sigma))
-        up = smallest(form, up)
-    return Consensus(up=up, form=form, level=tuple(level), walls=tuple(walls))
 
 
 def smallest(form: Values, like: Values) -> Values:
@@ -274,31 +194,11 @@ def smallest(form: Values, like: Values) -> Values:
     return up if up @ like >= 0 else -up
 
 
-def _sum(form: Values, known: Sequence[tuple[Values, float]]) -> Values:
-    return sum((level_form(*one) for one in known), form)
-
-
-def _agreement(up: Values, planes: Sequence[FittedPlane]) -> float:
-    """Return the share of points on planes that are level or upright if that is up."""
-    total = 0.0
-    for plane in planes:
-        sine = min(1.0, abs(float(plane.normal @ up)))
-        off = min(math.acos(sine), math.asin(sine))
-        total += plane.share * math.exp(-0.5 * (off / _LIKE) ** 2)
-    return total
-
-
-def _voice(plane: FittedPlane) -> float:
-    """Return how much a plane has to say, 0 to 1: a table is less than a floor."""
-    return min(1.0, math.sqrt(plane.share / 0.25))
-
-
-def _upwards(plane: FittedPlane, up: Values) -> FittedPlane:
+def upwards(plane: FittedPlane, up: Values) -> FittedPlane:
+    """Return a plane with its normal on the side of a direction."""
     if plane.normal @ up >= 0:
         return plane
-    return FittedPlane(
-        normal=-plane.normal, offset=-plane.offset, share=plane.share, sigma=plane.sigma
-    )
+    return replace(plane, normal=-plane.normal, offset=-plane.offset)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,6 +211,7 @@ class Horizon:
         degrees: standard deviation along the direction that is known least.
         roll: standard deviation of the cameras' roll about it, degrees.
         sideways: whether the pictures lie on their sides, as those of phones held upright may.
+        aside: (3,) sideways axis of the first camera.
     """
 
     up: Values
@@ -318,6 +219,7 @@ class Horizon:
     degrees: float
     roll: float
     sideways: bool
+    aside: Values
 
 
 def horizon(rotations: Values, rng: np.random.Generator) -> Horizon:
@@ -333,11 +235,14 @@ def horizon(rotations: Values, rng: np.random.Generator) -> Horizon:
     upright = right if sideways else -down
     weights, roll = _level_weights(level, upright, rng)
     independent = min(1.0, _INDEPENDENT / len(level))
+    if np.linalg.norm(level.mean(axis=0)) > _TURN:  # How each is rolled says nothing more.
+        level = np.broadcast_to(level.mean(axis=0), level.shape)
     # What the axes scatter no more than by their roll, twice over, shows nothing.
     values, vectors = np.linalg.eigh(independent * gram(level, weights) / roll**2)
     shown = np.clip(values - 2.0 * independent * weights.sum(), 0.0, None)
     form = np.einsum("ik,k,jk->ij", vectors, shown, vectors)
-    mean = upright.mean(axis=0)
+    # Hands hold cameras pitched down, rather than up.
+    mean = math.cos(_DOWN) * upright.mean(axis=0) - math.sin(_DOWN) * forward.mean(axis=0)
     if np.linalg.norm(mean) > 0.1:
         form = form + level_form(mean / np.linalg.norm(mean), _PITCH)
     # A tilt that they have in common is beyond what their own scatter shows.
@@ -351,6 +256,7 @@ def horizon(rotations: Values, rng: np.random.Generator) -> Horizon:
         degrees=known_to(form),
         roll=math.degrees(roll),
         sideways=sideways,
+        aside=rotations[0, :, 0],
     )
 
 

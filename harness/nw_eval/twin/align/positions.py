@@ -24,6 +24,8 @@ Values = NDArray[np.float64]
 
 _DRAWS = 300
 _ROUNDS = 6
+_MOST = 1e3
+"""Relative: a scale that is known worse is as unknown."""
 # WGS 84: equatorial radius in metres, first eccentricity squared.
 _RADIUS, _ECCENTRICITY = 6378137.0, 6.69437999014e-3
 
@@ -47,7 +49,9 @@ class PositionFit:
     turned: float
 
 
-def fit_positions(centres: Values, metres: Values, rng: np.random.Generator) -> PositionFit:
+def fit_positions(
+    centres: Values, metres: Values, rng: np.random.Generator, *, error: float = 0.0
+) -> PositionFit:
     """Return the similarity that maps most centres to their positions.
 
     Umeyama's fit, to three of them at a time, and then to those that the best of these explains.
@@ -56,6 +60,7 @@ def fit_positions(centres: Values, metres: Values, rng: np.random.Generator) -> 
         centres: (N, 3) of shots, in the capture's frame.
         metres: (N, 3) positions of the same shots.
         rng: of the draws.
+        error: metres by which positions err together, as GPS does: no number of them averages it.
 
     Raises:
         UsageError: there are fewer than three, or all lie in one place.
@@ -86,14 +91,26 @@ def fit_positions(centres: Values, metres: Values, rng: np.random.Generator) -> 
     middle = np.einsum("n,ni->i", weights, centres) / weights.sum()
     spread_of = np.einsum("n,ni,nj->ij", weights, centres - middle, centres - middle)
     values = np.linalg.eigvalsh(spread_of) * scale**2  # Metres squared, summed.
-    each = float((weights * off**2).sum() / weights.sum()) / 3.0
+    # A similarity takes seven of their numbers: three positions lie near any fit.
+    free = max(3.0 * float(weights.sum()) / float(weights.max()) - 7.0, 1.0)
+    each = float((weights * off**2).sum()) / float(weights.max()) / free
+    wide = np.sqrt(12.0 * np.maximum(values, 0.0) / len(centres))  # As if evenly spread.
     return PositionFit(
         scale=scale,
         rotation=rotation,
         off=float(np.median(off)),
-        uncertain=math.sqrt(each / max(float(values.sum()), 1e-300)),
+        uncertain=min(
+            math.hypot(
+                math.sqrt(each / max(float(values.sum()), 1e-300)),
+                error / max(float(np.linalg.norm(wide)), 1e-300),
+            ),
+            _MOST,
+        ),
         # A turn about the longest axis moves the points by what they extend across it.
-        turned=math.sqrt(each / max(float(values[0] + values[1]), 1e-300)),
+        turned=math.hypot(
+            math.sqrt(each / max(float(values[0] + values[1]), 1e-300)),
+            error / max(float(np.linalg.norm(wide[:2])), 1e-300),
+        ),
     )
 
 
@@ -171,6 +188,11 @@ def _geodetic(path: Path) -> Vector | None:
         with warnings.catch_warnings(), open_picture(path) as image:
             warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
             gps = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
+        if gps.get(ExifTags.GPS.GPSStatus) == "V":  # Void: the last place that was known.
+            return None
+        datum = str(gps.get(ExifTags.GPS.GPSMapDatum, "WGS-84"))
+        if "84" not in datum and "JGD" not in datum.upper():  # Others lie up to 500 m off.
+            return None
         latitude = _degrees(gps[ExifTags.GPS.GPSLatitude])
         longitude = _degrees(gps[ExifTags.GPS.GPSLongitude])
         if gps.get(ExifTags.GPS.GPSLatitudeRef) == "S":

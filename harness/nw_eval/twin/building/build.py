@@ -147,20 +147,29 @@ class Build:
         # A robot that is not there, or that no suite can be written for, is said before slow work.
         get_robot(self._robot())
         check_has_policy(self._robot())
-        self.calibrate(photographs)
-        self.reconstruct()
-        self.align()
-        self.splat()
-        self.place()
-        return self.check()
+        self._check_paths(photographs)
+        with self.folder.held():
+            self.calibrate(photographs)
+            self.reconstruct()
+            self.align()
+            self.splat()
+            self.place()
+            return self.check()
 
-    def calibrate(self, photographs: Path) -> None:
-        """Find where each photograph was taken from; see `nw_eval.twin.calibrate`."""
-        options = self._settings.calibrate
+    def _check_paths(self, photographs: Path) -> None:
         for place in (self.folder.scene, self.folder.capture / "pictures"):
             check_place(place)
         if not photographs.exists():
             raise UsageError(f"there is nothing at {photographs}", fix="check the path")
+
+    def calibrate(self, photographs: Path) -> None:
+        """Find where each photograph was taken from; see `nw_eval.twin.calibrate`."""
+        self._check_paths(photographs)
+        with self.folder.held():
+            self._calibrate(photographs)
+
+    def _calibrate(self, photographs: Path) -> None:
+        options = self._settings.calibrate
         if not self.folder.carry_out(
             "calibrate",
             [facts_of(options), digest_of_files(photographs)],
@@ -291,7 +300,7 @@ class Build:
         pictures = all((folder.capture / shot.file).is_file() for shot in capture.shots)
         if depths.is_dir() and pictures:  # Else somebody has cleared them away.
             mesh, pits = with_pits(mesh, capture, folder.capture, depths, world)
-            mesh_file = folder.mesh / "ground.ply"
+            mesh_file = folder.path / "ground.ply"  # `splat` is of all that is in mesh/.
             write_mesh(mesh, mesh_file)
             for pit in pits[:_LISTED_PITS]:
                 self._say(f"place: {pit}")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable
+import os
+from collections.abc import Callable, Generator, Iterable
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Literal, get_args
 
 from nw_eval.errors import SceneError, StoreError, UsageError
-from nw_eval.files.cache import atomic_path
+from nw_eval.files.cache import atomic_path, made_folder, unwritable
 from nw_eval.files.inside import regular
 
 Stage = Literal["calibrate", "reconstruct", "align", "splat", "place"]
@@ -52,6 +54,7 @@ class BuildFolder:
         self.mesh = self.path / "mesh"
         self.splat = self.path / "splat"
         self.align = self.path / "align.json"
+        self._is_held = False
         self.trail = self.path / "trail.json"
         self._results: dict[Stage, Path] = {
             "calibrate": self.capture / "capture.json",
@@ -60,6 +63,43 @@ class BuildFolder:
             "splat": self.splat / "splat.ply",
             "place": scene / "scene.yaml",
         }
+
+    @contextmanager
+    def held(self) -> Generator[None]:
+        """Keep other processes from building here; a file system without locks keeps none.
+
+        Within itself it does nothing.
+
+        Raises:
+            UsageError: another process builds here; or no folder can be made.
+            StoreError: the folder cannot be made.
+        """
+        import fcntl  # Not on Windows, where nothing is built.
+
+        if self._is_held:
+            yield
+            return
+        with ExitStack() as stack:
+            try:
+                stack.enter_context(made_folder(self.path))
+                handle = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+            except OSError as error:
+                raise unwritable(self.path, error) from None
+            stack.callback(os.close, handle)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise UsageError(
+                    f"{self.scene} is being built by {_holder(handle)}",
+                    fix="wait for it or stop it, or choose another --out",
+                ) from None
+            except OSError:  # A file system without locks.
+                pass
+            self._is_held = True
+            try:
+                yield
+            finally:
+                self._is_held = False
 
     def carry_out(
         self,
@@ -83,6 +123,16 @@ class BuildFolder:
             NwEvalError: as `work`; after a UsageError the results of before still hold.
             StoreError: the stamps cannot be written.
         """
+        with self.held():
+            return self._carry_out(stage, depends_on, work, say)
+
+    def _carry_out(
+        self,
+        stage: Stage,
+        depends_on: Iterable[str],
+        work: Callable[[], object],
+        say: Callable[[str], None],
+    ) -> bool:
         content = json.dumps([_FORMATS[stage], stage, *depends_on])
         stamp = hashlib.sha256(content.encode()).hexdigest()
         stamps = self._stamps()
@@ -134,6 +184,17 @@ class BuildFolder:
     def _write(self, stamps: dict[str, str]) -> None:
         with atomic_path(self.path / "stamps.json") as temporary:
             temporary.write_text(json.dumps(stamps, indent=1), encoding="utf-8")
+
+
+def _holder(handle: int) -> str:
+    """Return who holds the lock of an open folder, as Linux lists it."""
+    with suppress(OSError, ValueError, IndexError):
+        inode = os.fstat(handle).st_ino
+        for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
+            words = line.split()
+            if words[1] == "FLOCK" and int(words[5].rpartition(":")[2]) == inode and words[4] > "0":
+                return f"process {words[4]}"
+    return "another process"
 
 
 def digest_of_files(*paths: Path) -> str:

@@ -249,6 +249,8 @@ def _calibrate(
         path, working, frames=options.frames, say=say, per_second=options.per_second
     )
     say(f"{path}: {source.kind}, {plural(len(source.files), 'photograph')}")
+    for note in source.notes:
+        say(f"note: {note}")
     found(source)
     try:
         (out / "capture.json").unlink(missing_ok=True)

@@ -66,9 +66,45 @@ _FIX = "export transforms.json again"
 _MOST_BYTES = 64 * 2**20
 _MOST = 1e15
 """Of a number in an app's file: what is larger is damage, or not finite."""
+_LISTED = 12
+"""Fields that a note names."""
 _MOST_TURN = 2.0 * math.pi + 0.01
 """Of an axis times an angle: a whole turn, rad."""
 _AGAIN = "export it again, or give the photographs alone"
+
+
+_FIELDS = {
+    "nerfstudio": "frames applied_transform applied_scale file_path transform_matrix mask_path w h "
+    "camera_model is_fisheye fl_x fl_y cx cy camera_angle_x camera_angle_y k1 k2 k3 k4 k5 k6 p1 p2",
+    "polycam": "fx fy cx cy width height t_00 t_01 t_02 t_03 t_10 t_11 t_12 t_13 t_20 t_21 t_22 "
+    "t_23",
+    "scanner": "intrinsics cameraPoseARFrame",
+    "record3d": "w h K poses perFrameIntrinsicCoeffs",
+}
+"""Of each kind of file, what cameras are made of."""
+_PASSED = {
+    "depth is measured anew": "depth_file_path ply_file_path integer_depth_scale center_depth "
+    "dw dh",
+    "ranges of another renderer": "aabb_scale scale offset render_aabb aabb projectionMatrix",
+    "splits of another trainer": "train_filenames val_filenames test_filenames",
+    "frames are chosen by how far the picture moves": "sharpness blur_score neighbors timestamp "
+    "time manual_keyframe frame_index motionQuality fps frameTimestamps colmap_im_id camera_id",
+    "how a picture was made": "angular_velocity averageVelocity averageAngularVelocity cameraGrain "
+    "exposureDuration cameraType image_name",
+    "transform_matrix and poses have it": "rotation initPose orientation_override",
+}
+"""Fields that change nothing here, by the reason."""
+_HARMLESS = frozenset(" ".join(_PASSED.values()).split())
+
+
+def unused(kind: str, keys: Iterable[str], where: str) -> tuple[str, ...]:
+    """Return a note of the fields that nothing is made of and that are not known to be harmless."""
+    names = sorted(set(keys) - set(_FIELDS[kind].split()) - _HARMLESS)
+    if not names:
+        return ()
+    listed = ", ".join(clean(name, at_most=40) for name in names[:_LISTED])
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return (f"nothing is made of these fields of {where}: {listed}{more}",)
 
 
 def nerfstudio_in(folder: Path, size_of: SizeOf, name: str = FILE) -> Footage | None:
@@ -90,8 +126,9 @@ def nerfstudio_in(folder: Path, size_of: SizeOf, name: str = FILE) -> Footage | 
     paths = [folder / one for one in names if (folder / one).is_file()]
     alone: dict[str, Found] = {}
     poses: dict[str, Placed] = {}
+    notes: list[str] = []
     for path in paths:
-        for one, camera in _frames(folder, path, size_of):
+        for one, camera in _frames(folder, path, size_of, notes):
             alone[one.name] = one
             if camera is None:
                 continue
@@ -103,7 +140,10 @@ def nerfstudio_in(folder: Path, size_of: SizeOf, name: str = FILE) -> Footage | 
                     "two poses",
                     fix=_FIX,
                 )
-    return _footage("nerfstudio", alone.values(), poses.values()) if paths else None
+    if not paths:
+        return None
+    said = tuple(dict.fromkeys(notes))
+    return _footage("nerfstudio", alone.values(), poses.values(), notes=said)
 
 
 def _footage(kind: Any, files: Iterable[Found], placed: Iterable[Placed], **facts: Any) -> Footage:
@@ -111,18 +151,23 @@ def _footage(kind: Any, files: Iterable[Found], placed: Iterable[Placed], **fact
     return Footage(kind=kind, files=in_order(files), cameras=cameras, **facts)
 
 
-def _frames(folder: Path, path: Path, size_of: SizeOf) -> Iterator[tuple[Found, Placed | None]]:
+def _frames(
+    folder: Path, path: Path, size_of: SizeOf, notes: list[str]
+) -> Iterator[tuple[Found, Placed | None]]:
     whole = read_json(path)
     frames = whole.get("frames")
     if not isinstance(frames, list) or not frames:
         raise SceneError(f"{path} names no frames", fix=_FIX)
     applied, scale = _applied(whole, path)
+    keys = set(whole).union(*(frame for frame in frames if isinstance(frame, dict)))
+    notes += unused("nerfstudio", keys, path.name)
     for place, frame in enumerate(frames):
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
             raise SceneError(f"frame {place} of {path} has no file_path", fix=_FIX)
         one = _file(folder, frame)
         whose = f"{clean(one.name, at_most=100)} in {path}"
         lens = _lens({**whole, **frame}, one, whose, size_of)
+        notes += _unlike({**whole, **frame}, lens, path.name)
         if lens is None:
             yield one, None
             continue
@@ -233,6 +278,28 @@ def _lens(values: dict[str, Any], one: Found, whose: str, size_of: SizeOf) -> Le
     return Lens(model=model, width=width, height=height, params=(*pinhole, *bent))
 
 
+def _unlike(values: dict[str, Any], lens: Lens | None, where: str) -> Iterator[str]:
+    """Yield what a frame says twice, in two ways, or of a lens that has no such number."""
+    if lens is None:
+        return
+    angle = values.get("camera_angle_x")
+    if values.get("fl_x") is not None and isinstance(angle, int | float) and 0 < angle < math.pi:
+        other = 0.5 * lens.width / math.tan(0.5 * angle)
+        if abs(other / lens.params[0] - 1.0) > _SAME_FOCAL:
+            yield (
+                f"{where} says fl_x {lens.params[0]:.5g}, and by camera_angle_x {other:.5g}: "
+                "fl_x is used"
+            )
+    if lens.model == "OPENCV_FISHEYE":
+        lost = [key for key in ("k5", "k6", "p1", "p2") if values.get(key)]
+        if lost:
+            yield f"nothing is made of {', '.join(lost)} of {where}: its lens is a fisheye"
+
+
+_SAME_FOCAL = 0.01
+"""Relative difference of focal lengths that are one."""
+
+
 def _model(
     fisheye: bool,
     *,
@@ -316,6 +383,7 @@ def _beside(
     """Return photographs, each of which has a JSON of its camera in a folder."""
     files: list[Found] = []
     placed: list[Placed] = []
+    keys: set[str] = set()
     for picture in pictures:
         path = found_in(cameras, f"{picture.stem}.json").path
         if path is None or not path.is_file():
@@ -323,7 +391,9 @@ def _beside(
             files.append(Found(name=picture.name, path=None, fault=fault))
             continue
         files.append(found_in(picture.parent, picture.name))
-        lens, pose = read(read_json(path), files[-1], str(path))
+        values = read_json(path)
+        keys |= values.keys()
+        lens, pose = read(values, files[-1], str(path))
         lens.check(str(path))
         pose = rigid(pose @ OPENGL, str(path))
         placed.append(Placed(name=picture.name, lens=lens, T_world_camera=pose))
@@ -331,7 +401,8 @@ def _beside(
         raise SceneError(
             f"no photograph in {pictures[0].parent} has its camera in {cameras}", fix=_AGAIN
         )
-    return _footage(kind, files, placed, metric=True, up=(0.0, 1.0, 0.0))
+    notes = unused("scanner" if kind == "arkit" else kind, keys, f"{cameras.name}/*.json")
+    return _footage(kind, files, placed, metric=True, up=(0.0, 1.0, 0.0), notes=notes)
 
 
 def _polycam(values: dict[str, Any], whose: str) -> tuple[Lens, NDArray[np.float64]]:
@@ -426,7 +497,8 @@ def record3d_in(folder: Path, frames: int, say: Say) -> Footage | None:
             f"all poses in {path} are the same: selfie cameras and old recordings have none",
             fix=f"give {pictures[0].parent} alone, whose cameras are then looked for",
         )
-    return _some("record3d", files, placed, frames, say, metric=True)
+    notes = unused("record3d", whole, path.name)
+    return _some("record3d", files, placed, frames, say, metric=True, notes=notes)
 
 
 def _some(
@@ -480,7 +552,9 @@ def arkit_scenes_in(folder: Path, frames: int, say: Say) -> Footage | None:
         pose, lens = (_at(_time(picture), times) for times in (poses, lenses))
         if pose is None or lens is None:
             continue
-        (row,) = _rows(lens, 6)
+        row, *others = _rows(lens, 6)
+        if others:
+            raise SceneError(f"{lens} has {len(others) + 1} rows, and is of one lens", fix=_AGAIN)
         turn = float(np.linalg.norm(pose[:3]))
         wxyz = np.r_[math.cos(turn / 2), np.sinc(turn / (2 * math.pi)) / 2 * pose[:3]]
         whose = f"{picture.name} in {path}"

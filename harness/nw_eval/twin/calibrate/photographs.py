@@ -166,7 +166,9 @@ def _why(path: Path, error: Exception) -> str:
         return f"over {MOST_MEGAPIXELS} million pixels, which none may have: make it smaller"
     if isinstance(error, UnidentifiedImageError):
         return f"no {KINDS}, or damaged"
-    return str(error)
+    if "PngImagePlugin" in str(error):
+        return "its colour profile or text is larger than any is: save it without"
+    return str(error).strip()
 
 
 def _take_in(
@@ -190,6 +192,8 @@ def _take_in(
                 )
             if image.mode.startswith(("I", "F")):
                 raise ValueError(f"its grey values are {image.mode}; save it with 8 bits")
+            if b"equirectangular" in _xmp(image):
+                raise ValueError("a panorama, as its XMP says: cut it into flat pictures")
             image.load()
             turned = _is_to_turn(image, lens)
             jpeg = image.format in {"JPEG", "MPO"}  # A phone's JPEG with a depth map is an MPO.
@@ -225,6 +229,11 @@ def _take_in(
         contrast=contrast,
         brightness=float(grey.mean()),
     )
+
+
+def _xmp(image: Image.Image) -> bytes:
+    found = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
+    return found if isinstance(found, bytes) else str(found).encode(errors="replace")
 
 
 def upright_size(path: Path, lens: Lens | None) -> tuple[int, int] | None:
@@ -347,6 +356,7 @@ class Footage:
         cameras: as they are known, by the files' names; None where they are to be found.
         metric: whether these cameras are in metres.
         up: (3,) unit vector in the frame of these cameras; None where their source does not say.
+        notes: what its files say that nothing is made of, by name.
     """
 
     kind: Literal["photographs", "video", "colmap", "nerfstudio", "polycam", "record3d", "arkit"]
@@ -355,6 +365,7 @@ class Footage:
     cameras: Solution | None = None
     metric: bool = False
     up: tuple[float, float, float] | None = None
+    notes: tuple[str, ...] = ()
 
 
 def found_in(folder: Path, name: str, *, called: str | None = None) -> Found:

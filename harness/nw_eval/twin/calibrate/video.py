@@ -25,7 +25,9 @@ _STEP = 0.06
 """Of the picture's width that it moves from one chosen frame to the next."""
 _RATE = 15.0
 """Frames a second that are looked at."""
-_FLOW_WIDTH = 160
+_USUAL_RATE = 30.0
+"""Frames a second of a film whose header and stamps say nothing that can be."""
+_FLOW_WIDTH, _LEAST_SIDE = 160, 8
 
 
 def frames_of(
@@ -45,6 +47,9 @@ def frames_of(
         PrerequisiteError: PyAV or OpenCV is not installed.
     """
     seen = _look(path, say, with_motion=per_second is None)
+    if len(seen.numbers) < 3 <= seen.read:
+        say(f"{seen.read} frames claim to last {seen.lasted:.2g} s: they are taken for 30 a second")
+        seen = _look(path, say, with_motion=per_second is None, rate=_USUAL_RATE)
     if len(seen.numbers) < 3:
         raise SceneError(f"{path} holds {len(seen.numbers)} frames", fix="film for some seconds")
     sharpness = np.array(seen.sharpness)
@@ -126,27 +131,40 @@ def _sharpest(
 
 @dataclass
 class _Seen:
-    """Frames that were looked at: their numbers, seconds, sharpness, and share of motion."""
+    """Frames that were looked at: their numbers, seconds, sharpness, and share of motion.
+
+    And how many were read, and the seconds that they claim to last.
+    """
 
     transfer: int = 0
+    read: int = 0
+    lasted: float = 0.0
     numbers: list[int] = field(default_factory=list[int])
     times: list[float] = field(default_factory=list[float])
     sharpness: list[float] = field(default_factory=list[float])
     moved: list[float] = field(default_factory=list[float])
 
 
-def _look(path: Path, say: Say, *, with_motion: bool) -> _Seen:
+def _look(path: Path, say: Say, *, with_motion: bool, rate: float | None = None) -> _Seen:
     cv2 = package("cv2")
     seen = _Seen()
     before, due = None, -math.inf
     with _opened(path) as (_, stream):
-        rate, total = float(stream.average_rate or _RATE), int(stream.frames or 0)
+        header, total = float(stream.average_rate or _RATE), int(stream.frames or 0)
     pace = Pace(say, "frames looked at", total)
     for number, frame in _frames(path):
-        time = number / rate if frame.time is None else frame.time  # Phones vary their rate.
+        time = number / header if frame.time is None else frame.time  # Phones vary their rate.
+        if rate is not None:
+            time = number / rate
+        seen.read, seen.lasted = number + 1, time
         if time < due:
             continue
         due = time + 0.99 / _RATE
+        if min(frame.width, frame.height) < max(_LEAST_SIDE, frame.width / 50, frame.height / 50):
+            raise SceneError(
+                f"{path} has pictures of {frame.width} x {frame.height} pixels, which show nothing",
+                fix="film again",
+            )
         grey = _upright(frame, frame.to_ndarray(format="gray"))
         moved = 0.0
         if with_motion:

@@ -310,6 +310,7 @@ def _restored(
             **{name: arrays[f"{part}.{name}"] for name in ARRAYS},
             rasterize_mode=None,
             projection=None,
+            notes=(),
         )
         for part in _PARTS
     )

@@ -131,6 +131,12 @@ _OURS = re.compile(r"collision-[0-9a-f]{12}\.ply|captures-[0-9a-f]{12}\.json")
 be taken back."""
 
 
+def _clear(folder: Path) -> None:
+    """Remove what a process has left that was killed as it saved."""
+    for left in folder.glob(".label-*"):
+        shutil.rmtree(left, ignore_errors=True)
+
+
 def save_label(
     place: OpenedScene,
     *,
@@ -158,6 +164,7 @@ def save_label(
     folder = place.folder
     files = folder_files(folder)
     text = SceneText(folder / SCENE_FILE)
+    _clear(folder)
     try:
         with TemporaryDirectory(dir=folder, prefix=".label-") as name, ExitStack() as moves:
             staged = Path(name)

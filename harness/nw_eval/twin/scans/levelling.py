@@ -18,7 +18,15 @@ from nw_eval.scenes.mesh import TriangleMesh
 from nw_eval.suite.load import write_ready_suite
 from nw_eval.twin.label.files import OpenedScene, open_place, save_label
 from nw_eval.twin.place import SUITE, Route, moved_points
-from nw_eval.twin.scans.scan import UNITS, Unit, WrittenScan, lay_course, shifted, turn_to_z
+from nw_eval.twin.scans.scan import (
+    UNITS,
+    Unit,
+    WrittenScan,
+    checked_scan,
+    lay_course,
+    shifted,
+    turn_to_z,
+)
 
 Values = NDArray[np.float64]
 
@@ -62,14 +70,14 @@ def level_scene(
     files = folder_files(folder)
     if out is None:
         place = open_place(folder)
-        return _levelled(place, floor, flip, unit, trail, propose)
+        return checked_scan(_levelled(place, floor, flip, unit, trail, propose))
     with new_folder(out, called=folder) as staged:
         for name, path in files.items():
             (staged / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, staged / name)
         found = _levelled(open_place(staged), floor, flip, unit, trail, propose)
         write_ready_suite(staged / SUITE, load_folder(staged).name, ["."])
-    return replace(found, folder=out)
+    return checked_scan(replace(found, folder=out))
 
 
 def _levelled(

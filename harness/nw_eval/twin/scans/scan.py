@@ -7,6 +7,7 @@ with z up, its ground at z = 0 where the robot starts.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,19 +16,22 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.api import check_scenes
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError, UsageError
 from nw_eval.files.cache import check_new, new_folder
 from nw_eval.scenes import limits
+from nw_eval.scenes.check import room_of
 from nw_eval.scenes.elevation_file import ELEVATION_SUFFIXES, elevation_mesh, read_elevation
 from nw_eval.scenes.folder import SCENE_FILE, load_folder
 from nw_eval.scenes.limits import name_of
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
-from nw_eval.scenes.mesh_file import MESH_SUFFIXES, PaintedMesh, read_painted
+from nw_eval.scenes.mesh_file import MESH_SUFFIXES, PaintedMesh, read_painted, unread
 from nw_eval.scenes.mesh_parts import Material
 from nw_eval.scenes.rays import RayScene
 from nw_eval.scenes.surface import Surface
 from nw_eval.suite.load import check_has_policy, robot_from, write_ready_suite
+from nw_eval.survey import footing_lines, survey_lines
 from nw_eval.twin.place import (
     COLLISION,
     SUITE,
@@ -43,6 +47,7 @@ from nw_eval.words import Task
 
 Values = NDArray[np.float64]
 Unit = Literal["m", "cm", "mm", "ft", "in"]
+UnitOrAuto = Literal["auto", "m", "cm", "mm", "ft", "in"]
 Axis = Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"]
 
 UNITS: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
@@ -59,6 +64,18 @@ _FLOOR_SHARE = 0.2
 a share of all."""
 _STEP, _STRIDE, _ROOM = 0.25, 0.1, 0.2
 """Of a proposed trail: highest step, distance of samples along it, and room to each side."""
+_ALONE = 3.0
+"""Times as much area must look along an axis as against it for area to say which end is up."""
+_STANDS = 0.45
+"""Share of a room's height below which its contents stand rather than hang."""
+_ROOMS = (1.8, 6.0)
+"""Heights of rooms, m; beyond, the unit is asked about."""
+_FOOT, _HEADROOM = 0.02, 0.6
+"""Above the ground of a proposed course, m."""
+_ON_FLOOR = 0.15
+"""From the height of the floor that a course begins at, m; beyond, another is preferred."""
+_EVEN = 0.05
+"""By which the ground of a course rises and falls that is called even, m."""
 _INCLINED = math.radians(8.0)
 """Of the ground at the start, from which on it is said; beyond 20 degrees no robot starts there."""
 _LONGEST, _BEHIND = 4.0, 0.7
@@ -70,8 +87,9 @@ class ScanOptions:
     """How a scan is to be understood.
 
     Attributes:
-        unit: of the file's numbers.
-        up: which axis of the file is up; `auto` is the one that most of the ground looks along.
+        unit: of the file's numbers; `auto` is what a comment of the file names, or else the metre.
+        up: which axis of the file is up; `auto` is +y of glTF, and of other meshes the one that
+            most of the ground looks along.
         splat: Gaussians of the same scene, such as the same app exports; None = they are made of
             the mesh's colours, if it has some.
         splat_transform: a text file of 16 numbers, the 4 x 4 matrix from the splat's numbers to
@@ -85,7 +103,7 @@ class ScanOptions:
         robot: of the scene's suite.
     """
 
-    unit: Unit = "m"
+    unit: UnitOrAuto = "auto"
     up: Axis = "auto"
     splat: Path | None = None
     splat_transform: Path | None = None
@@ -110,7 +128,8 @@ class WrittenScan:
         digest: of the scene.
         before: the digest that it had; None of a new one, or one that could not be loaded.
         lines: what was done, one line for each thing.
-        fault: why no robot can start there yet, and what to do; None = one can.
+        fault: why it is not ready: no robot can start there yet, or `scenes check` finds an error;
+            with what to do. None = it is.
     """
 
     folder: Path
@@ -143,6 +162,7 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
     mesh = _mesh_of(scan, scan.T_world_file)
     course, words, fault = lay_course(mesh, options.trail, options.task)
     lines += words
+    fault = scan.fault or fault
     lift = np.eye(4)
     lift[2, 3] = -course.spawn[2]
     course = replace(
@@ -178,7 +198,21 @@ def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> 
         write_yaml(staged / SCENE_FILE, text)
         digest = load_folder(staged).digest
         write_ready_suite(staged / SUITE, name, ["."], robot=robot_from(out, options.robot))
-    return WrittenScan(folder=out, digest=digest, before=None, lines=tuple(lines), fault=fault)
+    written = WrittenScan(folder=out, digest=digest, before=None, lines=tuple(lines), fault=fault)
+    return checked_scan(written, options.robot)
+
+
+def checked_scan(written: WrittenScan, robot: str = "go1") -> WrittenScan:
+    """Return a written scene with what `scenes check` measures and finds; an error is its fault."""
+    (checked,) = check_scenes([str(written.folder)], robot=robot)
+    survey = checked.survey
+    measured = () if survey is None else (*survey_lines(survey), *footing_lines(survey))
+    errors = [one for one in checked.findings if one.severity == "error"]
+    fault = written.fault
+    if fault is None and errors:
+        fault = f"{errors[0].message}; {errors[0].fix or 'see above'}"
+    found = (f"check: {one}" for one in (*measured, *checked.findings))
+    return replace(written, lines=(*written.lines, *found), fault=fault)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,6 +220,8 @@ class _Scan:
     painted: PaintedMesh
     T_world_file: Values
     """(4, 4), but for the height of the floor."""
+    fault: str | None
+    """What contradicts about which way is up."""
 
 
 _OF_MAPS = ("cell", "white", "black", "no_data")
@@ -222,6 +258,7 @@ def _check_used(source: Path, options: ScanOptions) -> None:
 def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
     suffix = source.suffix.lower()
     lines: list[str] = []
+    fault = None
     if suffix in ELEVATION_SUFFIXES:
         found = read_elevation(
             source,
@@ -253,14 +290,10 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
     elif suffix in MESH_SUFFIXES:
         painted = read_painted(source)
         lines += [f"{one.message}" for one in painted.findings]
-        T_file, words = _upright(painted, source, options)
-        lines.append(words)
+        T_file, words, fault = _upright(painted, source, options)
+        lines += words
     else:
-        raise SceneError(
-            f"{source}: no scan that is read",
-            fix=f"give a mesh ({', '.join(MESH_SUFFIXES)}) or an elevation map "
-            f"({', '.join(ELEVATION_SUFFIXES)})",
-        )
+        raise unread(source, (*MESH_SUFFIXES, *ELEVATION_SUFFIXES))
     points = moved_points(T_file, painted.vertices)
     middle = np.median(points, axis=0)
     shift = np.where(np.abs(middle) > _FAR, -np.round(middle), 0.0)
@@ -273,15 +306,16 @@ def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
     wide = float(size[:2].max())
     if wide > 2.0 * limits.REACH or wide < 0.3:
         raise SceneError(
-            f"{source}: {words}: the unit of its numbers is not {options.unit}",
+            f"{source}: {words}: the unit of its numbers is not {_unit(painted, options)}",
             fix="give another --unit (m, cm, mm, ft, in)"
             if suffix in MESH_SUFFIXES
             else "give another --cell",
         )
     lines.insert(0, f"{source.name}: {len(painted.faces):,} triangles, {words}")
     if wide > _ODDLY_WIDE:
-        lines.append(f"it is {wide:.0f} m wide: if its numbers are no {options.unit}, give --unit")
-    return _Scan(painted=painted, T_world_file=T), lines
+        unit = _unit(painted, options)
+        lines.append(f"it is {wide:.0f} m wide: if its numbers are no {unit}, give --unit")
+    return _Scan(painted=painted, T_world_file=T, fault=fault), lines
 
 
 def shifted(offset: Values) -> Values:
@@ -291,8 +325,20 @@ def shifted(offset: Values) -> Values:
     return T
 
 
-def _upright(painted: PaintedMesh, source: Path, options: ScanOptions) -> tuple[Values, str]:
-    """Return (4, 4) from file to metres with z up, and which axis of the file is up by what."""
+def _unit(painted: PaintedMesh, options: ScanOptions) -> Unit:
+    """Return the unit of a mesh's numbers: as told, or as its file says, or the metre."""
+    if options.unit != "auto":
+        return options.unit
+    return next((unit for unit in get_args(Unit) if unit == painted.unit), "m")
+
+
+def _upright(
+    painted: PaintedMesh, source: Path, options: ScanOptions
+) -> tuple[Values, list[str], str | None]:
+    """Return (4, 4) from file to metres with z up, which axis is up by what, and what is at odds.
+
+    The last is None where nothing is.
+    """
     corners = painted.vertices[painted.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normal, axis=1)
@@ -303,19 +349,58 @@ def _upright(painted: PaintedMesh, source: Path, options: ScanOptions) -> tuple[
         if axis != "auto"
     }
     is_gltf = source.suffix.lower() == ".glb"
-    usual: Axis = "+y" if is_gltf else "+z"
+    by_faces, stands = _by_faces(shares, corners, "+y" if is_gltf else "+z")
     up = options.up
     if up == "auto":
-        best = max(shares, key=lambda axis: shares[axis])
-        is_clear = shares[best] > max(_CLEARLY * shares[usual], _FLOOR_SHARE)
-        up = best if is_clear else usual
-    why = f"{100 * shares[up]:.0f} % of its area faces along it"
-    if options.up == "auto" and up == usual:
-        why += ", and it is up in glTF" if is_gltf else ""
-    scale = UNITS[options.unit]
+        up = "+y" if is_gltf else by_faces
+    unit = _unit(painted, options)
+    scale = UNITS[unit]
     T = np.eye(4)
     T[:3, :3] = scale * turn_to_z(_axis(up))
-    return T, f"up is {up} of the file: {why}; one unit is {scale:g} m"
+    why = f"{100 * shares[up]:.0f} % of its area faces along it"
+    if options.up == "auto" and is_gltf:
+        why += ", and it is up in glTF"
+    lines = [f"up is {up} of the file: {why}; one unit is {scale:g} m"]
+    fault = None
+    if up != by_faces:
+        lines.append(
+            f"by its faces up is {by_faces}, along which {100 * shares[by_faces]:.0f} % look"
+            + (", with what is in the room low" if stands else "")
+        )
+        if options.up == "auto" and (stands or shares[by_faces] > 5.0 * shares[up]):
+            fault = f"{lines[-1]}, against glTF's {up}; give --up {by_faces}, or --up {up}"
+    room = room_of(corners, _axis(up))
+    if painted.unit not in (None, unit):
+        lines.append(f"the file says that its unit is {painted.unit}, and it is read as {unit}")
+    if room is not None and not _ROOMS[0] <= scale * room.height <= _ROOMS[1]:
+        lines.append(
+            f"a ceiling is {scale * room.height:.2f} m above the floor: if that is a room, its "
+            f"numbers may not be {unit}; give --unit"
+        )
+    return T, lines, fault
+
+
+def _by_faces(shares: dict[str, float], corners: Values, usual: Axis) -> tuple[Axis, bool]:
+    """Return the axis that is up by a mesh's faces alone, and whether what is in it stands low.
+
+    Args:
+        shares: of the area that looks along each axis.
+        corners: (F, 3, 3) of its faces.
+        usual: up in its format, which holds unless more area looks along another clearly.
+    """
+    best = max(shares, key=lambda axis: shares[axis])
+    most = max(share for axis, share in shares.items() if axis[1] == usual[1])
+    line = best[1] if shares[best] > max(_CLEARLY * most, _FLOOR_SHARE) else usual[1]
+    ends = ("+" + line, "-" + line)
+    contents = {end: room_of(corners, _axis(end)) for end in ends}
+    low = [end for end, room in contents.items() if room and room.contents <= _STANDS]
+    # A ceiling is larger than the floor that furniture hides, so area alone decides only where
+    # hardly any faces look the other way.
+    for one, other in (ends, ends[::-1]):
+        if shares[one] > _ALONE * shares[other]:
+            low = low or [one]
+    up: Any = low[0] if len(low) == 1 else ends[0]
+    return up, bool(contents[up] and up in low)
 
 
 def _axis(name: str) -> Values:
@@ -358,7 +443,7 @@ def lay_course(
         if found is None:
             fault = "no two metres of even ground, so the course is one waypoint a metre ahead"
             return _placeholder(mesh, task or "open"), [], f"{fault}: {_FLOOR}"
-        route, words = _straight(*found, task or "open")
+        route, words = _straight(mesh, *found, task or "open")
     tilt = _tilt(mesh, route)
     if tilt < _INCLINED:
         return route, [words], None
@@ -388,8 +473,8 @@ def _tilt(mesh: TriangleMesh, route: Route) -> float:
     return math.atan(math.hypot(*(float(np.median(one)) if len(one) else 0.0 for one in known)))
 
 
-def _straight(points: Values, yaw: float, task: Task) -> tuple[Route, str]:
-    """Return a proposed way (K, 3) as a course, and what is said of it."""
+def _straight(mesh: TriangleMesh, points: Values, yaw: float, task: Task) -> tuple[Route, str]:
+    """Return a proposed way (K, 3) as a course, and what is said of it and its ground."""
     far = float(np.linalg.norm(points[-1, :2] - points[0, :2]))
     course = Route(
         task=task,
@@ -397,10 +482,19 @@ def _straight(points: Values, yaw: float, task: Task) -> tuple[Route, str]:
         spawn=(float(points[0, 0]), float(points[0, 1]), float(points[0, 2])),
         yaw=yaw,
     )
-    x, y, _ = course.spawn
+    x, y, z = course.spawn
+    share = np.linspace(0.0, 1.0, max(round(far / _STRIDE), 1) + 1)[:, None]
+    ground = _ground(mesh, RayScene(mesh), points[0, :2] * (1 - share) + points[-1, :2] * share, z)
+    known = ground[np.isfinite(ground)]
+    rises = np.diff(known)
+    even = np.ptp(known) <= _EVEN
+    kind = "even ground" if even else "uneven ground"
     return course, (
-        f"course proposed: {far:.1f} m straight over even ground from ({x:.2f}, {y:.2f}), heading "
-        f"{math.degrees(yaw):.0f} degrees; `--trail` or `nw-eval twin label` sets another"
+        f"course proposed: {far:.1f} m straight over {kind} from ({x:.2f}, {y:.2f}), heading "
+        f"{math.degrees(yaw):.0f} degrees: it rises by {rises[rises > 0].sum():.2f} m and falls by "
+        f"{np.abs(rises[rises < 0]).sum():.2f} m in all, at most "
+        f"{np.abs(rises).max(initial=0.0):.2f} m within {_STRIDE:g} m; "
+        "`--trail` or `nw-eval twin label` sets another"
     )
 
 
@@ -448,8 +542,11 @@ def _given(mesh: TriangleMesh, trail: Sequence[tuple[float, ...]], task: Task) -
 
 
 def _floor_height(mesh: TriangleMesh) -> float:
-    """Return the height at which most of the ground lies, metres."""
+    """Return the height at which most of the ground lies, metres; in a room, that of its floor."""
     corners = mesh.triangles
+    room = room_of(corners, np.array([0.0, 0.0, 1.0]))
+    if room is not None:
+        return room.floor
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normal, axis=1)
     is_floor = normal[:, 2] > _LEVEL * area
@@ -477,7 +574,8 @@ def _ground(mesh: TriangleMesh, rays: RayScene, xy: Values, z: float) -> Values:
 def _proposed(mesh: TriangleMesh) -> tuple[Values, float] | None:
     """Return start and waypoints (K, 3) of the longest straight way over even ground, and its yaw.
 
-    Of equally long ones, that along x or y which leads over the middle of the mesh.
+    Of equally long ones, the most even, and of these that along x or y which leads over the middle
+    of the mesh. There is headroom along it.
     """
     rays = RayScene(mesh)
     floor = _floor_height(mesh)
@@ -501,10 +599,23 @@ def _proposed(mesh: TriangleMesh) -> tuple[Values, float] | None:
         z = _ground(mesh, rays, xy.reshape(-1, 2), floor).reshape(xy.shape[:3])
         even = np.abs(np.diff(z, axis=1)) < _STEP  # False beside what is not there.
         even &= np.isfinite(z[:, 1:]) & np.isfinite(z[:, :-1])
+        places = np.concatenate([xy, np.nan_to_num(z)[..., None] + _FOOT], axis=-1).reshape(-1, 3)
+        room = rays.distance(places, np.tile([0.0, 0.0, 1.0], (len(places), 1)))
+        even &= (room.reshape(z.shape) > _HEADROOM)[:, 1:]
         whole = np.logical_and.accumulate(even.all(axis=2), axis=1)
         reach = whole.sum(axis=1) * _STRIDE - 2 * _BEHIND
         away = np.linalg.norm(starts + _LONGEST / 2 * ahead - middle, axis=1)
-        score = np.floor(reach / 0.5) - 1e-3 * away - 1e-2 * (turn % 4 != 0)
+        course = z[:, first : first + round(_LONGEST / _STRIDE), 1]
+        course = np.where(whole[:, first : first + course.shape[1]], course, np.nan)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # All of a row is nan.
+            bumps = np.nan_to_num(np.nanmax(course, axis=1) - np.nanmin(course, axis=1))
+        bumps = np.where(bumps > _EVEN, bumps, 0.0)
+        # A bench may be longer than the floor before it.
+        off = np.abs(np.nan_to_num(z[:, first, 1]) - floor)
+        off = np.clip(2.0 * (off / _ON_FLOOR - 1.0), 0.0, 6.0)
+        score = np.floor(reach / 0.5) - 2.0 * bumps - off
+        score -= 1e-3 * away + 1e-2 * (turn % 4 != 0)
         i = int(score.argmax())
         if reach[i] < 1.0 or (best is not None and score[i] <= best[0]):
             continue

@@ -1,0 +1,84 @@
+"""Of ten claims about up nine are true, whatever they claim, in places whose up is known."""
+
+import numpy as np
+import pytest
+from known_truth import drawn, place
+from rooms import capture, degrees_off, patch, similarity, straight
+
+from nw_eval.twin.align.align import align
+from nw_eval.twin.align.alignment import AlignOptions
+
+HEIGHT = AlignOptions(camera_height=1.5)
+
+
+@pytest.mark.parametrize(
+    ("first", "count"), [(0, 40), pytest.param(1000, 600, marks=pytest.mark.nightly)]
+)
+def test_nine_of_ten_stated_angles_hold_the_true_up(first, count, tmp_path):
+    off, said = np.zeros((2, count))
+    for number in range(count):
+        found, folder, T = place(first + number, tmp_path)
+        alignment = align(found, folder, options=HEIGHT)
+        off[number], said[number] = degrees_off(alignment, T), alignment.up_uncertain
+    assert (off <= said).mean() >= 0.9
+    assert np.median(off) < 0.5
+    for low, high in ((0.0, 1.0), (1.0, 2.0), (2.0, 5.0), (5.0, 181.0)):
+        claims = (said >= low) & (said < high)
+        # Few claims may be off by two more, as chance has it.
+        wrong = (off > said)[claims].sum()
+        assert wrong <= 0.1 * claims.sum() + 2, (low, high)
+    assert (said < 2.0).mean() > 0.3  # What is vague everywhere says nothing.
+
+
+def mesh_of(floor, T):
+    """Return a mesh of level rectangles (x, y, z, width, depth), each of two faces."""
+    corners = [
+        [(x, y, z), (x + w, y, z), (x + w, y + d, z), (x, y + d, z)] for x, y, z, w, d in floor
+    ]
+    vertices = np.array(corners).reshape(-1, 3)
+    first = 4 * np.arange(len(floor))[:, None, None]
+    faces = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+    return vertices @ T[:3, :3].T + T[:3, 3], faces
+
+
+def test_edges_of_few_photographs_that_lean_do_not_outweigh_the_mesh(tmp_path):
+    """As in an office of six photographs: chairs lean by 15 degrees, floor and table are level."""
+    rng = np.random.default_rng(3)
+    T, poses = similarity(rng), straight(rng, 6, roll=3.0)
+    points = np.concatenate(
+        [
+            rng.uniform((0, 0, 0), (6, 5, 2), (500, 3)),
+            patch(rng, 30, (2, 2, 0.7), (2, 0, 0), (0, 1, 0)),
+        ]
+    )
+    found = capture(points, poses, T, files=[f"{i}.png" for i in range(6)], size=(640, 480))
+    lean = np.array([np.sin(np.radians(15)), 0.0, np.cos(np.radians(15))]) * 1.5
+    feet = rng.uniform((1.5, 0.5, 0.1), (9, 4.5, 0.3), (25, 3))
+    middles = rng.uniform((1, 0, 0), (8, 5, 2), (110, 3))
+    ways = rng.normal(0, 0.8, (110, 3))
+    lines = np.concatenate(
+        [np.stack([feet, feet + lean], 1), np.stack([middles, middles + ways], 1)]
+    )
+    drawn(tmp_path, found, lines @ T[:3, :3].T + T[:3, 3])
+    mesh = mesh_of([(0, 0, 0, 6, 5), (2, 2, 0.7, 2, 1)], T)
+    by_edges = align(found, tmp_path, None, HEIGHT)
+    cues = {cue.name: cue for cue in by_edges.gravity}
+    assert 10 < degrees_off_cue(cues["edges"], T) < 20
+    alignment = align(found, tmp_path, mesh, HEIGHT)
+    assert degrees_off(alignment, T) < min(1.0, alignment.up_uncertain)
+    assert any("up by edges is 1" in line for line in alignment.warnings)
+    assert alignment.is_to_scale
+
+
+def degrees_off_cue(cue, T):
+    return np.degrees(np.arccos(np.clip(T[:3, 2] @ cue.up / np.linalg.norm(T[:3, 2]), -1, 1)))
+
+
+def test_a_single_cue_says_that_it_stands_alone():
+    rng = np.random.default_rng(4)
+    said = []
+    points = patch(rng, 900, (0, 0, 0), (6, 0, 0), (0, 5, 0)) + rng.normal(0, 0.004, (900, 3))
+    alignment = align(capture(points, straight(rng)), None, options=HEIGHT, say=said.append)
+    assert alignment.up_uncertain > 1.5
+    (line,) = [line for line in said if line.startswith("up is known to")]
+    assert line.endswith("nine times out of ten: by the cameras and the floor alone")

@@ -1,0 +1,213 @@
+"""What a scan's numbers leave open is said: up, unit, the ground of a course; and it is checked."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from nw_eval import cli
+from nw_eval.catalogue import inspect_scene
+from nw_eval.cli.verbs.scenes import scan_lines
+from nw_eval.scenes.check import room_of
+from nw_eval.scenes.folder import load_folder
+from nw_eval.scenes.mesh_file import read_mesh
+from nw_eval.twin.scans.scan import ScanOptions, import_scan
+
+Y_UP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
+
+
+def sheet(corner, one, other, *, cells=8):
+    """A rectangle that looks along one x other."""
+    u, v = np.meshgrid(np.linspace(0, 1, cells + 1), np.linspace(0, 1, cells + 1))
+    points = np.array(corner) + u.reshape(-1, 1) * one + v.reshape(-1, 1) * other
+    k = np.arange(u.size).reshape(u.shape)
+    a, b, c, d = (p.ravel() for p in (k[:-1, :-1], k[:-1, 1:], k[1:, 1:], k[1:, :-1]))
+    return points, np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+
+
+def joined(*parts):
+    firsts = np.cumsum([0, *(len(points) for points, _ in parts)])
+    return (
+        np.concatenate([points for points, _ in parts]),
+        np.concatenate([faces + k for (_, faces), k in zip(parts, firsts, strict=False)]),
+    )
+
+
+X, Y, Z = np.eye(3)
+
+
+def room(*, furnished=True, roof=False):
+    """A shell seen from inside, z up, m: the floor is 4.4 x 3.6, furniture hides the rest of it."""
+    parts = [
+        sheet((-2.2, -1.8, 0), 4.4 * X, 3.6 * Y, cells=24),
+        sheet((-3, -3, 2.6), 6 * Y, 6 * X),
+        sheet((-3, -3, 0), 6 * Y, 2.6 * Z),
+        sheet((3, -3, 0), 2.6 * Z, 6 * Y),
+        sheet((-3, -3, 0), 2.6 * Z, 6 * X),
+        sheet((-3, 3, 0), 6 * X, 2.6 * Z),
+    ]
+    if furnished:
+        parts += [
+            sheet((-3, 1.8, 0.8), 6 * X, 1.2 * Y),
+            sheet((-3, 1.8, 0), 6 * X, 0.8 * Z),
+            sheet((-3, -3, 0.45), 6 * X, 1.2 * Y),
+            sheet((-3, -1.8, 0), 0.45 * Z, 6 * X),
+        ]
+    if roof:
+        parts.append(sheet((-3.2, -3.2, 2.8), 6.4 * X, 6.4 * Y))
+    return joined(*parts)
+
+
+def write(path, points, faces, turn=None):
+    points = points if turn is None else points @ turn.T
+    trimesh.Trimesh(points, faces, process=False).export(path)
+    return path
+
+
+def errors_of(folder):
+    return [f.code for f in inspect_scene(str(folder)).findings if f.severity == "error"]
+
+
+@pytest.mark.parametrize(
+    ("name", "turn", "up"),
+    [
+        ("a.glb", Y_UP, "+y"),
+        ("a.obj", np.eye(3), "+z"),
+        ("a.obj", Y_UP, "+y"),
+        ("a.ply", UPSIDE_DOWN, "-z"),
+        ("a.stl", UPSIDE_DOWN @ Y_UP, "-y"),
+    ],
+)
+def test_a_room_stands_on_its_floor_and_the_course_lies_there(tmp_path, name, turn, up):
+    write(tmp_path / name, *room(), turn)
+    written = import_scan(tmp_path / name, tmp_path / "mine")
+    assert f"up is {up} of the file" in "\n".join(written.lines)
+    assert written.fault is None
+    scene = load_folder(tmp_path / "mine")
+    # z = 0 is the floor: tables are above it, and the ceiling 2.6 m.
+    low, high = scene.static_mesh.vertices.min(axis=0), scene.static_mesh.vertices.max(axis=0)
+    assert (low[2], high[2]) == pytest.approx((0.0, 2.6), abs=1e-3)
+    assert np.abs(scene.trail[:, 2]).max() < 1e-3
+    assert errors_of(tmp_path / "mine") == []
+
+
+@pytest.mark.parametrize(
+    ("turn", "up"), [(np.eye(3), r"\+z"), (UPSIDE_DOWN @ Y_UP, "-y")], ids=["z up", "y down"]
+)
+def test_a_glb_that_is_not_y_up_is_not_ready_until_it_is_told(tmp_path, turn, up):
+    write(tmp_path / "a.glb", *room(), turn)
+    written = import_scan(tmp_path / "a.glb", tmp_path / "mine")
+    with pytest.raises(AssertionError, match=f"by its faces up is {up}.*low, against glTF's"):
+        raise AssertionError(written.fault)
+    told = ScanOptions(up=up.replace("\\", ""))
+    written = import_scan(tmp_path / "a.glb", tmp_path / "told", told)
+    assert written.fault is None
+    assert errors_of(tmp_path / "told") == []
+
+
+def test_a_robot_under_the_floor_and_a_room_on_its_ceiling_are_findings(tmp_path):
+    points, faces = room()
+    write(tmp_path / "over.glb", points, faces, UPSIDE_DOWN @ Y_UP)
+    options = ScanOptions(up="+y")
+    import_scan(tmp_path / "over.glb", tmp_path / "over", options)
+    codes = [finding.code for finding in inspect_scene(str(tmp_path / "over")).findings]
+    assert "upside_down" in codes
+    # Two floors without undersides: the robot is put under the upper one.
+    two = joined(
+        sheet((-2, -2, 0), 6 * X, 4 * Y, cells=24), sheet((-2, -2, 1.5), 6 * X, 4 * Y, cells=24)
+    )
+    write(tmp_path / "two.ply", *two)
+    options = ScanOptions(trail=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0)))
+    written = import_scan(tmp_path / "two.ply", tmp_path / "two", options)
+    assert "under_floor" in errors_of(tmp_path / "two")
+    assert "the robot's eye is under a floor" in written.fault
+
+
+def test_a_room_under_a_roof_has_a_free_start(tmp_path):
+    write(tmp_path / "a.glb", *room(roof=True), Y_UP)
+    written = import_scan(tmp_path / "a.glb", tmp_path / "mine")
+    assert written.fault is None
+    scene = load_folder(tmp_path / "mine")
+    assert scene.static_mesh.vertices[:, 2].max() == pytest.approx(2.8, abs=1e-3)
+    assert errors_of(tmp_path / "mine") == []
+
+
+def test_what_stands_where_the_robot_starts_keeps_an_import_from_being_ready(tmp_path, capsys):
+    ground = sheet((-2, -2, 0), 8 * X, 4 * Y, cells=40)
+    block = trimesh.creation.box((0.2, 0.6, 1.2))
+    block.apply_translation((0.2, 0, 0.6))
+    points, faces = joined(ground, (np.array(block.vertices), np.array(block.faces)))
+    write(tmp_path / "a.ply", points, faces)
+    with pytest.raises(SystemExit) as end:
+        cli.main(
+            [
+                *("scenes", "import", str(tmp_path / "a.ply"), "--out", str(tmp_path / "mine")),
+                *("--trail", "0,0,0", "2,0,0", "4,0,0"),
+            ]
+        )
+    said = capsys.readouterr().out
+    assert end.value.code == 2
+    assert said.splitlines()[-1].startswith("not ready: a solid is where the robot starts")
+    assert "check: error spawn_blocked" in said
+    # The one that is proposed goes round it.
+    written = import_scan(tmp_path / "a.ply", tmp_path / "other")
+    assert written.fault is None
+    assert scan_lines(written).splitlines()[-1].startswith("ready: ")
+
+
+def test_a_proposed_course_says_what_its_ground_is_like(tmp_path):
+    points, faces = sheet((0, -2, 0), 6 * X, 4 * Y, cells=60)
+    points[:, 2] = 0.1 * np.sin(2 * points[:, 0]) + np.where(points[:, 0] > 3, 0.2, 0)
+    points[:, 2] += 0.1 * np.cos(3 * points[:, 1])
+    write(tmp_path / "bumpy.ply", points, faces)
+    written = import_scan(tmp_path / "bumpy.ply", tmp_path / "mine")
+    said = "\n".join(written.lines)
+    assert "straight over uneven ground" in said
+    (words,) = [line for line in written.lines if line.startswith("course proposed")]
+    scene = load_folder(tmp_path / "mine")
+    way = np.vstack([scene.spawn.position, scene.trail])
+    rise = float(words.split("rises by ")[1].split(" m")[0])
+    assert rise >= np.diff(way[:, 2]).clip(0).sum() - 0.02
+    assert rise > 0.05
+    for measured in ("check: roughness:", "check: steps:", "check: for the legs of go1: steps of"):
+        assert measured in said
+    points[:, 2] = 0
+    write(tmp_path / "even.ply", points, faces)
+    written = import_scan(tmp_path / "even.ply", tmp_path / "flat")
+    assert "straight over even ground" in "\n".join(written.lines)
+    assert "rises by 0.00 m and falls by 0.00 m in all" in "\n".join(written.lines)
+
+
+def test_of_equally_long_courses_the_most_even_is_proposed(tmp_path):
+    points, faces = sheet((-3, -3, 0), 6 * X, 6 * Y, cells=60)
+    points[:, 2] = np.where(points[:, 1] > 0, 0.12 * np.sin(3 * points[:, 0]), 0.0)
+    write(tmp_path / "a.ply", points, faces)
+    written = import_scan(tmp_path / "a.ply", tmp_path / "mine")
+    assert "straight over even ground" in "\n".join(written.lines)
+    assert load_folder(tmp_path / "mine").trail[:, 1].max() < 0.3
+
+
+def test_the_unit_of_a_file_and_the_height_of_its_rooms_are_compared_with_what_is_told(tmp_path):
+    points, faces = room()
+    write(tmp_path / "a.obj", 1000 * points, faces)
+    text = (tmp_path / "a.obj").read_text()
+    (tmp_path / "a.obj").write_text("# units: mm\n" + text)
+    written = import_scan(tmp_path / "a.obj", tmp_path / "mm")
+    assert "one unit is 0.001 m" in "\n".join(written.lines)
+    assert load_folder(tmp_path / "mm").static_mesh.vertices[:, 2].max() == pytest.approx(2.6)
+    write(tmp_path / "b.obj", points, faces)
+    feet = import_scan(tmp_path / "b.obj", tmp_path / "in", ScanOptions(unit="ft"))
+    assert "a ceiling is 0.7" in "\n".join(feet.lines)
+    (tmp_path / "b.obj").write_text("# units: m\n" + (tmp_path / "b.obj").read_text())
+    told = import_scan(tmp_path / "b.obj", tmp_path / "told", ScanOptions(unit="ft"))
+    assert "the file says that its unit is m, and it is read as ft" in "\n".join(told.lines)
+
+
+def test_a_room_is_known_by_its_ceiling_and_what_stands_in_it(tmp_path):
+    mesh = read_mesh(write(tmp_path / "a.ply", *room()))
+    up = room_of(mesh.triangles, Z)
+    assert up.height == pytest.approx(2.6, abs=0.05)
+    assert up.contents < 0.3
+    down = room_of(mesh.triangles, -Z)
+    assert down.contents > 0.7
+    assert room_of(sheet((0, 0, 0), X, Y)[0][sheet((0, 0, 0), X, Y)[1]], Z) is None
