@@ -352,7 +352,7 @@ def start(settings: WorkerStart, output: Connection) -> None:
     """
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if kernels := {*settings.renders, *settings.rules.kernels}:
+    if kernels := (*settings.renders, *settings.rules.kernels):
         with suppress(Exception):  # The trial that wants them says what is wrong.
             from nw_eval.splat.warmup import warmup
 

@@ -258,7 +258,7 @@ def _program(graph: _GraphFile) -> Program:
     except UnsupportedError as error:
         raise PolicyError(
             f"{graph.where}: `runtime: nw-eval` does not run it: {clean(error, at_most=200)}",
-            fix="write `runtime: native`, or export it with the operators of docs/reference/networks.md",
+            fix="write `runtime: native`, or export it with other operators",
         ) from None
     except ValueError as error:
         raise PolicyError(

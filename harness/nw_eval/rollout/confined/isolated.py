@@ -254,7 +254,7 @@ def _answer(
     *line: Connection,
 ) -> None:
     try:
-        if kernels := {*renders, *rules.kernels}:
+        if kernels := (*renders, *rules.kernels):
             from nw_eval.splat.warmup import warmup
 
             warmup(kernels=kernels)

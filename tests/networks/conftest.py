@@ -1,0 +1,40 @@
+"""Graphs of networks: those of the onnx package's own node tests, and small ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import onnx
+import pytest
+from onnx import numpy_helper
+
+from nw_eval.policies.networks.onnx_reading import read_graph
+
+
+@pytest.fixture
+def graph_of():
+    """Return the graph of an ONNX model, read as a policy's is."""
+    return lambda model: read_graph(model.SerializeToString())
+
+
+@pytest.fixture
+def perceptron():
+    """Return a model of two dense layers with ELU, 48 to 12."""
+    rng = np.random.default_rng(0)
+    weights = {
+        name: numpy_helper.from_array(rng.normal(0, 0.2, shape).astype(np.float32), name)
+        for name, shape in {"w": (48, 64), "b": (64,), "v": (64, 12), "c": (12,)}.items()
+    }
+    nodes = [
+        onnx.helper.make_node("Gemm", ["obs", "w", "b"], ["h"]),
+        onnx.helper.make_node("Elu", ["h"], ["a"]),
+        onnx.helper.make_node("Gemm", ["a", "v", "c"], ["action"]),
+    ]
+    of = onnx.helper.make_tensor_value_info
+    graph = onnx.helper.make_graph(
+        nodes,
+        "perceptron",
+        [of("obs", onnx.TensorProto.FLOAT, [1, 48])],
+        [of("action", onnx.TensorProto.FLOAT, [1, 12])],
+        list(weights.values()),
+    )
+    return onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)])

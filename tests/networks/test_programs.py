@@ -1,0 +1,104 @@
+"""Programs are data: what a check passes stays in its arena; what it refuses is never run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+
+from nw_eval.networks import Program
+from nw_eval.networks.network import Network
+from nw_eval.networks.plan import plan
+
+GUARD = 4096
+
+
+def guarded(program):
+    """Run a program in an arena between two guards, and return whether they are as they were."""
+    from nw_eval.networks.kernels import run
+
+    arena = np.full(program.arena + 2 * GUARD, 7.0, np.float32)
+    inner = arena[GUARD:-GUARD]
+    inner[:] = 0.0
+    inner[: program.numbers.size] = program.numbers
+    for rows in (program.once, program.rows):
+        run(inner, np.ascontiguousarray(rows), program.scratch)
+    return bool((arena[:GUARD] == 7.0).all() and (arena[-GUARD:] == 7.0).all())
+
+
+def test_a_program_survives_the_way_through_bytes(perceptron, graph_of):
+    program = plan(graph_of(perceptron))
+    again = Program.unpacked(program.packed())
+    x = np.random.default_rng(2).normal(0, 1, (1, 48)).astype(np.float32)
+    first, second = (Network(each)({"obs": x})["action"].copy() for each in (program, again))
+    assert first.tobytes() == second.tobytes()
+
+
+def test_a_network_is_near_to_onnxruntime_s(perceptron, graph_of):
+    network = Network(plan(graph_of(perceptron)))
+    session = onnxruntime.InferenceSession(perceptron.SerializeToString())
+    for seed in range(10):
+        x = np.random.default_rng(seed).normal(0, 1, (1, 48)).astype(np.float32)
+        np.testing.assert_allclose(
+            network({"obs": x})["action"], session.run(None, {"obs": x})[0], rtol=1e-4, atol=1e-5
+        )
+
+
+def test_no_mutant_that_passes_the_check_touches_anything_outside(perceptron, graph_of):
+    program = plan(graph_of(perceptron))
+    rng = np.random.default_rng(3)
+    passed = 0
+    for _ in range(3000):
+        rows = program.rows.copy()
+        for _ in range(rng.integers(1, 4)):
+            place = rng.integers(len(rows)), rng.integers(rows.shape[1])
+            kind = rng.integers(4)
+            rows[place] = (
+                rng.integers(-5, 12)
+                if kind == 0
+                else rng.integers(-program.arena, 2 * program.arena)
+                if kind == 1
+                else rows[place] + rng.integers(-40, 40)
+                if kind == 2
+                else rng.choice([2**31, 2**62, -(2**62), 2**63 - 1])
+            )
+        mutant = replace(program, rows=rows)
+        try:
+            mutant.check()
+        except ValueError:
+            continue
+        passed += 1
+        assert guarded(mutant)
+    assert passed > 50
+
+
+def test_bytes_that_are_no_program_are_refused(perceptron, graph_of):
+    data = plan(graph_of(perceptron)).packed()
+    rng = np.random.default_rng(4)
+    for _ in range(300):
+        damaged = bytearray(data)
+        damaged[rng.integers(min(len(damaged), 4000))] = rng.integers(256)
+        try:
+            found = Program.unpacked(bytes(damaged))
+        except ValueError:
+            continue
+        assert guarded(found)
+    for cut in (0, 3, 100, len(data) - 4):
+        with pytest.raises(ValueError, match=r"program|buffer|Expecting|version|lies|floats"):
+            Program.unpacked(data[:cut])
+
+
+def test_an_input_of_another_shape_is_refused(perceptron, graph_of):
+    network = Network(plan(graph_of(perceptron)))
+    with pytest.raises(ValueError, match=r"`obs` has the shape \(1, 1\), not \(1, 48\)"):
+        network({"obs": np.zeros((1, 1), np.float32)})
+
+
+def test_a_graph_is_read_as_the_onnx_package_reads_it(perceptron, graph_of):
+    graph = graph_of(perceptron)
+    for tensor in perceptron.graph.initializer:
+        assert np.array_equal(graph.constants[tensor.name], onnx.numpy_helper.to_array(tensor))
+    assert [node.operator for node in graph.nodes] == ["Gemm", "Elu", "Gemm"]
