@@ -735,6 +735,7 @@ FILES = {
         "version https://git-lfs.github.com/spec/v1"
     ),
     "is empty": lambda path, _: path.write_bytes(b""),
+    "no MCAP file: it begins with '{": lambda path, _: path.write_text('{"a": 1}'),
 }
 
 

@@ -63,10 +63,8 @@ _TOLD = re.compile(
 )
 """Words in the name of a topic that says where the robot is to go."""
 _MEASURED = frozenset(["actual", "encoders", "feedback", "measured", "state", "states"])
-_NO_ANGLES = frozenset(
-    re.findall(r"\w+", "current currents effort efforts gains pwm torque torques velocity vel")
-)
-_LONG_HELD = 1.0  # s
+_NO_ANGLES = frozenset(["current", "effort", "efforts", "pwm", "torque", "torques", "velocity"])
+_LONG_HELD = 1.0  # s that one command stands
 _MOST_SUBSTEPS = 20  # 1 kHz
 _FEWEST = 0.9 * CONTROL_RATE  # messages a second of joints and targets
 _FEWEST_POSES = 4.5  # The trunk's way is sampled at 5 Hz.
@@ -170,6 +168,9 @@ def log_file(path: Path) -> Path:
     for magic, what, fix in _CONTAINERS:
         if start.startswith(magic):
             raise UsageError(f"{path} is {what}", fix=fix)
+    if not start.startswith(b"\x89MCAP"):
+        begin = clean(start[:16].decode(errors="replace"), at_most=40)
+        raise UsageError(f"{path} is no MCAP file: it begins with {begin!r}", fix="name a log")
     return path
 
 
