@@ -326,6 +326,20 @@ def test_an_output_scale_that_does_not_fit_is_refused(given, tmp_path):
         acted(tmp_path)
 
 
+@pytest.mark.parametrize(("norm", "runs"), [(torch.nn.LayerNorm, True), (torch.nn.RMSNorm, False)])
+def test_a_normalisation_that_the_file_does_not_tell_is_refused(norm, runs, tmp_path):
+    module = torch.nn.Sequential(
+        torch.nn.Linear(45, 16), norm(16), torch.nn.ELU(), torch.nn.Linear(16, 12)
+    )
+    tree = {"model_state_dict": {f"actor.{k}": v for k, v in module.state_dict().items()}}
+    if runs:
+        draft(tmp_path / "model_9.pt", tree)
+        np.testing.assert_allclose(acted(tmp_path), module(torch.tensor(SEEN)).detach(), atol=1e-6)
+    else:
+        with pytest.raises(PolicyError, match="weights of an unknown network"):
+            draft(tmp_path / "model_9.pt", tree)
+
+
 def test_another_export_of_the_policy_is_not_offered_as_its_estimator(tmp_path):
     module = torch.nn.Sequential(torch.nn.Linear(45, 16), torch.nn.ELU(), torch.nn.Linear(16, 12))
     torch.jit.script(module).save(str(tmp_path / "policy.pt"))

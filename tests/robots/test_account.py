@@ -563,6 +563,8 @@ PD = '<position joint="j" kp="60" forcerange="-9 9"/><velocity joint="j" kv="2" 
         ('<position name="p" joint="j" kp="60" forcerange="-50 50"/>', 60.0, 0.5, 20.0, None),
         ('<position name="p" joint="j" kp="60" ctrlrange="-1 1"/>', 60.0, 0.5, 20.0,
          "motor 'p': it clamps its targets, which is not simulated"),
+        ('<position name="p" joint="j" kp="60" gear="-1"/>', 60.0, 0.5, 20.0,
+         "motor 'p': its gear turns it the other way, which is not simulated"),
         ('<position name="p" joint="j" kp="60" timeconst="0.1"/>', 60.0, 0.5, 20.0,
          "motor 'p': it has states of its own, which is not simulated"),
         ('<position joint="j" kp="60"/><motor name="t" tendon="t"/>', 60.0, 0.5, 20.0,

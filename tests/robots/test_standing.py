@@ -255,6 +255,22 @@ def test_what_mujocos_compiler_refuses_is_told_with_body_and_line(tmp_path):
         api.init_robot(tmp_path / "dog.xml")
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('range="-1 3"', 'range="-60 170"', "ranges of over two turns"),
+        ('range="-1 3"', 'range="-0.017 0.05"', "ranges of over two turns or under 5 degrees"),
+        ('ctrlrange="-25 25"', 'ctrlrange="-999 999"', "torque of over 1 m of its weight"),
+    ],
+)
+def test_numbers_that_no_robot_has_are_to_be_checked(model, old, new, said):
+    text = model.read_text()
+    assert said not in api.init_robot(model).text
+    model.write_text(text.replace(old, new))
+    (model.parent / "robot.yaml").unlink()
+    assert f"CHECK: {said}" in api.init_robot(model).text
+
+
 def test_a_joint_without_a_range_is_noted_with_its_line(model):
     text = model.read_text().replace(
         'name="rl_thigh" axis="0 1 0" range="-1 3"', 'name="rl_thigh" axis="0 1 0"'

@@ -353,6 +353,10 @@ def test_a_trial_that_is_cut_short_keeps_no_reading_and_no_score_that_grows(outc
     far = opened(score="distance_before_fall", at_least=2.0)
     far.update(Stretch(FIGURES, position=np.array([[0.0, 0, 0], [3.0, 0, 0]])))
     assert far.value(end) == 1.0, "it went so far before it fell"
+    near = opened(score="distance_before_fall", at_most=15.0)
+    near.update(Stretch(FIGURES, position=np.array([[0.0, 0, 0], [3.0, 0, 0]])))
+    assert near.value(END) == 1.0
+    assert near.value(end) == 0.0, "it fell before it could go too far"
 
 
 def test_a_reading_that_is_not_a_number_keeps_no_bound_and_one_that_was_not_taken_is_undefined():

@@ -498,8 +498,10 @@ def test_nan_efforts_leave_the_other_scores(tmp_path):
     ("message", "score", "reason"),
     [
         ({"effort": 0.0}, "mean_power", "efforts of 0 throughout"),
+        ({"effort": [2.0] * 11 + [0.0]}, "mean_power", "efforts of RL_calf_joint of 0 throughout"),
         ({"effort": 900.0}, "mean_power", "times the limits of go1"),
         ({"position": [90.0] * 12}, "limit_time", "outside its range"),
+        ({"position": [90.0] * 12}, "mean_power", "outside its range"),
         ({"effort": [2.0] * 11}, "mean_power", "11 numbers of effort for 12 joints"),
     ],
 )
@@ -520,6 +522,66 @@ def test_velocities_that_moving_joints_contradict_give_no_power(tmp_path, scale)
         entries.append((EPOCH + time, "/joint_states", JOINT, message))
     found = scores(write(tmp_path / "log.mcap", entries))
     assert "rad/s of all joints) contradict its positions" in found.missing["mean_power"]
+
+
+def test_one_joint_without_velocities_gives_no_power(tmp_path):
+    entries = []
+    for time in TIMES.tolist():
+        position = [angle + 0.1 * math.sin(12 * time) for angle in STAND]
+        rates = [1.2 * math.cos(12 * time)] * 11 + [0.0]
+        message = joints(EPOCH + time, rate=rates, position=position)
+        entries.append((EPOCH + time, "/joint_states", JOINT, message))
+    found = scores(write(tmp_path / "log.mcap", entries))
+    assert "contradict its positions: ['RL_calf_joint']" in found.missing["mean_power"]
+
+
+@pytest.mark.parametrize(("kind", "taken"), [("position", True), ("effort", False)])
+def test_commands_of_efforts_are_no_targets_of_positions(tmp_path, kind, taken):
+    topic = f"/{kind}_controller/commands"
+    message = {"layout": {"dim": [], "data_offset": 0}, "data": STAND}
+    entries = [
+        entry
+        for t in TIMES
+        for entry in (
+            (EPOCH + t, "/joint_states", JOINT, joints(EPOCH + t)),
+            (EPOCH + t, topic, ARRAY, message),
+        )
+    ]
+    found = scores(write(tmp_path / "log.mcap", entries))
+    assert ("action_rate" in found.values) == taken
+    assert taken or "no angles" in found.unused[topic]
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "said"),
+    [(3.0, 4.0, "begins 3 s late"), (0.0, 1.0, "says nothing for 2.9"), (0.0, 4.0, None)],
+)
+def test_how_long_a_command_is_held_is_said(tmp_path, first, last, said):
+    def walk(time):
+        yield "/odom", ODOM, odometry(EPOCH + time, place=(0.5 * time, 0, 0.3), roll=1e-3 * time)
+        if first <= time <= last:
+            yield "/cmd_vel", TWIST, twist()
+
+    notes = poses(tmp_path, walk, command=False).notes
+    assert [said is not None and said in note for note in notes if "/cmd_vel" in note] == (
+        [True] if said else []
+    )
+
+
+@pytest.mark.parametrize(
+    ("child", "noise", "said"),
+    [("base_link", 1e-7, "never change"), ("base_link", 0.1, ""), ("camera_link", 0.1, "mounting")],
+)
+def test_whose_attitude_it_is_and_whether_it_is_rounding(tmp_path, child, noise, said):
+    def walk(time):
+        how = {"place": (0.5 * time, 0, 0.3), "child": child, "roll": noise * math.sin(9 * time)}
+        yield "/odom", ODOM, odometry(EPOCH + time, **how)
+
+    found = poses(tmp_path, walk)
+    assert ("base_roll_rms" in found.values) == (noise > 1e-3)
+    told_all = " ".join([*found.notes, found.missing.get("base_roll_rms", "")])
+    assert said in told_all
+    assert ("mounting" in told_all) == (child == "camera_link")
 
 
 def test_rates_and_signs_that_contradict_each_other_are_noted(tmp_path):
@@ -673,6 +735,7 @@ FILES = {
         "version https://git-lfs.github.com/spec/v1"
     ),
     "is empty": lambda path, _: path.write_bytes(b""),
+    "no MCAP file: it begins with '{": lambda path, _: path.write_text('{"a": 1}'),
 }
 
 

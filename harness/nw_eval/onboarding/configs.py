@@ -130,6 +130,7 @@ def _deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMetadata
             if isinstance(term, dict)
         ),
         joint_count=len(data.numbers("joint_ids_map")),
+        notes=_action_notes(kind, offset, data.numbers("default_joint_pos")),
     )
 
 
@@ -138,6 +139,18 @@ def _action_kind(kind: str, offset: Sequence[float]) -> str:
         return "joint_torque"
     is_absolute = bool(offset) and not any(offset)
     return "joint_position" if is_absolute else "joint_position_offset"
+
+
+def _action_notes(kind: str, offset: Sequence[float], pose: Sequence[float]) -> tuple[str, ...]:
+    """Return what of an action is none of a card's: targets of another kind, or from elsewhere."""
+    notes: list[str] = []
+    if kind != "None" and not re.search(
+        r"(^|[.:])joint_?pos(ition)?(_?action)?$|effort|torque", kind, re.IGNORECASE
+    ):
+        notes.append(f"its action is {kind}: the card takes it for positions of joints")
+    elif any(offset) and pose and {*offset} != {*pose}:
+        notes.append(f"its actions count from {list(offset)}, the card's from the default pose")
+    return tuple(notes)
 
 
 def _manager_term(
@@ -195,7 +208,14 @@ def _descriptors(data: Data, _: RobotSpec, __: Sequence[Data]) -> ExporterMetada
         rate=scene.per_second("dt"),
         physics_rate=scene.per_second("physics_dt"),
         observation_terms=tuple(_described_term(_dict(term)) for term in terms),
-        notes=("several terms make its action: " + str(len(actions)),) if len(actions) > 1 else (),
+        notes=(
+            *_action_notes(
+                str(action.get("full_path")),
+                action.numbers("offset"),
+                per_joint("default_joint_pos"),
+            ),
+            *(f"several terms make its action: {len(actions)}" for _ in actions[1:2]),
+        ),
     )
 
 
@@ -263,6 +283,7 @@ def _legged_rl_deploy(data: Data, robot: RobotSpec, _: Sequence[Data]) -> Export
             term(name, _dict(words)) for name, words in described.below("terms").items()
         ),
         model=str(policy.get("model_path") or ""),
+        notes=_action_notes(kind, (), ()),
         joint_count=len(policy.numbers("joint_ids_map")),
     )
 
@@ -567,10 +588,16 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
     group = _dict(groups.get("policy", groups.get("actor", next(iter(groups.values()), {}))))
     steps = group.number("history_length")
     terms: list[ExportedTerm] = []
+    notes: list[str] = []
     for name, words in group.items():
         term = _dict(words)
         if "func" in term:
             function = re.split(r"[.:]", str(term["func"]))[-1]
+            asset_cfg = term.below("params").below("asset_cfg")
+            if asset_cfg.get("preserve_order") is True and "joint_names" in asset_cfg:
+                listed_joints = asset_cfg["joint_names"]
+                if listed_joints != action.get("joint_names"):
+                    notes.append(f"{name} lists joints in an order of its own: {listed_joints}")
             terms.append(_manager_term(name, term, function=function, steps=steps))
     names, is_guess = _joint_order(action, robot)
     patterns = _Patterns(names)
@@ -584,17 +611,19 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
     step = simulation.number("dt") or simulation.below("mujoco").number("timestep")
     every = data.number("decimation")
     state = asset.below("init_state")
-    offset = action.get("use_default_offset") is not False or action.numbers("offset")
+    own = (
+        () if action.get("use_default_offset") is not False else action.numbers("offset") or (0.0,)
+    )
     kind = str(action.get("class_type"))
     known = any(groups_of_motors) or "joint_pos" in state
     return ExporterMetadata(
         joint_names=names if known else (),
         joint_stiffness=patterns.motors(groups_of_motors, "stiffness"),
         joint_damping=patterns.motors(groups_of_motors, "damping"),
-        default_joint_pos=patterns.values(state, "joint_pos"),
+        default_joint_pos=(pose := patterns.values(state, "joint_pos")),
         torque_limits=patterns.motors(groups_of_motors, "effort_limit"),
         armature=patterns.motors(groups_of_motors, "armature"),
-        action=_action_kind(kind, () if offset else (0.0,)),
+        action=_action_kind(kind, own),
         action_scale=patterns.values(action, "scale"),
         action_clip=_one_of(action.below("clip")),
         rate=per_second(step * every if step and every else None),
@@ -602,6 +631,7 @@ def _environment(data: Data, robot: RobotSpec, _: Sequence[Data]) -> ExporterMet
         speeds=_speeds(data.get("commands")),
         observation_terms=tuple(terms),
         guessed_order=is_guess and known,
+        notes=(*_action_notes(kind, own, pose), *notes),
     )
 
 

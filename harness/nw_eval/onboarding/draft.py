@@ -329,18 +329,26 @@ def _parts_of_layout(
             own = own or (terms if wanted is rows[0] else ())
         parts = parts_of(wanted.resized(own), own, likely)
         if own:
-            parts = tuple(_said(part, source, clip) for part in parts)
+            frames = [{term.history or 1 for term in each} for each in (terms, own)]
+            note = (
+                f"{CHECK} {source or 'the file'} says {max(frames[0])} frames of them, the "
+                f"checkpoint takes {max(frames[1])}"
+            )
+            notes = [note] if len(rows) == 1 and frames[0] != frames[1] else []
+            parts = tuple(_said(part, source, clip, notes) for part in parts)
         by_input[wanted.array.name] = [_renamed(part, names) for part in parts]
     return by_input
 
 
-def _said(part: ObservationDraft, source: str, clip: float | None) -> ObservationDraft:
-    """Return a row of named terms with the file that names them, and its clip."""
+def _said(
+    part: ObservationDraft, source: str, clip: float | None, notes: Sequence[str]
+) -> ObservationDraft:
+    """Return a row of named terms with the file that names them, its clip, and notes."""
     first, *others = part.lines
     if part.fits or not source:
         return part
     clips = [f"clip: {number(clip)}  # {source}"] if clip and first == "sensor: proprio" else []
-    return replace(part, lines=(f"{first}  # {source} names its terms", *others, *clips))
+    return replace(part, lines=(f"{first}  # {source} names its terms", *notes, *others, *clips))
 
 
 def _refuse_unknown(layout: str | None, parts: Sequence[ObservationDraft], path: Path) -> None:

@@ -34,6 +34,7 @@ _ROOTS = 3
 # m times their weight.
 _KP_OF_TORQUE, _KD_OF_KP, _TORQUE_OF_WEIGHT = 1.0, 1.0 / 40.0, 0.2
 _GRAVITY = 9.806
+_NARROW, _WIDE = 0.0873, 12.57  # rad that a joint turns
 _FELL = 0.6  # of the height of a biped's root in its pose
 
 
@@ -269,16 +270,26 @@ class _Draft:
                 f"eye: {{position: [{x}, 0, 0], pitch: 0, fovy: 90}}  "
                 f"{CHECK} no fixed camera in the file: at the front, looking ahead"
             )
-        loose = [
-            name
-            for name, limited in zip(self.facts.joints, self.facts.is_limited, strict=True)
-            if not limited
-        ]
-        if loose:
-            shown = ", ".join(map(plain, loose[:6])) + f" and {len(loose) - 6} more" * (
-                len(loose) > 6
-            )
-            lines.append(f"{CHECK} joints without a range in the file: {shown}")
+        facts, weight = self.facts, self.facts.mass * _GRAVITY
+        widths = [high - low for low, high in spec.joint_ranges]
+        for what, doubted in (
+            ("joints without a range in the file", [not each for each in facts.is_limited]),
+            (
+                "ranges of over two turns or under 5 degrees, as of degrees meant as radians",
+                [
+                    limited and not _NARROW < width < _WIDE
+                    for limited, width in zip(facts.is_limited, widths, strict=True)
+                ],
+            ),
+            (
+                "torque of over 1 m of its weight, as a placeholder is",
+                [torque is not None and torque > weight for torque in facts.torque],
+            ),
+        ):
+            names = [plain(name) for name, odd in zip(facts.joints, doubted, strict=True) if odd]
+            if names:
+                more = f" and {len(names) - 6} more" * (len(names) > 6)
+                lines.append(f"{CHECK} {what}: {', '.join(names[:6])}{more}")
         return lines
 
     def _left_out(self) -> list[str]:

@@ -171,12 +171,12 @@ def _groups_of(data: bytes, path: Path, metadata: dict[str, str]) -> Iterator[li
 
 
 def _plain(table: pa.Table) -> list[dict[str, Any]]:
-    schema = pa.schema([field for field in SCHEMA if field.name in table.schema.names])
-    rows = table.select(schema.names).cast(schema).to_pylist()
-    for row in rows:
-        for name in _AS_TEXT:
-            row[name] = int(row[name])
-    return rows
+    schema = pa.schema(
+        field.with_type(pa.uint64()) if field.name in _AS_TEXT else field
+        for field in SCHEMA
+        if field.name in table.schema.names
+    )
+    return table.select(schema.names).cast(schema).to_pylist()
 
 
 def array_of(values: Sequence[Any], kind: pa.DataType) -> pa.Array:

@@ -477,6 +477,7 @@ class _Derivation(CompiledRobot):
                 ("its gain is not its stiffness", servo and not math.isclose(gain, -stiffness)),
                 ("its force has a share of the speed", not servo and not wheel and damping != 0.0),
                 ("its targets are late", model.actuator_delay[motor] > 0.0),
+                ("its gear turns it the other way", model.actuator_gear[motor, 0] < 0.0),
             ):
                 if is_so:
                     self._loses(name, f"{what}, which is not simulated")

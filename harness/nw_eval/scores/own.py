@@ -380,7 +380,8 @@ class Keeps(Score):
 class _Reaches(Score):
     """Whether a score keeps to a bound; one that is undefined keeps to none.
 
-    Nor does one of which less is better, of a trial that was cut short: it had less time to grow.
+    Of a trial that was cut short, one of which less is better keeps to none either, and no score
+    to an `at_most`: it had less time to grow.
     """
 
     expected: ClassVar[Expectation]
@@ -399,10 +400,11 @@ class _Reaches(Score):
         value = self.score.value(end)
         if value is None or not math.isfinite(value):
             return 0.0  # A trial that never finishes does not finish within any bound.
-        if self.of.spec.better == "lower" and end.outcome in _CUT_SHORT:
+        most = self.expected.at_most
+        if end.outcome in _CUT_SHORT and (most is not None or self.of.spec.better == "lower"):
             return 0.0
-        if self.expected.at_most is not None:
-            return float(value <= self.expected.at_most)
+        if most is not None:
+            return float(value <= most)
         return float(value >= (self.expected.at_least or 0.0))
 
     def moment(self) -> float | None:

@@ -178,6 +178,41 @@ def test_env_yaml_says_what_its_patterns_say_of_each_joint(card_of):
     assert (seen[0].scale, seen[3].relative, seen[4].clip) == (0.2, False, (-9, 9))
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            ":JointPositionAction",
+            ":JointVelocityAction",
+            "the card takes it for positions of joints",
+        ),
+        (
+            ":JointPositionAction",
+            ":RelativeJointPositionAction",
+            "takes it for positions of joints",
+        ),
+        ("use_default_offset: true", "use_default_offset: false\n    offset: 0.3", "from [0.3]"),
+        (
+            'joint_pos", clip: ',
+            'joint_pos", params: {asset_cfg: {joint_names: [RL_.*], preserve_order: true}}, clip: ',
+            "joint_pos lists joints in an order of its own: ['RL_.*']",
+        ),
+        (
+            "    history_length: null",
+            "    history_length: 5",
+            "says 5 frames of them, the checkpoint",
+        ),
+        ("JointPositionAction", "JointPositionAction", None),
+    ],
+)
+def test_what_of_env_yaml_a_card_has_otherwise_is_to_be_checked(card_of, old, new, said):
+    assert old in ENVIRONMENT
+    text, _ = card_of(45, {"../params/env.yaml": ENVIRONMENT.replace(old, new)})
+    marked = [line for line in text.splitlines() if "CHECK: " in line]
+    words = [said] if said else ["takes it for", "order of its own", "frames of them", "count from"]
+    assert any(word in line for word in words for line in marked) == bool(said)
+
+
 def test_the_order_that_a_graph_names_is_that_of_env_yaml_too(card_of):
     order = {"joint_names": ",".join(f"{name}_joint" for name in LEFT_FIRST)}
     text, card = card_of(45, {"params/env.yaml": ENVIRONMENT}, metadata=order)

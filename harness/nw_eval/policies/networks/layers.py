@@ -135,7 +135,8 @@ def _layer(name: str, tensors: Mapping[str, Shape], where: str) -> Layer:
     transposed = "kernel" in tensors
     shape = tensors.get("kernel" if transposed else "weight", ())
     kinds = tuple(key for key in ("weight", "kernel", "bias") if key in tensors)
-    if kinds not in _LAYER or len(tensors) != len(kinds) or len(shape) not in {1, 2}:
+    is_rms = len(shape) == 1 and "bias" not in tensors  # Or a layer normalisation without one.
+    if kinds not in _LAYER or len(tensors) != len(kinds) or len(shape) not in {1, 2} or is_rms:
         raise _unknown(where, name, sorted(tensors))
     if len(shape) == 1:
         return Layer(kind="norm", name=name, inputs=shape[0], outputs=shape[0])

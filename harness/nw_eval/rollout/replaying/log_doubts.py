@@ -6,6 +6,7 @@ disagree and either may be right, a note says so.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -20,6 +21,8 @@ _FASTEST = 10.0  # m/s
 _LYING = 1.0  # rad of tilt
 _APART = 0.1  # rad between two attitudes
 _NEAR_ZERO = 1e-9
+_STILL = 1e-5  # of a unit vector: rounding, not the attitude of a trunk
+_TRUNK = re.compile("base|body|pelvis|torso|trunk", re.IGNORECASE)
 
 
 @dataclass
@@ -110,8 +113,17 @@ def _doubt_rates(found: Readings) -> None:
         f"velocities of {topic} ({gap.said:.3g} rad/s of all joints) contradict its positions "
         f"({gap.changed:.3g} rad/s)"
     )
+    odd = [
+        joint
+        for joint, *columns in zip(found.robot.joints, pair[1].T, pair[2].T, strict=True)
+        if (one := _gap(pair[0], *(column[:, np.newaxis] for column in columns)))
+        and one.changed > _NEAR_ZERO
+        and one.wide(0.5)
+    ]
     if gap.changed > _NEAR_ZERO and (not gap.said or gap.wide(0.5)):
         found.drop("joint_rates", reason)
+    elif odd:
+        found.drop("joint_rates", f"velocities of {topic} contradict its positions: {odd}")
     elif gap.wide(0.5):  # Positions that never change were not measured.
         found.notes.append(f"{reason}; power is computed from velocities")
 
@@ -120,8 +132,14 @@ def _doubt_torques(found: Readings) -> None:
     topic = found.topics.get("joints", "")
     if "torques" in found.tracks:
         shares = np.abs(found.tracks["torques"][1]) / np.array(found.robot.torque_limits)
-        if not shares.any():
-            found.drop("torques", f"{topic} has efforts of 0 throughout: they are not measured")
+        most = shares.max(axis=0).tolist()
+        if idle := [
+            joint for joint, share in zip(found.robot.joints, most, strict=True) if not share
+        ]:
+            whose = f" of {', '.join(idle)}" * (len(idle) < len(most))
+            found.drop(
+                "torques", f"{topic} has efforts{whose} of 0 throughout: they are not measured"
+            )
         elif (often := float(np.mean(shares.max(axis=1) > 2.0))) > 0.01:
             found.drop(
                 "torques",
@@ -140,20 +158,20 @@ def _doubt_torques(found: Readings) -> None:
             )
 
 
-def _outside(found: Readings, reading: str) -> str | None:
-    """Return which joint is beyond its range most of the time."""
+def _outside(found: Readings, reading: str) -> tuple[str, float]:
+    """Return which joint is beyond its range most of the time, if one is, and how far, rad."""
     if reading not in found.tracks:
-        return None
+        return "", 0.0
     low, high = np.array(found.robot.joint_ranges).T
     middle = np.median(found.tracks[reading][1], axis=0)
     beyond = np.maximum(low - middle, middle - high)
     worst = int(beyond.argmax())
     if beyond[worst] <= 0.5:
-        return None
+        return "", 0.0
     return (
         f"{found.robot.joints[worst]} at {middle[worst]:.3g} rad, outside its range of "
         f"{low[worst]:.3g} to {high[worst]:.3g}: another unit, zero or order of joints"
-    )
+    ), float(beyond[worst])
 
 
 def _doubt_positions(found: Readings) -> None:
@@ -163,8 +181,11 @@ def _doubt_positions(found: Readings) -> None:
         ("joint_positions", "joints", ""),
         ("targets", "targets", ", or actions before scale and offset"),
     ):
-        if (reason := _outside(found, reading)) is not None:
-            found.drop(reading, f"{found.topics[source]} has {reason}{more}")
+        reason, far = _outside(found, reading)
+        if reason:
+            found.drop(reading, reason := f"{found.topics[source]} has {reason}{more}")
+            if source == "joints" and far > np.pi:  # In degrees, as its velocities are.
+                found.drop("joint_rates", reason)
         elif source == "targets" and "targets" not in found.tracks and torques is not None:
             found.tracks["targets"] = torques
             found.notes.append(f"targets of {found.topics['targets']} are torques, N m")
@@ -227,6 +248,13 @@ def _doubt_attitude(found: Readings) -> None:
         return
     times, rows = found.tracks["rotation"]
     ups = rows[:, 6:]
+    frame, child = next(iter(found.frames["pose"]))
+    whose = child or frame * ("acceleration" in found.tracks)
+    if whose and not _TRUNK.search(whose):
+        found.notes.append(
+            f"roll and pitch are those of {whose!r} of {found.topics['pose']}, whose mounting on "
+            "the trunk the log does not say"
+        )
     reason = _untrue(found, "pose", "")
     if not reason and "imu_rotation" in found.tracks:
         reason = _denied(found, times, ups)
@@ -250,7 +278,7 @@ def _untrue(found: Readings, source: str, prefix: str) -> str:
             f"{topic} begins {begin:.0f} degrees from upright: a sensor mounted turned, or a frame "
             "whose z is down"
         )
-    if len(ups) > 5 and np.ptp(ups, axis=0).max() < _NEAR_ZERO:
+    if len(ups) > 5 and np.ptp(ups, axis=0).max() < _STILL:
         return f"roll and pitch of {topic} never change: they are not measured"
     if (pair := found.both(f"{prefix}rotation", f"{prefix}acceleration")) is not None:
         force = np.einsum("nij,nj->ni", pair[1].reshape(-1, 3, 3), pair[2]).mean(axis=0)

@@ -63,6 +63,8 @@ _TOLD = re.compile(
 )
 """Words in the name of a topic that says where the robot is to go."""
 _MEASURED = frozenset(["actual", "encoders", "feedback", "measured", "state", "states"])
+_NO_ANGLES = frozenset(["current", "effort", "efforts", "pwm", "torque", "torques", "velocity"])
+_LONG_HELD = 1.0  # s that one command stands
 _MOST_SUBSTEPS = 20  # 1 kHz
 _FEWEST = 0.9 * CONTROL_RATE  # messages a second of joints and targets
 _FEWEST_POSES = 4.5  # The trunk's way is sampled at 5 Hz.
@@ -166,6 +168,9 @@ def log_file(path: Path) -> Path:
     for magic, what, fix in _CONTAINERS:
         if start.startswith(magic):
             raise UsageError(f"{path} is {what}", fix=fix)
+    if not start.startswith(b"\x89MCAP"):
+        begin = clean(start[:16].decode(errors="replace"), at_most=40)
+        raise UsageError(f"{path} is no MCAP file: it begins with {begin!r}", fix="name a log")
     return path
 
 
@@ -224,7 +229,7 @@ def _kinds(path: Path) -> tuple[dict[str, str], dict[str, str]]:
     return {topic: kind for topic, kind in kinds.items() if topic not in others}, others
 
 
-def _fits(source: str, topic: str) -> str:
+def _fits(source: str, topic: str, kind: str) -> str:
     """Return why a topic's name is not that of a source; nothing where it may be.
 
     Its last part decides whether it says where the robot is to go; of joints and commands, the
@@ -234,6 +239,8 @@ def _fits(source: str, topic: str) -> str:
         {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", part)}
         for part in topic.strip("/").split("/")
     )
+    if source == "targets" and kind not in JOINTS and _NO_ANGLES & set().union(*before, last):
+        return "its name says numbers that are no angles"
     told = any(map(_TOLD.match, last))
     if not told and source != "pose" and any(map(_TOLD.match, set[str]().union(*before))):
         if last & _MEASURED:
@@ -263,8 +270,9 @@ def _chosen(
             continue
         for rank in ranks:
             free = [each for each in kinds if kinds[each] in rank and each not in topics.values()]
-            unused.update({each: reason for each in free if (reason := _fits(source, each))})
-            fitting = [each for each in free if not _fits(source, each)]
+            whys = {each: _fits(source, each, kinds[each]) for each in free}
+            unused.update({each: reason for each, reason in whys.items() if reason})
+            fitting = [each for each, reason in whys.items() if not reason]
             if len(fitting) > 1:
                 raise UsageError(
                     f"{path}: {' and '.join(sorted(fitting))} could all be {source}",
@@ -457,6 +465,17 @@ def _gridded(
         found.notes.append(
             f"{paused:.4g} s in {plural(len(parts) - 1, 'pause')} of the log are left out"
         )
+    if "command" in tracks:
+        given = tracks["command"][0]
+        since, held = given[0] - first, np.diff(given, append=max(last, given[-1])).max()
+        found.notes += [
+            f"{found.topics['command']} {what}"
+            for what, seconds in (
+                (f"begins {since:.3g} s late: tracking is scored from there on", since),
+                (f"says nothing for {held:.3g} s: its last command is held", held),
+            )
+            if seconds > _LONG_HELD
+        ]
     with World(robot, get_scene(_FLAT)) as world:
         mass, gravity = world.mass, world.gravity
     figures = Figures(

@@ -30,6 +30,7 @@ from nw_eval.plugins import (
     subject,
     warn_if_built_in,
 )
+from nw_eval.plural import plural
 from nw_eval.splat.files.format import SplatFormat
 from nw_eval.splat.files.gsplat_pt import EXPORT, GSPLAT_PT, rank_files
 from nw_eval.splat.files.ply import DOT_SPLAT, PLY, TRANSFORMS, read_nerfstudio
@@ -104,7 +105,7 @@ def _of_folder(folder: Path) -> Gaussians:
     if found and not (folder / TRANSFORMS).is_file():
         newest = max(found, key=lambda one: [int(n) for n in re.findall(r"\d+", str(one))])
         raise SceneError(
-            f"{folder}: the folder of a 3DGS training, with {len(found)} splats in it",
+            f"{folder}: the folder of a 3DGS training, with {plural(len(found), 'splat')} in it",
             fix=f"give the splat of one iteration, such as {newest}",
         )
     if (folder / "nerfstudio_models").is_dir():
