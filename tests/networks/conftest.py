@@ -37,4 +37,5 @@ def perceptron():
         [of("action", onnx.TensorProto.FLOAT, [1, 12])],
         list(weights.values()),
     )
-    return onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)])
+    opset = onnx.helper.make_opsetid("", 17)
+    return onnx.helper.make_model(graph, opset_imports=[opset], ir_version=9)
