@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from splat_rooms import cloud, eye_camera, room
 
 from nw_eval.machine_code import kernel
+from nw_eval.simd.lanes import broadcast
 from nw_eval.splat.camera import Pixels, view_vector
 from nw_eval.splat.kernels import cull, draw, math8, memory, project
 from nw_eval.splat.kernels.blend import (
@@ -23,7 +24,6 @@ from nw_eval.splat.kernels.blend import (
     clear,
 )
 from nw_eval.splat.kernels.project import RECORD
-from nw_eval.simd.lanes import broadcast
 from nw_eval.splat.store import memory_store, unpack
 
 EPS2D = np.float32(0.3)
