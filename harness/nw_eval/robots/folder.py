@@ -689,7 +689,7 @@ class _Reader:
             ends.append(parts[1])
         found = next(filter(self._has, ends), None)
         if found is None:
-            return file if file.startswith("file:") else "/".join(parts[1:])
+            return file if file.startswith("file:") else "/".join(parts[1:] or parts)
         if found not in {"/".join(parts), "/".join(parts[1:])}:
             self.account.passes(f"the beginning of {file[: -len(found)]}", "meshes lie in FOLDER")
         return found

@@ -324,7 +324,8 @@ def test_every_variant_of_ply_is_the_same_box(tmp_path, variant):
     path.write_bytes(PLY[variant])
     mesh, findings = inspect_mesh(path)
     assert is_the_box(mesh)
-    assert findings == ()
+    has_more = variant == "colours"  # And `quality`, which no reader uses.
+    assert [one.code for one in findings] == ["mesh_partly_read"] * has_more
     if "quads" not in variant and variant != "one strip":
         assert triangles(mesh) == BOX
 
