@@ -13,7 +13,6 @@ from nw_eval.cli.verbs.options import summary
 from nw_eval.errors import (
     IncomparableError,
     PrerequisiteError,
-    StoreError,
     SuiteError,
     UsageError,
 )
@@ -127,7 +126,7 @@ def test_a_scene_filter_that_matches_nothing_names_the_nearest_scene(suite):
 
 def test_a_place_that_cannot_be_written_is_an_error_that_names_the_fix(suite, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(StoreError, match="choose another folder with --out"):
+    with pytest.raises(UsageError, match="is no folder; name another folder"):
         api.run(suite(), out=tmp_path / "file" / "run")
 
 

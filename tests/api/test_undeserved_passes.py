@@ -120,7 +120,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] =
 
 JUDGED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
     "nothing changed": ({}, {}, "REGRESSED"),
-    "the lowest bar": (gate(success_rate=1e-9), {}, "INCONCLUSIVE"),
+    "the lowest bar": (gate(success_rate=1e-6), {}, "INCONCLUSIVE"),
     "as unsure as can be": (gate(success_rate=0.01, confidence=0.5), {}, "INCONCLUSIVE"),
     "one trial": ({}, {"trials": 1}, "INCONCLUSIVE"),
     "no gate": ({"gate": {}}, {}, "RAN"),

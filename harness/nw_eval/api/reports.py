@@ -190,10 +190,10 @@ def as_published(run: Path) -> RunReport:
     from nw_eval.gate.baseline.combine import without_bank
     from nw_eval.results.evidence_check import check_files
     from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import check_plain, open_run_folder
+    from nw_eval.results.run_folder import check_plain, find_run_folder
     from nw_eval.scenes import limits
 
-    folder = open_run_folder(run)
+    folder = find_run_folder(run)
     check_plain(folder)
     info = read_run_info(folder.run_json)
     suite = saved_suite(info)

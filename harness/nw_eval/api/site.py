@@ -128,14 +128,14 @@ def _folders(runs: Sequence[str | Path], what: str) -> tuple[list[Path], tuple[P
     Raises:
         UsageError: one does not exist, or none is a run's folder.
     """
-    from nw_eval.results.run_folder import open_run_folder
+    from nw_eval.results.run_folder import find_run_folder
 
     folders: dict[Path, None] = {}
     skipped: list[Path] = []
     fault = UsageError(f"no run to {what}", fix="name the folders of some")
     for path in map(Path, runs):
         try:
-            folders[open_run_folder(path).path.resolve()] = None
+            folders[find_run_folder(path).path.resolve()] = None
         except UsageError as error:
             if not os.path.lexists(path):
                 raise

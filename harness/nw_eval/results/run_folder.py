@@ -189,6 +189,17 @@ def open_run_folder(path: Path) -> RunFolder:
     """Return the folder of an existing run; any file directly in it will do for its name.
 
     Raises:
+        UsageError: it is no run folder, or `check_folders` refuses it.
+    """
+    folder = find_run_folder(path)
+    check_folders(folder.path)
+    return folder
+
+
+def find_run_folder(path: Path) -> RunFolder:
+    """Return the folder of a run as `open_run_folder` does, with whatever lies in it.
+
+    Raises:
         UsageError: it is no run folder.
     """
     folder = RunFolder(path=path.parent if what_is(path) == "file" else path)
@@ -197,7 +208,6 @@ def open_run_folder(path: Path) -> RunFolder:
             f"{path} is not the folder of a run (no run.json in it)",
             fix="name one of the folders in reports/",
         )
-    check_folders(folder.path)
     return folder
 
 
