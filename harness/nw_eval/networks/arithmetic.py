@@ -472,7 +472,8 @@ def _global_pool(plan: Planner, node: Node) -> None:
 def _pool(plan: Planner, node: Node) -> None:
     at = node.attributes
     x = _number(plan, node.inputs[0])
-    if len(node.outputs) > 1 or at.get("ceil_mode") or at.get("storage_order"):
+    name, *others = node.outputs
+    if others or at.get("ceil_mode") or at.get("storage_order"):
         raise UnsupportedError("indices, or sizes rounded up")
     is_line = len(x.shape) == 3
     if is_line:
@@ -506,9 +507,8 @@ def _pool(plan: Planner, node: Node) -> None:
             counts = _inside(sizes, (high, wide), kernel, strides, dilations, pads)
         place = View(plan.put(counts), (high, wide), (wide, 1), True)
         target = plan.combine(rows.DIV, target, place)
-    if is_line:
-        target = plan.reshaped(target, (batch, channels, wide))
-    plan.values[node.outputs[0]] = target
+    shape = (batch, channels, wide) if is_line else (batch, channels, high, wide)
+    plan.values[name] = plan.reshaped(target, shape)
 
 
 def _inside(
