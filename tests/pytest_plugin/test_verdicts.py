@@ -225,7 +225,7 @@ def test_a_trial_without_a_result_is_an_error_of_its_scene_and_of_the_verdict(
     [
         (["--nw-policy", "go1-parkur"], "*unknown policy 'go1-parkur'*go1-parkour*"),
         (["--nw-baseline", "nobody"], "*suite 'tiny' has no baseline 'nobody'*"),
-        (["--nw-report-dir", "tiny.yaml"], "*cannot make *tiny.yaml*"),
+        (["--nw-report-dir", "tiny.yaml"], "*no folder can be made at *tiny.yaml*"),
     ],
 )
 def test_what_cannot_be_run_is_an_error_of_every_test_in_a_line(
