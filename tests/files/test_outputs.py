@@ -22,6 +22,7 @@ from nw_eval.files.cache import atomic_path, followed, is_stream, open_own
 HARNESS = Path(nw_eval.__file__).parent
 
 ELSEWHERE = {
+    "confinement/rights.py": "tells the kernel, in /proc",
     "engine/cache.py": "fills a folder of the cache that appears by one rename",
     "engine/known.py": "marks an entry of the cache as used",
     "engine/machine.py": "tells the kernel, in /proc; appends to what `open_own` opened",

@@ -326,7 +326,7 @@ def _spz(n=4, *, version=3, degree=0, bits=12, body=b""):
 
 _PROPERTY_X = b"property float x\nend_header\n"
 BAD = {
-    "empty.ply": (b"", "starts with b''"),
+    "empty.ply": (b"", "it is empty"),
     "text.ply": (b"ply\nformat ascii 1.0\nelement vertex 1\nend_header\n", "rows are said"),
     "endless.ply": (b"ply\n" + b"comment x\n" * 9000, "no end_header"),
     "points.ply": (

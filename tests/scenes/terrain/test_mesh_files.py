@@ -51,7 +51,7 @@ def test_material_files_are_not_opened(tmp_path, monkeypatch):
         Path, "open", lambda self, *a, **k: (opened.append(self.name), original(self, *a, **k))[1]
     )
     read_mesh(path)
-    assert opened == ["a.obj"]
+    assert set(opened) == {"a.obj"}
 
 
 def test_scale_multiplies_coordinates(tmp_path):
@@ -69,7 +69,7 @@ def test_faces_without_area_are_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "nothing there"),
+        ("", "it is empty"),
         ("v 0 0 0\nv 1 0 0\nv 0 1 0\n", "nothing there"),
         ("v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
         ("v 0 0 0\nv inf 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
@@ -99,8 +99,10 @@ def test_noise_is_no_mesh(tmp_path, suffix):
 def test_a_missing_file_and_a_strange_suffix_are_named(tmp_path):
     with pytest.raises(SceneError, match="cannot be read"):
         read_mesh(tmp_path / "none.obj")
-    with pytest.raises(SceneError, match="no mesh format"):
+    with pytest.raises(SceneError, match="pack it into one file"):
         read_mesh(tmp_path / "a.gltf")
+    with pytest.raises(SceneError, match="no format that is read here"):
+        read_mesh(tmp_path / "a.xyz")
 
 
 PLY = """\
@@ -134,7 +136,7 @@ end_header
             "a.ply:3: 900000000 vertex rows; dec",
         ),
         (("element vertex 4", "element vertex -4"), "a.ply:3: header line not understood"),
-        (("element face 1", "element edge 1"), "no triangles in it, 1 rows of 'edge'"),
+        (("element face 1", "element edge 1"), "a point cloud: 4 points and no faces"),
     ],
 )
 def test_a_ply_that_does_not_keep_its_promise_is_a_named_error(tmp_path, change, words):

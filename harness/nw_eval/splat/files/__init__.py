@@ -113,6 +113,7 @@ def _of_folder(folder: Path) -> Gaussians:
     return read_nerfstudio(folder)
 
 
+_GZIP = b"\x1f\x8b"
 _MARK = 16
 """Bytes of a file by which its format is told."""
 
@@ -123,6 +124,8 @@ def _format_of(path: Path, mark: bytes) -> SplatFormat:
     for each in FORMATS.values():
         if each.sniff is not None and each.sniff(path, mark):
             return each
+        if each.suffix == suffix == ".spz" and mark[:2] == _GZIP:
+            return each  # What is compressed is damaged: its reader says how.
     other = foreign(path)
     known = other or _NOT_READ.get(suffix)
     for each in FORMATS.values():
