@@ -10,8 +10,10 @@ import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_STORED, BadZipFile, ZipFile
 
 from nw_eval.cards.joints import short_name
 from nw_eval.errors import PolicyError, nearest
@@ -630,8 +632,20 @@ def _is_another(path: Path, own: bytes) -> bool:
             return False
     except PolicyError:
         return False
-    samples = (own[len(own) * n // 32 :][:_SAMPLE] for n in range(1, 32))
+    numbers = _numbers(own)
+    samples = (numbers[len(numbers) * n // 32 :][:_SAMPLE] for n in range(1, 32))
     return not any(len(set(sample)) > _SAMPLE // 4 and sample in data for sample in samples)
+
+
+def _numbers(own: bytes) -> bytes:
+    """Return the largest tensor of an archive of torch, whose code other files share; else all."""
+    try:
+        with ZipFile(BytesIO(own)) as archive:
+            plain = [each for each in archive.infolist() if each.compress_type == ZIP_STORED]
+            tensors = [each for each in plain if re.search(r"/data/\d+$", each.filename)]
+            return archive.read(max(tensors, key=lambda each: each.file_size))
+    except (BadZipFile, ValueError, OSError, RuntimeError, NotImplementedError):
+        return own
 
 
 def _may_feed(path: Path, checkpoint: Path) -> bool:
