@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from splat_rooms import cloud, eye_camera, room
 
 from nw_eval.machine_code import kernel
+from nw_eval.simd import memory
 from nw_eval.simd.lanes import broadcast
 from nw_eval.splat.camera import Pixels, view_vector
-from nw_eval.splat.kernels import cull, draw, math8, memory, project
+from nw_eval.splat.kernels import cull, draw, math8, project
 from nw_eval.splat.kernels.blend import (
     CHANNELS,
     CURVE,
