@@ -226,8 +226,10 @@ def check_folders(run: Path) -> None:
     for top in ("mcap", "cached", "bank", "baseline"):
         if not os.path.lexists(run / top):
             continue
-        if (run / top).is_symlink() or not (run / top).is_dir():
+        if (run / top).is_symlink():
             _no_folder(run / top)
+        if not (run / top).is_dir():
+            continue  # Nothing is followed: what was to be written there is lost, and said to be.
         for at, folders, _, handle in os.fwalk(run / top, onerror=unreadable):
             for name in folders:
                 if stat.S_ISLNK(os.lstat(name, dir_fd=handle).st_mode):
@@ -236,7 +238,7 @@ def check_folders(run: Path) -> None:
 
 def _no_folder(path: Path) -> NoReturn:
     raise UsageError(
-        f"{path} is a link or no folder: what is written there would be elsewhere",
+        f"{path} is a link: what is written there would be elsewhere",
         fix="replace it by the folder that it leads to",
     )
 
