@@ -2,8 +2,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from nw_eval.suite import load_suite, new_suite, suite_yaml
 
@@ -16,6 +18,7 @@ words = st.one_of(
     st.text(st.characters(exclude_categories=("Cs", "Cc", "Cn", "Co")), min_size=1, max_size=30),
     st.sampled_from(["yes", "null", "1", "1e3", "2026-01-01", "*", "a: b", "#", "'", '"', "~"]),
 )
+keys = words.filter(str.isprintable)
 shares = st.floats(0.0, 1.0, exclude_min=True, exclude_max=True)
 frictions = st.floats(0.0, 5.0, exclude_min=True)
 
@@ -46,7 +49,7 @@ def suites(draw: st.DrawFn) -> dict[str, Any]:
             "confidence": draw(st.floats(0.5, 0.9999)),
             "tiers": draw(
                 st.dictionaries(
-                    words, st.sampled_from(["critical", "supporting", "informational"]), max_size=3
+                    keys, st.sampled_from(["critical", "supporting", "informational"]), max_size=3
                 )
             ),
         },
@@ -63,3 +66,11 @@ def test_a_suite_written_as_yaml_reads_back_equal(tmp_path: Path, said: dict[str
     assert again == suite
     assert again.digest == suite.digest
     assert again.content_digest == suite.content_digest
+
+
+def test_a_key_that_no_file_may_have_is_refused_in_python_too() -> None:
+    tiers = {"stairs/\U000e0001": "critical"}
+    with pytest.raises(ValidationError, match=r"is not a key; use a short printable name"):
+        new_suite(
+            {"nw-eval": 1, "name": "a", "policy": "p", "scenes": ["s"], "gate": {"tiers": tiers}}
+        )

@@ -33,9 +33,10 @@ from nw_eval.files.inside import regular
 Location = tuple[str | int, ...]
 Place = tuple[int, int]
 
+KEY_LIMIT = 200
+"""Most characters of a key."""
 _SIZE_LIMIT = 1_000_000  # Bytes; a suite or a card is a few thousand.
 _VALUE_LIMIT = 50_000  # Values after aliases are expanded: a few nested aliases can mean billions.
-_KEY_LIMIT = 200  # Characters.
 _DEPTH_LIMIT = 40  # Levels; a list that holds itself has no end.
 _OPEN_LIMIT = 200
 """Brackets open at once; the time that the YAML library takes grows with their square."""
@@ -57,6 +58,11 @@ _WORDS = {
     "string_type": "should be text",
     "tuple_type": "should be a list, such as [a, b]",
 }
+
+
+def is_key(text: str) -> bool:
+    """Whether a file may have this key, which goes where names of observations and inputs go."""
+    return text.isprintable() and len(text) <= KEY_LIMIT
 
 
 class YamlProblems(ValueError):  # noqa: N818 - a carrier that callers turn into their own error.
@@ -242,8 +248,7 @@ class _Reader:
                 message = f"a key that begins with `?` is read by YAML as {key[:40]!r}"
                 self._fault(key_node, message, f'put it in quotes: "?{key[:40]}"')
                 continue
-            if not key.isprintable() or len(key) > _KEY_LIMIT:
-                # Keys name observations and inputs, and go where names go.
+            if not is_key(key):
                 self._fault(key_node, f"{key[:40]!r}... is not a key", "use a short printable name")
                 continue
             if key in result:

@@ -29,6 +29,7 @@ from pydantic import (
 )
 
 from nw_eval.errors import NwEvalError, Problem, UsageError
+from nw_eval.files.yaml_file import KEY_LIMIT, is_key
 from nw_eval.plugins import AXES as GROUP
 from nw_eval.plugins import (
     SCORES,
@@ -107,8 +108,16 @@ class _Grown(_Strict):
         return fields
 
 
+def _key(text: str) -> str:
+    """Return a key that a suite file may hold, so that every suite can be saved."""
+    if not is_key(text):
+        raise ValueError(f"{text[:40]!r} is not a key; use a short printable name")
+    return text
+
+
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Pattern = Annotated[str, Field(min_length=1, max_length=1024)]
+KeyPattern = Annotated[str, Field(min_length=1, max_length=KEY_LIMIT), AfterValidator(_key)]
 Patterns = Annotated[tuple[Pattern, ...], Field(min_length=1), AfterValidator(each_once)]
 
 
@@ -337,7 +346,7 @@ class Gate(_Grown):
         "probability 1 - confidence, a wrong REGRESSED too, or twice that with critical scenes. "
         "Against a baseline a drop of max_drop passes with at most 1 - confidence.",
     )
-    tiers: dict[Pattern, Tier] = Field(
+    tiers: dict[KeyPattern, Tier] = Field(
         {},
         description="Scene names or globs. The exact name wins, then the first glob; a glob whose "
         "scenes are all covered by earlier ones is an error. critical: must have results; the run "
