@@ -74,9 +74,10 @@ def test_steps_stay_as_high_as_they_are(built):
 
 def test_no_edge_is_rounded_by_more_than_pixels_show(built):
     out, _, _ = built
-    low, high = edge_off(read_colour_mesh(out / "mesh.ply"))
+    low, high, known = edge_off(read_colour_mesh(out / "mesh.ply"))
     assert low > -PIXEL
     assert high < 2.5 * PIXEL  # By night, with larger pictures, less than a voxel.
+    assert known > 0.8
 
 
 def test_the_floor_is_flat(built):
@@ -155,7 +156,8 @@ def test_forty_pictures_give_a_mesh_right_to_ten_millimetres(tmp_path):
     assert found.accuracy <= 0.010
     assert found.f >= 0.8
     assert tread_heights(mesh) == pytest.approx([step[-1] for step in STEPS], abs=0.006)
-    low, high = edge_off(mesh)
+    low, high, known = edge_off(mesh)
+    assert known > 0.95
     assert low > -0.02
     assert high < 0.02
     assert report.coverage > 0.5
