@@ -31,6 +31,7 @@ def places(tmp_path, monkeypatch):
     (tmp_path / "tiny.yaml").write_text(SUITE)
     (tmp_path / "file").write_text("hello\n")
     (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
     (tmp_path / "one").symlink_to("two")
     (tmp_path / "two").symlink_to("one")
     return tmp_path
@@ -47,6 +48,9 @@ def places(tmp_path, monkeypatch):
         ("--ledger", "file/below"),
         ("--ledger", "one"),
         ("--ledger", "/proc/none/ledger"),
+        ("--ledger", "pipe"),
+        ("--ledger", "/dev/full"),
+        ("--ledger", "/dev/null"),
     ],
 )
 def test_a_place_that_cannot_be_written_is_refused_before_anything_runs(

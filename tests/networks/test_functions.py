@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nw_eval.networks import functions
-from nw_eval.simd.memory import elements, load_group
+from nw_eval.simd.memory import elements, load_group, store_group
 
 RNG = np.random.default_rng(0)
 WIDE = np.concatenate([RNG.normal(0, 3, 20_000), RNG.normal(0, 1e-3, 5_000)]).astype(np.float32)
@@ -32,7 +32,7 @@ def applied(name, values):
     def run(given, result):
         x, y = elements(given), elements(result)
         for i in range(0, len(given) - 16, 16):
-            functions.store16(y, i, function(load_group(x, i)))
+            store_group(y, i, function(load_group(x, i)))
 
     size = -(-len(values) // 16) * 16
     given, result = np.zeros((2, size + 16), np.float32)

@@ -309,7 +309,11 @@ def check_ledger(path: Path) -> None:
     try:
         target = followed(path)
         if is_stream(path):
-            return
+            if target.is_file():  # An open file, as of `/dev/fd/3`.
+                return
+            raise UsageError(
+                f"cannot write {path}: a ledger is read again, and this is no file", fix=_OTHER
+            )
         check_place(target)
         if what_is(target) == "file":
             os.close(open_own(target, os.O_RDWR))

@@ -23,7 +23,6 @@ from nw_eval.simd.lanes import (
     I32X16,
     MASKS,
     Floats16,
-    address,
     floor,
     fused,
     integers,
@@ -34,18 +33,6 @@ from nw_eval.simd.lanes import (
 )
 
 LANES = 16
-
-
-@intrinsic
-def store16(_typing: Any, array: Any, index: Any, value: Any) -> Any:
-    """Write sixteen floats to array[index : index + 16]."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        place = address(context, builder, signature.args[0], args[0], args[1])
-        builder.store(args[2], builder.bitcast(place, F16.as_pointer()), align=4)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, Floats16), generate
 
 
 @intrinsic

@@ -19,7 +19,7 @@ from numba import types
 
 from nw_eval.machine_code import inlined, kernel, part
 from nw_eval.networks import functions
-from nw_eval.networks.functions import first_lanes, same, store16
+from nw_eval.networks.functions import first_lanes, same
 from nw_eval.networks.program import (
     ABS,
     ADD,
@@ -65,20 +65,12 @@ from nw_eval.simd.lanes import (
     broadcast_ir,
     fused,
     intrinsic,
+    joined,
     lane_list,
     sqrt,
     where,
 )
-from nw_eval.simd.memory import elements, load_group, peek, poke
-
-
-def _concatenated(builder: Any, parts: list[Any]) -> Any:
-    """Return the lanes of a power of two of equal vectors, one behind the other."""
-    while len(parts) > 1:
-        every = lane_list(list(range(2 * parts[0].type.count)))
-        pairs = zip(parts[::2], parts[1::2], strict=True)
-        parts = [builder.shuffle_vector(a, b, every) for a, b in pairs]
-    return parts[0]
+from nw_eval.simd.memory import elements, load_group, peek, poke, store_group
 
 
 def _columns(rows: int, panels: int, kind: Any) -> Any:
@@ -93,7 +85,7 @@ def _columns(rows: int, panels: int, kind: Any) -> Any:
                 pointer = address(context, builder, signature.args[0], args[0], place)
                 loaded.append(builder.load(builder.bitcast(pointer, F16.as_pointer()), align=4))
                 place = builder.add(place, args[2])
-            return _concatenated(builder, loaded * rows)
+            return joined(builder, loaded * rows)
 
         return kind(array, types.intp, types.intp), generate
 
@@ -112,7 +104,7 @@ def _factors(rows: int, panels: int, kind: Any) -> Any:
                 pointer = address(context, builder, signature.args[0], args[0], place)
                 spread += [broadcast_ir(builder, builder.load(pointer), PANEL)] * panels
                 place = builder.add(place, args[2])
-            return _concatenated(builder, spread)
+            return joined(builder, spread)
 
         return kind(array, types.intp, types.intp), generate
 
@@ -272,9 +264,9 @@ def _pack(a: Any, q: Any, i: Any) -> None:
 def _write(a: Any, place: Any, value: Any, count: Any, scratch: Any) -> None:
     """Write at most sixteen lanes."""
     if count >= PANEL:
-        store16(a, place, value)
+        store_group(a, place, value)
     else:
-        store16(a, scratch, value)
+        store_group(a, scratch, value)
         for k in range(count):
             poke(a, place + k, peek(a, scratch + k))
 
@@ -337,7 +329,7 @@ def _elements(a: Any, q: Any, i: Any, scratch: Any) -> None:
                     if sd == 1:
                         _write(a, d + j, z, n - j, scratch)
                     else:
-                        store16(a, scratch, z)
+                        store_group(a, scratch, z)
                         for k in range(min(n - j, PANEL)):
                             poke(a, d + (j + k) * sd, peek(a, scratch + k))
 
@@ -419,7 +411,7 @@ def _copy(a: Any, q: Any, i: Any) -> None:
                 j = 0
                 if sx == 1 and sd == 1:
                     while j + PANEL <= n:
-                        store16(a, d + j, load_group(a, x + j))
+                        store_group(a, d + j, load_group(a, x + j))
                         j += PANEL
                 while j < n:
                     poke(a, d + j * sd, peek(a, x + j * sx))

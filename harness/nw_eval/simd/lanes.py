@@ -90,6 +90,15 @@ def broadcast_ir(builder: Any, scalar: Any, lanes: int = LANES) -> Any:
     return builder.shuffle_vector(first, undefined, lane_list([0] * lanes))
 
 
+def joined(builder: Any, parts: list[Any]) -> Any:
+    """Return the lanes of equal vectors, a power of two of them, one behind the other (IR)."""
+    while len(parts) > 1:
+        lanes = lane_list(list(range(2 * parts[0].type.count)))
+        pairs = zip(parts[::2], parts[1::2], strict=True)
+        parts = [builder.shuffle_vector(a, b, lanes) for a, b in pairs]
+    return parts[0]
+
+
 def _is_vector(value: Any) -> bool:
     return isinstance(value, FloatsType)
 

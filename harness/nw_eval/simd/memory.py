@@ -86,16 +86,23 @@ def load(_typing: Any, array: Any, index: Any) -> Any:
     return Float8(array, types.intp), generate
 
 
-@intrinsic
-def store(_typing: Any, array: Any, index: Any, value: Any) -> Any:
-    """Write a Float8 to array[index : index + 8]."""
+def _storing(kind: Any, vector: Any) -> Any:
+    @intrinsic
+    def store(_typing: Any, array: Any, index: Any, value: Any) -> Any:
+        """Write lanes to a float32 array, the first at `index`."""
 
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        place = address(context, builder, signature.args[0], args[0], args[1])
-        builder.store(args[2], builder.bitcast(place, F8.as_pointer()), align=4)
-        return context.get_dummy_value()
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            place = address(context, builder, signature.args[0], args[0], args[1])
+            builder.store(args[2], builder.bitcast(place, vector.as_pointer()), align=4)
+            return context.get_dummy_value()
 
-    return types.void(array, types.intp, Float8), generate
+        return types.void(array, types.intp, kind), generate
+
+    return store
+
+
+store, store_group = _storing(Float8, F8), _storing(Floats16, F16)
+"""Write eight floats, or sixteen."""
 
 
 @intrinsic

@@ -42,6 +42,7 @@ from nw_eval.simd.lanes import (
     floor,
     fma,
     intrinsic,
+    joined,
     lane_list,
     mask_bits,
     maximum,
@@ -109,15 +110,6 @@ def _floats_at(builder: Any, pointer: Any, lanes: int) -> Any:
     return builder.bitcast(pointer, _vector(lanes).as_pointer())
 
 
-def _joined(builder: Any, parts: list[Any]) -> Any:
-    """Return the lanes of equal vectors, a power of two of them, one behind the other."""
-    while len(parts) > 1:
-        lanes = lane_list(list(range(2 * parts[0].type.count)))
-        pairs = zip(parts[::2], parts[1::2], strict=True)
-        parts = [builder.shuffle_vector(a, b, lanes) for a, b in pairs]
-    return parts[0]
-
-
 def _spread(builder: Any, vector: Any, lanes: list[int]) -> Any:
     return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), lane_list(lanes))
 
@@ -171,7 +163,7 @@ def _loading(rows: int) -> Any:
             for start in _row_places(builder, args[1], args[2], rows):
                 pointer = address(context, builder, signature.args[0], args[0], start)
                 parts.append(builder.load(_floats_at(builder, pointer, PIXELS // rows), align=4))
-            return _joined(builder, parts)
+            return joined(builder, parts)
 
         return Floats16(light, types.intp, types.intp), generate
 
