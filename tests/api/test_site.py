@@ -229,6 +229,16 @@ def test_a_folder_of_something_else_stays_as_it_is(runs, tmp_path):
     assert not (tmp_path / "site").exists()
 
 
+def test_reports_that_a_site_has_elsewhere_stay_as_they_are(runs, tmp_path):
+    site = nw_eval.write_site(runs, tmp_path / "site").page.parent
+    (site / "runs").rename(tmp_path / "elsewhere")
+    (site / "runs").symlink_to(tmp_path / "elsewhere")
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(UsageError, match="holds something that is no site of nw-eval"):
+        nw_eval.write_site(runs, tmp_path / "site")
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_what_a_strangers_run_says_is_text_and_opens_nothing(tmp_path):
     hostile = "<script>alert(1)</script>"
     run = save_run(tmp_path / "runs" / "x", hostile, 3, scene="hub:some/where/../../etc")

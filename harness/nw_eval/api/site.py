@@ -296,7 +296,7 @@ def _emptied(out: Path) -> Path:
             ours = False
             with suppress(ValueError, UnicodeDecodeError, FileNotFoundError):
                 ours = json.loads(regular(mark).read_text(encoding="utf-8")) == {"nw-site": 1}
-            if not ours:
+            if not ours or (out / REPORTS).is_symlink():
                 raise UsageError(
                     f"{out} holds something that is no site of nw-eval", fix="give a new folder"
                 )
