@@ -21,6 +21,8 @@ from nw_eval.twin.packages import package
 VIDEOS = frozenset(
     (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".3gp")
 )
+_CONTAINERS = "mov,matroska,avi,mpegts,mpeg,mpegvideo"
+"""The readers of FFmpeg for these; others (playlists, sessions) open further files and servers."""
 _STEP = 0.06
 """Of the picture's width that it moves from one chosen frame to the next."""
 _RATE = 15.0
@@ -188,7 +190,8 @@ def _look(path: Path, say: Say, *, with_motion: bool, rate: float | None = None)
 def _opened(path: Path) -> Generator[tuple[Any, Any]]:
     av = package("av")
     try:
-        with av.open(str(path)) as container:
+        allowed = {"format_whitelist": _CONTAINERS, "protocol_whitelist": "file"}
+        with av.open(str(path), options=allowed) as container:
             stream = container.streams.best("video")  # None of the others is a cover.
             if stream is None:
                 raise SceneError(f"{path} holds no pictures", fix="give a video")
