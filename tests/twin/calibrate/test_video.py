@@ -222,8 +222,7 @@ def test_a_film_of_a_line_of_pixels_is_refused_in_words(tmp_path):
     [
         "ffconcat version 1.0\nfile other.avi\n",
         "#EXTM3U\n#EXT-X-TARGETDURATION:2\n#EXTINF:2,\nother.avi\n#EXT-X-ENDLIST\n",
-        "v=0\no=- 0 0 IN IP4 127.0.0.1\nc=IN IP4 127.0.0.1\nt=0 0\n"
-        + "m=video 5004 RTP/AVP 96\na=rtpmap:96 H264/90000\n",
+        "v=0\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 5004 RTP/AVP 96\na=rtpmap:96 H264/90000\n",
     ],
     ids=["list", "playlist", "session"],
 )
