@@ -402,6 +402,17 @@ def test_a_twist_that_contradicts_the_positions_gives_no_score(tmp_path, moving,
     assert ("distance_before_fall" in found.values) == (scale == 1.0)
 
 
+@pytest.mark.parametrize(("share", "noted"), [(1.0, False), (0.9, False), (0.7, True)])
+def test_a_twist_that_differs_from_the_positions_is_scored_with_a_note(tmp_path, share, noted):
+    def walk(time):
+        place, twist = (0.5 * time, 0, 0.3), (0.5 * share, 0, 0)
+        yield "/odom", ODOM, odometry(EPOCH + time, place=place, twist=twist, roll=0.1 * time)
+
+    found = poses(tmp_path, walk)
+    assert found.values["tracking_error_linear"] == pytest.approx(0.5 - 0.5 * share, abs=1e-3)
+    assert bool(told(found, "which is right is not known")) == noted
+
+
 @pytest.mark.parametrize(
     ("message", "reason"),
     [

@@ -62,6 +62,15 @@ class _Gap(NamedTuple):
     def wide(self, floor: float) -> bool:
         return self.apart > max(floor, 0.5 * max(self.changed, self.said))
 
+    def note(self, floor: float, said: str, unit: str) -> list[str]:
+        """Say that two sources differ, where both may be right: by a fifth and by `floor`."""
+        if self.apart <= max(floor, 0.2 * max(self.changed, self.said)):
+            return []
+        numbers = (
+            f"{self.said:.3g} {unit}, its positions {self.changed:.3g}, {self.apart:.3g} apart"
+        )
+        return [f"{said} say {numbers}: which is right is not known"]
+
 
 def _gap(times: Array, values: Array, rates: Array) -> _Gap | None:
     """Compare changes of values, by time, with rates, (N, K) each; None for a log too short."""
@@ -126,6 +135,8 @@ def _doubt_rates(found: Readings) -> None:
         found.drop("joint_rates", f"velocities of {topic} contradict its positions: {odd}")
     elif gap.wide(0.5):  # Positions that never change were not measured.
         found.notes.append(f"{reason}; power is computed from velocities")
+    else:
+        found.notes += gap.note(0.1, f"velocities of {topic}", "rad/s of all joints")
 
 
 def _doubt_torques(found: Readings) -> None:
@@ -225,6 +236,7 @@ def _doubt_twist(found: Readings) -> None:
     other, gap = gaps
     turned_frame = other.apart < 0.5 * gap.apart
     if not (gap.wide(0.1) or (turned_frame and gap.apart > max(0.03, 0.1 * gap.changed))):
+        found.notes += gap.note(0.05, f"velocities of the twist of {topic}", "m/s")
         return
     reason = (
         f"the twist of {topic} (in {child or 'no frame'!r}) says {gap.said:.3g} m/s, its positions "
