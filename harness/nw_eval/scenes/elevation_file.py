@@ -1,7 +1,9 @@
 """Reads elevation maps: pictures whose grey says how high the ground is, and GeoTIFF.
 
 Tags of GeoTIFF after OGC 19-008r4, https://docs.ogc.org/is/19-008r4/19-008r4.html; a height that
-means none after https://gdal.org/drivers/raster/gtiff.html (tag 42113).
+means none, scale, offset and unit of a band, and masks after
+https://gdal.org/drivers/raster/gtiff.html (tags 42112 and 42113). Every tag of a TIFF is used,
+passed over because no height depends on it, or named in a remark.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree.ElementTree import fromstring
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +29,33 @@ if TYPE_CHECKING:
 
 ELEVATION_SUFFIXES = (".png", ".tif", ".tiff")
 
-_PIXEL_SCALE, _TRANSFORMATION, _GEO_KEYS, _NO_DATA = 33550, 34264, 34735, 42113
-_MODEL, _PIXEL_IS, _LINEAR, _VERTICAL = 1024, 1025, 3076, 4099
+_PIXEL_SCALE, _TRANSFORMATION, _GEO_KEYS, _METADATA, _NO_DATA = 33550, 34264, 34735, 42112, 42113
+_PAGE = 254
+_OVERVIEW, _MASK = 1, 4
+_USED = {_PIXEL_SCALE, _TRANSFORMATION, _GEO_KEYS, _METADATA, _NO_DATA, _PAGE}
+_PASSED = {
+    *(256, 257, 258, 259, 262, 266, 273, 274, 277, 278, 279, 284, 317, 320, 322, 323, 324, 325),
+    *(338, 339, 347, 50674),  # How pixels are stored: Pillow reads them.
+    *(282, 283, 296),  # Dots to an inch of paper.
+    *(255, 269, 270, 271, 272, 285, 297, 305, 306, 315, 316, 700, 33432, 34377, 34665, 34675),
+    *(340, 341, 33922, 34736, 34737),  # Least and most; where on Earth, which no scene has.
+}
+"""Tags that no height depends on."""
+_MODEL, _PROJECTED, _LINEAR, _DATUM, _VERTICAL = 1024, 3072, 3076, 4096, 4099
+_PASSED_KEYS = {1025, 1026, *range(2048, 2063), *range(3073, 3097), 4097, 4098} - {_LINEAR}
+"""Whether a value is of a pixel's middle, and where on Earth: names, datums, projections."""
 _GEOGRAPHIC = 2
+_MERCATORS = {3395, 3857, 102100, 900913}
 # Metres in a unit, by its EPSG code: metre, international foot, US survey foot.
 _UNITS = {9001: 1.0, 9002: 0.3048, 9003: 1200.0 / 3937.0}
+_DATUMS = {8228: 9002, 6360: 9003}  # NAVD88 in feet; all others that are in use are in metres.
+_NAMED_UNITS = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 9001),
+    **dict.fromkeys(("ft", "foot", "feet", "international foot"), 9002),
+    **dict.fromkeys(("us-ft", "ftus", "us survey foot", "us survey feet", "foot_us"), 9003),
+}
+_LONGEST, _PAGES = 1 << 16, 32
+_PROJECT = "project it first, such as with `gdalwarp -t_srs EPSG:32632` of your UTM zone"
 _ENOUGH_WHITE = (255.0, 65535.0)
 _WIDEST_CELL = 1e3
 _PASSES = (
@@ -200,18 +225,11 @@ def _tiff(
         )
     values = np.asarray(picture).astype(np.float64)
     keys = _geo_keys(tags)
-    if keys.get(_MODEL) == _GEOGRAPHIC:
-        raise SceneError(
-            f"{path}: its cells are degrees, not metres",
-            fix="project it first, such as with `gdalwarp -t_srs EPSG:32632` of your UTM zone",
-        )
-    level = _unit(path, keys, _LINEAR, remarks)
-    sizes = _cell_of(path, tags, level) if cell is None else (cell, cell)
-    if sizes is None:
-        raise UsageError(
-            f"{path}: the file does not say how wide a pixel is",
-            fix="give it, metres: --cell 0.04",
-        )
+    known = {_MODEL, _PROJECTED, _LINEAR, _DATUM, _VERTICAL} | _PASSED_KEYS
+    odd = [f"tag {tag}" for tag in tags if tag not in _USED | _PASSED]
+    if odd := [*odd, *(f"geo key {key}" for key in keys if key not in known)]:
+        remarks.append(f"not read: {', '.join(odd[:8])}")
+    sizes = _cells(path, tags, keys, cell, remarks)
     if no_data is None and _NO_DATA in tags:
         text = str(tags[_NO_DATA]).strip("\0 ")
         try:
@@ -222,8 +240,114 @@ def _tiff(
     if no_data is not None and math.isfinite(no_data):
         # Written as decimal text, it need not be the float of the pixels to the last bit.
         missing |= np.isclose(values, no_data, rtol=1e-6, atol=1e-9)
-    heights = np.where(missing, np.nan, values * _unit(path, keys, _VERTICAL, remarks))
+    missing |= _masked(path, picture, values.shape, remarks)
+    heights = np.where(missing, np.nan, _metres(path, values, tags, keys, remarks))
     return _map(path, heights, sizes, tuple(remarks))
+
+
+def _cells(
+    path: Path, tags: Any, keys: dict[int, int], cell: float | None, remarks: list[str]
+) -> tuple[float, float]:
+    """Return the width and the depth of a pixel, metres."""
+    if keys.get(_MODEL) == _GEOGRAPHIC:
+        raise SceneError(f"{path}: its cells are degrees, not metres", fix=_PROJECT)
+    if cell is not None:
+        return cell, cell
+    if keys.get(_PROJECTED) in _MERCATORS:
+        raise SceneError(
+            f"{path}: its cells are longer than metres on the ground: they are of Mercator's "
+            f"projection (EPSG:{keys[_PROJECTED]})",
+            fix=_PROJECT,
+        )
+    sizes = _cell_of(path, tags, _unit(path, keys.get(_LINEAR, 9001), "cells", remarks))
+    if sizes is None:
+        raise UsageError(
+            f"{path}: the file does not say how wide a pixel is",
+            fix="give it, metres: --cell 0.04",
+        )
+    return sizes
+
+
+def _metres(
+    path: Path, values: NDArray[np.float64], tags: Any, keys: dict[int, int], remarks: list[str]
+) -> NDArray[np.float64]:
+    """Return the heights that numbers mean, by scale, offset and unit."""
+    scale, offset, unit = _band(path, tags)
+    if (scale, offset) != (1.0, 0.0):
+        remarks.append(f"its heights are {scale:g} times its numbers, plus {offset:g}")
+    code = keys.get(_VERTICAL, _DATUMS.get(keys.get(_DATUM, 0), unit))
+    if unit not in {None, code}:
+        raise SceneError(
+            f"{path}: its unit of heights is EPSG code {code} by one tag and {unit} by another",
+            fix="write it in metres",
+        )
+    level = _unit(path, 9001 if code is None else code, "heights", remarks)
+    return (values * scale + offset) * level
+
+
+def _band(path: Path, tags: Any) -> tuple[float, float, int | None]:
+    """Return scale and offset of the numbers, and the EPSG code of their unit where it is said.
+
+    Raises:
+        SceneError: one of them cannot be used.
+    """
+    text = str(tags.get(_METADATA, "")).strip("\0 ")
+    found: dict[str, str] = {}
+    if text and len(text) <= _LONGEST and "<!" not in text:
+        for item in fromstring(text).iter("Item"):  # noqa: S314 - It has no entities.
+            if item.get("sample", "0") == "0" and item.get("role") in {
+                "scale",
+                "offset",
+                "unittype",
+            }:
+                found[str(item.get("role"))] = (item.text or "").strip()
+    elif text:
+        raise SceneError(f"{path}: its metadata (tag 42112) are damaged", fix="export it again")
+    numbers: list[float] = []
+    for role, usual in (("scale", 1.0), ("offset", 0.0)):
+        try:
+            numbers.append(float(found.get(role, usual)))
+        except ValueError:
+            numbers.append(math.nan)
+        if not math.isfinite(numbers[-1]) or (role == "scale" and not numbers[-1]):
+            raise SceneError(
+                f"{path}: the {role} of its heights cannot be {clean(found[role], at_most=20)!r}",
+                fix="export it again",
+            )
+    unit = found.get("unittype") or None
+    if unit is not None and unit.lower() not in _NAMED_UNITS:
+        raise SceneError(
+            f"{path}: the unit of its heights, {clean(unit, at_most=40)!r}, is not known here",
+            fix="write it in metres",
+        )
+    return numbers[0], numbers[1], None if unit is None else _NAMED_UNITS[unit.lower()]
+
+
+def _masked(
+    path: Path, picture: Image, shape: tuple[int, ...], remarks: list[str]
+) -> NDArray[np.bool_]:
+    """Return which pixels the file's page of a mask calls no ground; other pages are noted."""
+    masked = np.zeros(shape, np.bool_)
+    pages = int(getattr(picture, "n_frames", 1))
+    for page in range(1, min(pages, _PAGES)):
+        picture.seek(page)
+        tags: Any = getattr(picture, "tag_v2", {})
+        kind = int(tags.get(_PAGE, 0))
+        if kind & _OVERVIEW:  # A smaller copy, or the mask of one.
+            continue
+        if not kind & _MASK:
+            remarks.append(f"not read: page {page + 1} of the file")
+            continue
+        if picture.size != shape[::-1]:
+            raise SceneError(
+                f"{path}: its mask is of {picture.size[0]} x {picture.size[1]} pixels, not of "
+                f"{shape[1]} x {shape[0]}",
+                fix="export it again",
+            )
+        masked |= np.asarray(picture.convert("L")) == 0
+    if pages > _PAGES:
+        remarks.append(f"not read: pages after {_PAGES} of the file")
+    return masked
 
 
 def _map(
@@ -251,15 +375,13 @@ def _geo_keys(tags: Any) -> dict[int, int]:
     return {key: value for key, where, _, value in rows if where == 0}
 
 
-def _unit(path: Path, keys: dict[int, int], key: int, remarks: list[str]) -> float:
-    code = keys.get(key, 9001)
+def _unit(path: Path, code: int, what: str, remarks: list[str]) -> float:
     if code not in _UNITS:
         raise SceneError(
-            f"{path}: its unit has the EPSG code {code}, which is not known here",
+            f"{path}: the unit of its {what} has the EPSG code {code}, which is not known here",
             fix="write it in metres",
         )
     if code != 9001:
-        what = "heights" if key == _VERTICAL else "cells"
         remarks.append(f"its {what} are in feet of {_UNITS[code]:.7g} m")
     return _UNITS[code]
 

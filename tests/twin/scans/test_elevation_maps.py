@@ -108,6 +108,85 @@ def test_feet_are_metres_and_degrees_are_refused(tmp_path):
         read_elevation(tmp_path / "degrees.tif")
 
 
+BAND = '<GDALMetadata><Item name="S" sample="0" role="{}">{}</Item></GDALMetadata>'
+
+
+@pytest.mark.parametrize(
+    ("role", "said", "factor", "plus"),
+    [("scale", "0.01", 0.01, 0), ("offset", "-2", 1, -2), ("unittype", "ft", 0.3048, 0)],
+)
+def test_scale_offset_and_unit_of_the_band_are_used(tmp_path, role, said, factor, plus):
+    values = ramp().astype(np.float32)
+    geotiff(tmp_path / "map.tif", values, [CELL, (42112, TEXT, BAND.format(role, said))])
+    found = read_elevation(tmp_path / "map.tif")
+    assert np.allclose(found.heights, values * factor + plus)
+    assert len(found.findings) == 1
+
+
+@pytest.mark.parametrize(
+    ("tags", "why"),
+    [
+        ([(42112, TEXT, BAND.format("scale", "0"))], "scale of its heights cannot be '0'"),
+        ([(42112, TEXT, BAND.format("unittype", "furlong"))], "'furlong', is not known here"),
+        (
+            [
+                (42112, TEXT, BAND.format("unittype", "m")),
+                (34735, SHORTS, (1, 1, 0, 1, 4099, 0, 1, 9002)),
+            ],
+            "EPSG code 9002 by one tag and 9001 by another",
+        ),
+        ([(34735, SHORTS, (1, 1, 0, 1, 3072, 0, 1, 3857))], "longer than metres on the ground"),
+        ([(42112, TEXT, "<!DOCTYPE a><a/>")], "metadata .* are damaged"),
+    ],
+    ids=["scale", "unit", "units", "mercator", "entities"],
+)
+def test_heights_and_cells_that_cannot_be_known_are_refused(tmp_path, tags, why):
+    geotiff(tmp_path / "map.tif", ramp().astype(np.float32), [CELL, *tags])
+    with pytest.raises(SceneError, match=why):
+        read_elevation(tmp_path / "map.tif")
+
+
+def test_pixels_that_a_mask_of_the_file_hides_are_holes(tmp_path):
+    values, mask = ramp().astype(np.float32), np.full((30, 60), 255, np.uint8)
+    mask[3:6, 3:6] = 0
+    pages = []
+    for pixels, kind in ((values, 0), (mask, 4), (mask[::2, ::2], 5), (mask, 0)):
+        page, directory = Image.fromarray(pixels), ImageFileDirectory_v2()
+        directory.tagtype[33550], directory[33550] = DOUBLES, CELL[2]
+        directory[254] = kind
+        page.encoderinfo = {"tiffinfo": directory}
+        pages.append(page)
+    pages[0].save(
+        tmp_path / "map.tif",
+        save_all=True,
+        append_images=pages[1:],
+        tiffinfo=pages[0].encoderinfo["tiffinfo"],
+    )
+    found = read_elevation(tmp_path / "map.tif")
+    assert (np.isnan(found.heights) == (mask == 0)).all()
+    assert "not read: page 4 of the file" in found.findings
+
+
+def test_every_tag_and_key_is_used_passed_over_or_named(tmp_path):
+    values = ramp().astype(np.float32)
+    marks = {305: (TEXT, "QGIS"), 270: (TEXT, "a hill"), 33922: (DOUBLES, (0.0,) * 6)}
+    keys = {1025: 1, 1026: 0, 3074: 16032, 4097: 0, 4242: 7}
+    rows = [number for key, value in sorted(keys.items()) for number in (key, 0, 1, value)]
+    geotiff(
+        tmp_path / "map.tif",
+        values,
+        [
+            CELL,
+            (34735, SHORTS, (1, 1, 0, len(keys), *rows)),
+            (65000, SHORTS, (7,)),
+            *((tag, *mark) for tag, mark in marks.items()),
+        ],
+    )
+    found = read_elevation(tmp_path / "map.tif")
+    assert found.findings == ("not read: tag 65000, geo key 4242",)
+    assert np.allclose(found.heights, values)
+
+
 def test_what_is_no_map_says_why(tmp_path):
     grey = np.zeros((4, 4), np.uint8)
     Image.fromarray(grey).save(tmp_path / "grey.png")
