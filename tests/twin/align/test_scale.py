@@ -269,6 +269,22 @@ def test_photographs_say_where_they_were_taken(tmp_path):
     assert places["b.jpg"] == pytest.approx((-25.80, 0.0, 0.0), abs=0.02)
 
 
+@pytest.mark.parametrize(
+    ("heights", "known"), [((500.0, 501.0), 3), ((None, 501.0), 2), ((None, None), 3)]
+)
+def test_a_photograph_without_a_height_is_none_among_others_that_have_one(tmp_path, heights, known):
+    files = {}
+    for n, height in enumerate((*heights, heights[-1])):
+        exif = Image.Exif()
+        gps = {1: "N", 2: (47.0, 0.0, float(n)), 3: "E", 4: (8.0, 0.0, 0.0)}
+        exif.get_ifd(ExifTags.IFD.GPSInfo).update(gps if height is None else gps | {6: height})
+        Image.new("RGB", (8, 8)).save(tmp_path / f"{n}.jpg", exif=exif)
+        files[f"{n}.jpg"] = tmp_path / f"{n}.jpg"
+    places = gps_positions(files)
+    assert len(places) == known
+    assert max(abs(up) for *_, up in places.values()) < 1.1
+
+
 def test_a_missing_package_is_an_error_that_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pupil_apriltags", None)
     with pytest.raises(PrerequisiteError, match=r"pip install 'nw-eval\[twin\]'"):

@@ -176,14 +176,19 @@ def gps_positions(photographs: Mapping[str, Path]) -> dict[str, Vector]:
 
     Args:
         photographs: files as the camera left them, by the names of their shots. Those without a
-            position, or damaged, are left out.
+            position, or damaged, are left out, and so are those without a height among others.
     """
     found = {name: _geodetic(path) for name, path in photographs.items()}
-    return east_north_up({name: place for name, place in found.items() if place is not None})
+    places = {name: place for name, place in found.items() if place is not None}
+    if any(math.isfinite(height) for *_, height in places.values()):
+        known = {name: place for name, place in places.items() if math.isfinite(place[2])}
+    else:
+        known = {name: (place[0], place[1], 0.0) for name, place in places.items()}
+    return east_north_up(known)
 
 
 def _geodetic(path: Path) -> Vector | None:
-    """Return latitude and longitude in degrees and height in metres."""
+    """Return latitude and longitude in degrees and height in metres, which is nan for none."""
     try:
         with warnings.catch_warnings(), open_picture(path) as image:
             warnings.simplefilter("ignore")  # Of damaged EXIF, which then says nothing.
@@ -199,13 +204,13 @@ def _geodetic(path: Path) -> Vector | None:
             latitude = -latitude
         if gps.get(ExifTags.GPS.GPSLongitudeRef) == "W":
             longitude = -longitude
-        height = float(gps.get(ExifTags.GPS.GPSAltitude, 0.0))
+        height = float(gps.get(ExifTags.GPS.GPSAltitude, math.nan))
         if gps.get(ExifTags.GPS.GPSAltitudeRef) in {b"\x01", 1}:
             height = -height
     except (*DAMAGE, ArithmeticError):
         return None
     place = (latitude, longitude, height)
-    sensible = np.isfinite(place).all() and abs(latitude) <= 90 and abs(longitude) <= 180
+    sensible = not math.isinf(height) and abs(latitude) <= 90 and abs(longitude) <= 180
     return place if sensible else None
 
 
