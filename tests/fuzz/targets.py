@@ -434,6 +434,96 @@ def _read_mesh(folder):
     read_mesh(path)
 
 
+def _elevation_seeds(_):
+    from PIL import Image
+    from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+    heights = np.add.outer(np.arange(12), np.arange(20)).astype(np.float32) / 20
+    grey = (heights * 30_000).astype(np.uint16)
+    seen = np.dstack([(grey >> 8).astype(np.uint8)] * 3 + [np.full(grey.shape, 255, np.uint8)])
+    band = '<GDALMetadata><Item name="S" sample="0" role="scale">0.5</Item></GDALMetadata>'
+    tags = ImageFileDirectory_v2()
+    keys = (1, 1, 0, 3, 1024, 0, 1, 1, 3076, 0, 1, 9001, 4099, 0, 1, 9003)
+    for tag, kind, value in (
+        *((33550, 12, (0.1, 0.1, 0.0)), (34735, 3, keys), (42112, 2, band)),
+        (42113, 2, "-9999"),
+    ):
+        tags.tagtype[tag], tags[tag] = kind, value
+    found = []
+    for name, pixels, how in (
+        *(("a.tif", heights, {"tiffinfo": tags}), ("a.png", grey, {}), ("b.png", seen, {})),
+        ("b.tif", heights, {"tiffinfo": tags, "compression": "tiff_lzw"}),
+    ):
+        stream = io.BytesIO()
+        Image.fromarray(pixels).save(stream, {"tif": "TIFF", "png": "PNG"}[name[2:]], **how)
+        found.append({name: stream.getvalue()})
+    return found
+
+
+def _read_elevation(folder):
+    from nw_eval.scenes.elevation_file import elevation_mesh, read_elevation
+
+    (path,) = folder.iterdir()
+    white = 1.0 if path.suffix == ".png" else None
+    found = read_elevation(path, cell=None if white is None else 0.1, white=white)
+    vertices, faces = elevation_mesh(found)
+    assert np.isfinite(vertices).all()
+    assert not len(faces) or faces.max() < len(vertices)
+
+
+_LEG = """<body name="leg{0}" pos="{1} {2} 0"><joint name="j{0}" axis="0 1 0" range="-1 1" damping="1"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/></body>"""
+_LINK = """<link name="l{0}"><inertial><mass value="0.5"/><inertia ixx="0.01" iyy="0.01" izz="0.01"
+ixy="0" ixz="0" iyz="0"/></inertial><collision><origin xyz="0 0 -0.15"/><geometry><cylinder radius="0.02"
+length="0.3"/></geometry></collision></link><joint name="j{0}" type="revolute"><parent link="base"/>
+<child link="l{0}"/><origin xyz="{1} {2} 0"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="20"
+velocity="10"/><dynamics damping="1" friction="0.1"/></joint>"""
+
+
+def _robot_seeds(_):
+    places = [(n, 0.2 * (-1) ** n, 0.1 * (-1) ** (n // 2)) for n in range(4)]
+    mjcf = f"""<mujoco model="four"><worldbody><body name="base" pos="0 0 0.4"><freejoint/>
+<geom type="box" size="0.3 0.1 0.05" mass="5"/>{"".join(_LEG.format(*p) for p in places)}</body></worldbody>
+<actuator>{"".join(f'<position name="j{n}" joint="j{n}" kp="30" forcerange="-20 20"/>' for n in range(4))}
+</actuator></mujoco>"""
+    urdf = f"""<robot name="four"><link name="base"><inertial><mass value="5"/><inertia ixx="0.1" iyy="0.1"
+izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry><box size="0.6 0.2 0.1"/></geometry>
+</collision></link>{"".join(_LINK.format(*p) for p in places)}</robot>"""
+    return [{"four.xml": mjcf.encode()}, {"four.urdf": urdf.encode()}]
+
+
+def _read_robot(folder):
+    """Draft a robot.yaml of a model, in this process."""
+    from nw_eval.onboarding.robot_draft import _draft
+
+    (path,) = folder.iterdir()
+    _draft(root=str(folder), file=path.name)
+
+
+def _robot_log_seeds(_):
+    from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+    from mcap_protobuf.writer import Writer
+
+    from nw_eval.robots import get_robot
+
+    stream, robot = io.BytesIO(), get_robot("go1")
+    with Writer(stream) as writer:
+        for step in range(100):
+            message = JointStates()
+            for name, angle in zip(robot.joints, robot.default_pose, strict=True):
+                joint = message.joints.add()
+                joint.name, joint.position = name, angle + 0.1 * np.sin(step / 10)
+                joint.velocity, joint.effort = np.cos(step / 10), 2.0
+            writer.write_message("/joints", message, log_time=step * 10**7)
+    return [{"log.mcap": stream.getvalue()}]
+
+
+def _read_robot_log(folder):
+    from nw_eval.rollout.replaying.robot_log import log_file, read_robot_log
+
+    read_robot_log(log_file(folder / "log.mcap"), robot="go1", topics={})
+
+
 def _camera_seeds(_):
     import tempfile
 
@@ -762,6 +852,9 @@ _ALL = (
         seeds=lambda folder: [{name: data} for name, data in _splat_files(folder).items()],
         read=_read_splat,
     ),
+    Target(name="elevation", seeds=_elevation_seeds, read=_read_elevation),
+    Target(name="robot", seeds=_robot_seeds, read=_read_robot, lists=True),
+    Target(name="robot log", seeds=_robot_log_seeds, read=_read_robot_log),
     Target(name="cameras", seeds=_camera_seeds, read=_read_cameras),
     Target(name="store", seeds=_store_seeds, read=_store),
     Target(name="journal", seeds=_journal_seeds, read=_journal),

@@ -84,7 +84,7 @@ class CompiledRobot:
         if named is not None:
             message += f" ({named[1]})"
             line = self.folder.line_of(named[1], "body", "joint", "geom", "mesh")
-        if line == 1 and placed is not None:
+        if line == 1 and placed is not None and self._text:
             # MuJoCo counts the lines of the text that it was given.
             read = element_lines(self._text.encode())
             starts = [begin for event, _, begin in read if event == "start"]

@@ -196,6 +196,10 @@ def read_robot_log(path: Path, *, robot: str, topics: Mapping[str, str]) -> Robo
         kinds, unused = _kinds(path)
         chosen = _chosen(path, kinds, unused, topics)
         read = _read(path, spec, chosen)
+    except UsageError as error:
+        if str(path) in error.message:
+            raise
+        raise UsageError(f"{path}: {error.message}", fix=error.fix) from None
     except CompressionError as error:
         raise UsageError(f"{path}: {error}", fix="convert it: `mcap compress IN -o OUT`") from None
     except OSError as error:
