@@ -35,6 +35,9 @@ OWN_TESTS = {
 }
 """Pages whose worked examples have tests of their own, with all that they print."""
 
+BY_NIGHT = {"docs/how-to/training.md"}
+"""Pages that take a minute of processor time; tests/learn trains, exports and resumes by day."""
+
 _ONE_TRIAL = "--trials 1 --scenes hurdles/one_low_carpet --record none"
 REDUCED = MappingProxyType(
     {
@@ -116,6 +119,13 @@ NOT_RUN = MappingProxyType(
         "make test": "this is part of it",
         "nw-eval policies check ./my-policy": "test_readme.py does, with the card of the README",
         "nw-eval run hurdles --policy ./my-policy": "as `run smoke` of the same page, with a bar",
+        **dict.fromkeys(
+            [
+                "nw-eval plan all-state --baseline go1-parkour",
+                "nw-eval plan hurdles --baseline go1-act-rgb",
+            ],
+            "as the line above them, of larger banks; test_trial_plans.py plans from banks",
+        ),
         "nw-eval plan hurdles --detect 0.05 --run reports/hurdles": (
             "a run of the whole suite takes minutes; test_trial_plans.py plans from one"
         ),
@@ -274,7 +284,11 @@ def test_every_page_with_a_test_of_its_own_has_one() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "page",
-    [page for page in PAGES if _name(page) not in OWN_TESTS and commands_of(page)],
+    [
+        pytest.param(page, marks=pytest.mark.nightly if _name(page) in BY_NIGHT else ())
+        for page in PAGES
+        if _name(page) not in OWN_TESTS and commands_of(page)
+    ],
     ids=_name,
 )
 def test_a_page_can_be_followed(
