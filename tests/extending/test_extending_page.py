@@ -155,7 +155,7 @@ def test_its_reporters_are_those_that_are_built_in():
     [
         ("robots",),
         ("splat-formats",),
-        # Of these, the other files of this folder and test_tasks_and_scores.py test the code by day.
+        # The other files of this folder test by day what these show.
         pytest.param(("tasks",), marks=pytest.mark.nightly),
         pytest.param(("scores",), marks=pytest.mark.nightly),
         # The later ones go on with what the first has left.
