@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import nw_eval.rays
+from nw_eval import same_bits
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
 from nw_eval.scenes.rays import RayScene
 
@@ -17,7 +17,7 @@ _size = st.floats(0.05, 1.0)
 def caster(request):
     """Let either of the two answer."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nw_eval.rays, "_IN_USE", request.param == "nw-eval")
+        patch.setattr(same_bits, "_EVERYWHERE", request.param == "nw-eval")
         yield request.param
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal, Self, get_args
 
-from nw_eval.rays import in_use
+from nw_eval.same_bits import everywhere
 from nw_eval.suite.model import PUBLISHED, Rendering
 from nw_eval.suite.trials import Trial
 from nw_eval.tasks import COURSE, AnyTask
@@ -83,7 +83,7 @@ def kernels_of(robot: str, card: Card, *projections: Projection) -> tuple[Kernel
     lenses = [mount.intrinsics for mount in mounted_robot(get_robot(robot), card).cameras.values()]
     is_bent = any(lens is not None and lens.distortion is not None for lens in lenses)
     networks = ("networks",) if card.runtime == "nw-eval" else ()
-    rays = ("rays",) if in_use() else ()
+    rays = ("rays",) if everywhere() else ()
     return (*dict.fromkeys(projections), *(("lens",) if is_bent else ()), *networks, *rays)
 
 

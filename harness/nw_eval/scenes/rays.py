@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.rays import in_use
+from nw_eval.same_bits import everywhere
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 
 _LOOKED_THROUGH = [FACE_KINDS.index(kind) for kind in ("overhead", "beside")]
@@ -116,7 +116,7 @@ class _Caster(Protocol):
 
 
 def _caster(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> _Caster:
-    if in_use():
+    if everywhere():
         from nw_eval.rays.tree import Tree  # Numba loads with it.
 
         return Tree(vertices, faces)

@@ -11,7 +11,7 @@ from nw_eval.errors import StoreError
 from nw_eval.files.cache import cache_dir
 from nw_eval.policies.bundle import senses_by_code
 from nw_eval.policies.safety import FileLimits
-from nw_eval.rays import in_use
+from nw_eval.same_bits import everywhere
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -149,7 +149,7 @@ def _kernels(bundle: Bundle) -> tuple[Kernels, ...]:
 
 
 def _casting() -> tuple[Kernels, ...]:
-    return ("rays",) if in_use() else ()
+    return ("rays",) if everywhere() else ()
 
 
 def why_off(*, code: bool, render: Backend = "cpu", in_process: bool = False) -> str:
