@@ -3,7 +3,8 @@
 NumPy has `exp`, `log`, `arctan2` and others twice or more, by instruction set, and OpenBLAS has a
 kernel for each kind of processor: inverses, scalar products and some products of matrices end in
 other digits there. What is here is made of single IEEE operations in one order, and of `rint`,
-`frexp` and `ldexp`, which are exact. Errors are a few units in the last place at most.
+`frexp` and `ldexp`, which are exact. Errors are a few units in the last place at most; `power` has
+those of its logarithm.
 
 Nothing changes before `everywhere` says so: until then each function is NumPy's own.
 """

@@ -24,9 +24,10 @@ from nw_eval.catalogue import get_scene
 from nw_eval.files.shipped import shipped
 from nw_eval.lens import Distortion
 from nw_eval.robots import get_robot
-from nw_eval.rollout.job import TrialJob
+from nw_eval.rollout.job import TrialJob, TrialResult
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
+from nw_eval.scores import BUILT_IN
 from nw_eval.sensors import StepContext, build_sensors
 from nw_eval.sensors.sensor import Air
 from nw_eval.sim import World
@@ -59,8 +60,12 @@ def layout(held: Layout) -> str:
     return of(*held.arrays().values())
 
 
+AHEAD = np.array([[0.0, 0, 1, 0.1], [-1, 0, 0, 0.05], [0, -1, 0, 0.4], [0, 0, 0, 1]])
+"""Pose of a camera whose inverse is exact in any arithmetic."""
+
+
 def view(distortion: Distortion | None = None) -> Camera:
-    """Return a camera at knee height that looks ahead."""
+    """Return a camera at knee height that looks askew."""
     T = np.eye(4)
     ahead = np.array([0.96, 0.27, -0.0725])
     ahead /= math.sqrt((ahead**2).sum())
@@ -72,17 +77,21 @@ def view(distortion: Distortion | None = None) -> Camera:
 
 
 def built_in(name: str) -> Iterator[tuple[str, str]]:
-    """Yield digests of a built-in scene: its mesh, its Gaussians, their store and a picture."""
+    """Yield a digest of a built-in scene's mesh, its Gaussians, their store, and a picture."""
     from nw_eval.built_in.bake.generate import generate
 
     scene = get_scene(name)
-    yield "mesh", of(scene.mesh().vertices, scene.mesh().faces, scene.mesh().kinds)
-    gaussians = generate(scene.splat.place, None)
+    mesh, gaussians = scene.mesh(), generate(scene.splat.place, None)
     parts = ("means", "log_scales", "quats", "opacity_logits", "sh")
-    yield "Gaussians", of(*(getattr(gaussians, part) for part in parts))
     store = memory_store(gaussians)
-    yield "store", layout(store.layout)
-    yield "picture", of(open_renderer(store).render(view()).rgb)
+    camera = Camera.from_fovy(width=80, height=45, fovy=1.0, T_world_camera=AHEAD)
+    each = (
+        of(mesh.vertices, mesh.faces, mesh.kinds),
+        of(*(getattr(gaussians, part) for part in parts)),
+        layout(store.layout),
+        of(open_renderer(store).render(camera).rgb),
+    )
+    yield "mesh, Gaussians, store, picture", " ".join(digest[:8] for digest in each)
 
 
 def files(scene) -> Iterator[tuple[str, str]]:
@@ -140,28 +149,42 @@ def sensors(scene) -> Iterator[tuple[str, str]]:
                 yield f"{name}{' in fog' if air.fog else ''}", of(*values)
 
 
+def trial(library: Library, policy: str, scene: str, **fields: object) -> TrialResult:
+    """Run one trial in this process."""
+    bundle, place = str(shipped("policies") / policy), library.scene(scene)
+    job = TrialJob(
+        trial=Trial(
+            suite="s", suite_digest="0" * 64, suite_seed=1, scene=place.name,
+            scene_digest=place.digest, task=place.task, index=1,
+        ),
+        robot="go1",
+        scene=scene,
+        policy=bundle,
+        checkpoint_digest=library.bundle(bundle, None).checkpoint_digest,
+        **fields,
+    )  # fmt: skip
+    result = run_trial(job, library=library)
+    assert result.status == "ok", result.error_text
+    return result
+
+
 def trials(folder: Path) -> Iterator[tuple[str, str]]:
-    """Yield digests of the states and actions of a short trial of each shipped policy."""
+    """Yield digests of the states, actions and scores of a short trial of each shipped policy."""
     library = Library()
-    scene = library.scene(str(folder))
     for name in POLICIES:
-        policy = str(shipped("policies") / name)
-        job = TrialJob(
-            trial=Trial(
-                suite="s", suite_digest="0" * 64, suite_seed=1, scene=scene.name,
-                scene_digest=scene.digest, task=scene.task, index=1,
-            ),
-            robot="go1",
-            duration=0.4,
-            scene=str(folder),
-            policy=policy,
-            checkpoint_digest=library.bundle(policy, None).checkpoint_digest,
-            record="none",
-        )  # fmt: skip
-        result = run_trial(job, library=library)
-        assert result.status == "ok", result.error_text
+        result = trial(
+            library, name, str(folder), duration=0.4, record="none", scores=tuple(BUILT_IN)
+        )
         yield f"states of {name}", result.state_digest[:16]
         yield f"actions of {name}", result.action_digest[:16]
+        yield f"scores of {name}", of(*(value for _, value in result.scores))
+
+
+def smoke() -> Iterator[tuple[str, str]]:
+    """Yield digests of a trial of the suite `smoke`, with pictures in its log."""
+    result = trial(Library(), "go1-parkour", "hurdles/one_low_carpet", duration=12.0, record="all")
+    yield "states", result.state_digest
+    yield "actions", result.action_digest
 
 
 def yard(folder: Path) -> Path:
@@ -182,6 +205,8 @@ def main(wanted: list[str]) -> None:
         for name in wanted:
             if name == "trials":
                 found = trials(folder)
+            elif name == "smoke":
+                found = smoke()
             elif name in {"sensors", "files"}:
                 found = {"sensors": sensors, "files": files}[name](get_scene(str(folder)))
             else:
