@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from nw_eval import same_bits
+
 Array = NDArray[np.float64]
 
 WIDEST = math.radians(85.0)
@@ -87,7 +89,7 @@ class Distortion(_Part, frozen=True):
             t = np.clip(t - (bent - r) / np.where(rate > 1e-3, rate, 1e-3), 0.0, 1.01 * WIDEST)
         bent, rate = self._polar(t)
         good = (np.abs(bent - r) < _EXACT) & (rate > 0.0) & (t <= WIDEST)
-        scale = np.where(r > 0.0, np.tan(t) / _sure(r), 1.0)
+        scale = np.where(r > 0.0, same_bits.tan(t) / _sure(r), 1.0)
         return np.where(good[..., None], seen * scale[..., None], np.nan)
 
     def _brown(self, a: Array, b: Array) -> tuple[Array, tuple[Array, Array, Array]]:

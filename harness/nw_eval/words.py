@@ -23,9 +23,9 @@ Projection = Literal["ewa", "ray"]
 """How Gaussians become pixels: by EWA's affine approximation, or along each pixel's own ray."""
 PROJECTIONS: tuple[Projection, ...] = get_args(Projection)
 
-Kernels = Literal["ewa", "ray", "lens", "networks"]
+Kernels = Literal["ewa", "ray", "lens", "networks", "rays"]
 """What the CPU's kernels are compiled for, each for itself: either projection of a pinhole, lenses
-that bend, and the networks of policies."""
+that bend, the networks of policies, and rays that meet triangles."""
 KERNELS: tuple[Kernels, ...] = get_args(Kernels)
 
 Engine = Literal["local", "ray"]

@@ -228,8 +228,8 @@ def _compiled() -> tuple[str, ...]:
         known = f"{digest.hexdigest()[:16]}.{binding.get_host_cpu_name()}.compiled"
         return (folder / f"{sources.parent.name}-{kind}.{known}").is_file()
 
-    drawing, networks = package / "splat" / "kernels", package / "networks"
-    return tuple(k for k in KERNELS if is_compiled(k, networks if k == "networks" else drawing))
+    own = {"networks": package / "networks", "rays": package / "rays"}
+    return tuple(k for k in KERNELS if is_compiled(k, own.get(k, package / "splat" / "kernels")))
 
 
 def _gpus() -> Iterator[str]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal, Self, get_args
 
+from nw_eval.same_bits import everywhere
 from nw_eval.suite.model import PUBLISHED, Rendering
 from nw_eval.suite.trials import Trial
 from nw_eval.tasks import COURSE, AnyTask
@@ -65,7 +66,7 @@ class TrialJob:
 
 
 def kernels_of(robot: str, card: Card, *projections: Projection) -> tuple[Kernels, ...]:
-    """Return which kernels of the CPU draw what a robot's cameras see, and run a card's networks.
+    """Return which kernels of the CPU draw what cameras see, run a card's networks, and cast rays.
 
     A perturbation may bend a lens that the robot's folder says is straight: that takes the time to
     compile, and no more.
@@ -82,7 +83,8 @@ def kernels_of(robot: str, card: Card, *projections: Projection) -> tuple[Kernel
     lenses = [mount.intrinsics for mount in mounted_robot(get_robot(robot), card).cameras.values()]
     is_bent = any(lens is not None and lens.distortion is not None for lens in lenses)
     networks = ("networks",) if card.runtime == "nw-eval" else ()
-    return (*dict.fromkeys(projections), *(("lens",) if is_bent else ()), *networks)
+    rays = ("rays",) if everywhere() else ()
+    return (*dict.fromkeys(projections), *(("lens",) if is_bent else ()), *networks, *rays)
 
 
 Stage = Literal["setup", "physics", "render", "sense", "policy", "log"]

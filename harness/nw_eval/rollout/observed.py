@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
 from nw_eval.cards import terms, wrappers
 from nw_eval.cards.joints import short_name
 from nw_eval.cards.observations import (
@@ -541,7 +542,7 @@ class LogCamera:
     def _render(
         self, T_world_camera: NDArray[np.float64], poses: Sequence[NDArray[np.float64]]
     ) -> Bytes:
-        camera = self._camera(np.linalg.inv(self._scene.T_world_splat) @ T_world_camera)
+        camera = self._camera(same_bits.inverse(self._scene.T_world_splat) @ T_world_camera)
         try:
             with self._clock("render"):
                 image = self._renderer().render(camera)

@@ -13,6 +13,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
+
 FaceKind = Literal["ground", "obstacle", "structure", "clutter", "overhead", "beside"]
 FACE_KINDS: tuple[FaceKind, ...] = get_args(FaceKind)
 
@@ -77,7 +79,7 @@ class TriangleMesh:
 
 def rotation_matrix(quat: Sequence[float]) -> NDArray[np.float64]:
     """Return the (3, 3) rotation of a w x y z quaternion; it need not be of unit length."""
-    w, x, y, z = np.asarray(quat, dtype=np.float64) / np.linalg.norm(quat)
+    w, x, y, z = np.asarray(quat, dtype=np.float64) / same_bits.length(quat)
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

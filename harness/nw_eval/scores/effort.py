@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from nw_eval import same_bits
 from nw_eval.scores.score import Figures, Score, Stretch, TrialEnd, lower_better
 
 
@@ -145,7 +146,7 @@ class TorqueRmsShare(Score):
     def update(self, stretch: Stretch) -> None:
         """Add squares."""
         shares = stretch.torque_shares.ravel()
-        self.total += float(shares.dot(shares))
+        self.total += float(same_bits.dot(shares, shares))
         self.count += shares.size
 
     def value(self, end: TrialEnd) -> float | None:

@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from nw_eval import same_bits
 from nw_eval.scores.effort import way_after
 from nw_eval.scores.score import Array, Figures, Score, ScoreSpec, Stretch, TrialEnd, lower_better
 
@@ -33,7 +34,7 @@ class _Differences(Score):
         for _ in range(self.order):
             targets = targets[1:] - targets[:-1]
         changes = targets.ravel()
-        self.total += float(changes.dot(changes))
+        self.total += float(same_bits.dot(changes, changes))
         self.count += changes.size
 
     def value(self, end: TrialEnd) -> float | None:
@@ -92,7 +93,7 @@ class _Angle(Score):
     def update(self, stretch: Stretch) -> None:
         """Add squares."""
         angles = self.of(stretch)
-        self.total += float(angles.dot(angles))
+        self.total += float(same_bits.dot(angles, angles))
         self.count += len(angles)
 
     def value(self, end: TrialEnd) -> float | None:

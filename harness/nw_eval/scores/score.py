@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from nw_eval import same_bits
 from nw_eval.words import Outcome
 
 Array = NDArray[np.float64]
@@ -218,17 +219,17 @@ class Stretch:
     @cached_property
     def yaw(self) -> Array:
         """Of the trunk, (n,) rad."""
-        return np.arctan2(self.rotation[:, 3], self.rotation[:, 0])
+        return same_bits.arctan2(self.rotation[:, 3], self.rotation[:, 0])
 
     @cached_property
     def roll(self) -> Array:
         """Of the trunk, (n,) rad."""
-        return np.arctan2(self.rotation[:, 7], self.rotation[:, 8])
+        return same_bits.arctan2(self.rotation[:, 7], self.rotation[:, 8])
 
     @cached_property
     def pitch(self) -> Array:
         """Of the trunk, (n,) rad."""
-        return -np.arcsin(np.minimum(np.maximum(self.rotation[:, 6], -1.0), 1.0))
+        return -same_bits.arcsin(np.minimum(np.maximum(self.rotation[:, 6], -1.0), 1.0))
 
     @cached_property
     def roll_pitch_yaw(self) -> Array:

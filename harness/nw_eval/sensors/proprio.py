@@ -17,6 +17,7 @@ from typing import Any, assert_never
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from nw_eval import same_bits
 from nw_eval.cards import terms
 from nw_eval.cards.card import Command, ConstantCommand
 from nw_eval.cards.joint_control import JointControl
@@ -152,7 +153,7 @@ def _linear_velocity(term: terms.LinearVelocity) -> Reader:
             case "world":
                 return in_world
             case "trunk":
-                return rotation.T @ in_world
+                return same_bits.product(in_world, rotation)
             case "yaw":
                 yaw = moment.roll_pitch_yaw[2]
                 c, s = math.cos(yaw), math.sin(yaw)

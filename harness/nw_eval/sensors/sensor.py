@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
 from nw_eval.cards import Action
 from nw_eval.memory import Arrays, Forgetful, Memory, read_only
 from nw_eval.scenes.rays import RayScene
@@ -156,7 +157,7 @@ class Air:
         if self.fog:
             # Where nothing was drawn there is no end to the fog.
             metres = np.where(image.depth > 0.0, image.depth, np.float32(np.inf))
-            clear = np.exp(-np.float32(self.fog) * metres)[..., np.newaxis]
+            clear = same_bits.exp(-np.float32(self.fog) * metres)[..., np.newaxis]
             rgb = rgb * clear + np.float32(FOG) * (np.float32(1.0) - clear)
         if self.exposure != 1.0:
             rgb = rgb * np.float32(self.exposure)

@@ -23,6 +23,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
 from nw_eval.robots.spec import CameraMount
 from nw_eval.sensors.drawing.overlay import RobotView
 from nw_eval.sim import World
@@ -102,7 +103,7 @@ class Shutter:
                 Band(
                     rows=(first, end),
                     T_world_camera=then,
-                    robot=_Carrier(world, pose @ np.linalg.inv(then)),
+                    robot=_Carrier(world, pose @ same_bits.inverse(then)),
                 )
             )
         return bands
@@ -110,7 +111,7 @@ class Shutter:
     def _steps(self, world: World, seconds: float, most: int) -> int:
         """Return a power of two: few counts of bands, so that what is kept for each is found."""
         linear, angular = world.camera_velocity(self._name)
-        speed = float(np.linalg.norm(angular)) + float(np.linalg.norm(linear)) / _NEAR
+        speed = same_bits.length(angular) + same_bits.length(linear) / _NEAR
         pixels = min(speed * seconds * self._focal / _STEP, float(most))
         return min(1 << max(0, int(np.ceil(pixels)) - 1).bit_length(), most)
 
@@ -124,7 +125,7 @@ def moved(pose: Array, velocity: tuple[Array, Array], time: float) -> Array:
         time: s from now.
     """
     linear, angular = velocity
-    rate = float(np.linalg.norm(angular))
+    rate = same_bits.length(angular)
     angle = rate * time
     x, y, z = angular / rate if rate > 0.0 else angular
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

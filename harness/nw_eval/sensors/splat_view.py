@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
 from nw_eval.errors import UsageError
 from nw_eval.lens import Intrinsics
 from nw_eval.sensors.sensor import SceneView, StepContext
@@ -58,7 +59,7 @@ class SplatView:
             SceneError: the scene has none.
         """
         self._renderer = place.renderer()
-        self._T_splat_world = np.linalg.inv(place.world.scene.T_world_splat)
+        self._T_splat_world = same_bits.inverse(place.world.scene.T_world_splat)
 
     def camera(self, T_splat_camera: Array) -> Camera:
         """Return the camera at a pose."""
@@ -121,7 +122,7 @@ class SplatScan:
     def __init__(self, name: str, directions: Array, step: float) -> None:
         self._count = len(directions)
         self._sectors: list[_Sector] = []
-        azimuth = np.arctan2(directions[:, 1], directions[:, 0])
+        azimuth = same_bits.arctan2(directions[:, 1], directions[:, 0])
         number = np.clip(np.floor((azimuth + math.pi) / _SECTOR).astype(int), 0, 3)
         for each in np.unique(number).tolist():
             rays = np.flatnonzero(number == each)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from nw_eval.cards import wrappers
 from nw_eval.errors import CodeError, NwEvalError, PolicyError
 from nw_eval.memory import Arrays
+from nw_eval.same_bits import everywhere
 from nw_eval.sensors.plugins import foreign_wrapper
 from nw_eval.sensors.sensor import Plain, Sample, Shot, Spec, StepContext, Wrapper
 
@@ -292,6 +293,17 @@ def _cropped(settings: wrappers.Crop, sample: Sample) -> Sample:
     return np.ascontiguousarray(sample[rows, columns])
 
 
+def _along(weights: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (new, ...) sums of values (old, ...), by the few weights (new, old) that are not 0."""
+    most = int(np.count_nonzero(weights, axis=1).max())
+    places = np.argsort(weights == 0.0, axis=1, kind="stable")[:, :most]
+    shares = np.take_along_axis(weights, places, axis=1)
+    total = np.zeros((len(weights), *values.shape[1:]))
+    for place, share in zip(places.T, shares.T, strict=True):
+        total += share[:, np.newaxis, np.newaxis] * values[place]
+    return total
+
+
 class Resize(Plain):
     """Another size: each axis by a matrix of weights."""
 
@@ -308,7 +320,10 @@ class Resize(Plain):
             return sample[rows.astype(np.intp)][:, columns.astype(np.intp)]
         down, across = self._matrix(height, settings.height), self._matrix(width, settings.width)
         planes = sample.reshape(height, width, -1).astype(np.float64)
-        resized = np.einsum("hi,wj,ijc->hwc", down, across, planes, optimize=True)
+        if everywhere():
+            resized = _along(across, _along(down, planes).swapaxes(0, 1)).swapaxes(0, 1)
+        else:
+            resized = np.einsum("hi,wj,ijc->hwc", down, across, planes, optimize=True)
         shape = (settings.height, settings.width, *sample.shape[2:])
         return rounded(resized.reshape(shape), sample.dtype)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nw_eval import same_bits
 from nw_eval.errors import UsageError, nearest
 from nw_eval.robots.spec import STATIC_GROUP, VISUAL_GROUP
 from nw_eval.sim.binding import MjData, MjModel, mujoco
@@ -92,9 +93,9 @@ class Body:
         w, x, y, z = self._data.xquat[self._trunk]
         return np.array(
             [
-                np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-                np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
-                np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+                same_bits.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+                same_bits.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0)),
+                same_bits.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
             ]
         )
 
@@ -177,7 +178,7 @@ class Body:
             kind = mujoco.mjtObj.mjOBJ_XBODY
             mujoco.mj_objectVelocity(self._model, self._data, kind, self._carrier(imu), found, 1)
             rates = found[:3]
-        return np.array(imu.R_body_imu).T @ rates
+        return same_bits.product(rates, np.array(imu.R_body_imu))
 
     def moving(self) -> tuple[Array, Array, Array, Array, Array]:
         """Return what moves, now: views of the simulation's memory where that is possible.

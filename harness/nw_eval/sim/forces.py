@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nw_eval import same_bits
 from nw_eval.sim.binding import MjData, MjModel
 from nw_eval.sim.body import Places, geoms_of
 
@@ -81,7 +82,7 @@ def specific_force(
             wx * vy - wy * vx + ax * py - ay * px,
         ]
     )
-    return R_world_trunk.T @ (acceleration[:3] - gravity) + circling
+    return same_bits.product(acceleration[:3] - gravity, R_world_trunk) + circling
 
 
 class PhysicsRate:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nw_eval import same_bits
 from nw_eval.scenes.mesh import TriangleMesh, rotation_matrix
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sim.body import RobotRays
@@ -78,7 +79,7 @@ class Looks:
             along = directions @ ahead if is_fan else (directions * ahead).sum(axis=1)
             beside = (ahead**2).sum(axis=-1) - along**2
             near = np.flatnonzero((beside < part.reach**2) & (along > -part.reach))
-            begin = np.broadcast_to((starts - at) @ R, (count, 3))[near]
+            begin = np.broadcast_to(_turned(starts - at, R), (count, 3))[near]
             far, face = part.rays.cast(begin, directions[near] @ R)
             first = np.flatnonzero(far < distance[near])
             met = near[first]
@@ -109,6 +110,10 @@ def _part(body: int, shapes: Sequence[Shape], numbers: Sequence[int]) -> _Part:
         # And a little: rays are cast in single precision.
         reach=float(np.linalg.norm(points - middle, axis=1).max()) * 1.001 + 1e-6,
     )
+
+
+def _turned(places: Array, R: Array) -> Array:
+    return same_bits.product(places, R) if places.ndim == 1 else places @ R
 
 
 def unit_normals(corners: Array) -> Array:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
+from nw_eval import same_bits
 from nw_eval.errors import TrialError
 from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.scenes.prop import prop_body
@@ -369,7 +370,7 @@ class World(Body):
         if imu is not None:
             R = np.array(imu.R_body_imu)
             place = np.array(imu.position) + R @ np.array(at)
-            return R.T @ self._specific_force(place, imu)
+            return same_bits.product(self._specific_force(place, imu), R)
         return specific_force(
             at,
             acceleration=self._forces.acceleration,

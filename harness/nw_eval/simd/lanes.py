@@ -334,3 +334,13 @@ def where(_typing: Any, mask: Any, yes: Any, no: Any) -> Any:
         return builder.select(args[0], *chosen)
 
     return kind(mask, _vector_or_float(yes), _vector_or_float(no)), generate
+
+
+@intrinsic
+def lowest_bit(_typing: Any, bits: Any) -> Any:
+    """Return the position of the lowest bit of an int64 that is set; 64 if none is."""
+
+    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        return builder.cttz(args[0], ir.Constant(I1, 0))
+
+    return types.int64(types.int64), generate

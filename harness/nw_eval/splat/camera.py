@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
 from nw_eval.errors import UsageError, nearest
 from nw_eval.lens import Distortion, Intrinsics
 
@@ -131,7 +132,7 @@ class Camera:
     @property
     def T_camera_world(self) -> NDArray[np.float64]:  # noqa: N802 - as the field is named.
         """(4, 4) float64, maps world points to camera: the view matrix."""
-        return np.linalg.inv(self.T_world_camera).astype(np.float64)
+        return same_bits.inverse(self.T_world_camera)
 
 
 def look_at(
@@ -250,7 +251,7 @@ def view_vector(
     x_high = (camera.width - camera.cx) / camera.fx + margin_x
     y_low = -(camera.cy / camera.fy + margin_y)
     y_high = (camera.height - camera.cy) / camera.fy + margin_y
-    scale = float(np.linalg.norm(T_camera_world[:, 0]))
+    scale = same_bits.length(T_camera_world[:, 0])
     steepest_x, steepest_y = max(abs(x_low), abs(x_high)), max(abs(y_low), abs(y_high))
     column0, column1, row0, row1 = window
     return np.array(

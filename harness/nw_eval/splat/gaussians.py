@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
 from nw_eval.errors import SceneError
 from nw_eval.words import Projection, RasterizeMode
 
@@ -113,7 +114,7 @@ def drawable(gaussians: Gaussians) -> NDArray[np.bool_]:
     finite, rotations of length 0, and opacities that are not a number.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        scales = np.exp(gaussians.log_scales)
+        scales = same_bits.exp(gaussians.log_scales)
         return (
             np.isfinite(gaussians.means).all(axis=1)
             & np.isfinite(scales * scales).all(axis=1)
@@ -193,7 +194,9 @@ def describe(gaussians: Gaussians) -> SplatFigures:
         centres = np.zeros((1, 3), dtype=np.float32)
     finite = drawable(gaussians)
     opacity = sigmoid(gaussians.opacity_logits[finite])
-    largest = np.exp(np.clip(gaussians.log_scales[finite].max(axis=1, initial=-80.0), -80.0, 80.0))
+    largest = same_bits.exp(
+        np.clip(gaussians.log_scales[finite].max(axis=1, initial=-80.0), -80.0, 80.0)
+    )
     percentiles = np.percentile(largest, [1, 50, 99]) if len(largest) else np.zeros(3)
     bulk = np.percentile(centres, [1, 99], axis=0)
     logits = gaussians.opacity_logits[finite]
@@ -244,13 +247,13 @@ def _point(values: np.ndarray) -> tuple[float, ...]:
 def logit(opacity: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
     """Return log(p / (1 - p)), p kept 1e-4 away from 0 and 1 so that bytes 0 and 255 are finite."""
     p = np.clip(opacity.astype(np.float64), _LEAST_OPACITY, 1.0 - _LEAST_OPACITY)
-    return np.log(p / (1.0 - p)).astype(np.float32)
+    return same_bits.log(p / (1.0 - p)).astype(np.float32)
 
 
 def sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float64]:
     """Return 1 / (1 + exp(-x)) without overflow warnings."""
     with np.errstate(over="ignore"):
-        return 1.0 / (1.0 + np.exp(-logits.astype(np.float64)))
+        return 1.0 / (1.0 + same_bits.exp(-logits.astype(np.float64)))
 
 
 def to_byte(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:

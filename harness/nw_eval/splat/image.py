@@ -14,6 +14,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
 from nw_eval.errors import UsageError
 
 Floating = TypeVar("Floating", np.float32, np.float64)
@@ -213,19 +214,23 @@ class CameraModel:
 
 def _decode(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """Turn sRGB into linear light (IEC 61966-2-1)."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    return np.where(
+        values <= 0.04045, values / 12.92, same_bits.power((values + 0.055) / 1.055, 2.4)
+    )
 
 
 def _encode(light: NDArray[Floating]) -> NDArray[Floating]:
     """Turn linear light into sRGB."""
-    return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.where(
+        light <= 0.0031308, light * 12.92, 1.055 * same_bits.power(light, 1 / 2.4) - 0.055
+    )
 
 
 def _blur(values: NDArray[np.float32], deviation: float, *, axis: int) -> NDArray[np.float32]:
     """Gaussian along one axis; edges repeat."""
     radius = math.ceil(3 * deviation)
     offsets = np.arange(-radius, radius + 1)
-    weights = np.exp(-0.5 * (offsets / deviation) ** 2)
+    weights = same_bits.exp(-0.5 * (offsets / deviation) ** 2)
     weights /= weights.sum()
     padding = [(0, 0)] * values.ndim
     padding[axis] = (radius, radius)

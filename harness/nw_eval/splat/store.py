@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
 from nw_eval.errors import SceneError
 from nw_eval.files.cache import DamagedError, read_sealed, sealed_path
 from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians, drawable, quaternions
@@ -249,9 +250,9 @@ def read_compiled(path: Path) -> Gaussians:
     opacities = np.clip(held.opacities[whole].astype(np.float64), 1e-38, _OPAQUE)
     return Gaussians(
         means=held.means[whole],
-        log_scales=(0.5 * np.log(variances)).astype(np.float32),
+        log_scales=(0.5 * same_bits.log(variances)).astype(np.float32),
         quats=quaternions(axes).astype(np.float32),
-        opacity_logits=np.log(opacities / (1.0 - opacities)).astype(np.float32),
+        opacity_logits=same_bits.log(opacities / (1.0 - opacities)).astype(np.float32),
         sh=held.sh[whole],
         rasterize_mode=store.rasterize_mode,
         projection=store.projection,
@@ -316,8 +317,8 @@ def arrange(gaussians: Gaussians) -> Layout:
         SceneError: when none is left.
     """
     with np.errstate(over="ignore", invalid="ignore"):
-        opacity = 1.0 / (1.0 + np.exp(-gaussians.opacity_logits.astype(np.float64)))
-        scales = np.exp(gaussians.log_scales)
+        opacity = 1.0 / (1.0 + same_bits.exp(-gaussians.opacity_logits.astype(np.float64)))
+        scales = same_bits.exp(gaussians.log_scales)
     kept = np.flatnonzero(drawable(gaussians) & (opacity >= 1.0 / 255.0))
     if len(kept) == 0:
         raise SceneError(
@@ -342,7 +343,7 @@ def arrange(gaussians: Gaussians) -> Layout:
         values = np.empty((len(rows), GEOMETRY), dtype=np.float32)
         values[:, :3] = gaussians.means[rows]
         values[:, 3:9] = _covariances(gaussians.quats[rows], scales[rows])
-        values[:, 9] = np.log2(opacity[rows])
+        values[:, 9] = same_bits.log2(opacity[rows])
         _fill(geometry[part], values)
         _fill(dc[part], gaussians.sh[rows, 0] * np.float32(SH0) + np.float32(0.5))
         if sh_count > 1:
@@ -449,7 +450,7 @@ def _bounds(means: NDArray[np.float32], largest: NDArray[np.float32]) -> NDArray
 def _size_class(largest: NDArray[np.float32]) -> NDArray[np.int64]:
     """0 up to four times the median size, then one class for each doubling."""
     ratio = largest / max(float(np.median(largest)), 1e-30)
-    level = np.floor(np.log2(np.maximum(ratio, 1.0)))
+    level = np.floor(same_bits.log2(np.maximum(ratio, 1.0)))
     return np.where(level <= 1, 0, np.minimum(level, 8)).astype(np.int64)
 
 

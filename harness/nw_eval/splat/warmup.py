@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
 _KERNELS = Path(__file__).parent / "kernels"
-_NETWORKS = Path(__file__).parents[1] / "networks"
+_PACKAGE = Path(__file__).parents[1]
+_OWN: dict[Kernels, Path] = {"networks": _PACKAGE / "networks", "rays": _PACKAGE / "rays"}
 
 
 def warmup(
@@ -58,6 +59,8 @@ def warmup(
     store = memory_store(gaussians)
     if "networks" in kernels:
         _warm_networks()
+    if "rays" in kernels:
+        _warm_rays()
     if backend != "cpu":
         open_renderer(store, backend).render(camera)
         return time.perf_counter() - started
@@ -65,8 +68,8 @@ def warmup(
 
     straight = Distortion(model="fisheye", coefficients=(0.0, 0.0, 0.0, 0.0))
     for kind in kernels:
-        if kind == "networks":
-            mark_compiled(_NETWORKS, kind)
+        if kind in _OWN:
+            mark_compiled(_OWN[kind], kind)
             continue
         if kind == "lens":
             open_renderer(store).render(replace(camera, distortion=straight))
@@ -89,13 +92,17 @@ def _warm_networks() -> None:
     Network(plan(graph))({"x": np.zeros((1, 1), np.float32)})
 
 
+def _warm_rays() -> None:
+    from nw_eval.rays.tree import Tree
+
+    Tree(np.eye(3), np.array([[0, 1, 2]])).cast(np.zeros(3), np.ones((1, 3)))
+
+
 def warm_kernels() -> tuple[Kernels, ...]:
     """Return which of the CPU's kernels `warmup` finds compiled, by this version of them."""
     from nw_eval.machine_code import is_compiled  # It knows numba.
 
-    return tuple(
-        kind for kind in KERNELS if is_compiled(_NETWORKS if kind == "networks" else _KERNELS, kind)
-    )
+    return tuple(kind for kind in KERNELS if is_compiled(_OWN.get(kind, _KERNELS), kind))
 
 
 def kernel_note() -> str | None:

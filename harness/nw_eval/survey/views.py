@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
 from nw_eval.robots import RobotSpec
 from nw_eval.scenes.finding import SceneFinding, Severity
 from nw_eval.scenes.rays import RayScene
@@ -148,7 +149,7 @@ class _Looker:
         toward = np.concatenate([slopes, np.ones((height, width, 1))], axis=-1).reshape(-1, 3)
         self._directions = toward / np.linalg.norm(toward, axis=1, keepdims=True)
         self._rays, self._renderer, self._captures = rays, renderer, scene.captures
-        self._T_splat_world = np.linalg.inv(scene.T_world_splat)
+        self._T_splat_world = same_bits.inverse(scene.T_world_splat)
         corners = rays.mesh.triangles
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)

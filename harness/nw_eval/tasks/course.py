@@ -17,6 +17,7 @@ from typing import Literal, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from nw_eval import same_bits
 from nw_eval.errors import SceneError
 from nw_eval.memory import read_only
 from nw_eval.protocol import STRICT, EvaluationProtocol
@@ -248,7 +249,7 @@ class Termination:
         self._control_period = control_period
         self._contact_termination = contact_termination
         self.limits = Limits() if limits is None else limits
-        to_first = float(np.linalg.norm(points[0] - corners[0]))
+        to_first = same_bits.length(points[0] - corners[0])
         whole = to_first + self._onward[0]
         self._so_far = _SoFar(best_remaining=whole, best_step=0, contact_steps=0)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from nw_eval import same_bits
 from nw_eval.built_in.bake.spots import (
     Array,
     Coat,
@@ -219,7 +220,7 @@ def wheel(spots: Spots, colour: Colour) -> Coat:
     flank = step(radius, 0.365, spots.blur)
     tyre = 1.0 - step(radius, 0.315, spots.blur)
     hub = 1.0 - step(radius, 0.20, spots.blur)
-    angle = np.arctan2(v, u)
+    angle = same_bits.arctan2(v, u)
     spoke = np.clip(np.abs(((angle / (2 * np.pi) * 5) % 1.0) - 0.5) * 4 - 0.6, 0.0, 1.0)
     albedo = np.broadcast_to(np.full(3, 0.006), (len(spots), 3))
     albedo = blend(albedo, np.full(3, 0.022), tyre)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from nw_eval import same_bits
 from nw_eval.built_in.bake.materials import colour_of
 from nw_eval.built_in.bake.spots import Array, fractal, linear
 from nw_eval.built_in.bake.surfels import eye_distance, length
@@ -89,7 +90,7 @@ def _shell(
     # Twigs carry the leaves: the surface bulges and gapes in lumps of several sizes.
     surface = center + out * radii
     lumps = fractal(surface, 0.75 * reach, 801, octaves=4)
-    depth = 0.98 - 0.26 * rng.random(count) ** 1.5 + 0.30 * lumps
+    depth = 0.98 - 0.26 * same_bits.power(rng.random(count), 1.5) + 0.30 * lumps
     means = center + out * radii * depth[:, None] + size * 0.4 * rng.standard_normal((count, 3))
     normals = out / radii
     normals = normals / length(normals)[:, None]

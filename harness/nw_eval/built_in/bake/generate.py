@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from nw_eval import same_bits
 from nw_eval.built_in.bake.foliage import Tufts, blades, leaves, quats_from_normals
 from nw_eval.built_in.bake.lighting import Lighting, dome, sky_radiance, smoothed
 from nw_eval.built_in.bake.spots import Array
@@ -283,9 +284,9 @@ def _surround(place: Place, scale: Array, radiance: Array, points: Array) -> Gau
 def _gaussians(means: Array, scales: Array, quats: Array, opacity: Array, rgb: Array) -> Gaussians:
     return Gaussians(
         means=means.astype(np.float32),
-        log_scales=np.log(scales).astype(np.float32),
+        log_scales=same_bits.log(scales).astype(np.float32),
         quats=quats.astype(np.float32),
-        opacity_logits=np.log(opacity / (1.0 - opacity)).astype(np.float32),
+        opacity_logits=same_bits.log(opacity / (1.0 - opacity)).astype(np.float32),
         sh=((rgb - 0.5) / SH0).astype(np.float32)[:, None, :],
     )
 
@@ -311,7 +312,7 @@ def exposure(place: Place, points: Array, fallen: Array, radiance: Array) -> Arr
     """
     near = eye_distance(points, place.eyes) < 6.0
     white = np.median(fallen[near], axis=0)
-    gain = (float((white * _LUMA).sum()) / np.maximum(white, 1e-4)) ** _WHITE_BALANCE
+    gain = same_bits.power(float((white * _LUMA).sum()) / np.maximum(white, 1e-4), _WHITE_BALANCE)
     luma = (radiance[near] * gain * _LUMA).sum(axis=1)
     grey = _MIDDLE_GREY[place.indoor] * place.light.exposure
     return gain * grey / max(float(np.median(luma)), 1e-4)
@@ -323,5 +324,7 @@ def display(radiance: Array, scale: Array) -> Array:
     # Reinhard's curve with a white point: a long shoulder, so that windows do not burn out hard.
     curve = np.clip(1.05 * x * (1.0 + x / 12.0) / (1.0 + x), 0.0, 1.0)
     # A film's contrast: darker shadows, brighter lights.
-    shown = np.where(curve <= 0.0031308, 12.92 * curve, 1.055 * curve ** (1 / 2.4) - 0.055)
+    shown = np.where(
+        curve <= 0.0031308, 12.92 * curve, 1.055 * same_bits.power(curve, 1 / 2.4) - 0.055
+    )
     return np.clip(shown + 0.35 * shown * (1.0 - shown) * (shown - 0.5), 0.0, 1.0)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
 from nw_eval.built_in.places.parts import Light
 
 Array = NDArray[np.float64]
@@ -76,7 +77,9 @@ Material = Callable[[Spots, Colour], Coat]
 def linear(code: str) -> Colour:
     """Return the linear (3,) colour of `#rrggbb`."""
     display = np.array([int(code[i : i + 2], 16) / 255.0 for i in (1, 3, 5)])
-    return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+    return np.where(
+        display <= 0.04045, display / 12.92, same_bits.power((display + 0.055) / 1.055, 2.4)
+    )
 
 
 def blend(base: Array, over: Array, share: NDArray[np.floating]) -> Array:

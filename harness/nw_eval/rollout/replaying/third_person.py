@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
+from nw_eval import same_bits
 from nw_eval.lens import Intrinsics
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.overlay import (
@@ -122,7 +123,7 @@ class Spectator:
     ) -> Bytes:
         """Return the view through a lens; `is_aboard`: the trunk carries it, and is left out."""
         width, height = lens.width, lens.height
-        T = np.linalg.inv(self._scene.T_world_splat) @ T_world_camera
+        T = same_bits.inverse(self._scene.T_world_splat) @ T_world_camera
         lens = lens.resized(width * _OVERSAMPLING, height * _OVERSAMPLING)
         camera = Camera.of(lens, T)
         directions = ray_directions(camera, Pixels())

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.overlay import Overlay, insert, shade
 from nw_eval.splat.camera import Camera, Pixels, Rows
@@ -49,9 +50,9 @@ def cast_at_prop(
     R, at = T_world_prop[:3, :3], T_world_prop[:3, 3]
     ahead = R @ middle + at - origin
     along = directions @ ahead
-    near = np.flatnonzero((ahead @ ahead - along**2 < reach**2) & (along > -reach))
+    near = np.flatnonzero((same_bits.dot(ahead, ahead) - along**2 < reach**2) & (along > -reach))
     distance, face = np.full(len(directions), np.inf), np.full(len(directions), -1, np.int32)
-    begin = np.broadcast_to((origin - at) @ R, (len(near), 3))
+    begin = np.broadcast_to(same_bits.product(origin - at, R), (len(near), 3))
     distance[near], face[near] = rays.cast(begin, directions[near] @ R)
     return distance, face
 
@@ -134,7 +135,7 @@ class PropPictures:
             if prop.splat is None:
                 one = _of_mesh(prop, pose, directions, T_world_camera, static, pitch)
             else:
-                T = np.linalg.inv(pose @ prop.T_prop_splat) @ T_world_camera
+                T = same_bits.inverse(pose @ prop.T_prop_splat) @ T_world_camera
                 renderer, camera = self._renderer(prop), camera_at(T)
                 image = (
                     renderer.render(camera, pixels)
@@ -227,10 +228,10 @@ def _may_touch(
     """Return the pixels whose rays come as near to a prop as the ball round it, or half a pixel."""
     _, middle, reach = _solid(prop)
     R_world_camera, origin = T_world_camera[:3, :3], T_world_camera[:3, 3]
-    ahead = (pose[:3, :3] @ middle + pose[:3, 3] - origin) @ R_world_camera
+    ahead = same_bits.product(pose[:3, :3] @ middle + pose[:3, 3] - origin, R_world_camera)
     along = flat @ ahead
     wide = reach + (0.0 if pitch is None else max(pitch) * np.maximum(along, 0.0))
-    return np.flatnonzero((ahead @ ahead - along**2 < wide**2) & (along > -reach))
+    return np.flatnonzero((same_bits.dot(ahead, ahead) - along**2 < wide**2) & (along > -reach))
 
 
 def _of_splat(

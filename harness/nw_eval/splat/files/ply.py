@@ -40,6 +40,7 @@ from typing import Literal, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval import same_bits
 from nw_eval.clean import clean
 from nw_eval.errors import SceneError
 from nw_eval.files.inside import regular
@@ -177,13 +178,13 @@ def _smoothed(
     Variances grow by the filter's, opacity falls as the volume grows.
     """
     with np.errstate(all="ignore"):
-        before = np.exp(2 * log_scales.astype(np.float64))
+        before = same_bits.exp(2 * log_scales.astype(np.float64))
         after = before + filters.astype(np.float64) ** 2
         share = np.sqrt(np.where(after > 0, before / after, 1.0).prod(axis=1))
-        opacity = share / (1 + np.exp(-logits.astype(np.float64)))
+        opacity = share / (1 + same_bits.exp(-logits.astype(np.float64)))
         return (
-            (0.5 * np.log(after)).astype(np.float32),
-            np.log(opacity / (1 - opacity)).astype(np.float32),
+            (0.5 * same_bits.log(after)).astype(np.float32),
+            same_bits.log(opacity / (1 - opacity)).astype(np.float32),
         )
 
 
@@ -417,7 +418,7 @@ def read_dot_splat(path: Path) -> Gaussians:
     rows = np.fromfile(path, _ROW)
     rgba = rows["rgba"].astype(np.float32) / np.float32(255)
     with np.errstate(invalid="ignore"):
-        log_scales = np.log(np.maximum(np.abs(rows["scale"]), np.float32(_LEAST_SCALE)))
+        log_scales = same_bits.log(np.maximum(np.abs(rows["scale"]), np.float32(_LEAST_SCALE)))
     return Gaussians(
         means=rows["mean"],
         log_scales=log_scales,
@@ -431,10 +432,12 @@ def write_dot_splat(path: Path, gaussians: Gaussians) -> None:
     """Write a .splat file, largest and most opaque first, as viewers of the format expect."""
     opacity = sigmoid(gaussians.opacity_logits)
     with np.errstate(over="ignore", invalid="ignore"):
-        order = np.argsort(-np.exp(gaussians.log_scales.sum(axis=1)) * opacity, kind="stable")
+        order = np.argsort(
+            -same_bits.exp(gaussians.log_scales.sum(axis=1)) * opacity, kind="stable"
+        )
         rows = np.empty(len(gaussians), _ROW)
         rows["mean"] = gaussians.means[order]
-        rows["scale"] = np.exp(gaussians.log_scales[order])
+        rows["scale"] = same_bits.exp(gaussians.log_scales[order])
     rows["rgba"][:, :3] = to_byte((gaussians.sh[order, 0] * SH0 + 0.5) * 255)
     rows["rgba"][:, 3] = to_byte(opacity[order] * 255)
     rows["quat"] = to_byte(unit_quats(gaussians.quats[order]) * 128 + 128)
