@@ -487,7 +487,9 @@ def light_around(
     total = _around(cells) + _AFAR * cells.sum(axis=(0, 1))
     light = np.empty((len(row), 3), dtype=np.float32)
     numbers = (_LUMA, _GREY, _DIMMEST, _BRIGHTEST, _TINT)
-    insertion.light_at(total[..., :3] / total[..., 3:], size, row, column, numbers, light)
+    of_pixels = (total[..., :3] / total[..., 3:], row, column)
+    means, row, column = map(np.ascontiguousarray, of_pixels)
+    insertion.light_at(means, size, row, column, numbers, light)
     return light
 
 
