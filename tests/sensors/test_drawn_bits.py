@@ -188,10 +188,10 @@ for _ in range(2):
         image, drawn, directions=directions, T_world_camera=T, static=static
     )
     assert not np.array_equal(before.rgb, image.rgb)
-print(len(kinds), sum(kinds), sum(len(each.signatures) for each in kernels))
+print(sum(kinds), sum(len(each.signatures) for each in kernels))
 """
     out = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
-    count, before, after = map(int, out.stdout.split())
-    assert before == after > count > 5
+    before, after = map(int, out.stdout.split())
+    assert before == after >= 9
