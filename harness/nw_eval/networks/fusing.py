@@ -53,9 +53,11 @@ def _is_line(row: Row) -> bool:
 
 def _scaled(first: Row, second: Row) -> Row | None:
     """Return g(f(x, number), y) for f(x, number) and g(that, y)."""
-    takes = second[0] == rows.ELEMENTS and second[18] == first[20]
-    again = first[20] <= second[19] < first[20] + first[5]
-    if not takes or again or first[0] != rows.ELEMENTS or not _is_line(second) or second[5] != first[5]:
+    if (first[0], second[0]) != (rows.ELEMENTS, rows.ELEMENTS) or not _is_line(second):
+        return None
+    if second[18] != first[20] or second[5] != first[5]:
+        return None
+    if first[20] <= second[19] < first[20] + first[5]:  # It is y, too.
         return None
     if (first[9], first[13], second[9]) != (1, 0, 1) or second[13] not in {0, 1}:
         return None
