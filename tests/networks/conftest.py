@@ -39,3 +39,39 @@ def perceptron():
     )
     opset = onnx.helper.make_opsetid("", 17)
     return onnx.helper.make_model(graph, opset_imports=[opset], ir_version=9)
+
+
+@pytest.fixture
+def eye():
+    """Return a function: a model of a convolution over (bytes / 255 - mean), with other outputs."""
+
+    def eye(*also, mean=None):
+        rng = np.random.default_rng(1)
+        weights = {
+            "full": np.float32(255.0),
+            "mean": rng.random((1, 3, 20, 30), np.float32) if mean is None else mean,
+            "w": rng.normal(0, 0.2, (8, 3, 5, 5)).astype(np.float32),
+            "b": rng.normal(0, 0.2, 8).astype(np.float32),
+        }
+        node, of = onnx.helper.make_node, onnx.helper.make_tensor_value_info
+        nodes = [
+            node("Cast", ["rgb"], ["cast"], to=onnx.TensorProto.FLOAT),
+            node("Div", ["cast", "full"], ["share"]),
+            node("Sub", ["share", "mean"], ["centred"]),
+            node("Conv", ["centred", "w", "b"], ["seen"], pads=[2, 2, 2, 2], strides=[2, 2]),
+            node("Mul", ["share", "share"], ["squared"]),
+        ]
+        shape = [1, 3, 20, 30]
+        outputs = [of("seen", onnx.TensorProto.FLOAT, [1, 8, 10, 15])]
+        outputs += [of(name, onnx.TensorProto.FLOAT, shape) for name in also]
+        graph = onnx.helper.make_graph(
+            nodes if "squared" in also else nodes[:-1],
+            "eye",
+            [of("rgb", onnx.TensorProto.UINT8, shape)],
+            outputs,
+            [numpy_helper.from_array(array, name) for name, array in weights.items()],
+        )
+        opset = onnx.helper.make_opsetid("", 17)
+        return onnx.helper.make_model(graph, opset_imports=[opset], ir_version=9)
+
+    return eye

@@ -9,9 +9,10 @@ import onnx
 import onnxruntime
 import pytest
 
-from nw_eval.networks import Program
+from nw_eval.networks import Program, planning
 from nw_eval.networks.network import Network
 from nw_eval.networks.plan import plan
+from nw_eval.networks.program import COPY, ELEMENTS, PRODUCT, SCALED
 
 GUARD = 4096
 
@@ -47,8 +48,10 @@ def test_a_network_is_near_to_onnxruntime_s(perceptron, graph_of):
         )
 
 
-def test_no_mutant_that_passes_the_check_touches_anything_outside(perceptron, graph_of):
-    program = plan(graph_of(perceptron))
+@pytest.mark.parametrize("model", ["perceptron", "eye"])
+def test_no_mutant_that_passes_the_check_touches_anything_outside(model, request, graph_of):
+    model = request.getfixturevalue(model)
+    program = plan(graph_of(model() if callable(model) else model))
     rng = np.random.default_rng(3)
     passed = 0
     for _ in range(3000):
@@ -73,6 +76,32 @@ def test_no_mutant_that_passes_the_check_touches_anything_outside(perceptron, gr
         passed += 1
         assert guarded(mutant)
     assert passed > 50
+
+
+@pytest.mark.parametrize(
+    ("also", "mean", "operations"),
+    [
+        ((), None, [SCALED, PRODUCT, COPY]),
+        ((), np.float32([0.5]), [SCALED, PRODUCT, COPY]),
+        ((), np.linspace(0, 1, 30, dtype=np.float32), [ELEMENTS, ELEMENTS, COPY, PRODUCT, COPY]),
+        (("centred",), None, [SCALED, COPY, PRODUCT, COPY]),
+        (("share",), None, [ELEMENTS, ELEMENTS, PRODUCT, COPY]),
+        (("squared",), None, [ELEMENTS, ELEMENTS, PRODUCT, ELEMENTS, COPY]),
+        (("squared", "centred"), None, [ELEMENTS, ELEMENTS, COPY, PRODUCT, ELEMENTS, COPY]),
+    ],
+)
+def test_rows_are_one_where_nothing_else_takes_what_is_between(
+    eye, graph_of, monkeypatch, also, mean, operations
+):
+    model = eye(*also, mean=mean)
+    program = plan(graph_of(model))
+    assert program.rows[:, 0].tolist() == operations
+    monkeypatch.setattr(planning, "fused", lambda program, _kept: program)
+    apart = plan(graph_of(model))
+    assert len(apart.rows) == 5 + ("squared" in also)
+    rgb = np.random.default_rng(7).integers(0, 256, (1, 3, 20, 30)).astype(np.uint8)
+    for name, array in Network(apart)({"rgb": rgb}).items():
+        assert array.tobytes() == Network(program)({"rgb": rgb})[name].tobytes()
 
 
 def test_bytes_that_are_no_program_are_refused(perceptron, graph_of):

@@ -273,7 +273,10 @@ def doubling(name="seen", count=12):
     return model.SerializeToString()
 
 
-def test_a_graph_without_memory_runs_when_it_is_given_something_else(tmp_path, monkeypatch):
+@pytest.mark.parametrize("is_writeable", [True, False])
+def test_a_graph_without_memory_runs_when_it_is_given_something_else(
+    tmp_path, monkeypatch, is_writeable
+):
     files = {"encoder.onnx": doubling(), "body.onnx": doubling()}
     bundle = bundle_of(tmp_path, files, inputs="[encoder]", encoder="encoder, inputs: [pose]")
     policy = open_policy(bundle)
@@ -281,13 +284,15 @@ def test_a_graph_without_memory_runs_when_it_is_given_something_else(tmp_path, m
     run = encoder.run
     monkeypatch.setattr(encoder, "run", lambda given: asked.append(1) or run(given))
     pose = np.zeros(12, np.float32)
+    shown = pose.view()  # Behind the fence, of memory that the trial writes into.
+    shown.flags.writeable = is_writeable
     actions = []
     for step in range(6):
         pose[:] = step // 3  # In the same memory, as a sensor may do it.
-        actions.append(policy.act({"pose": pose})[0])
+        actions.append(policy.act({"pose": shown})[0])
     assert (len(asked), actions) == (2, [0.0] * 3 + [4.0] * 3)
     policy.reset(1)
-    assert policy.act({"pose": pose})[0] == 4.0
+    assert policy.act({"pose": shown})[0] == 4.0
 
 
 def test_what_networks_remember_is_reset_saved_and_restored(tmp_path):

@@ -45,6 +45,7 @@ from nw_eval.networks.program import (
     REDUCE,
     RELU,
     ROUND,
+    SCALED,
     SELECT,
     SIGMOID,
     SIGN,
@@ -335,6 +336,23 @@ def _elements(a: Any, q: Any, i: Any, scratch: Any) -> None:
 
 
 @part
+def _scaled(a: Any, q: Any, i: Any, scratch: Any) -> None:
+    """D = g(f(x, number), y) as `_elements`, along the last dimension without gaps in x and D."""
+    f, n, sy = q[i, 1], q[i, 5], q[i, 13]
+    first, number = q[i, 21], broadcast(peek(a, q[i, 22]))
+    for i0 in range(q[i, 2]):
+        for i1 in range(q[i, 3]):
+            for i2 in range(q[i, 4]):
+                x = q[i, 18] + i0 * q[i, 6] + i1 * q[i, 7] + i2 * q[i, 8]
+                y = q[i, 19] + i0 * q[i, 10] + i1 * q[i, 11] + i2 * q[i, 12]
+                d = q[i, 20] + i0 * q[i, 14] + i1 * q[i, 15] + i2 * q[i, 16]
+                for j in range(0, n, PANEL):
+                    z = _combined(first, load_group(a, x + j), number)
+                    z = _combined(f, z, _lanes_at(a, y + j * sy, sy))
+                    _write(a, d + j, z, n - j, scratch)
+
+
+@part
 def _select(a: Any, q: Any, i: Any) -> None:
     """D = x where the condition is not 0, else y, over four dimensions."""
     for i0 in range(q[i, 2]):
@@ -553,5 +571,7 @@ def run(  # noqa: C901 - one branch for each operation.
             _reduce(a, program, i)
         elif operation == SELECT:
             _select(a, program, i)
+        elif operation == SCALED:
+            _scaled(a, program, i, scratch)
         else:
             _pool(a, program, i)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.networks import program as rows
+from nw_eval.networks.fusing import fused
 from nw_eval.networks.graph import Graph, Node, UnsupportedError
 from nw_eval.networks.program import PANEL, SLACK, WIDTH, Program, Slot
 from nw_eval.networks.views import Kind, Shape, View, merged, strides_of
@@ -299,8 +300,9 @@ class Planner:
         arena = np.zeros(self._top + SLACK, np.float32)
         for place, numbers in self._data:
             arena[place : place + numbers.size] = numbers
-        every = np.array([fields for fields, _ in self._rows], np.int64).reshape(-1, WIDTH)
-        is_fixed = np.array([fixed for _, fixed in self._rows], bool)
+        made = fused(self._rows, [slot.offset for slot in (*inputs.values(), *outputs.values())])
+        every = np.array([fields for fields, _ in made], np.int64).reshape(-1, WIDTH)
+        is_fixed = np.array([fixed for _, fixed in made], bool)
         program = Program(
             arena=arena.size,
             scratch=scratch,

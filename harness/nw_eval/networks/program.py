@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 VERSION = 1
 """Changes whenever a program's outputs may change in a bit: "nw-eval networks 1"."""
 
-PRODUCT, PACK, ELEMENTS, UNARY, COPY, NORM, SOFTMAX, REDUCE, SELECT, POOL = range(10)
+(
+    PRODUCT, PACK, ELEMENTS, UNARY, COPY, NORM, SOFTMAX, REDUCE, SELECT, POOL, SCALED,
+) = range(11)  # fmt: skip
 ADD, SUB, MUL, DIV, MAX, MIN, LESS, EQUAL = range(8)
 (
     RELU, LEAKY, ELU, TANH, SIGMOID, EXP, LOG, SQRT, NEG, ABS, ERF, SOFTPLUS, FLOOR, CEIL, ROUND,
@@ -185,7 +187,7 @@ def _inside(row: list[int], end: int) -> int:
         ValueError: it touches others.
     """
     work = 0
-    for offset, extents in _touched(row):
+    for offset, extents in touched(row):
         low = high = offset
         elements = 1
         for length, stride in extents:
@@ -204,7 +206,7 @@ Touched = Iterator[tuple[int, list[Extent]]]
 """Offsets, and the extents by which a row goes on from each."""
 
 
-def _touched(q: list[int]) -> Touched:
+def touched(q: list[int]) -> Touched:
     """Give all that a row reads and writes.
 
     Raises:
@@ -250,6 +252,13 @@ def _elements(q: list[int]) -> Touched:
     sizes = q[2:6]
     for offset, strides in ((q[18], q[6:10]), (q[19], q[10:14]), (q[20], q[14:18])):
         yield offset, _four(sizes, strides)
+
+
+def _scaled(q: list[int]) -> Touched:
+    if not ADD <= q[21] <= EQUAL or (q[9], q[17]) != (1, 1) or q[13] not in {0, 1}:
+        raise LookupError
+    yield from _elements(q)
+    yield q[22], []
 
 
 def _select(q: list[int]) -> Touched:
@@ -303,5 +312,6 @@ def _pool(q: list[int]) -> Touched:
 
 _ROWS = (
     _product, _pack, _elements, _unary, _copy, _norm, _softmax, _reduce, _select, _pool,
+    _scaled,
 )  # fmt: skip
 """By operation, as they are numbered above."""

@@ -135,14 +135,19 @@ def call_llvm(builder: Any, name: str, *values: Any) -> Any:
 # --- making, loading, storing ------------------------------------------------------------------
 
 
-@intrinsic
-def broadcast(_typing: Any, value: Any) -> Any:
-    """Return a Floats16 whose lanes all hold one float."""
+def _broadcasting(kind: FloatsType) -> Any:
+    @intrinsic
+    def fill(_typing: Any, value: Any) -> Any:
+        def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+            return broadcast_ir(builder, args[0], kind.lanes)
 
-    def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return broadcast_ir(builder, args[0], Floats16.lanes)
+        return kind(types.float32), generate
 
-    return Floats16(types.float32), generate
+    return fill
+
+
+broadcast8, broadcast = map(_broadcasting, (Float8, Floats16))
+"""(value): eight lanes, or sixteen, that all hold one float."""
 
 
 # --- arithmetic --------------------------------------------------------------------------------

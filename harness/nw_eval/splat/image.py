@@ -19,9 +19,6 @@ from nw_eval.errors import UsageError
 
 Floating = TypeVar("Floating", np.float32, np.float64)
 
-_NO_COVERAGE = 1e-3
-"""Coverage below which a splat's expected depth means nothing."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Image:
@@ -114,22 +111,20 @@ def composite(
     for name, array in (("rgb", rgb), ("depth", depth), ("coverage", coverage)):
         if array.shape[:2] != shape:
             raise UsageError(f"{name} has shape {array.shape}, the image {shape}")
-    there = np.isfinite(depth)
-    share = np.where(there, np.clip(coverage, 0.0, 1.0), 0.0).astype(np.float32)
-    object_depth = np.where(there, depth, 0.0).astype(np.float32)
-    before = (image.alpha < _NO_COVERAGE) | (object_depth < image.depth)
-    through = 1.0 - image.alpha
-    behind = image.rgb + through[..., None] * (rgb - np.asarray(background, dtype=np.float32))
-    shown = np.where(before[..., None], rgb, behind)
-    of_object = np.where(before, share, share * through)
-    of_splat = np.where(before, (1.0 - share) * image.alpha, image.alpha)
-    alpha = of_object + of_splat
-    total = of_object * object_depth + of_splat * image.depth
-    return Image(
-        rgb=(image.rgb + share[..., None] * (shown - image.rgb)).astype(np.float32),
-        depth=(total / np.maximum(alpha, 1e-10)).astype(np.float32),
-        alpha=alpha.astype(np.float32),
+    from nw_eval.splat.kernels.insert import composite as blend  # It knows numba.
+
+    new = Image(
+        rgb=np.empty_like(image.rgb),
+        depth=np.empty_like(image.depth),
+        alpha=np.empty_like(image.alpha),
     )
+    blend(
+        (image.rgb.reshape(-1, 3), image.depth.reshape(-1), image.alpha.reshape(-1)),
+        (rgb.reshape(-1, 3), depth.reshape(-1), coverage.reshape(-1)),
+        np.asarray(background, dtype=np.float32),
+        (new.rgb.reshape(-1, 3), new.depth.reshape(-1), new.alpha.reshape(-1)),
+    )
+    return new
 
 
 def paste(image: Image, rgb: NDArray[np.float32], mask: NDArray[np.bool_]) -> Image:

@@ -40,6 +40,7 @@ from nw_eval.splat.camera import (
 )
 from nw_eval.splat.image import Image
 from nw_eval.splat.kernels import draw as frame
+from nw_eval.splat.kernels import insert
 from nw_eval.splat.kernels.blend import CHANNELS, CURVE, PIXELS, SLACK_COLUMNS, SLACK_ROWS
 from nw_eval.splat.kernels.draw import HISTOGRAM
 from nw_eval.splat.kernels.project import RECORD
@@ -460,15 +461,14 @@ def _refuse_other_pictures(options: dict[str, Any]) -> None:
 
 def _mean_of_four(image: Image) -> Image:
     """Average 2x2 samples; depth is weighted by what each of them covers."""
-
-    def mean(values: NDArray[np.float32]) -> NDArray[np.float32]:
-        top, bottom = values[0::2], values[1::2]
-        total = (top[:, 0::2] + top[:, 1::2]) + (bottom[:, 0::2] + bottom[:, 1::2])
-        return (total * np.float32(0.25)).astype(np.float32, copy=False)
-
-    alpha = mean(image.alpha)
-    depth = mean(image.depth * image.alpha) / np.maximum(alpha, np.float32(1e-10))
-    return Image(rgb=mean(image.rgb), depth=depth.astype(np.float32, copy=False), alpha=alpha)
+    height, width = (side // 2 for side in image.alpha.shape)
+    mean = Image(
+        rgb=np.empty((height, width, 3), dtype=np.float32),
+        depth=np.empty((height, width), dtype=np.float32),
+        alpha=np.empty((height, width), dtype=np.float32),
+    )
+    insert.mean_of_four(image.rgb, image.depth, image.alpha, mean.rgb, mean.depth, mean.alpha)
+    return mean
 
 
 class _Workspace:

@@ -76,9 +76,34 @@ def warmup(
         else:
             open_renderer(store, projection=kind).render(camera)
         mark_compiled(_KERNELS, kind)
+    _warm_insertion()
     if surfaces:
         CpuRenderer(store).surface(camera)
     return time.perf_counter() - started
+
+
+def _warm_insertion() -> None:
+    """Call what puts objects into pictures, with arrays of the types that sensors have."""
+    from nw_eval.splat.kernels import insert
+
+    colours, values = np.ones((4, 4, 3), np.float32), np.ones((4, 4), np.float32)
+    colour, line = colours.reshape(-1, 3), values.reshape(-1)
+    lines, numbers, cells = np.ones((16, 3)), np.zeros(16, np.intp), np.ones((1, 1, 4))
+    half = colours[:2, :2].copy(), values[:2, :2].copy(), values[:2, :2].copy()
+    insert.mean_of_four(colours, values, values, *half)
+    insert.composite((colour, line, line), (colour, line, line), colour[0], (colour, line, line))
+    fixed = colours.copy()
+    fixed.flags.writeable = False  # Sensors share pictures of the splat alone.
+    for picture in (colours, fixed):
+        insert.sum_cells(
+            picture, np.ones((4, 4)), (1, 1), 0.0, 1.0, (numbers[:1], numbers[:1]), cells
+        )
+    of_light = ((1.0, 1.0, 1.0), 1.0, 1.0, 1.0, 1.0)
+    insert.light_at(cells[..., :3] / 1.0, (4, 4), numbers, numbers, of_light, colour)
+    insert.near_any(lines, lines, np.ones(16), numbers)
+    insert.outline(values > 0.0, numbers)
+    insert.rays_around(lines, numbers[:1], lines, lines.copy())
+    insert.soften(np.ones(16), colour, numbers[:1], np.ones(16), colour, line)
 
 
 def _warm_networks() -> None:

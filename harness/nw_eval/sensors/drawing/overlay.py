@@ -28,6 +28,7 @@ from nw_eval.sensors.drawing.pictures import FACE_CLASSES, NOTHING, PALETTE
 from nw_eval.sim.body import RobotRays
 from nw_eval.splat.camera import Camera, Pixels, Rows
 from nw_eval.splat.image import Image, composite
+from nw_eval.splat.kernels import insert as insertion
 
 # Share of the light that reaches a face from everywhere; the rest comes from above.
 _AMBIENT = 0.5
@@ -92,9 +93,9 @@ class Cones:
         # Within the sphere of one, every ray is.
         least = np.sqrt(np.maximum(1.0 - (_BOUND / apart) ** 2, 0.0))
         least[apart <= _BOUND] = -np.inf
-        # A row for each cone: along it NumPy compares many times as fast as across it.
-        towards = (way / apart[:, np.newaxis]) @ directions.T
-        return np.flatnonzero((towards > least[:, np.newaxis]).any(axis=0))
+        towards = np.ascontiguousarray(way / apart[:, np.newaxis])
+        found = np.empty(len(directions), dtype=np.intp)
+        return found[: insertion.near_any(directions, towards, least, found)]
 
 
 def shade(upwards: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -223,20 +224,14 @@ def draw(
     depth, colour = shoot(flat)
     inside = np.isfinite(depth)
     coverage = inside.astype(np.float32)
-    # Few pixels: what is costly is done for them alone.
-    edge = np.flatnonzero(_edges(inside.reshape(shape))) if pitch is not None else []
-    if pitch is not None and len(edge):
-        centre = flat[edge] / flat[edge, 2:]
-        rays = centre[:, np.newaxis] + _NINE * (*pitch, 0.0)
-        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-        near, seen = shoot(rays.reshape(-1, 3))
-        hit = np.isfinite(near).reshape(-1, len(_NINE))
-        count = hit.sum(axis=1)
-        weight = (hit / np.maximum(count, 1)[:, np.newaxis]).astype(np.float64)
-        finite = np.where(np.isfinite(near), near, 0.0).reshape(hit.shape)
-        coverage[edge] = count / len(_NINE)
-        depth[edge] = np.where(count > 0, (finite * weight).sum(axis=1), np.inf)
-        colour[edge] = (seen.reshape(*hit.shape, 3) * weight[..., np.newaxis]).sum(axis=1)
+    if pitch is not None:
+        # Few pixels: what is costly is done for them alone.
+        found = np.empty(len(flat), dtype=np.intp)
+        edge = found[: insertion.outline(inside.reshape(shape), found)]
+        rays = np.empty((len(_NINE) * len(edge), 3))
+        insertion.rays_around(flat, edge, _NINE * (*pitch, 0.0), rays)
+        if len(edge):
+            insertion.soften(*shoot(rays), edge, depth, colour, coverage)
     drawn = np.flatnonzero(coverage)
     rgb = np.zeros((len(flat), 3), dtype=np.float32)
     rgb[drawn] = colour[drawn]
@@ -278,17 +273,6 @@ def _hidden(
     met = np.flatnonzero(np.isfinite(distance))  # Few pixels: only they are asked about.
     before = static.distance(origin, rays[met]) < distance[met]
     return met[before]
-
-
-def _edges(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the pixels (H, W) that lie beside a pixel on the other side of an outline."""
-    edge = np.zeros_like(inside)
-    below, beside = inside[1:] != inside[:-1], inside[:, 1:] != inside[:, :-1]
-    edge[:-1] |= below
-    edge[1:] |= below
-    edge[:, :-1] |= beside
-    edge[:, 1:] |= beside
-    return edge
 
 
 def cone_mask(
@@ -401,7 +385,7 @@ _SAMPLES = 45
 """Rows and columns of pixels that are looked at, at least; more say nothing new about a mean."""
 _LEVEL = 0.02
 """Rays that go down less steeply than this see what is far away, or sky."""
-_LUMA = np.array([0.2126, 0.7152, 0.0722])
+_LUMA = (0.2126, 0.7152, 0.0722)
 
 
 def insert(
@@ -492,27 +476,24 @@ def light_around(
     Returns:
         (N, 3), 1 where the ground is an average grey.
     """
-    step = tuple(slice(None, None, max(1, size // _SAMPLES)) for size in rgb.shape[:2])
-    weight = np.where(down[step] > _LEVEL, 1.0, _ELSEWHERE)[..., np.newaxis]
-    weighed = np.empty((*weight.shape[:2], 4))
-    np.multiply(np.clip(rgb[step], 0.0, 1.0), weight, out=weighed[..., :3])
-    weighed[..., 3:] = weight
-    cells = _cells(weighed)
+    size = rgb.shape[:2]
+    steps = tuple(max(1, side // _SAMPLES) for side in size)
+    starts = tuple(
+        _starts(-(-side // step), count)
+        for side, step, count in zip(size, steps, _CELLS, strict=True)
+    )
+    cells = np.empty((*map(len, starts), 4))
+    insertion.sum_cells(rgb, down, steps, _LEVEL, _ELSEWHERE, starts, cells)
     total = _around(cells) + _AFAR * cells.sum(axis=(0, 1))
-    mean = _between(total[..., :3] / total[..., 3:], rgb.shape[:2], row, column)
-    grey = (mean * _LUMA).sum(axis=-1, keepdims=True)
-    brightness = np.clip(grey / _GREY, _DIMMEST, _BRIGHTEST)
-    tint = 1.0 + _TINT * (mean / np.maximum(grey, 1e-3) - 1.0)
-    return (brightness * tint).astype(np.float32)
+    light = np.empty((len(row), 3), dtype=np.float32)
+    numbers = (_LUMA, _GREY, _DIMMEST, _BRIGHTEST, _TINT)
+    of_pixels = (total[..., :3] / total[..., 3:], row, column)
+    means, row, column = map(np.ascontiguousarray, of_pixels)
+    insertion.light_at(means, size, row, column, numbers, light)
+    return light
 
 
-def _cells(image: Floats) -> Floats:
-    """Return sums over about `_CELLS` equal parts of an image (H, W, C)."""
-    for axis, count in enumerate(_CELLS):
-        image = np.add.reduceat(image, _starts(image.shape[axis], count), axis=axis)
-    return image
-
-
+@cache
 def _starts(size: int, count: int) -> NDArray[np.intp]:
     count = min(size, count)
     return np.arange(count) * size // count
@@ -528,21 +509,3 @@ def _around(cells: Floats) -> Floats:
 def _weights(count: int) -> Floats:
     index = np.arange(count)
     return np.maximum(3.0 - np.abs(index - index[:, np.newaxis]), 0.0)
-
-
-def _between(
-    cells: Floats, shape: tuple[int, int], row: NDArray[np.intp], column: NDArray[np.intp]
-) -> Floats:
-    """Return values (N, K) at pixels, interpolated between the cells' middles."""
-    low: list[NDArray[np.intp]] = []
-    share: list[Floats] = []
-    for axis, index in enumerate((row, column)):
-        count = cells.shape[axis]
-        at = np.clip((index + 0.5) * count / shape[axis] - 0.5, 0.0, count - 1.0)
-        low.append(np.minimum(at.astype(np.intp), max(count - 2, 0)))
-        share.append((at - low[-1])[:, np.newaxis])
-    (i, j), (v, u) = low, share
-    k, m = np.minimum(i + 1, cells.shape[0] - 1), np.minimum(j + 1, cells.shape[1] - 1)
-    upper = (1.0 - u) * cells[i, j] + u * cells[i, m]
-    lower = (1.0 - u) * cells[k, j] + u * cells[k, m]
-    return (1.0 - v) * upper + v * lower

@@ -14,10 +14,10 @@ whole numbers alone ask, long before the lanes are needed; and `live`, the numbe
 for large splats and for chunks. They are made anew for every `BATCH` splats: until then a splat may
 be drawn on finished pixels, which changes none of them, and none has to note which it finished.
 
-Each splat is drawn with the shape of vector that fits it: 4x4 pixels for splats up to four pixels
-wide, 8x2 for up to eight, 16x1 for up to sixteen, and row spans solved from its ellipse for the
-others. All evaluate the same expression in the same order, so a pixel's bits do not depend on the
-shape.
+Each splat is drawn with the shape of vector that fits it: 4x2 pixels for splats up to four
+wide and two high, 4x4 for up to four wide, 8x2 for up to eight, 16x1 for up to sixteen, and row
+spans solved from its ellipse for the others. All evaluate the same expression in the same order, so
+a pixel's bits do not depend on the shape.
 """
 
 # ruff: noqa: ARG001 - an intrinsic sees the types of its arguments; their values reach `generate`.
@@ -34,9 +34,11 @@ from nw_eval.machine_code import inlined, kernel
 from nw_eval.simd.lanes import (
     FLOAT,
     I64,
+    Float8,
     Floats16,
     address,
     broadcast,
+    broadcast8,
     call_llvm,
     ceil,
     floor,
@@ -102,6 +104,10 @@ CURVE = np.array([THRESHOLD, FINISHED, *EXP2], dtype=np.float32)
 """Numbers that `blend` keeps in registers; `math8.exp2` says why they are none of its constants."""
 
 
+_LANES = {8: (Float8, broadcast8), PIXELS: (Floats16, broadcast)}
+"""What holds so many pixels, and what fills it with one float."""
+
+
 def _vector(lanes: int) -> Any:
     return ir.VectorType(FLOAT, lanes)
 
@@ -119,6 +125,7 @@ class LaneShape:
     """What is done to a block of pixels; each member is an intrinsic.
 
     Attributes:
+        fill: (value): one float in the lanes of all pixels.
         columns: (array, x): the columns' values, from x on, of all pixels.
         rows: (array, y): as above, of the rows.
         load: (light, place, stride): the light of the pixels.
@@ -127,6 +134,7 @@ class LaneShape:
             holds the four channels four times, as `repeat4` returns them.
     """
 
+    fill: Any
     columns: Any
     rows: Any
     load: Any
@@ -150,29 +158,27 @@ def _laying(count: int, lanes: list[int]) -> Any:
             place = address(context, builder, signature.args[0], args[0], args[1])
             return _spread(builder, builder.load(_floats_at(builder, place, count), align=4), lanes)
 
-        return Floats16(array, types.intp), generate
+        return _LANES[len(lanes)][0](array, types.intp), generate
 
     return lay
 
 
-def _loading(rows: int) -> Any:
+def _loading(rows: int, width: int) -> Any:
     @intrinsic
     def load(_typing: Any, light: Any, place: Any, stride: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             parts: list[Any] = []
             for start in _row_places(builder, args[1], args[2], rows):
                 pointer = address(context, builder, signature.args[0], args[0], start)
-                parts.append(builder.load(_floats_at(builder, pointer, PIXELS // rows), align=4))
+                parts.append(builder.load(_floats_at(builder, pointer, width), align=4))
             return joined(builder, parts)
 
-        return Floats16(light, types.intp, types.intp), generate
+        return _LANES[rows * width][0](light, types.intp, types.intp), generate
 
     return load
 
 
-def _storing(rows: int) -> Any:
-    width = PIXELS // rows
-
+def _storing(rows: int, width: int) -> Any:
     @intrinsic
     def store(_typing: Any, light: Any, place: Any, stride: Any, value: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -182,20 +188,19 @@ def _storing(rows: int) -> Any:
                 builder.store(part, _floats_at(builder, pointer, width), align=4)
             return context.get_dummy_value()
 
-        return types.void(light, types.intp, types.intp, Floats16), generate
+        kind, _ = _LANES[rows * width]
+        return types.void(light, types.intp, types.intp, kind), generate
 
     return store
 
 
-def _adding(rows: int) -> Any:
-    width = PIXELS // rows
-
+def _adding(rows: int, width: int) -> Any:
     @intrinsic
     def add(_typing: Any, paint: Any, place: Any, stride: Any, weight: Any, colour: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             first, step = (builder.mul(value, ir.Constant(I64, CHANNELS)) for value in args[1:3])
             starts = _row_places(builder, first, step, rows)
-            for pixel in range(0, PIXELS, CHANNELS):
+            for pixel in range(0, rows * width, CHANNELS):
                 column = ir.Constant(I64, CHANNELS * (pixel % width))
                 start = builder.add(starts[pixel // width], column)
                 place = address(context, builder, signature.args[0], args[0], start)
@@ -207,19 +212,21 @@ def _adding(rows: int) -> Any:
                 builder.store(value, pointer, align=4)
             return context.get_dummy_value()
 
-        return types.void(paint, types.intp, types.intp, Floats16, Floats16), generate
+        kind, _ = _LANES[rows * width]
+        return types.void(paint, types.intp, types.intp, kind, Floats16), generate
 
     return add
 
 
-def _shape(rows: int) -> LaneShape:
-    width = PIXELS // rows
+def _shape(width: int, rows: int) -> LaneShape:
+    pixels = width * rows
     return LaneShape(
+        fill=_LANES[pixels][1],
         columns=_laying(width, list(range(width)) * rows),
-        rows=_laying(rows, [lane // width for lane in range(PIXELS)]),
-        load=_loading(rows),
-        store=_storing(rows),
-        add=_adding(rows),
+        rows=_laying(rows, [lane // width for lane in range(pixels)]),
+        load=_loading(rows, width),
+        store=_storing(rows, width),
+        add=_adding(rows, width),
     )
 
 
@@ -227,8 +234,7 @@ repeat4 = _laying(CHANNELS, list(range(CHANNELS)) * (PIXELS // CHANNELS))
 """(array, index): array[index : index + 4] four times."""
 
 
-SQUARE, FLAT, LINE = _shape(4), _shape(2), _shape(1)
-"""4x4, 8x2 and 16x1 pixels."""
+BRICK, SQUARE, FLAT, LINE = _shape(4, 2), _shape(4, 4), _shape(8, 2), _shape(16, 1)
 
 
 def _drawing(shape: LaneShape) -> Any:
@@ -254,6 +260,7 @@ def _drawing(shape: LaneShape) -> Any:
 
 
 _draw_square, _draw_flat, _draw_line = _drawing(SQUARE), _drawing(FLAT), _drawing(LINE)
+_blend_brick = _drawing(BRICK)
 
 
 @kernel
@@ -350,6 +357,7 @@ def _placing(shape: LaneShape) -> Any:
     return across, down, next_columns, next_rows
 
 
+_brick_across, _brick_down, _, _ = _placing(BRICK)
 _square_across, _square_down, _square_next, _ = _placing(SQUARE)
 _flat_across, _flat_down, _flat_next, _ = _placing(FLAT)
 _line_across, _line_down, _line_next, _line_along = _placing(LINE)
@@ -365,6 +373,67 @@ def _power(ray: Any, dy: Any, of_columns: Any, splat: Any) -> Any:
     e = fma(fma(dy, c, slope), dy, across)
     m = maximum(fma(dy, slope_y, lean), 0.0)
     return log_opacity - e / fma(e, bend, m * m)
+
+
+def _spreading(shape: LaneShape) -> Any:
+    fill = shape.fill
+
+    @inlined
+    def spread_curve(numbers: Any, most_alpha: Any) -> Any:
+        """Return what `draw` takes of `CURVE`."""
+        return (
+            fill(numbers[0]),
+            fill(numbers[1]),
+            fill(most_alpha),
+            (
+                fill(numbers[2]),
+                fill(numbers[3]),
+                fill(numbers[4]),
+                fill(numbers[5]),
+                fill(numbers[6]),
+                fill(numbers[7]),
+                fill(numbers[8]),
+            ),
+        )
+
+    @inlined
+    def spread_splat(ray: Any, splats: Any, j: Any) -> Any:
+        """Return what a splat's power is computed of: by columns, by rows, and its middle's row."""
+        log_opacity = fill(peek(splats, j + LOG_OPACITY))
+        of_columns = (
+            fill(peek(splats, j + U)),
+            fill(peek(splats, j + A)),
+            fill(peek(splats, j + B)),
+            log_opacity,
+            log_opacity if ray is None else fill(peek(splats, j + SLOPE_X)),
+        )
+        of_rows = (
+            fill(peek(splats, j + C)),
+            log_opacity,
+            log_opacity if ray is None else fill(peek(splats, j + SLOPE_Y)),
+            log_opacity if ray is None else fill(peek(splats, j + BEND)),
+        )
+        return of_columns, of_rows, fill(peek(splats, j + V))
+
+    return spread_curve, spread_splat
+
+
+_spread_curve, _spread_splat = _spreading(SQUARE)
+_brick_curve, _spread_over_brick = _spreading(BRICK)
+
+
+@inlined
+def _draw_brick(
+    light: Any, paint: Any, lens: Any, ray: Any, xs: Any, ys: Any, x: Any, y: Any, stride: Any,
+    splats: Any, j: Any, curve: Any,
+) -> None:  # fmt: skip
+    """Blend a splat that one such block of pixels holds."""
+    o = y * stride + x
+    (u, a, b, log_opacity, slope_x), of_rows, v = _spread_over_brick(ray, splats, j)
+    dx = _brick_across(lens, xs, x, o, stride) - u
+    of_columns = columns_part(ray, dx, a, b, log_opacity, slope_x)
+    power = _power(ray, _brick_down(lens, ys, y, o, stride) - v, of_columns, of_rows)
+    _blend_brick(light, paint, o, stride, power, curve, repeat4(splats, j + RED))
 
 
 @inlined
@@ -482,20 +551,8 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
     vectors = drawn = 0
     spans = np.empty(8, np.float32)
     span_bits = spans.view(np.int32)
-    curve = (
-        broadcast(numbers[0]),
-        broadcast(numbers[1]),
-        broadcast(most_alpha),
-        (
-            broadcast(numbers[2]),
-            broadcast(numbers[3]),
-            broadcast(numbers[4]),
-            broadcast(numbers[5]),
-            broadcast(numbers[6]),
-            broadcast(numbers[7]),
-            broadcast(numbers[8]),
-        ),
-    )
+    curve = _spread_curve(numbers, most_alpha)
+    brick_curve = _brick_curve(numbers, most_alpha)
     batch = max(BATCH, len(light) // 4)
     width = live_stride + SLACK_BYTES
     maps = np.zeros((2, (len(light) // stride + SLACK_LINES) * width), np.uint8)
@@ -534,17 +591,13 @@ def blend(  # noqa: C901, PLR0912 - four shapes of splat in one loop, each a few
             ):
                 continue
             drawn += 1
-            u, v = broadcast(peek(splats, j + U)), broadcast(peek(splats, j + V))
-            ca, cb = broadcast(peek(splats, j + A)), broadcast(peek(splats, j + B))
-            log_opacity = broadcast(peek(splats, j + LOG_OPACITY))
-            slope_x = log_opacity if ray is None else broadcast(peek(splats, j + SLOPE_X))
-            splat = (
-                broadcast(peek(splats, j + C)),
-                log_opacity,
-                log_opacity if ray is None else broadcast(peek(splats, j + SLOPE_Y)),
-                log_opacity if ray is None else broadcast(peek(splats, j + BEND)),
-            )
-            place_of = (u, ca, cb, log_opacity, slope_x)
+            # Most splats of a small picture. For one row, 4x1 is no faster (measured).
+            if (xb - xa < 4) & (yb - ya < 2):
+                _draw_brick(T, colours, lens, ray, xs, ys, xa, ya, stride, splats, j, brick_curve)
+                vectors += 1
+                continue
+            place_of, splat, v = _spread_splat(ray, splats, j)
+            u, ca, cb, log_opacity, slope_x = place_of
             colour = repeat4(splats, j + RED)
             o = ya * stride + xa
             if xb - xa < 4:
