@@ -471,24 +471,33 @@ def _read_elevation(folder):
     assert not len(faces) or faces.max() < len(vertices)
 
 
-_LEG = """<body name="leg{0}" pos="{1} {2} 0"><joint name="j{0}" axis="0 1 0" range="-1 1" damping="1"/>
+_LEG = """
+<body name="leg{0}" pos="{1} {2} 0">
+<joint name="j{0}" axis="0 1 0" range="-1 1" damping="1"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/></body>"""
-_LINK = """<link name="l{0}"><inertial><mass value="0.5"/><inertia ixx="0.01" iyy="0.01" izz="0.01"
-ixy="0" ixz="0" iyz="0"/></inertial><collision><origin xyz="0 0 -0.15"/><geometry><cylinder radius="0.02"
-length="0.3"/></geometry></collision></link><joint name="j{0}" type="revolute"><parent link="base"/>
-<child link="l{0}"/><origin xyz="{1} {2} 0"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="20"
-velocity="10"/><dynamics damping="1" friction="0.1"/></joint>"""
+_INERTIA = """<inertial><mass value="{0}"/>
+<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>"""
+_LINK = """
+<link name="l{0}">INERTIA<collision><origin xyz="0 0 -0.15"/>
+<geometry><cylinder radius="0.02" length="0.3"/></geometry></collision></link>
+<joint name="j{0}" type="revolute"><parent link="base"/><child link="l{0}"/>
+<origin xyz="{1} {2} 0"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="20" velocity="10"/>
+<dynamics damping="1" friction="0.1"/></joint>""".replace("INERTIA", _INERTIA.format(0.5))
+_MOTOR = '<position name="j{0}" joint="j{0}" kp="30" forcerange="-20 20"/>'
 
 
 def _robot_seeds(_):
     places = [(n, 0.2 * (-1) ** n, 0.1 * (-1) ** (n // 2)) for n in range(4)]
-    mjcf = f"""<mujoco model="four"><worldbody><body name="base" pos="0 0 0.4"><freejoint/>
-<geom type="box" size="0.3 0.1 0.05" mass="5"/>{"".join(_LEG.format(*p) for p in places)}</body></worldbody>
-<actuator>{"".join(f'<position name="j{n}" joint="j{n}" kp="30" forcerange="-20 20"/>' for n in range(4))}
-</actuator></mujoco>"""
-    urdf = f"""<robot name="four"><link name="base"><inertial><mass value="5"/><inertia ixx="0.1" iyy="0.1"
-izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial><collision><geometry><box size="0.6 0.2 0.1"/></geometry>
-</collision></link>{"".join(_LINK.format(*p) for p in places)}</robot>"""
+    legs, links, motors = (
+        "".join(part.format(*place) for place in places) for part in (_LEG, _LINK, _MOTOR)
+    )
+    mjcf = f"""<mujoco model="four"><worldbody>
+<body name="base" pos="0 0 0.4"><freejoint/>
+<geom type="box" size="0.3 0.1 0.05" mass="5"/>{legs}</body></worldbody>
+<actuator>{motors}</actuator></mujoco>"""
+    urdf = f"""<robot name="four"><link name="base">{_INERTIA.format(5)}<collision>
+<geometry><box size="0.6 0.2 0.1"/></geometry></collision></link>{links}</robot>"""
     return [{"four.xml": mjcf.encode()}, {"four.urdf": urdf.encode()}]
 
 
