@@ -210,6 +210,11 @@ class ExportedGraph:
         """Numbers in the tensors of the file."""
         return sum(tensor.numel() for tensor in self._tensors.values())
 
+    @property
+    def memory(self) -> dict[str, Tensor]:
+        """The tensors that the graph writes to; empty for a feed-forward graph."""
+        return {name: self._tensors[name] for name in self._initial}
+
     def state(self) -> dict[str, Tensor]:
         """Return copies of the tensors that the graph writes to; empty for a feed-forward graph."""
         return {name: self._tensors[name].clone() for name in self._initial}
