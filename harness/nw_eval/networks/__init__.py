@@ -13,6 +13,6 @@ kernels.py, functions.py    the interpreter of rows, and its functions
 """
 
 from nw_eval.networks.graph import Graph, GraphInput, Node, UnsupportedError
-from nw_eval.networks.program import VERSION, Program
+from nw_eval.networks.program import IDENTITY, VERSION, Program
 
-__all__ = ["VERSION", "Graph", "GraphInput", "Node", "Program", "UnsupportedError"]
+__all__ = ["IDENTITY", "VERSION", "Graph", "GraphInput", "Node", "Program", "UnsupportedError"]

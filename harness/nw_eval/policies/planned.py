@@ -184,10 +184,18 @@ def _planned(network: Any, shown: Observation) -> PlannedFile:
     return PlannedFile(inputs=network.inputs, parts=parts, first=recorded.first)
 
 
+_UNSUPPORTED = "`runtime: nw-eval` does not run it: "
+
+
+def unsupported_by(error: PolicyError) -> str:
+    """Return the operator that an error says nw-eval does not run; empty if it says none."""
+    return error.message.partition(_UNSUPPORTED)[2]
+
+
 def unsupported(where: str, error: Exception) -> PolicyError:
     """Return the error for a file that nw-eval does not run."""
     return PolicyError(
-        f"{where}: `runtime: nw-eval` does not run it: {clean(error, at_most=200)}",
+        f"{where}: {_UNSUPPORTED}{clean(error, at_most=200)}",
         fix="write `runtime: native`, or export it with other operators",
     )
 

@@ -32,7 +32,8 @@ EXACT = frozenset(
     {
         "_reshape_alias", "_to_copy", "_unsafe_view", "abs", "add", "alias", "as_strided", "cat",
         "clamp", "clone", "constant_pad_nd", "contiguous", "copy_", "detach", "div", "expand",
-        "expand_as", "fill_", "flatten", "flip", "floor", "index", "index_select", "lift_fresh",
+        "expand_as", "fill_", "flatten", "flip", "floor", "floor_divide", "index",
+        "index_select", "lift_fresh",
         "lift_fresh_copy", "masked_fill", "maximum", "minimum", "mul", "neg", "permute", "relu",
         "repeat", "reshape", "round", "select", "slice", "split", "split_with_sizes", "sqrt",
         "squeeze", "stack", "sub", "t", "to", "transpose", "unbind", "unflatten", "unsqueeze",
@@ -63,7 +64,7 @@ _FUNCTIONS = {
     "sign": "Sign", "silu": "Swish", "sin": "Sin", "sqrt": "Sqrt", "tanh": "Tanh",
 }  # fmt: skip
 _PAIRS = {
-    "div": "Div", "eq": "Equal", "ge": "GreaterOrEqual", "gt": "Greater", "le": "LessOrEqual",
+    "div": "Div", "eq": "Equal", "floor_divide": "Div", "ge": "GreaterOrEqual", "gt": "Greater", "le": "LessOrEqual",
     "lt": "Less", "maximum": "Max", "minimum": "Min", "mul": "Mul", "true_divide": "Div",
 }  # fmt: skip
 _LOGIC = {
@@ -83,7 +84,7 @@ def _by_name(r: Recorder, a: Any, _: Any) -> str:
 
 
 def _pair(r: Recorder, a: Any, _: Any) -> str:
-    rounded = a.get("rounding_mode")
+    rounded = "floor" if a.operator == "floor_divide" else a.get("rounding_mode")
     if rounded not in {None, "floor"}:
         raise UnsupportedError(f"rounding_mode {rounded}")
     result = r.add(_PAIRS[a.operator], _number(r, a.self), _number(r, a.other))

@@ -48,7 +48,7 @@ def record(
     for name, tensor in (*inputs.items(), *(memory or {}).items()):
         recorder.input(name, tensor)
     try:
-        with torch.inference_mode(), torch.jit.optimized_execution(False), recorder:
+        with torch.inference_mode(), recorder:
             results = run()
         names = {name: recorder.name(tensor) for name, tensor in results.items()}
     except Exception:
