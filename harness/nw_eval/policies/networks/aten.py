@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from torch.nn import functional
 
 from nw_eval.networks import UnsupportedError
 
@@ -31,7 +32,7 @@ MADE = frozenset(
 EXACT = frozenset(
     {
         "_reshape_alias", "_to_copy", "_unsafe_view", "abs", "add", "alias", "as_strided", "cat",
-        "clamp", "clone", "constant_pad_nd", "contiguous", "copy_", "detach", "div", "expand",
+        "clamp", "clone", "constant_pad_nd", "contiguous", "copy_", "detach", "detach_", "div", "expand",
         "expand_as", "fill_", "flatten", "flip", "floor", "floor_divide", "index",
         "index_select", "lift_fresh",
         "lift_fresh_copy", "masked_fill", "maximum", "minimum", "mul", "neg", "permute", "relu",
@@ -64,7 +65,8 @@ _FUNCTIONS = {
     "sign": "Sign", "silu": "Swish", "sin": "Sin", "sqrt": "Sqrt", "tanh": "Tanh",
 }  # fmt: skip
 _PAIRS = {
-    "div": "Div", "eq": "Equal", "floor_divide": "Div", "ge": "GreaterOrEqual", "gt": "Greater", "le": "LessOrEqual",
+    "div": "Div", "eq": "Equal", "floor_divide": "Div", "ge": "GreaterOrEqual", "gt": "Greater",
+    "le": "LessOrEqual",
     "lt": "Less", "maximum": "Max", "minimum": "Min", "mul": "Mul", "true_divide": "Div",
 }  # fmt: skip
 _LOGIC = {
@@ -114,6 +116,13 @@ def _times(r: Recorder, x: str, factor: float) -> str:
     return x if factor == 1 else r.add("Mul", x, r.name(factor))
 
 
+@_rule("bitwise_not")
+def _opposite(r: Recorder, a: Any, _: Any) -> str:
+    if a.self.dtype != torch.bool:
+        raise UnsupportedError("numbers that are no truth values")
+    return r.add("Not", r.name(a.self))
+
+
 @_rule("ne")
 def _unequal(r: Recorder, a: Any, _: Any) -> str:
     return r.add("Not", r.add("Equal", _number(r, a.self), _number(r, a.other)))
@@ -126,7 +135,7 @@ def _added(r: Recorder, a: Any, _: Any) -> str:
     return r.add("Add", r.name(a.self), part)
 
 
-@_rule("square", "rsqrt", "softsign", "log1p", "expm1", "hardsigmoid")
+@_rule("square", "rsqrt", "hardsigmoid")
 def _short(r: Recorder, a: Any, _: Any) -> str:
     x = r.name(a.self)
     match a.operator:
@@ -134,12 +143,8 @@ def _short(r: Recorder, a: Any, _: Any) -> str:
             return r.add("Mul", x, x)
         case "rsqrt":
             return r.add("Reciprocal", r.add("Sqrt", x))
-        case "softsign":
-            return r.add("Softsign", x)
-        case "hardsigmoid":
-            return r.add("HardSigmoid", x, alpha=1.0 / 6.0, beta=0.5)
         case _:
-            raise UnsupportedError("numbers near 0, of which too few digits are left")
+            return r.add("HardSigmoid", x, alpha=1.0 / 6.0, beta=0.5)
 
 
 @_rule("gelu")
@@ -326,10 +331,7 @@ def _rms_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
     return [result, *[""] * (len(outputs) - 1)]
 
 
-@_rule(
-    "batch_norm", "native_batch_norm", "_native_batch_norm_legit_no_training",
-    "_native_batch_norm_legit", "_batch_norm_impl_index",
-)  # fmt: skip
+@_rule("batch_norm", "native_batch_norm", "_native_batch_norm_legit_no_training")
 def _batch_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
     if a.get("training") or a.running_mean is None:
         raise UnsupportedError("statistics of the batch")
@@ -638,3 +640,52 @@ def _cell(r: Recorder, a: Any, _: Any) -> list[str]:
         size=size,
     )  # fmt: skip
     return [r.reshaped(each, [batch, size]) for each in last]
+
+
+# --- what torch computes at once, in its own simpler operators -----------------------------------
+
+
+def _heads(query: Any, key: Any, value: Any, a: Any) -> Any:
+    """Return multi-head attention, (batch, tokens, width)."""
+    if a.mask is not None:
+        raise UnsupportedError("a mask")
+    parts = zip((query, key, value), a.qkv_weight.chunk(3), a.qkv_bias.chunk(3), strict=True)
+    heads = a.get("num_head", a.get("num_heads"))
+    q, k, v = (
+        functional.linear(x, w, b).unflatten(2, (heads, -1)).transpose(1, 2) for x, w, b in parts
+    )
+    attended = functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
+    return functional.linear(attended, a.proj_weight, a.proj_bias)
+
+
+def _attention_layer(a: Any) -> Any:
+    if a.need_weights:
+        raise UnsupportedError("`need_weights`")
+    return _heads(a.query, a.key, a.value, a), None
+
+
+def _encoder_layer(a: Any) -> Any:
+    def normed(x: Any, weight: Any, bias: Any) -> Any:
+        return functional.layer_norm(x, (a.embed_dim,), weight, bias, a.eps)
+
+    first, second = (a.norm_weight_1, a.norm_bias_1), (a.norm_weight_2, a.norm_bias_2)
+    activation = functional.gelu if a.use_gelu else functional.relu
+
+    def fed(x: Any) -> Any:
+        inner = activation(functional.linear(x, a.ffn_weight_1, a.ffn_bias_1))
+        return functional.linear(inner, a.ffn_weight_2, a.ffn_bias_2)
+
+    x = a.src
+    if a.norm_first:
+        h = normed(x, *first)
+        x = x + _heads(h, h, h, a)
+        return x + fed(normed(x, *second))
+    x = normed(x + _heads(x, x, x, a), *first)
+    return normed(x + fed(x), *second)
+
+
+COMPOSED: dict[str, Callable[[Any], Any]] = {
+    "_native_multi_head_attention": _attention_layer,
+    "_transformer_encoder_layer_fwd": _encoder_layer,
+}
+"""By operator, a function of its arguments that torch runs in place of it, and is recorded."""

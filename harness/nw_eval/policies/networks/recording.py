@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from nw_eval.networks import Graph, Node, UnsupportedError
-from nw_eval.policies.networks.aten import EXACT, MADE, RULES
+from nw_eval.policies.networks.aten import COMPOSED, EXACT, MADE, RULES
 from nw_eval.policies.planned import NEXT, RecordedFile
 
 _PIECES = 256
@@ -207,14 +207,16 @@ class Recorder(TorchDispatchMode):
         is_constant = all(map(self.is_constant, _tensors((args, kwargs))))
         if operator in MADE or (is_constant and operator in EXACT):
             return self._made(func, args, kwargs, written)
+        if is_constant and written is None and torch.Tag.nondeterministic_seeded not in func.tags:
+            result = func(*args, **kwargs)
+            if not any(tensor.is_floating_point() for tensor in _tensors(result)):
+                return result  # Whole numbers and truth values have no last digits.
+        if operator in COMPOSED:
+            return self._composed(_Arguments(operator, func, args, kwargs))
         if operator not in RULES:
             if func._can_decompose():  # noqa: SLF001 - as above.
                 with self:
                     return func.decompose(*args, **kwargs)
-            if is_constant and written is None:
-                result = func(*args, **kwargs)
-                if not any(tensor.is_floating_point() for tensor in _tensors(result)):
-                    return result  # Whole numbers and truth values have no last digits.
             raise UnsupportedError(f"operator {full}")
         given = _Arguments(operator, func, args, kwargs)
         if written is not None:
@@ -230,6 +232,13 @@ class Recorder(TorchDispatchMode):
             if name:
                 self._names[id(tensor)] = name
         return result
+
+    def _composed(self, given: _Arguments) -> Any:
+        try:
+            with self:
+                return COMPOSED[given.operator](given)
+        except UnsupportedError as error:
+            raise UnsupportedError(f"operator {given.operator} with {error}") from None
 
     def _made(self, func: Any, args: Any, kwargs: Any, written: Tensor | None) -> Any:
         """Run an operator whose result depends on no input."""
