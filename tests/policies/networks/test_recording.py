@@ -52,7 +52,8 @@ ONE = {
     ],
     "elu": lambda x: [
         F.celu(x, alpha=0.7), A.elu(x, 0.5, 2.0, 1.5), F.gelu(x, approximate="tanh"),
-        F.softplus(x, beta=2.0), F.prelu(x, torch.tensor([0.1])), F.prelu(x, some(8)), A._prelu_kernel(x, some(8)),
+        F.softplus(x, beta=2.0), F.prelu(x, torch.tensor([0.1])), F.prelu(x, some(8)),
+        A._prelu_kernel(x, some(8)),
     ],
     "limits": lambda x: [
         x.clamp(-0.5, 0.5), x.clip(min=0.1), x.clamp_min(0.2), x.clamp_max(0.3),
@@ -65,7 +66,7 @@ ONE = {
     ],
     "logic": lambda x: [
         ((x > 0) & (x < 1)).float(), ((x >= 0) | (x <= -1)).float(), (~(x > 0)).float(),
-        (x == x).float(), (x != x * 1).float(), torch.logical_xor(x > 0, x > 0.5).float(),
+        (x == x * 1).float(), (x != x * 1).float(), torch.logical_xor(x > 0, x > 0.5).float(),
         torch.logical_and(x > 0, x < 1).float(), torch.logical_or(x > 0, x < -1).float(),
         ((x > 0) ^ (x < 1)).float(), torch.logical_not(x > 0).float(), (x > 0) * x,
         torch.where(x > 0, x, 0.1), x.masked_fill(x > 0, 2.0), (x > 0).to(torch.int64).float(),
@@ -77,14 +78,16 @@ ONE = {
         torch.addmv(B, V.T, x[0]), F.linear(x, W * (x.sum() * 0 + 1)),
     ],
     "softmax": lambda x: [
-        x.softmax(-1), x.log_softmax(0), A._softmax(x, 1, False), A._log_softmax(x, 1, False),  # noqa: FBT003
+        x.softmax(-1), x.log_softmax(0), A._softmax(x, 1, False), A._log_softmax(x, 1, False),
     ],
     "moves": lambda x: [
         x.view(16), x.reshape(4, 4), x.flatten(), x.unflatten(1, (2, 4)), x.unsqueeze(1),
         x[:, None].squeeze(1), x.T, x.t(), x.transpose(0, 1), x.permute(1, 0), x.swapaxes(0, 1),
         x.expand(3, 2, 8), x[:1].expand_as(x), torch.broadcast_to(x[:1], (4, 8)), x.repeat(2, 3),
         x[:, 2:5], x[1], x[:, -1], x[:, ::3], x.narrow(1, 2, 3), x.flip(1), x.roll(3), x.roll(1, 1),
-        x.contiguous(), x.clone(), x.detach(), A.alias(x), A.contiguous(x), A.copy(x, x * 2), A.fill(x, 0.5), x.view_as(x), A._unsafe_view(x, [16]),
+        x.contiguous(), x.clone(), x.detach(), A.alias(x), A.contiguous(x),
+        A.copy(x, x * 2), A.fill(x, 0.5),
+        x.view_as(x), A._unsafe_view(x, [16]),
         A._reshape_alias(x, [16], [1]), x.ravel(), x.numpy_T if hasattr(x, "numpy_T") else x.T,
         A.numpy_T(x), A.lift_fresh(x), A.lift_fresh_copy(x), A.detach_(x.clone()),
     ],
@@ -96,21 +99,23 @@ ONE = {
         F.embedding(torch.tensor([2, 0]), V) + x[:, :6], A._to_copy(x),
     ],
     "reductions": lambda x: [
-        x.mean(), x.mean(1), x.sum(0, keepdim=True), x.sum(), x.amax(1), x.amin(0), x.max(), x.min(),
+        x.mean(), x.mean(1), x.sum(0, keepdim=True), x.sum(), x.amax(1), x.amin(0), x.max(),
+        x.min(),
         x.max(1).values, x.min(0).values, x.prod(1), torch.max(x, x * 2), torch.minimum(x, -x),
         torch.maximum(x, -x), x.norm(), x.norm(dim=1), torch.linalg.vector_norm(x, 1, 1),
         torch.linalg.vector_norm(x, float("inf"), 1), F.normalize(x, dim=1), x.var(1), x.std(1),
-        x.var(), x.var(1, unbiased=False), torch.std(x, dim=1, correction=0), A.frobenius_norm(x, [1]),
-        A.norm(x, 2.0, [1], True),  # noqa: FBT003
+        x.var(), x.var(1, unbiased=False), torch.std(x, dim=1, correction=0),
+        A.frobenius_norm(x, [1]),
+        A.norm(x, 2.0, [1], True),
     ],
     "normalisation": lambda x: [
         F.layer_norm(x, (8,), some(8), some(8)), F.layer_norm(x, (8,)),
         A.native_layer_norm(x, [8], some(8), some(8), 1e-5)[0], F.rms_norm(x, (8,), some(8)),
         F.batch_norm(x, some(8), some(8).abs() + 0.1, some(8), some(8)),
         A._native_batch_norm_legit_no_training(x, None, None, some(8), some(8).abs(), 0.1, 1e-3)[0],
-        A.native_batch_norm(x, some(8), some(8), some(8), some(8).abs(), False, 0.1, 1e-3)[0],  # noqa: FBT003
+        A.native_batch_norm(x, some(8), some(8), some(8), some(8).abs(), False, 0.1, 1e-3)[0],
         A._fused_rms_norm(x, [8], some(8), 1e-5)[0], F.dropout(x, 0.5, training=False),
-        A.alpha_dropout(x, 0.5, False), A.feature_dropout(x, 0.5, False),  # noqa: FBT003
+        A.alpha_dropout(x, 0.5, False), A.feature_dropout(x, 0.5, False),
         torch.addcmul(x, x, x, value=0.5), torch.addcdiv(x, x, x.abs() + 1, value=0.5),
     ],
     "in place": lambda x: [
@@ -138,8 +143,8 @@ OTHERS = {
     "images": (IMAGE, lambda x: [
         F.conv2d(x, K2), F.conv2d(x, K2, some(4), stride=2, padding=1), F.conv2d(x[0], K2),
         F.conv2d(x, K2, padding="same"), F.conv2d(x, K2, padding="valid", dilation=2),
-        A.convolution(x, K2, None, [1, 1], [1, 1], [1, 1], False, [0, 0], 1),  # noqa: FBT003
-        A._convolution(x, K2, None, [1, 1], [1, 1], [1, 1], False, [0, 0], 1, False, False, True, True),  # noqa: E501, FBT003
+        A.convolution(x, K2, None, [1, 1], [1, 1], [1, 1], False, [0, 0], 1),
+        A._convolution(x, K2, None, [1, 1], [1, 1], [1, 1], False, [0, 0], 1, False, False, True, True),  # noqa: E501
         F.max_pool2d(x, 2), F.max_pool2d(x, 3, 2, 1), F.max_pool2d(x[0], 2),
         A.max_pool2d_with_indices(x, [2, 2])[0],
         F.avg_pool2d(x, 3, 2, 1), F.adaptive_avg_pool2d(x, 1), F.adaptive_avg_pool2d(x, (3, 4)),
@@ -170,7 +175,7 @@ def written(x, change):
     return torch.cat([y.flatten(), *(view.flatten() for view in views)])
 
 
-def ran(function, *shapes, memory=None):
+def ran(function, *shapes):
     """The outputs of a function by torch, and by nw-eval from its graph."""
     inputs = [some(*shape) for shape in shapes]
     zeros = [torch.zeros(shape) for shape in shapes]
