@@ -121,8 +121,8 @@ class Card(CardModel):
     environment of its own, which needs Python 3.11 or later and NumPy. A relative path starts from
     the card's folder; no part of the digest. None = this one."""
     runtime: Literal["native", "nw-eval"] = "native"
-    """What runs ONNX files: `native`, ONNX Runtime, whose results depend on the processor in their
-    last digits; or `nw-eval`, whose results are the same on every processor."""
+    """What runs the networks: `native`, ONNX Runtime or torch, whose results depend on the
+    processor in their last digits; or `nw-eval`, whose results are the same on every processor."""
     options: dict[str, Any] = Field(default_factory=dict[str, Any])
     """What only this adapter understands; each adapter says what that is."""
     control: Control

@@ -14,10 +14,10 @@ from nw_eval.cards.networks import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.memory import Arrays, pack
-from nw_eval.networks import UnsupportedError
+from nw_eval.networks import RecordedFile, UnsupportedError
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.networks.onnx_graph import open_session, state_pairs
-from nw_eval.policies.planned import PlannedFile, RecordedFile, unsupported
+from nw_eval.policies.planned import PlannedFile, unsupported
 from nw_eval.policies.policy import (
     ActingNetwork,
     InputAssembler,

@@ -21,7 +21,7 @@ from nw_eval.cards.networks import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.memory import Arrays, pack, unpack
-from nw_eval.networks import Graph, Program, UnsupportedError
+from nw_eval.networks import NEXT, Program, RecordedFile, UnsupportedError
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.policy import (
     InputAssembler,
@@ -32,21 +32,8 @@ from nw_eval.policies.policy import (
     unpacked,
 )
 
-NEXT = "next "
-"""What the name of an output begins with, and that of a state's next value."""
 _PARTS = 16
 _EVERY = 1000
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecordedFile:
-    """What a file of weights computes, as graphs."""
-
-    parts: tuple[tuple[int, Graph], ...]
-    """In the order in which they run, each every so many actions. Inputs are `input 0`, ... and the
-    names of `first`; outputs are `output 0`, ... and the names of `first`, behind `NEXT`."""
-    first: Arrays
-    """What it remembers, as a trial begins."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

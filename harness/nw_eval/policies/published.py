@@ -38,7 +38,7 @@ from nw_eval.cards.model import CardModel
 from nw_eval.cards.networks import InputSpec
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.memory import pack
-from nw_eval.networks import Node
+from nw_eval.networks import Node, RecordedFile
 from nw_eval.policies.bundle import Bundle, NoOptions, read_options
 from nw_eval.policies.chunks import ActOptions, ChunkPolicy
 from nw_eval.policies.networks.act import Act
@@ -56,7 +56,6 @@ from nw_eval.policies.networks.parkour import (
     ParkourStudent,
 )
 from nw_eval.policies.networks.recording import named, numbered, record
-from nw_eval.policies.planned import RecordedFile
 from nw_eval.policies.policy import Observation, unpacked
 from nw_eval.policies.torch_network import (
     NetworkPolicy,

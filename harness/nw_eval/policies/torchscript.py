@@ -22,12 +22,11 @@ from nw_eval.clean import clean
 from nw_eval.confinement import fence_stands
 from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.memory import pack
-from nw_eval.networks import UnsupportedError
+from nw_eval.networks import RecordedFile, UnsupportedError
 from nw_eval.plural import plural
 from nw_eval.policies.apart import check_program
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.networks.recording import numbered, record, recorded_file
-from nw_eval.policies.planned import RecordedFile
 from nw_eval.policies.policy import (
     ActingNetwork,
     InputAssembler,

@@ -8,12 +8,11 @@ import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812 - as torch's own documentation has it.
 
-from nw_eval.networks import UnsupportedError
+from nw_eval.networks import NEXT, UnsupportedError
 from nw_eval.networks.network import Network
 from nw_eval.networks.plan import plan
 from nw_eval.policies.networks import aten
 from nw_eval.policies.networks.recording import numbered, record
-from nw_eval.policies.planned import NEXT
 
 A = torch.ops.aten
 _random = np.random.default_rng(3)

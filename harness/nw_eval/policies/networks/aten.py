@@ -32,8 +32,8 @@ MADE = frozenset(
 EXACT = frozenset(
     {
         "_reshape_alias", "_to_copy", "_unsafe_view", "abs", "add", "alias", "as_strided", "cat",
-        "clamp", "clone", "constant_pad_nd", "contiguous", "copy_", "detach", "detach_", "div", "expand",
-        "expand_as", "fill_", "flatten", "flip", "floor", "floor_divide", "index",
+        "clamp", "clone", "constant_pad_nd", "contiguous", "copy_", "detach", "detach_", "div",
+        "expand", "expand_as", "fill_", "flatten", "flip", "floor", "floor_divide", "index",
         "index_select", "lift_fresh",
         "lift_fresh_copy", "masked_fill", "maximum", "minimum", "mul", "neg", "permute", "relu",
         "repeat", "reshape", "round", "select", "slice", "split", "split_with_sizes", "sqrt",

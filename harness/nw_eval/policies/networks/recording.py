@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from nw_eval.networks import Graph, Node, UnsupportedError
+from nw_eval.networks import NEXT, Graph, Node, RecordedFile, UnsupportedError
 from nw_eval.policies.networks.aten import COMPOSED, EXACT, MADE, RULES
-from nw_eval.policies.planned import NEXT, RecordedFile
 
 _PIECES = 256
 """Runs of numbers that stay together where a part of an array is overwritten."""
@@ -307,7 +306,7 @@ class Recorder(TorchDispatchMode):
 
 
 def _memory_of(tensor: Tensor) -> int:
-    return tensor.untyped_storage().data_ptr()  # Nobody frees it: the tensors are kept.
+    return tensor.untyped_storage().data_ptr()  # It stays theirs: all are kept.
 
 
 def _places(tensor: Tensor) -> NDArray[np.int64]:
