@@ -19,7 +19,7 @@ from nw_eval.policies.apart import line_to, trusting
 from nw_eval.policies.planned import PlannedFile, packed, read_planned
 from nw_eval.rollout.confined.access import policy_rules
 from nw_eval.rollout.confined.start import PolicyProcess
-from nw_eval.rollout.confined.vetting import check_bundle
+from nw_eval.rollout.confined.vetting import check_bundle, vet_bundle
 
 POLICIES = Path(nw_eval.__file__).parents[2] / "policies"
 MASKS = {
@@ -121,6 +121,12 @@ def test_a_file_is_read_in_the_policy_s_process_and_runs_here(name, tmp_path):
         # What is left of it is data: no question goes to that process any more.
         actions = [first, policy.act(seen[1]), policy.act(seen[2])]
     np.testing.assert_array_equal(actions, adapters.actions(folder, seen))
+
+
+@pytest.mark.parametrize("name", ["script", "export", "student"])
+def test_a_file_is_vetted_behind_the_fence(name, tmp_path):
+    bundle = load_bundle(adapters.write(tmp_path, name))
+    assert vet_bundle(bundle, "go1").digest == bundle.digest
 
 
 def test_plans_travel_as_bytes_and_damaged_ones_are_refused():

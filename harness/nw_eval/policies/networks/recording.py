@@ -20,6 +20,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from nw_eval.networks import NEXT, Graph, Node, RecordedFile, UnsupportedError
 from nw_eval.policies.networks.aten import COMPOSED, EXACT, MADE, RULES
+from nw_eval.policies.networks.exported import without_compiler
 
 _PIECES = 256
 """Runs of numbers that stay together where a part of an array is overwritten."""
@@ -47,7 +48,7 @@ def record(
     for name, tensor in (*inputs.items(), *(memory or {}).items()):
         recorder.input(name, tensor)
     try:
-        with torch.inference_mode(), recorder:
+        with without_compiler(), torch.inference_mode(), recorder:
             results = run()
         names = {name: recorder.name(tensor) for name, tensor in results.items()}
     except Exception:
