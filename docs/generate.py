@@ -287,7 +287,8 @@ def network_operators() -> str:
     """Return the operators that nw-eval's networks have, of ONNX and of torch."""
     from nw_eval.networks.plan import OPERATORS
     from nw_eval.networks.planning import operators
-    from nw_eval.policies.networks.aten import COMPOSED, RULES
+    from nw_eval.policies.networks.aten import RULES
+    from nw_eval.policies.networks.aten_layers import COMPOSED
 
     known = operators()
     kinds = {

@@ -215,7 +215,7 @@ def test_every_system_call_that_the_fence_allows_stands_in_the_table() -> None:
 
 def test_every_operator_that_networks_have_is_listed() -> None:
     from nw_eval.networks.planning import operators
-    from nw_eval.policies.networks.aten import RULES
+    from nw_eval.policies.networks.recording import RULES
 
     told = generate.network_operators()
     known = [name for names in operators().values() for name in names]

@@ -20,6 +20,7 @@ from nw_eval.networks import IDENTITY
 from nw_eval.plugins import code_named, version_named
 from nw_eval.plural import plural
 from nw_eval.policies.bundle import senses_by_code
+from nw_eval.policies.planned import depends_on
 from nw_eval.results.journal import JournalHeader
 from nw_eval.results.provenance import (
     FetchedInfo,
@@ -170,7 +171,7 @@ def policy_info(bundle: Bundle) -> PolicyInfo:
         computes=bundle.computes,
         card="" if bundle.card_path is None else bundle.reference,
         origin="" if bundle.checkpoint is not None else bundle.origin,
-        depends_on=bundle.depends_on,
+        depends_on=depends_on(bundle.card),
         fetched=None if bundle.card_path is None else _fetched(bundle.card_path),
     )
 

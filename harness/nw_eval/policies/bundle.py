@@ -38,9 +38,6 @@ SIZE_LIMIT = 2**30
 NOTHING = hashlib.sha256(b"").hexdigest()
 """The digest of a policy that has neither weights nor code, or whose server gives none."""
 
-_RUNTIMES = {"onnx": "ONNX Runtime", "lucidsim": "ONNX Runtime"}
-"""What runs the networks of adapters that torch does not run."""
-
 _NO_FILE = "card "
 """What the reference of a card without a file begins with."""
 
@@ -173,19 +170,6 @@ class Bundle:
         elif self.code_sha256:
             words.append(f"code {self.code_sha256[:16]}")
         return ", ".join(words) or "no checkpoint"
-
-    @property
-    def depends_on(self) -> str:
-        """What makes the policy's results depend on the processor; empty if nothing does."""
-        card = self.card
-        if card.adapter == "zero" or (card.runtime == "nw-eval" and not senses_by_code(card)):
-            return ""
-        if card.runtime == "nw-eval" or card.adapter.startswith("python:"):
-            return "Python code"
-        if card.adapter == "remote":
-            return "its server"
-        names = {_RUNTIMES.get(adapter, "torch"): None for adapter in sorted(card.adapters)}
-        return " and ".join(names)
 
     @property
     def digest(self) -> str:

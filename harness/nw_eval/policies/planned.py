@@ -16,13 +16,14 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from nw_eval.cards.card import Card
 from nw_eval.cards.joint_control import Action
 from nw_eval.cards.networks import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.memory import Arrays, pack, unpack
 from nw_eval.networks import NEXT, Program, RecordedFile, UnsupportedError
-from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.bundle import Bundle, senses_by_code
 from nw_eval.policies.policy import (
     InputAssembler,
     Observation,
@@ -34,6 +35,21 @@ from nw_eval.policies.policy import (
 
 _PARTS = 16
 _EVERY = 1000
+
+
+_RUNTIMES = {"onnx": "ONNX Runtime", "lucidsim": "ONNX Runtime"}
+"""What runs the networks of adapters that torch does not run."""
+
+
+def depends_on(card: Card) -> str:
+    """Return what makes a policy's results depend on the processor; empty if nothing does."""
+    if card.adapter == "zero" or (card.runtime == "nw-eval" and not senses_by_code(card)):
+        return ""
+    if card.runtime == "nw-eval" or card.adapter.startswith("python:"):
+        return "Python code"
+    if card.adapter == "remote":
+        return "its server"
+    return " and ".join(sorted({_RUNTIMES.get(adapter, "torch") for adapter in card.adapters}))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -15,7 +15,7 @@ from nw_eval.errors import PolicyError, PrerequisiteError, TrialError
 from nw_eval.onboarding.probe.findings import ProbeFinding
 from nw_eval.onboarding.probe.recording import Recording
 from nw_eval.policies import Bundle, open_policy
-from nw_eval.policies.planned import unsupported_by
+from nw_eval.policies.planned import depends_on, unsupported_by
 from nw_eval.policies.policy import Observation
 from nw_eval.results.provenance import depends
 
@@ -67,11 +67,11 @@ def compare_runtimes(bundle: Bundle, recording: Recording) -> ProbedRuntimes:
     Raises:
         PolicyError: the policy fails.
     """
-    depends_on = bundle.depends_on
+    reason = depends_on(bundle.card)
     try:
         native = _run(bundle, "native", recording)
     except (PrerequisiteError, ImportError) as error:
-        return ProbedRuntimes(depends_on=depends_on, reason=f"its own runtime is not here: {error}")
+        return ProbedRuntimes(depends_on=reason, reason=f"its own runtime is not here: {error}")
     try:
         ours = _run(bundle, "nw-eval", recording)
     except PolicyError as error:
@@ -80,11 +80,11 @@ def compare_runtimes(bundle: Bundle, recording: Recording) -> ProbedRuntimes:
         return ProbedRuntimes(depends_on=operator, reason="nw-eval does not run it")
     except TrialError as error:
         return ProbedRuntimes(
-            depends_on=depends_on, output="action", difference=sys.float_info.max, reason=str(error)
+            depends_on=reason, output="action", difference=sys.float_info.max, reason=str(error)
         )
     found = {name: _difference(native[name], ours[name]) for name in native}
     output = max(found, key=lambda name: found[name])
-    return ProbedRuntimes(depends_on=depends_on, output=output, difference=found[output])
+    return ProbedRuntimes(depends_on=reason, output=output, difference=found[output])
 
 
 def runtime_findings(bundle: Bundle, runtimes: ProbedRuntimes | None) -> Iterator[ProbeFinding]:

@@ -2,8 +2,7 @@
 
 A rule is a function of the recorder, the operator's arguments by the names that torch's schema
 (native_functions.yaml) gives them, and its outputs, of which it uses the shapes. It returns the
-names of the outputs; an empty one is not to be had. The order of gates is torch's and ONNX's:
-LSTM i, f, g, o and i, o, f, g; GRU r, z, n and z, r, n.
+names of the outputs; an empty one is not to be had. Whole layers are in `aten_layers`.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from torch.nn import functional
 
 from nw_eval.networks import UnsupportedError
 
@@ -34,11 +32,10 @@ EXACT = frozenset(
         "_reshape_alias", "_to_copy", "_unsafe_view", "abs", "add", "alias", "as_strided", "cat",
         "clamp", "clone", "constant_pad_nd", "contiguous", "copy_", "detach", "detach_", "div",
         "expand", "expand_as", "fill_", "flatten", "flip", "floor", "floor_divide", "index",
-        "index_select", "lift_fresh",
-        "lift_fresh_copy", "masked_fill", "maximum", "minimum", "mul", "neg", "permute", "relu",
-        "repeat", "reshape", "round", "select", "slice", "split", "split_with_sizes", "sqrt",
-        "squeeze", "stack", "sub", "t", "to", "transpose", "unbind", "unflatten", "unsqueeze",
-        "view", "where", "zero_",
+        "index_select", "lift_fresh", "lift_fresh_copy", "masked_fill", "maximum", "minimum", "mul",
+        "neg", "permute", "relu", "repeat", "reshape", "round", "select", "slice", "split",
+        "split_with_sizes", "sqrt", "squeeze", "stack", "sub", "t", "to", "transpose", "unbind",
+        "unflatten", "unsqueeze", "view", "where", "zero_",
     }
 )  # fmt: skip
 """What has the same bits on every processor: numbers that move, or one operation of IEEE 754."""
@@ -48,10 +45,12 @@ RULES: dict[str, Rule] = {}
 _INT_MIN = -(2**63)
 
 
-def _rule(*names: str) -> Callable[[Rule], Rule]:
-    def register(rule: Rule) -> Rule:
-        RULES.update(dict.fromkeys(names, rule))
-        return rule
+def rule(*names: str) -> Callable[[Rule], Rule]:
+    """Register the rule of operators, by their names without an overload's."""
+
+    def register(each: Rule) -> Rule:
+        RULES.update(dict.fromkeys(names, each))
+        return each
 
     return register
 
@@ -66,8 +65,8 @@ _FUNCTIONS = {
 }  # fmt: skip
 _PAIRS = {
     "div": "Div", "eq": "Equal", "floor_divide": "Div", "ge": "GreaterOrEqual", "gt": "Greater",
-    "le": "LessOrEqual",
-    "lt": "Less", "maximum": "Max", "minimum": "Min", "mul": "Mul", "true_divide": "Div",
+    "le": "LessOrEqual", "lt": "Less", "maximum": "Max", "minimum": "Min", "mul": "Mul",
+    "true_divide": "Div",
 }  # fmt: skip
 _LOGIC = {
     "bitwise_and": "And", "bitwise_or": "Or", "bitwise_xor": "Xor", "logical_and": "And",
@@ -103,7 +102,7 @@ for _operators, _its_rule in ((_FUNCTIONS, _by_name), (_PAIRS, _pair), (_LOGIC, 
     RULES.update(dict.fromkeys(_operators, _its_rule))
 
 
-@_rule("add", "sub", "rsub")
+@rule("add", "sub", "rsub")
 def _sum(r: Recorder, a: Any, _: Any) -> str:
     x, y = _number(r, a.self), _number(r, a.other)
     operator, scaled = "Add" if a.operator == "add" else "Sub", a.get("alpha", 1)
@@ -116,26 +115,26 @@ def _times(r: Recorder, x: str, factor: float) -> str:
     return x if factor == 1 else r.add("Mul", x, r.name(factor))
 
 
-@_rule("bitwise_not")
+@rule("bitwise_not")
 def _opposite(r: Recorder, a: Any, _: Any) -> str:
     if a.self.dtype != torch.bool:
         raise UnsupportedError("numbers that are no truth values")
     return r.add("Not", r.name(a.self))
 
 
-@_rule("ne")
+@rule("ne")
 def _unequal(r: Recorder, a: Any, _: Any) -> str:
     return r.add("Not", r.add("Equal", _number(r, a.self), _number(r, a.other)))
 
 
-@_rule("addcmul", "addcdiv")
+@rule("addcmul", "addcdiv")
 def _added(r: Recorder, a: Any, _: Any) -> str:
     operator = "Mul" if a.operator == "addcmul" else "Div"
     part = _times(r, r.add(operator, r.name(a.tensor1), r.name(a.tensor2)), a.value)
     return r.add("Add", r.name(a.self), part)
 
 
-@_rule("square", "rsqrt", "hardsigmoid")
+@rule("square", "rsqrt", "hardsigmoid")
 def _short(r: Recorder, a: Any, _: Any) -> str:
     x = r.name(a.self)
     match a.operator:
@@ -147,17 +146,17 @@ def _short(r: Recorder, a: Any, _: Any) -> str:
             return r.add("HardSigmoid", x, alpha=1.0 / 6.0, beta=0.5)
 
 
-@_rule("gelu")
+@rule("gelu")
 def _gelu(r: Recorder, a: Any, _: Any) -> str:
     return r.add("Gelu", r.name(a.self), approximate=a.approximate.encode())
 
 
-@_rule("softplus")
+@rule("softplus")
 def _softplus(r: Recorder, a: Any, _: Any) -> str:
     return _times(r, r.add("Softplus", _times(r, r.name(a.self), a.beta)), 1.0 / a.beta)
 
 
-@_rule("elu", "celu", "selu", "leaky_relu")
+@rule("elu", "celu", "selu", "leaky_relu")
 def _elu(r: Recorder, a: Any, _: Any) -> str:
     x = r.name(a.self)
     match a.operator:
@@ -175,7 +174,7 @@ def _elu(r: Recorder, a: Any, _: Any) -> str:
     return _times(r, r.add("Add", r.add("Relu", x), below), scale)
 
 
-@_rule("prelu", "_prelu_kernel")
+@rule("prelu", "_prelu_kernel")
 def _prelu(r: Recorder, a: Any, _: Any) -> str:
     slope = r.array(a.weight)
     if slope.size > 1 and slope.ndim == 1 and a.self.ndim > 1:
@@ -183,14 +182,14 @@ def _prelu(r: Recorder, a: Any, _: Any) -> str:
     return r.add("PRelu", r.name(a.self), r.graph.constant(slope))
 
 
-@_rule("clamp", "clip", "hardtanh", "clamp_min", "clamp_max", "relu6")
+@rule("clamp", "clip", "hardtanh", "clamp_min", "clamp_max", "relu6")
 def _clamp(r: Recorder, a: Any, _: Any) -> str:
     limits = a.get("min", a.get("min_val")), a.get("max", a.get("max_val"))
     limits = (0.0, 6.0) if a.operator == "relu6" else limits
     return r.add("Clip", r.name(a.self), *("" if x is None else r.name(x) for x in limits))
 
 
-@_rule("pow")
+@rule("pow")
 def _pow(r: Recorder, a: Any, _: Any) -> str:
     if not isinstance(a.self, torch.Tensor):
         if a.self <= 0:
@@ -201,14 +200,14 @@ def _pow(r: Recorder, a: Any, _: Any) -> str:
     return r.add("Pow", r.name(a.self), r.name(float(a.exponent)))
 
 
-@_rule("where", "masked_fill")
+@rule("where", "masked_fill")
 def _where(r: Recorder, a: Any, _: Any) -> str:
     if a.operator == "masked_fill":
         return r.add("Where", r.name(a.mask), r.name(a.value), r.name(a.self))
     return r.add("Where", r.name(a.condition), r.name(a.self), r.name(a.other))
 
 
-@_rule("_to_copy", "to", "type_as")
+@rule("_to_copy", "to", "type_as")
 def _cast(r: Recorder, a: Any, outputs: Any) -> str:
     (out,) = outputs
     if out.dtype == a.self.dtype or out.is_floating_point():
@@ -218,7 +217,7 @@ def _cast(r: Recorder, a: Any, outputs: Any) -> str:
     raise UnsupportedError(f"numbers that become {out.dtype}")
 
 
-@_rule("dropout", "feature_dropout", "alpha_dropout")
+@rule("dropout", "feature_dropout", "alpha_dropout")
 def _dropout(r: Recorder, a: Any, _: Any) -> str:
     if a.train and a.p:
         raise UnsupportedError("`train`, which draws numbers")
@@ -228,7 +227,7 @@ def _dropout(r: Recorder, a: Any, _: Any) -> str:
 # --- products ------------------------------------------------------------------------------------
 
 
-@_rule("linear")
+@rule("linear")
 def _linear(r: Recorder, a: Any, _: Any) -> str:
     if r.is_constant(a.weight):
         product = r.add("MatMul", r.name(a.input), r.graph.constant(r.array(a.weight).T))
@@ -237,13 +236,13 @@ def _linear(r: Recorder, a: Any, _: Any) -> str:
     return product if a.bias is None else r.add("Add", product, r.name(a.bias))
 
 
-@_rule("mm", "bmm", "matmul", "mv", "dot")
+@rule("mm", "bmm", "matmul", "mv", "dot")
 def _matmul(r: Recorder, a: Any, _: Any) -> str:
     other = next(x for x in (a.get(n) for n in ("mat2", "other", "vec", "tensor")) if x is not None)
     return r.add("MatMul", r.name(a.self), r.name(other))
 
 
-@_rule("addmm", "baddbmm", "addmv")
+@rule("addmm", "baddbmm", "addmv")
 def _addmm(r: Recorder, a: Any, _: Any) -> str:
     names = {"addmm": ("mat1", "mat2"), "baddbmm": ("batch1", "batch2"), "addmv": ("mat", "vec")}
     x, y = (a.get(name) for name in names[a.operator])
@@ -251,7 +250,7 @@ def _addmm(r: Recorder, a: Any, _: Any) -> str:
     return r.add("Add", product, _times(r, r.name(a.self), a.beta))
 
 
-@_rule("conv1d", "conv2d", "convolution", "_convolution")
+@rule("conv1d", "conv2d", "convolution", "_convolution")
 def _conv(r: Recorder, a: Any, outputs: Any) -> str:
     if a.get("transposed"):
         raise UnsupportedError("transposed kernels")
@@ -274,7 +273,7 @@ def _each(value: Any, axes: int) -> list[int]:
     return listed * axes if len(listed) == 1 else listed
 
 
-@_rule("scaled_dot_product_attention", "_scaled_dot_product_flash_attention_for_cpu")
+@rule("scaled_dot_product_attention", "_scaled_dot_product_flash_attention_for_cpu")
 def _attention(r: Recorder, a: Any, outputs: Any) -> list[str]:
     if a.dropout_p or a.get("enable_gqa"):
         raise UnsupportedError("dropout or grouped queries")
@@ -297,7 +296,7 @@ def _attention(r: Recorder, a: Any, outputs: Any) -> list[str]:
 # --- normalisation, reductions, pools ------------------------------------------------------------
 
 
-@_rule("softmax", "_softmax", "log_softmax", "_log_softmax")
+@rule("softmax", "_softmax", "log_softmax", "_log_softmax")
 def _softmax(r: Recorder, a: Any, _: Any) -> str:
     operator = "LogSoftmax" if "log" in a.operator else "Softmax"
     return r.add(operator, r.name(a.self), axis=a.dim)
@@ -308,7 +307,7 @@ def _or_ones(r: Recorder, value: Any, size: int, *, zeros: bool = False) -> str:
     return r.graph.constant(made(size, np.float32)) if value is None else r.name(value)
 
 
-@_rule("layer_norm", "native_layer_norm")
+@rule("layer_norm", "native_layer_norm")
 def _layer_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
     shape = list(a.normalized_shape)
     scale = _or_ones(r, a.weight, math.prod(shape))
@@ -321,7 +320,7 @@ def _layer_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
     return [name, *[""] * (len(outputs) - 1)]
 
 
-@_rule("rms_norm", "_fused_rms_norm")
+@rule("rms_norm", "_fused_rms_norm")
 def _rms_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
     x, axes = r.name(a.input), list(range(-len(a.normalized_shape), 0))
     eps = torch.finfo(a.input.dtype).eps if a.eps is None else a.eps
@@ -331,7 +330,7 @@ def _rms_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
     return [result, *[""] * (len(outputs) - 1)]
 
 
-@_rule("batch_norm", "native_batch_norm", "_native_batch_norm_legit_no_training")
+@rule("batch_norm", "native_batch_norm", "_native_batch_norm_legit_no_training")
 def _batch_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
     if a.get("training") or a.running_mean is None:
         raise UnsupportedError("statistics of the batch")
@@ -346,7 +345,7 @@ def _batch_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
     return [name, *[""] * (len(outputs) - 1)]
 
 
-@_rule("group_norm", "native_group_norm", "instance_norm")
+@rule("group_norm", "native_group_norm", "instance_norm")
 def _group_norm(r: Recorder, a: Any, outputs: Any) -> list[str]:
     if a.operator == "instance_norm" and not a.use_input_stats:
         raise UnsupportedError("running statistics")
@@ -363,7 +362,7 @@ _REDUCTIONS = {
 }  # fmt: skip
 
 
-@_rule(*_REDUCTIONS)
+@rule(*_REDUCTIONS)
 def _reduced(r: Recorder, a: Any, outputs: Any) -> list[str]:
     if isinstance(a.get("other"), torch.Tensor):  # `torch.max(x, y)`.
         return [r.add("Max" if a.operator == "max" else "Min", r.name(a.self), r.name(a.other))]
@@ -378,7 +377,7 @@ def _reduce(r: Recorder, operator: str, x: str, a: Any) -> str:
     return r.add(operator, x, axes=axes, keepdims=int(bool(a.get("keepdim"))))
 
 
-@_rule("linalg_vector_norm", "norm", "frobenius_norm")
+@rule("linalg_vector_norm", "norm", "frobenius_norm")
 def _norm(r: Recorder, a: Any, _: Any) -> str:
     order = a.get("ord", a.get("p"))
     order = 2.0 if order is None else float(order)
@@ -389,7 +388,7 @@ def _norm(r: Recorder, a: Any, _: Any) -> str:
     return _reduce(r, f"ReduceL{int(order)}", r.name(a.self), a)
 
 
-@_rule("var", "std")
+@rule("var", "std")
 def _spread(r: Recorder, a: Any, outputs: Any) -> str:
     axes = a.get("dim")
     axes = [axes] if isinstance(axes, int) else list(axes or range(a.self.ndim))
@@ -405,7 +404,7 @@ def _spread(r: Recorder, a: Any, outputs: Any) -> str:
     return spread if a.operator == "var" else r.add("Sqrt", spread)
 
 
-@_rule("max_pool1d", "max_pool2d", "max_pool2d_with_indices", "avg_pool1d", "avg_pool2d")
+@rule("max_pool1d", "max_pool2d", "max_pool2d_with_indices", "avg_pool1d", "avg_pool2d")
 def _pool(r: Recorder, a: Any, outputs: Any) -> list[str]:
     axes = 1 if "1d" in a.operator else 2
     if a.ceil_mode or a.get("divisor_override"):
@@ -422,7 +421,7 @@ def _pool(r: Recorder, a: Any, outputs: Any) -> list[str]:
     return [name, *[""] * (len(outputs) - 1)]
 
 
-@_rule("adaptive_avg_pool1d", "adaptive_avg_pool2d", "_adaptive_avg_pool2d")
+@rule("adaptive_avg_pool1d", "adaptive_avg_pool2d", "_adaptive_avg_pool2d")
 def _adaptive_pool(r: Recorder, a: Any, outputs: Any) -> str:
     axes = 1 if "1d" in a.operator else 2
     given, wanted = a.self.shape[-axes:], outputs[0].shape[-axes:]
@@ -436,7 +435,7 @@ def _adaptive_pool(r: Recorder, a: Any, outputs: Any) -> str:
 # --- what moves numbers --------------------------------------------------------------------------
 
 
-@_rule(
+@rule(
     "alias", "clone", "contiguous", "detach", "detach_", "lift_fresh", "lift_fresh_copy",
     "positive", "view", "view_as", "reshape", "_unsafe_view", "_reshape_alias", "flatten",
     "unflatten", "unsqueeze", "squeeze", "ravel",
@@ -448,7 +447,7 @@ def _reshape(r: Recorder, a: Any, outputs: Any) -> str:
     return r.reshaped(r.name(a.self), out.shape) if out.shape != a.self.shape else r.name(a.self)
 
 
-@_rule("t", "transpose", "permute", "swapaxes", "numpy_T")
+@rule("t", "transpose", "permute", "swapaxes", "numpy_T")
 def _transpose(r: Recorder, a: Any, _: Any) -> str:
     axes = list(range(a.self.ndim))
     if a.operator == "permute":
@@ -461,18 +460,18 @@ def _transpose(r: Recorder, a: Any, _: Any) -> str:
     return r.add("Transpose", r.name(a.self), perm=axes)
 
 
-@_rule("expand", "expand_as", "broadcast_to")
+@rule("expand", "expand_as", "broadcast_to")
 def _expand(r: Recorder, a: Any, outputs: Any) -> str:
     return r.add("Expand", r.name(a.self), r.whole(outputs[0].shape))
 
 
-@_rule("repeat")
+@rule("repeat")
 def _repeat(r: Recorder, a: Any, _: Any) -> str:
     shape = [1] * (len(a.repeats) - a.self.ndim) + list(a.self.shape)
     return r.add("Tile", r.reshaped(r.name(a.self), shape), r.whole(a.repeats))
 
 
-@_rule("slice")
+@rule("slice")
 def _slice(r: Recorder, a: Any, _: Any) -> str:
     size = a.self.shape[a.dim]
     return r.slice(
@@ -480,14 +479,14 @@ def _slice(r: Recorder, a: Any, _: Any) -> str:
     )
 
 
-@_rule("select")
+@rule("select")
 def _select(r: Recorder, a: Any, outputs: Any) -> str:
     axis = a.dim % a.self.ndim
     at = a.index % a.self.shape[axis]
     return r.reshaped(r.slice(r.name(a.self), axis, at, at + 1), outputs[0].shape)
 
 
-@_rule("split", "split_with_sizes", "chunk", "unsafe_split", "unsafe_chunk", "unbind", "narrow")
+@rule("split", "split_with_sizes", "chunk", "unsafe_split", "unsafe_chunk", "unbind", "narrow")
 def _parts(r: Recorder, a: Any, outputs: Any) -> list[str]:
     axis = a.dim % a.self.ndim
     start, found = a.get("start", 0), list[str]()
@@ -498,7 +497,7 @@ def _parts(r: Recorder, a: Any, outputs: Any) -> list[str]:
     return found
 
 
-@_rule("cat", "concat", "stack")
+@rule("cat", "concat", "stack")
 def _cat(r: Recorder, a: Any, outputs: Any) -> str:
     (out,) = outputs
     axis = a.dim % out.ndim
@@ -510,7 +509,7 @@ def _cat(r: Recorder, a: Any, outputs: Any) -> str:
     return r.add("Concat", *names, axis=axis)
 
 
-@_rule("flip")
+@rule("flip")
 def _flip(r: Recorder, a: Any, _: Any) -> str:
     name = r.name(a.self)
     for axis in a.dims:
@@ -518,7 +517,7 @@ def _flip(r: Recorder, a: Any, _: Any) -> str:
     return name
 
 
-@_rule("roll")
+@rule("roll")
 def _roll(r: Recorder, a: Any, outputs: Any) -> str:
     name, axes = r.name(a.self), list(a.dims)
     if not axes:
@@ -531,7 +530,7 @@ def _roll(r: Recorder, a: Any, outputs: Any) -> str:
     return r.reshaped(name, outputs[0].shape)
 
 
-@_rule("constant_pad_nd")
+@rule("constant_pad_nd")
 def _pad(r: Recorder, a: Any, _: Any) -> str:
     pairs = list(zip(a.pad[::2], a.pad[1::2], strict=True))[::-1]
     pairs = [(0, 0)] * (a.self.ndim - len(pairs)) + pairs
@@ -539,7 +538,7 @@ def _pad(r: Recorder, a: Any, _: Any) -> str:
     return r.add("Pad", r.name(a.self), pads, r.name(float(a.get("value") or 0.0)))
 
 
-@_rule("index_select", "embedding", "index")
+@rule("index_select", "embedding", "index")
 def _gather(r: Recorder, a: Any, _: Any) -> str:
     if a.operator == "embedding":
         return r.add("Gather", r.name(a.weight), r.graph.constant(r.array(a.indices)))
@@ -556,136 +555,8 @@ def _gather(r: Recorder, a: Any, _: Any) -> str:
     return r.add("Gather", r.name(a.self), r.graph.constant(index), axis=used[0])
 
 
-@_rule("copy_", "copy", "fill_", "zero_", "fill")
+@rule("copy_", "copy", "fill_", "zero_", "fill")
 def _fill(r: Recorder, a: Any, _: Any) -> str:
     value = a.get("src", a.get("value", 0.0))
     value = value if isinstance(value, torch.Tensor) else float(value)
     return r.add("Expand", _number(r, value), r.whole(a.self.shape))
-
-
-# --- recurrent layers ----------------------------------------------------------------------------
-
-_GATES = {"lstm": (0, 3, 1, 2), "gru": (1, 0, 2), "rnn": (0,)}
-
-
-@_rule("lstm", "gru", "rnn_tanh", "rnn_relu")
-def _recurrent(r: Recorder, a: Any, _: Any) -> list[str]:
-    if a.get("batch_sizes") is not None or (a.train and a.dropout):
-        raise UnsupportedError("sequences of several lengths, or dropout")
-    is_lstm, turns = a.operator == "lstm", 1 + bool(a.bidirectional)
-    x = r.name(a.input)
-    steps, batch = a.input.shape[:2]
-    if a.batch_first:
-        steps, batch = batch, steps
-        x = r.add("Transpose", x, perm=[1, 0, 2])
-    before = list(a.hx) if is_lstm else [a.hx]
-    each = len(a.params) // (a.num_layers * turns)
-    lasts: list[tuple[str, ...]] = []
-    for layer in range(a.num_layers):
-        at = layer * turns
-        weights = [a.params[(at + turn) * each : (at + turn + 1) * each] for turn in range(turns)]
-        states = [r.slice(r.name(state), 0, at, at + turns) for state in before]
-        size = before[0].shape[2]
-        y, *last = _layer(r, a.operator, x, weights, states, size=size)
-        y = r.add("Transpose", y, perm=[0, 2, 1, 3])
-        x = r.reshaped(y, [steps, batch, turns * size])
-        lasts.append(tuple(last))
-    y = r.add("Transpose", x, perm=[1, 0, 2]) if a.batch_first else x
-    ends = [_joined(r, [last[place] for last in lasts]) for place in range(len(before))]
-    return [y, *ends]
-
-
-def _joined(r: Recorder, names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else r.add("Concat", *names, axis=0)
-
-
-def _layer(
-    r: Recorder,
-    operator: str,
-    x: str,
-    weights: Any,
-    states: Sequence[str],
-    *,
-    size: int,
-) -> tuple[str, ...]:
-    """Return the outputs and last states of one layer; `weights` for each of its directions."""
-    kind = operator.partition("_")[0]
-    order = _GATES[kind]
-    gates = [
-        [np.concatenate([np.split(r.array(w), len(order))[g] for g in order]) for w in one]
-        for one in weights
-    ]
-    stacked = [np.stack([one[place] for one in gates]) for place in range(2)]
-    zeros = np.zeros((len(gates), 2 * len(order) * size), np.float32)
-    bias = np.stack([np.concatenate(one[2:4]) for one in gates]) if len(gates[0]) > 2 else zeros
-    at: dict[str, Any] = {"hidden_size": size}
-    at |= {"linear_before_reset": 1} if kind == "gru" else {}
-    at |= {"direction": b"bidirectional"} if len(gates) == 2 else {}
-    at |= {"activations": [b"Relu"] * len(gates)} if operator == "rnn_relu" else {}
-    constants = [r.graph.constant(each) for each in (*stacked, bias)]
-    return r.graph.add_many(
-        {"lstm": "LSTM", "gru": "GRU", "rnn": "RNN"}[kind], x, *constants, "", *states,
-        outputs=1 + len(states), **at,
-    )  # fmt: skip
-
-
-@_rule("lstm_cell", "gru_cell", "rnn_tanh_cell", "rnn_relu_cell")
-def _cell(r: Recorder, a: Any, _: Any) -> list[str]:
-    before = list(a.hx) if a.operator == "lstm_cell" else [a.hx]
-    batch, size = before[0].shape
-    weights = [w for w in (a.w_ih, a.w_hh, a.b_ih, a.b_hh) if w is not None]
-    _, *last = _layer(
-        r, a.operator.removesuffix("_cell"), r.reshaped(r.name(a.input), [1, *a.input.shape]),
-        [weights], [r.reshaped(r.name(state), [1, batch, size]) for state in before],
-        size=size,
-    )  # fmt: skip
-    return [r.reshaped(each, [batch, size]) for each in last]
-
-
-# --- what torch computes at once, in its own simpler operators -----------------------------------
-
-
-def _heads(query: Any, key: Any, value: Any, a: Any) -> Any:
-    """Return multi-head attention, (batch, tokens, width)."""
-    if a.mask is not None:
-        raise UnsupportedError("a mask")
-    parts = zip((query, key, value), a.qkv_weight.chunk(3), a.qkv_bias.chunk(3), strict=True)
-    heads = a.get("num_head", a.get("num_heads"))
-    q, k, v = (
-        functional.linear(x, w, b).unflatten(2, (heads, -1)).transpose(1, 2) for x, w, b in parts
-    )
-    attended = functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
-    return functional.linear(attended, a.proj_weight, a.proj_bias)
-
-
-def _attention_layer(a: Any) -> Any:
-    if a.need_weights:
-        raise UnsupportedError("`need_weights`")
-    return _heads(a.query, a.key, a.value, a), None
-
-
-def _encoder_layer(a: Any) -> Any:
-    def normed(x: Any, weight: Any, bias: Any) -> Any:
-        return functional.layer_norm(x, (a.embed_dim,), weight, bias, a.eps)
-
-    first, second = (a.norm_weight_1, a.norm_bias_1), (a.norm_weight_2, a.norm_bias_2)
-    activation = functional.gelu if a.use_gelu else functional.relu
-
-    def fed(x: Any) -> Any:
-        inner = activation(functional.linear(x, a.ffn_weight_1, a.ffn_bias_1))
-        return functional.linear(inner, a.ffn_weight_2, a.ffn_bias_2)
-
-    x = a.src
-    if a.norm_first:
-        h = normed(x, *first)
-        x = x + _heads(h, h, h, a)
-        return x + fed(normed(x, *second))
-    x = normed(x + _heads(x, x, x, a), *first)
-    return normed(x + fed(x), *second)
-
-
-COMPOSED: dict[str, Callable[[Any], Any]] = {
-    "_native_multi_head_attention": _attention_layer,
-    "_transformer_encoder_layer_fwd": _encoder_layer,
-}
-"""By operator, a function of its arguments that torch runs in place of it, and is recorded."""

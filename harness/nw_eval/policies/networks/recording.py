@@ -1,9 +1,9 @@
 """Records what torch computes as a graph of `nw_eval.networks`, which runs without torch.
 
 A network runs once on zeros, and each operator of ATen that torch's dispatcher is asked for becomes
-operators of the graph (`aten`). So modules in Python, TorchScript files and graphs of torch.export
-are recorded alike. What depends on no input is a constant. A way that depends on the numbers of an
-input cannot be recorded, and is refused.
+operators of the graph (`aten`, `aten_layers`). So modules in Python, TorchScript files and graphs
+of torch.export are recorded alike. What depends on no input is a constant. A way that depends on
+the numbers of an input cannot be recorded, and is refused.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from nw_eval.networks import NEXT, Graph, Node, RecordedFile, UnsupportedError
-from nw_eval.policies.networks.aten import COMPOSED, EXACT, MADE, RULES
+from nw_eval.policies.networks.aten import EXACT, MADE, RULES
+from nw_eval.policies.networks.aten_layers import COMPOSED
 from nw_eval.policies.networks.exported import without_compiler
 
 _PIECES = 256
