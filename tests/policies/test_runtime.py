@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import adapters
@@ -16,7 +17,7 @@ import nw_eval
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies import load_bundle, open_policy
 from nw_eval.policies.apart import line_to, trusting
-from nw_eval.policies.planned import PlannedFile, packed, read_planned
+from nw_eval.policies.planned import PlannedFile, packed, plan_policy, read_planned
 from nw_eval.rollout.confined.access import policy_rules
 from nw_eval.rollout.confined.start import PolicyProcess
 from nw_eval.rollout.confined.vetting import check_bundle, vet_bundle
@@ -135,8 +136,27 @@ def test_plans_travel_as_bytes_and_damaged_ones_are_refused():
     assert (found.inputs, found.parts) == ((), ())
     np.testing.assert_array_equal(found.first["h"], file.first["h"])
     for damaged in (b"", b"\x02\x00\x00\x00[]", packed({})[:-1]):
-        with pytest.raises((ValueError, KeyError)):
+        with pytest.raises(ValueError, match=r"\w"):
             read_planned(damaged)
+
+
+def test_damage_anywhere_in_a_plan_is_refused_or_leaves_a_plan_that_runs(tmp_path):
+    bundle = load_bundle(adapters.write(tmp_path, "act"))
+    seen = adapters.observations(bundle.folder, steps=1)[0]
+    native = bundle.card.model_copy(update={"runtime": "native"})
+    data = packed(plan_policy(open_policy(replace(bundle, card=native)), seen))
+    rng = np.random.default_rng(8)
+    head = int.from_bytes(data[:4], "little")
+    refused = 0
+    for _ in range(300):
+        damaged = bytearray(data)
+        place = rng.integers(4 + head) if rng.random() < 0.5 else len(data) - rng.integers(1, 900)
+        damaged[place] = rng.integers(256)
+        try:
+            read_planned(bytes(damaged))
+        except ValueError:
+            refused += 1
+    assert 150 < refused <= 300
 
 
 def test_an_operator_that_is_not_run_is_an_error_that_names_it_before_any_trial(tmp_path):

@@ -308,7 +308,7 @@ def files_over(line: PolicyLine, bundle: Bundle) -> dict[str, PlannedFile]:
 def _planned_by(line: PolicyLine, words: Mapping[str, Any], number: int) -> dict[str, PlannedFile]:
     try:
         return read_planned(line.ask(words, policy=number)["files"])
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except (KeyError, TypeError, ValueError):
         line.lost()
 
 

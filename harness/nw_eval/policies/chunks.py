@@ -12,6 +12,7 @@ from pydantic import Field
 from nw_eval.cards.joint_control import Action
 from nw_eval.cards.model import CardModel
 from nw_eval.cards.networks import InputSpec
+from nw_eval.errors import TrialError
 from nw_eval.memory import Arrays, pack
 from nw_eval.policies.policy import Observation, OpenNetwork, checked_action, unpacked
 
@@ -70,6 +71,8 @@ class ChunkPolicy:
         """
         if self._step % self._every == 0:
             (chunk,) = self.network.run(observation)
+            if chunk.ndim != 2 or not chunk.size:
+                raise TrialError(f"policy {self._policy!r} gave a chunk of shape {chunk.shape}")
             self._queue.add(chunk.astype(np.float64))
         self._step += 1
         return checked_action(self._queue.take(), joints=self._joints, policy=self._policy)

@@ -99,9 +99,15 @@ def read_planned(data: bytes) -> dict[str, PlannedFile]:
     """Return planned files from bytes, whoever wrote them, with their programs checked.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: they are none.
+        ValueError: they are none.
     """
-    arrays = unpack(data)
+    try:
+        return _read(unpack(data))
+    except (KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise ValueError(f"no plans: {error!r}") from None
+
+
+def _read(arrays: Arrays) -> dict[str, PlannedFile]:
     told = json.loads(arrays["told"].tobytes())
     found: dict[str, PlannedFile] = {}
     for number, (name, one) in enumerate(told.items()):
@@ -221,6 +227,8 @@ class PlannedNetwork:
         self._parts = tuple((every, Network(program)) for every, program in planned.parts)
         self._first = {name: array.astype(np.float32) for name, array in planned.first.items()}
         self._is_open = True
+        self.is_function = not self.remembers
+        """Whether equal inputs give equal outputs, whatever came before."""
         self.reset(0)
 
     @property
