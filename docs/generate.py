@@ -44,6 +44,7 @@ def parts() -> Mapping[str, Callable[[], str]]:
         "columns": columns,
         "topics": topics,
         "scores": scores,
+        "operators": network_operators,
         "system calls": system_calls,
         "functions": lambda: api_of(functions=True),
         "values": lambda: api_of(functions=False),
@@ -280,6 +281,30 @@ def system_calls() -> str:
     ]
     heads = ("call", "values of its arguments that are allowed")
     return "\n\n".join((_table(("first needed by", "calls"), needs), _table(heads, checked)))
+
+
+def network_operators() -> str:
+    """Return the operators that nw-eval's networks have, of ONNX and of torch."""
+    from nw_eval.networks.plan import OPERATORS
+    from nw_eval.networks.planning import operators
+    from nw_eval.policies.networks.aten import RULES
+    from nw_eval.policies.networks.aten_layers import COMPOSED
+
+    known = operators()
+    kinds = {
+        "by element and by row": "arithmetic",
+        "products and convolutions": "products",
+        "recurrent layers": "recurrent",
+        "what moves numbers": "moves",
+    }
+    assert {f"nw_eval.networks.{kind}" for kind in kinds.values()} == {
+        module.__name__ for module in OPERATORS
+    }
+    onnx = [(title, _names(" ".join(known[kind]))) for title, kind in kinds.items()]
+    torch = _names(" ".join(sorted({*RULES, *COMPOSED})))
+    return "\n\n".join(
+        (_table(("kind", "operators of ONNX"), onnx), f"Operators of ATen: {torch}.")
+    )
 
 
 def _names(text: str) -> str:

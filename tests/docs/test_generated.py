@@ -211,3 +211,15 @@ def test_every_system_call_that_the_fence_allows_stands_in_the_table() -> None:
     names = [name for text in texts for name, _ in seccomp.named(text)]
     assert len(names) > 100
     assert all(f"`{name}`" in told for name in (*names, "FIONBIO", "F_GETFL", "AF_INET6"))
+
+
+def test_every_operator_that_networks_have_is_listed() -> None:
+    from nw_eval.networks.planning import operators
+    from nw_eval.policies.networks.recording import RULES
+
+    told = generate.network_operators()
+    known = [name for names in operators().values() for name in names]
+    assert len(known) > 90
+    assert {"Gemm", "LSTM", "com.microsoft::RotaryEmbedding"} <= set(known)
+    for name in (*known, *RULES):
+        assert f"`{name}`" in told, name

@@ -28,7 +28,7 @@ from nw_eval.policies.networks.parkour import (
     ParkourActor,
 )
 from nw_eval.policies.opening import ZeroPolicy
-from nw_eval.policies.published import ActPolicy, LucidSimPolicy, StudentPolicy
+from nw_eval.policies.published import ActNetwork, LucidSimPolicy, StudentPolicy
 from nw_eval.policies.serve import serving
 from nw_eval.rollout.trial import run_trial
 
@@ -203,9 +203,12 @@ def written_to(case, cls, method):
     def scribbling(policy, inputs):
         scribble(given)
         result = compute(policy, inputs)
-        given[:] = [result.clone() if isinstance(result, torch.Tensor) else result.copy()]
+        parts = result if isinstance(result, tuple) else (result,)
+        given[:] = [
+            part.clone() if isinstance(part, torch.Tensor) else part.copy() for part in parts
+        ]
         scribble(inputs.values())
-        return given[0]
+        return tuple(given) if isinstance(result, tuple) else given[0]
 
     if case.writes:
         case.patch.setattr(cls, method, scribbling)
@@ -236,7 +239,7 @@ def act(case):
         proprio=18, latent=4, actions=12, chunk=4, backbone={}, normalized=False,
     )  # fmt: skip
     file = case.save(randomized(Act(sizes)))
-    written_to(case, ActPolicy, "infer")
+    written_to(case, ActNetwork, "outputs")
     inputs = "inputs: {proprio: [obs]}\n"
     return case.card("act", f"  obs: {{{BODY}, rate: 10}}\n", inputs, file)
 

@@ -21,6 +21,7 @@ from nw_eval.cards.networks import (
     OutputKey,
     Recurrent,
     input_parts,
+    is_built_in,
     recurrent_fault,
 )
 from nw_eval.cards.observations import (
@@ -120,8 +121,8 @@ class Card(CardModel):
     environment of its own, which needs Python 3.11 or later and NumPy. A relative path starts from
     the card's folder; no part of the digest. None = this one."""
     runtime: Literal["native", "nw-eval"] = "native"
-    """What runs ONNX files: `native`, ONNX Runtime, whose results depend on the processor in their
-    last digits; or `nw-eval`, whose results are the same on every processor."""
+    """What runs the networks: `native`, ONNX Runtime or torch, whose results depend on the
+    processor in their last digits; or `nw-eval`, whose results are the same on every processor."""
     options: dict[str, Any] = Field(default_factory=dict[str, Any])
     """What only this adapter understands; each adapter says what that is."""
     control: Control
@@ -179,9 +180,9 @@ class Card(CardModel):
             raise ValueError(f"{message}; remove it, or write `adapter: python:module:Class`")
         if self.python is not None and self.networks:
             raise ValueError("`networks` feed no policy with a `python` of its own; remove one")
-        others = {self.adapter, *(net.adapter for net in self.networks.values())} - {"onnx"}
-        if self.runtime == "nw-eval" and others:
-            message = f"`runtime: nw-eval` runs ONNX files, not adapter `{min(others)}`"
+        is_elsewhere = self.adapter == "remote" or not is_built_in(self.adapter)
+        if self.runtime == "nw-eval" and is_elsewhere:
+            message = f"`runtime: nw-eval` runs networks in files, not adapter `{self.adapter}`"
             raise ValueError(f"{message}; remove it, or export the policy as ONNX")
         if self.adapter != "zero" and not self.observations:
             raise ValueError("`observations` is empty; name what the checkpoint sees")
@@ -220,6 +221,11 @@ class Card(CardModel):
             ):
                 message = f"{name!r} feeds a clipped action back but the card clips none"
                 raise ValueError(f"{message}; add `clip` to `control`, or remove `clipped`")
+
+    @property
+    def adapters(self) -> frozenset[str]:
+        """Of the checkpoint, and of the networks that feed it."""
+        return frozenset({self.adapter, *(net.adapter for net in self.networks.values())})
 
     @property
     def meets_splat(self) -> bool:

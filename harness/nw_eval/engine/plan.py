@@ -274,7 +274,7 @@ def forecast(plan: Plan, *, workers: int | None = None) -> Forecast:
 
 def _expected(plan: Plan) -> tuple[Trial, ...]:
     """Return the trials that would run; of the baseline's own policy, those that run again."""
-    machine = machine_in(engine_of(plan.render, plan.suite.plugins))
+    machine = machine_in(engine_of(plan.render, plan.suite.plugins, plan.bundle.card))
     if not plan.is_baseline or plan.against is None or not plan.against.bank.panel_of(machine):
         return plan.trials
     again = 1 if plan.request.recheck is None else plan.request.recheck
@@ -324,7 +324,8 @@ def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
     from nw_eval.gate.baseline.scores import lacks_score
 
     bank = against.bank
-    if bank.panel_of(machine_in(engine_of(plan.render, plan.suite.plugins))) is None:
+    engine = engine_of(plan.render, plan.suite.plugins, plan.bundle.card)
+    if bank.panel_of(machine_in(engine)) is None:
         return ()
     fix = "save it again with this suite: `nw-eval baseline save SUITE --policy POLICY --renew`"
     return tuple(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -15,9 +16,11 @@ from nw_eval.cards.card import LEFT_OUT
 from nw_eval.catalogue import is_built_in, is_meant
 from nw_eval.confinement import Fence, offered
 from nw_eval.engine.machine import cpu_kind
+from nw_eval.networks import IDENTITY
 from nw_eval.plugins import code_named, version_named
 from nw_eval.plural import plural
 from nw_eval.policies.bundle import senses_by_code
+from nw_eval.policies.planned import depends_on
 from nw_eval.results.journal import JournalHeader
 from nw_eval.results.provenance import (
     FetchedInfo,
@@ -49,6 +52,10 @@ if TYPE_CHECKING:
 
 _CHANGING_BITS = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
 """Libraries whose versions make bits differ between runs of the same trials."""
+
+
+_BY_PROCESSOR = ("onnxruntime", "torch", "cpu")
+"""Of these, what says nothing where nw-eval runs the networks."""
 
 
 def now() -> str:
@@ -109,7 +116,7 @@ def run_info(
         code=code_info(),
         machine=machine_info(),
         versions=library_versions(),
-        engine=engine_of(plan.render, plan.suite.plugins),
+        engine=engine_of(plan.render, plan.suite.plugins, plan.bundle.card),
         plugins=plan.plugins,
     )
 
@@ -120,26 +127,38 @@ def journal_header(plan: Plan) -> JournalHeader:
         suite_digest=plan.suite.digest,
         policy_digest=plan.bundle.digest,
         scene_digests={scene.name: scene.digest for scene in plan.scenes},
-        engine=engine_of(plan.render, plan.suite.plugins),
+        engine=engine_of(plan.render, plan.suite.plugins, plan.bundle.card),
     )
 
 
-def engine_of(render: Backend, plugins: Iterable[str] = ()) -> dict[str, str]:
+def engine_of(
+    render: Backend, plugins: Iterable[str] = (), card: Card | None = None
+) -> dict[str, str]:
     """Return what makes bits differ between runs of the same trials.
+
+    The kind of processor does, and so do ONNX Runtime and torch, unless nw-eval runs all networks
+    of a card: their results are of one kind on all processors of an architecture, for which
+    MuJoCo is built.
 
     Args:
         render: the splat renderer.
         plugins: what packages bring along, as `Suite.plugins` names it. Their code counts beside
             their version, which may not tell it apart.
+        card: of the policy; None = of any.
     """
     versions = library_versions()
-    return {
+    found = {
         **{name: versions[name] for name in _CHANGING_BITS if name in versions},
         "renderer": _renderer(render),
         "cpu": cpu_kind(),
         "code": rows_code_digest()[:16],
         **{key: f"{version_named(key)} {code_named(key)[:16]}" for key in plugins},
     }
+    if card is None or card.runtime == "native" or senses_by_code(card):
+        return found
+    for name in _BY_PROCESSOR:
+        found.pop(name, None)
+    return {**found, "networks": IDENTITY, "architecture": platform.machine()}
 
 
 def policy_info(bundle: Bundle) -> PolicyInfo:
@@ -152,6 +171,7 @@ def policy_info(bundle: Bundle) -> PolicyInfo:
         computes=bundle.computes,
         card="" if bundle.card_path is None else bundle.reference,
         origin="" if bundle.checkpoint is not None else bundle.origin,
+        depends_on=depends_on(bundle.card),
         fetched=None if bundle.card_path is None else _fetched(bundle.card_path),
     )
 

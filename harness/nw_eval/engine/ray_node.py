@@ -34,6 +34,7 @@ from nw_eval.rollout.trial import run_trial
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from nw_eval.cards import Card
     from nw_eval.engine.ray_file_bundles import FileBundle
     from nw_eval.engine.workers import Finished
     from nw_eval.policies import Bundle
@@ -58,16 +59,14 @@ class JobSpec:
     """Bytes that a worker may hold with its children."""
 
 
-def facts(
-    render: Backend, *, adapter: str, code: bool, plugins: Mapping[str, str]
-) -> dict[str, str]:
+def facts(render: Backend, *, card: Card, code: bool, plugins: Mapping[str, str]) -> dict[str, str]:
     """Return what must be the same on all machines that one run's rows come from.
 
     The first line of a journal and run.json say it once, for all of them.
 
     Args:
         render: the splat renderer.
-        adapter: of the policy's card.
+        card: the policy's.
         code: as for `fence_of`.
         plugins: the run's `Plan.plugins`, of which a node may have others.
     """
@@ -76,8 +75,8 @@ def facts(
     return {
         "nw-eval": __version__,
         "Python": platform.python_version(),
-        **engine_of(render, plugins),
-        "fence": fence_of(adapter, code=code, render=render),
+        **engine_of(render, plugins, card),
+        "fence": fence_of(card.adapter, code=code, render=render),
     }
 
 

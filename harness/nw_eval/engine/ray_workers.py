@@ -103,7 +103,7 @@ class RayProcesses:
         )
         question = {
             "render": plan.render,
-            "adapter": plan.bundle.card.adapter,
+            "card": plan.bundle.card,
             "code": plan.request.allow_code and senses_by_code(plan.bundle.card),
             # Functions of the suite travel with the jobs: no node has a package of them.
             "plugins": {

@@ -12,7 +12,24 @@ kernels.py, functions.py    the interpreter of rows, and its functions
 `network` imports Numba; what is named here does not.
 """
 
-from nw_eval.networks.graph import Graph, GraphInput, Node, UnsupportedError
-from nw_eval.networks.program import VERSION, Program
+from nw_eval.networks.graph import (
+    NEXT,
+    Graph,
+    GraphInput,
+    Node,
+    RecordedFile,
+    UnsupportedError,
+)
+from nw_eval.networks.program import IDENTITY, VERSION, Program
 
-__all__ = ["VERSION", "Graph", "GraphInput", "Node", "Program", "UnsupportedError"]
+__all__ = [
+    "IDENTITY",
+    "NEXT",
+    "VERSION",
+    "Graph",
+    "GraphInput",
+    "Node",
+    "Program",
+    "RecordedFile",
+    "UnsupportedError",
+]

@@ -16,6 +16,10 @@ MICROSOFT = "com.microsoft"
 """The domain of the operators that ONNX Runtime adds to the standard."""
 
 
+NEXT = "next "
+"""What the name of an output of a recorded file begins with, and that of a state's next value."""
+
+
 class UnsupportedError(Exception):
     """A graph has an operator, or a use of one, that the executor does not run; names it."""
 
@@ -87,3 +91,14 @@ class Graph:
         )
         self.nodes.append(node)
         return names
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedFile:
+    """What a file of weights computes, as graphs that have a memory in common."""
+
+    parts: tuple[tuple[int, Graph], ...]
+    """In the order in which they run, each every so many actions. Inputs are `input 0`, ... and the
+    names of `first`; outputs are `output 0`, ... and the names of `first`, behind `NEXT`."""
+    first: dict[str, NDArray[Any]]
+    """What it remembers, as a trial begins."""

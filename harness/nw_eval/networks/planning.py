@@ -45,10 +45,13 @@ def operator(*names: str, domain: str = "") -> Callable[[Rule], Rule]:
     return register
 
 
-def operators() -> list[str]:
-    """Return the names of all operators that can be planned, those of other domains last."""
-    names = sorted(_RULES)
-    return [f"{domain}::{name}" if domain else name for domain, name in names]
+def operators() -> dict[str, list[str]]:
+    """Return the names of all operators that can be planned, by the module that has their rules."""
+    found: dict[str, list[str]] = {}
+    for (domain, name), rule in sorted(_RULES.items()):
+        module = rule.__module__.rpartition(".")[2]
+        found.setdefault(module, []).append(f"{domain}::{name}" if domain else name)
+    return found
 
 
 class Planner:

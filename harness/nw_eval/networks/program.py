@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 VERSION = 1
 """Changes whenever a program's outputs may change in a bit: "nw-eval networks 1"."""
+IDENTITY = f"nw-eval networks {VERSION}"
+"""What results are of that were computed by programs: one kind on every processor."""
 
 (
     PRODUCT, PACK, ELEMENTS, UNARY, COPY, NORM, SOFTMAX, REDUCE, SELECT, POOL, SCALED,

@@ -12,7 +12,7 @@ import os
 import resource
 import signal
 import tempfile
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
@@ -30,6 +30,7 @@ from nw_eval.clean import message_of
 from nw_eval.confinement import GONE, LEFT, Rules, confine, fence_stands, processor_time
 from nw_eval.errors import NwEvalError, ServerError, TrialError
 from nw_eval.memory import pack, unpack
+from nw_eval.policies.planned import listed, packed, plan_policy, read_planned, read_specs
 from nw_eval.policies.policy import Observation, checked_action
 from nw_eval.policies.policy_process import ACT, BOARD, HEADER, MessageLine, Server, layout, views
 
@@ -37,8 +38,8 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
 
     from nw_eval.cards.joint_control import Action
-    from nw_eval.networks import Program
     from nw_eval.policies.bundle import Bundle
+    from nw_eval.policies.planned import PlannedFile
     from nw_eval.policies.policy import Policy
 
 _PIECE = 2**16
@@ -291,23 +292,24 @@ class AskedPolicy:
         self.ask({"call": "restore", "state": state})
 
 
-def programs_over(line: PolicyLine, bundle: Bundle) -> dict[str, Program]:
+def files_over(line: PolicyLine, bundle: Bundle) -> dict[str, PlannedFile]:
     """Return what the ONNX files of a bundle were planned into by the process behind a line.
 
     Raises:
         PolicyError: a file cannot be planned.
     """
-    from nw_eval.networks import Program
-
     number = line.number()
     try:
-        answer = line.ask({"call": "plan", "bundle": pickled(bundle)}, policy=number)
-        packed = unpack(answer["programs"])
-        return {name: Program.unpacked(array.tobytes()) for name, array in packed.items()}
-    except (KeyError, TypeError, ValueError):
-        line.lost()
+        return _planned_by(line, {"call": "plan", "bundle": pickled(bundle)}, number)
     finally:
         line.forget(number)
+
+
+def _planned_by(line: PolicyLine, words: Mapping[str, Any], number: int) -> dict[str, PlannedFile]:
+    try:
+        return read_planned(line.ask(words, policy=number)["files"])
+    except (KeyError, TypeError, ValueError):
+        line.lost()
 
 
 class ApartPolicy(AskedPolicy):
@@ -343,8 +345,8 @@ class ApartPolicy(AskedPolicy):
             line.forget(self._number)
             raise
         try:
-            self.inputs = _specs(opened["inputs"])
-            networks = {str(name): _specs(specs) for name, specs in opened["networks"].items()}
+            self.inputs = read_specs(opened["inputs"])
+            networks = {str(name): read_specs(specs) for name, specs in opened["networks"].items()}
             self.network_inputs: dict[str, tuple[InputSpec, ...]] = networks
             self._remembers = opened["remembers"] is not False
             if self._is_remote:
@@ -401,6 +403,15 @@ class ApartPolicy(AskedPolicy):
             return unpack(self.ask({"call": "held"})["arrays"])
         except (KeyError, TypeError, ValueError):
             self._line.lost()
+
+    def planned(self, shown: Observation) -> dict[str, PlannedFile]:
+        """Return what its files are planned into for observations of these sizes.
+
+        Raises:
+            PolicyError: a file cannot be planned.
+        """
+        words = {"call": "plan", "shown": layout(shown)}
+        return _planned_by(self._line, words, self._number)
 
     def close(self) -> None:
         """Close the policy; the process lives on for others."""
@@ -466,23 +477,6 @@ def _raised(fault: Any, *, has_server: bool) -> Exception:
     return type(name, (Exception,), {})(text)
 
 
-def _specs(listed: Any) -> tuple[InputSpec, ...]:
-    """Return inputs of a checkpoint as its process says them.
-
-    Raises:
-        TypeError, ValueError, KeyError: it says something else.
-    """
-    return tuple(
-        InputSpec(
-            name=str(one["name"]),
-            shape=tuple(None if side is None else int(side) for side in one["shape"]),
-            dtype=np.dtype(str(one["dtype"])),
-            is_list=bool(one["is_list"]),
-        )
-        for one in listed
-    )
-
-
 # Inside of the policy's process.
 
 
@@ -521,8 +515,8 @@ def _opened(words: Mapping[str, Any]) -> tuple[Policy, dict[str, Any]]:
     policy = open_policy(bundle, allow_code=allow_code)
     networks: dict[str, tuple[InputSpec, ...]] = getattr(policy, "network_inputs", {})
     answer = {
-        "inputs": _listed(policy.inputs),
-        "networks": {name: _listed(specs) for name, specs in networks.items()},
+        "inputs": listed(policy.inputs),
+        "networks": {name: listed(specs) for name, specs in networks.items()},
         "remembers": getattr(policy, "remembers", True),
         "digest": getattr(getattr(policy, "served", None), "digest", ""),
     }
@@ -544,12 +538,15 @@ def _held(policy: Any, _: Mapping[str, Any]) -> dict[str, Any]:
     return {"arrays": pack(policy.held)}
 
 
-def _plan(_: Any, words: Mapping[str, Any]) -> dict[str, Any]:
-    from nw_eval.policies.onnx import plan_files
+def _plan(policy: Any, words: Mapping[str, Any]) -> dict[str, Any]:
+    if policy is not None:
+        shown = {name: np.zeros(shape, dtype) for name, dtype, shape, _ in words["shown"]}
+        return {"files": packed(plan_policy(policy, shown))}
+    from nw_eval.policies.onnx import planned_file
 
-    programs = plan_files(_loaded(words["bundle"]))
-    packed = {name: np.frombuffer(each.packed(), np.uint8) for name, each in programs.items()}
-    return {"programs": pack(packed)}
+    bundle: Bundle = _loaded(words["bundle"])
+    alone = {"": bundle} | {name: bundle.of_network(name) for name in bundle.networks}
+    return {"files": packed({name: planned_file(each) for name, each in alone.items()})}
 
 
 def _try(_: Any, words: Mapping[str, Any]) -> dict[str, Any]:
@@ -570,10 +567,3 @@ def _described(error: BaseException) -> dict[str, Any]:
     if isinstance(error, NwEvalError):
         return {"kind": kind, "lines": error.message.split("\n"), "fix": error.fix}
     return {"kind": kind, "text": message_of(error)}
-
-
-def _listed(specs: Sequence[InputSpec]) -> list[dict[str, Any]]:
-    return [
-        {"name": one.name, "shape": one.shape, "dtype": one.dtype.str, "is_list": one.is_list}
-        for one in specs
-    ]

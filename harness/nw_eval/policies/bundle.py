@@ -30,7 +30,7 @@ from nw_eval.robots import get_robot
 
 if TYPE_CHECKING:
     from nw_eval.hub.reference import Fetched
-    from nw_eval.networks import Program
+    from nw_eval.policies.planned import PlannedFile
 
 SIZE_LIMIT = 2**30
 """Bytes. The largest policy of this field is some 100 MB."""
@@ -80,7 +80,7 @@ class Bundle:
     """The files of the networks that feed the checkpoint, by name."""
     network: str = ""
     """Which network of its card this is the bundle of; empty for the policy itself."""
-    programs: Mapping[str, Program] = field(default_factory=dict)
+    programs: Mapping[str, PlannedFile] = field(default_factory=dict)
     """Where `runtime: nw-eval` runs the networks, what their files were planned into, if that has
     been done: by the name of the network, the checkpoint's under an empty one."""
     instance: object | None = None

@@ -20,6 +20,7 @@ from nw_eval.errors import NotFiniteError, TrialError
 from nw_eval.memory import pack
 from nw_eval.plural import plural
 from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.planned import PlannedNetwork
 from nw_eval.policies.policy import Observation, OpenNetwork, Policy, Wanted, unfitting, unpacked
 
 Array = NDArray[Any]
@@ -131,6 +132,8 @@ def _open_network(
         PolicyError: the file is not what its adapter reads, or has other inputs and outputs than
             the card says.
     """
+    if adapter != "onnx" and bundle.card.runtime == "nw-eval":
+        return PlannedNetwork(bundle, wanted)
     match adapter:
         case "onnx":
             from nw_eval.policies.onnx import OnnxNetwork
@@ -178,17 +181,22 @@ class _Feeder:
         given = [observation[name] for name in self._taken] if self._is_function else []
         if self._gave and given and all(map(np.array_equal, self._given, given)):
             return self._gave
-        raw = self.network.run(observation)
-        found = {
-            name: self._finite(name, _picked(name, output, array))
-            for (name, output), array in zip(self.outputs.items(), raw, strict=True)
-        }
+        found = self.named(self.network.run(observation))
+        for name, array in found.items():
+            self._check_finite(name, array)
         self._given, self._gave = [array.copy() for array in given], found
         return found
 
-    def _finite(self, name: str, array: Array) -> Array:
+    def named(self, raw: tuple[Array, ...]) -> dict[str, Array]:
+        """Return outputs of the file by the names under which others take them."""
+        return {
+            name: _picked(name, output, array)
+            for (name, output), array in zip(self.outputs.items(), raw, strict=True)
+        }
+
+    def _check_finite(self, name: str, array: Array) -> None:
         if np.isfinite(array).all():
-            return array
+            return
         index = int(np.argmin(np.isfinite(array)))
         raise NotFiniteError(
             f"{self.bundle.subject} gave {array.flat[index]} for number {index} of `{name}`",

@@ -20,10 +20,8 @@ from torch.nn import functional
 
 from nw_eval.cards.model import CardModel, Limits
 from nw_eval.errors import PolicyError, nearest
-from nw_eval.memory import pack
 from nw_eval.policies.bundle import Bundle, read_options
 from nw_eval.policies.networks.layers import Layer, chain, unwrapped
-from nw_eval.policies.policy import unpacked
 from nw_eval.policies.torch_network import NetworkPolicy, checkpoint_tensors, input_spec
 
 ActivationName = Literal[
@@ -135,7 +133,10 @@ class MlpPolicy(NetworkPolicy):
     def forget(self) -> None:
         """Begin with hidden states of zeros."""
         self._hidden: dict[str, tuple[Tensor, ...]] = {
-            layer.name: (torch.zeros(layer.depth, 1, layer.outputs),) * (1 + (layer.kind == "lstm"))
+            layer.name: tuple(
+                torch.zeros(layer.depth, 1, layer.outputs)
+                for _ in range(1 + (layer.kind == "lstm"))
+            )
             for layer, _ in self._layers
             if layer.kind in {"lstm", "gru", "rnn"}
         }
@@ -157,35 +158,23 @@ class MlpPolicy(NetworkPolicy):
         action = action if self._scale is None else action * self._scale
         return action if self._bias is None else action + self._bias
 
-    def state(self) -> bytes:
+    def memory(self) -> dict[str, Tensor]:
         """Return the hidden states."""
-        if not self._hidden:
-            return b""
-        return pack(
-            {
-                f"{place} {number}": tensor.numpy()
-                for place, hidden in enumerate(self._hidden.values())
+        return {
+            f"{place} {number}": tensor
+            for place, hidden in enumerate(self._hidden.values())
+            for number, tensor in enumerate(hidden)
+        }
+
+    def remember(self, memory: Mapping[str, Tensor]) -> None:
+        """Take hidden states."""
+        self._hidden = {
+            name: tuple(
+                memory[f"{place} {number}"].view(tensor.shape)
                 for number, tensor in enumerate(hidden)
-            }
-        )
-
-    def restore(self, state: bytes) -> None:
-        """Go back to a `state`.
-
-        Raises:
-            TrialError: the state belongs to another policy.
-        """
-        if not self._hidden:
-            super().restore(state)
-            return
-        with unpacked(state, self._name) as arrays:
-            self._hidden = {
-                name: tuple(
-                    torch.from_numpy(arrays[f"{place} {number}"]).view(tensor.shape)
-                    for number, tensor in enumerate(hidden)
-                )
-                for place, (name, hidden) in enumerate(self._hidden.items())
-            }
+            )
+            for place, (name, hidden) in enumerate(self._hidden.items())
+        }
 
 
 def _module(layer: Layer, tensors: Mapping[str, Tensor]) -> nn.Module:

@@ -14,8 +14,10 @@ from nw_eval.cards.networks import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.memory import Arrays, pack
+from nw_eval.networks import RecordedFile, UnsupportedError
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.networks.onnx_graph import open_session, state_pairs
+from nw_eval.policies.planned import PlannedFile, unsupported
 from nw_eval.policies.policy import (
     ActingNetwork,
     InputAssembler,
@@ -30,7 +32,7 @@ from nw_eval.policies.safety import check_onnx
 if TYPE_CHECKING:
     import onnxruntime as ort
 
-    from nw_eval.networks import Program
+    from nw_eval.networks import Graph, Program
 
 _DTYPES: dict[str, Any] = {
     "tensor(float)": np.float32,
@@ -59,6 +61,8 @@ class OnnxNetwork:
         """
         self._name = bundle.name
         self._subject = bundle.subject
+        self._bundle = bundle
+        self.where = bundle.where
         runner = _Planned(bundle) if bundle.card.runtime == "nw-eval" else _Native(bundle)
         self._runner: _Native | _Planned | None = runner
         specs, outputs = runner.inputs, runner.outputs
@@ -110,6 +114,14 @@ class OnnxNetwork:
             self._memory[spec.name] = results[self._fed_by[spec.name]]
         return tuple(results[name] for name, _ in self.wanted)
 
+    def recorded(self, observation: Observation) -> RecordedFile:  # noqa: ARG002 - it says its sizes.
+        """Return its graph.
+
+        Raises:
+            UnsupportedError: it is none of arrays of numbers.
+        """
+        return RecordedFile(parts=((1, _read(_graph_file(self._bundle))),), first={})
+
     def state(self) -> bytes:
         """Return the recurrent state."""
         return pack(self._memory)
@@ -155,7 +167,8 @@ class _Planned:
     def __init__(self, bundle: Bundle) -> None:
         from nw_eval.networks.network import Network
 
-        program = bundle.programs.get(bundle.network) or _program(_graph_file(bundle))
+        known = bundle.programs.get(bundle.network) or planned_file(bundle)
+        ((_, program),) = known.parts
         self._network = Network(program)
         self.inputs = tuple(
             InputSpec(name=name, shape=slot.shape, dtype=np.dtype(slot.dtype))
@@ -168,14 +181,13 @@ class _Planned:
         return {name: results[name].copy() for name in names}
 
 
-def plan_files(bundle: Bundle) -> dict[str, Program]:
-    """Return the programs of all ONNX files of a bundle, the checkpoint's under an empty name.
+def planned_file(bundle: Bundle) -> PlannedFile:
+    """Return the plan of a bundle's ONNX file.
 
     Raises:
-        PolicyError: a file cannot be used, or has an operator that nw-eval does not run.
+        PolicyError: it cannot be used, or has an operator that nw-eval does not run.
     """
-    alone = {"": bundle} | {name: bundle.of_network(name) for name in bundle.networks}
-    return {name: _program(_graph_file(each)) for name, each in alone.items()}
+    return PlannedFile(inputs=(), parts=((1, _program(_graph_file(bundle))),), first={})
 
 
 class OnnxPolicy(ActingNetwork):
@@ -248,23 +260,24 @@ def _graph_file(bundle: Bundle) -> _GraphFile:
 
 @lru_cache(maxsize=4)
 def _program(graph: _GraphFile) -> Program:
-    from nw_eval.networks import UnsupportedError
     from nw_eval.networks.plan import plan
-    from nw_eval.policies.networks.onnx_reading import read_graph
 
-    check_onnx(graph.data, graph.where)
     try:
-        return plan(read_graph(graph.data))
+        return plan(_read(graph))
     except UnsupportedError as error:
-        raise PolicyError(
-            f"{graph.where}: `runtime: nw-eval` does not run it: {clean(error, at_most=200)}",
-            fix="write `runtime: native`, or export it with other operators",
-        ) from None
+        raise unsupported(graph.where, error) from None
     except ValueError as error:
         raise PolicyError(
             f"{graph.where}: not a usable ONNX file: {clean(error, at_most=200)}",
             fix="export it again as one file with standard operators",
         ) from None
+
+
+def _read(graph: _GraphFile) -> Graph:
+    from nw_eval.policies.networks.onnx_reading import read_graph
+
+    check_onnx(graph.data, graph.where)
+    return read_graph(graph.data)
 
 
 @lru_cache(maxsize=8)

@@ -19,8 +19,9 @@ import importlib
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
-from typing import Any, Literal, assert_never
+from typing import Any, Literal, assert_never, cast
 
 import numpy as np
 
@@ -28,10 +29,18 @@ from nw_eval.cards.joint_control import Action
 from nw_eval.cards.networks import InputSpec, is_built_in
 from nw_eval.errors import CodeError, NwEvalError, PolicyError, TrialError
 from nw_eval.files.importable import importable
-from nw_eval.policies.apart import ApartPolicy, code_refused, current_line, programs_over
-from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.apart import (
+    ApartPolicy,
+    PolicyLine,
+    code_refused,
+    current_line,
+    files_over,
+)
+from nw_eval.policies.bundle import Bundle, read_options
+from nw_eval.policies.chunks import ActOptions, ChunkPolicy
 from nw_eval.policies.drawing import DrawingPolicy
-from nw_eval.policies.policy import Observation, Policy, raised
+from nw_eval.policies.planned import InProcess, OpenPolicy, PlannedNetwork, PlannedPolicy
+from nw_eval.policies.policy import ActingNetwork, Observation, Policy, raised
 from nw_eval.policies.policy_process import CodePolicy, FaultError
 
 PROGRAMS = frozenset({"torchscript", "torch-export"})
@@ -42,7 +51,7 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
     """Load a bundle's checkpoint, and its networks: in the policy's process, where there is one.
 
     With `runtime: nw-eval` that process reads the files and plans them; what they compute is data
-    then, which is checked and runs here.
+    then, which is checked and runs here (`planned`).
 
     Args:
         bundle: from `load_bundle`.
@@ -52,20 +61,39 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
         PolicyError: a file is not what the card's adapter reads, or its inputs and outputs do not
             fit the card.
     """
-    line = current_line()
-    if line is not None and bundle.card.runtime == "nw-eval":
-        bundle = replace(bundle, programs=programs_over(line, bundle))
-    elif line is not None and bundle.card.adapter != "zero":
-        joints = bundle.joints
-        return ApartPolicy(bundle, line, joints=joints, allow_code=allow_code)
+    line, card = current_line(), bundle.card
+    if card.adapter == "zero":
+        return ZeroPolicy(joints=bundle.joints)
+    if card.runtime == "native":
+        return _open_native(bundle, line, allow_code=allow_code)
+    if card.adapters <= {"onnx"}:  # Their files say the sizes of their inputs.
+        files = {} if line is None else files_over(line, bundle)
+        return _open_here(replace(bundle, programs=files), allow_code=allow_code)
+
+    def start() -> OpenPolicy:
+        native = replace(bundle, card=card.model_copy(update={"runtime": "native"}))
+        policy = _open_native(native, line, allow_code=allow_code)
+        return policy if isinstance(policy, ApartPolicy) else cast("OpenPolicy", InProcess(policy))
+
+    return PlannedPolicy(bundle, start, partial(_open_here, allow_code=allow_code))
+
+
+def _open_native(bundle: Bundle, line: PolicyLine | None, *, allow_code: bool) -> Policy:
+    """Open a bundle to be run by the runtimes of its files."""
+    if line is not None:
+        return ApartPolicy(bundle, line, joints=bundle.joints, allow_code=allow_code)
+    policy = _open_here(bundle, allow_code=allow_code)
+    draws = bundle.card.adapters & PROGRAMS or bundle.card.adapter.startswith("python:")
+    return DrawingPolicy(policy, name=bundle.name) if draws and bundle.instance is None else policy
+
+
+def _open_here(bundle: Bundle, *, allow_code: bool) -> Policy:
     policy = _open_checkpoint(bundle, allow_code=allow_code)
     if bundle.card.networks:
         from nw_eval.policies.fed_policy import FedPolicy
 
         policy = FedPolicy(bundle, policy, allow_code=allow_code)
-    adapters = {bundle.card.adapter, *(net.adapter for net in bundle.card.networks.values())}
-    draws = adapters & PROGRAMS or bundle.card.adapter.startswith("python:")
-    return DrawingPolicy(policy, name=bundle.name) if draws and bundle.instance is None else policy
+    return policy
 
 
 def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
@@ -74,6 +102,8 @@ def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
     adapter = bundle.card.adapter
     if not is_built_in(adapter):
         return PythonPolicy(bundle, joints=joints, allow_code=allow_code)
+    if bundle.card.runtime == "nw-eval" and adapter != "onnx":
+        return _open_planned(bundle, joints=joints)
     match adapter:
         case "onnx":
             from nw_eval.policies.onnx import OnnxPolicy
@@ -99,6 +129,15 @@ def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
             assert_never(adapter)
 
 
+def _open_planned(bundle: Bundle, *, joints: int) -> Policy:
+    """Open what a bundle's own checkpoint was planned into."""
+    network = PlannedNetwork(bundle, [bundle.card.output])
+    if bundle.card.adapter != "act":
+        return ActingNetwork(network, joints=joints, policy=bundle.name)
+    options = read_options(bundle, ActOptions)
+    return ChunkPolicy(network, options, joints=joints, policy=bundle.name, is_exact=True)
+
+
 def _open_weights(
     adapter: Literal["mlp", "lucidsim", "extreme-parkour", "act"], bundle: Bundle, *, joints: int
 ) -> Policy:
@@ -117,9 +156,9 @@ def _open_weights(
 
             return open_extreme_parkour(bundle, joints=joints)
         case "act":
-            from nw_eval.policies.published import ActPolicy
+            from nw_eval.policies.published import open_act
 
-            return ActPolicy(bundle, joints=joints)
+            return open_act(bundle, joints=joints)
 
 
 class ZeroPolicy:

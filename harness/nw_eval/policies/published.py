@@ -26,6 +26,8 @@ The layout of its state dict is that of `nw_eval.policies.networks.act`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -35,8 +37,10 @@ from torch import Tensor
 from nw_eval.cards.model import CardModel
 from nw_eval.cards.networks import InputSpec
 from nw_eval.errors import PolicyError, TrialError
-from nw_eval.memory import Arrays, pack
+from nw_eval.memory import pack
+from nw_eval.networks import Node, RecordedFile
 from nw_eval.policies.bundle import Bundle, NoOptions, read_options
+from nw_eval.policies.chunks import ActOptions, ChunkPolicy
 from nw_eval.policies.networks.act import Act
 from nw_eval.policies.networks.parameters import build
 from nw_eval.policies.networks.parkour import (
@@ -51,8 +55,14 @@ from nw_eval.policies.networks.parkour import (
     ParkourExpert,
     ParkourStudent,
 )
-from nw_eval.policies.policy import unpacked
-from nw_eval.policies.torch_network import NetworkPolicy, checkpoint_tensors, input_spec
+from nw_eval.policies.networks.recording import named, numbered, record
+from nw_eval.policies.policy import Observation, unpacked
+from nw_eval.policies.torch_network import (
+    NetworkPolicy,
+    TorchNetwork,
+    checkpoint_tensors,
+    input_spec,
+)
 
 _BODY = (input_spec("proprio", PROPRIO), input_spec("history", HISTORY * PROPRIO))
 
@@ -142,6 +152,29 @@ class StudentPolicy(NetworkPolicy):
             self._seen = torch.from_numpy(arrays["seen"]).view(1, LATENT + 2)
             self._step = int(arrays["step"])
 
+    def recorded(self, observation: Observation) -> RecordedFile:
+        """Return what it sees, and what it does about it, as graphs of their own."""
+        first = {"hidden": torch.zeros(1, 1, HIDDEN), "seen": torch.zeros(1, LATENT + 2)}
+        given = self.tensors(observation)
+        body, history, depth = given.values()
+        inputs = numbered(given.values()) | first
+
+        def see() -> dict[str, Tensor]:
+            seen, hidden = self._network.see(depth, body, first["hidden"])
+            return {"hidden": hidden, "seen": seen}
+
+        def act() -> dict[str, Tensor]:
+            action = self._network(
+                body,
+                first["seen"],
+                history.view(1, HISTORY, PROPRIO),
+                steer_by_depth=self._options.steer_by_depth,
+            )
+            return {"output 0": action}
+
+        parts = (self._options.depth_every, record(see, inputs)), (1, record(act, inputs))
+        return RecordedFile(parts=parts, first={name: x.numpy() for name, x in first.items()})
+
 
 class LucidSimPolicy(NetworkPolicy):
     """The transformer. Its heading head takes no part, so its weights may be missing."""
@@ -149,50 +182,64 @@ class LucidSimPolicy(NetworkPolicy):
     def __init__(self, bundle: Bundle, *, joints: int) -> None:
         read_options(bundle, NoOptions)
         tensors = checkpoint_tensors(bundle)
-        network = build(LucidSimTransformer, tensors, str(bundle.checkpoint), unused=("yaw",))
-        self._session = network.open()
+        where = str(bundle.checkpoint)
+        self._transformer = build(LucidSimTransformer, tensors, where, unused=("yaw",))
+        self._session = self._transformer.open()
         inputs = (input_spec("proprio", None), input_spec("frames", FRAMES, *IMAGE))
         super().__init__(bundle, inputs, joints=joints)
 
     def infer(self, inputs: dict[str, Tensor]) -> Tensor:
         """Return the action token's projection."""
-        proprio = inputs["proprio"]
-        numbers = proprio.shape[-1]
-        if numbers not in {PROPRIO, FRAMES * PROPRIO}:
-            raise TrialError(
-                f"input `proprio` is {numbers} numbers; the transformer wants {PROPRIO}, or "
-                f"{FRAMES} x {PROPRIO} = {FRAMES * PROPRIO}",
-                fix="use `layout: parkour53` on the card",
-            )
-        vectors = proprio.view(-1, PROPRIO).expand(FRAMES, PROPRIO)
-        feeds = {"proprio": vectors.numpy(), "frames": inputs["frames"][0].numpy()}
+        feeds = {
+            "proprio": _frames_of(inputs["proprio"].numpy()),
+            "frames": inputs["frames"][0].numpy(),
+        }
         return torch.from_numpy(self._session.run(None, feeds)[0])
 
+    def recorded(self, observation: Observation) -> RecordedFile:
+        """Return the graph that it runs, of the inputs as the card makes them."""
+        proprio, frames = (tuple(x.shape) for x in self.tensors(observation).values())
+        graph = self._transformer.graph()
+        _ = _frames_of(np.zeros(proprio, np.float32))  # Or it raises.
+        whole = [
+            graph.constant(np.array(n))
+            for n in ([-1, PROPRIO], [FRAMES, PROPRIO], [FRAMES, *IMAGE])
+        ]
+        vectors = graph.add("Reshape", "input 0", whole[0])
+        given, seen = (one.name for one in graph.inputs)
+        graph.nodes[:0] = [
+            graph.nodes.pop(),
+            Node(operator="Expand", inputs=(vectors, whole[1]), outputs=(given,)),
+            Node(operator="Reshape", inputs=("input 1", whole[2]), outputs=(seen,)),
+        ]
+        graph.inputs.clear()
+        graph.input("input 0", proprio)
+        graph.input("input 1", frames)
+        named(graph, {"output 0": graph.outputs.pop()})
+        return RecordedFile(parts=((1, graph),), first={})
 
-Array = NDArray[np.float64]
 
+def _frames_of(proprio: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return seven frames of the body, (7, 53), of one or of all of them.
 
-class ActOptions(CardModel):
-    """What is not in the weights of an ACT network."""
-
-    heads: int = Field(default=8, ge=1, le=64)
-    """Attention heads."""
-    ensemble: float | None = Field(default=0.01, ge=-10.0, le=10.0)
-    """m of temporal ensembling, weights exp(-m i) with the oldest prediction first, so that below 0
-    the newest counts most; null = the newest chunk alone."""
-    query_every: int = Field(default=1, ge=1)
-    """Control steps between two forward passes."""
-
-
-class ActPolicy(NetworkPolicy):
-    """Predicts a chunk of actions every `query_every` steps, and blends those that overlap."""
-
-    def __init__(self, bundle: Bundle, *, joints: int) -> None:
-        self._options = read_options(bundle, ActOptions)
-        where = str(bundle.checkpoint)
-        self._network = Act.from_tensors(
-            checkpoint_tensors(bundle), where, heads=self._options.heads
+    Raises:
+        TrialError: they are neither.
+    """
+    if proprio.size not in {PROPRIO, FRAMES * PROPRIO}:
+        raise TrialError(
+            f"input `proprio` is {proprio.size} numbers; the transformer wants {PROPRIO}, or "
+            f"{FRAMES} x {PROPRIO} = {FRAMES * PROPRIO}",
+            fix="use `layout: parkour53` on the card",
         )
+    return np.ascontiguousarray(np.broadcast_to(proprio.reshape(-1, PROPRIO), (FRAMES, PROPRIO)))
+
+
+class ActNetwork(TorchNetwork):
+    """Predicts a chunk of actions."""
+
+    def __init__(self, bundle: Bundle, options: ActOptions, *, joints: int) -> None:
+        where = str(bundle.checkpoint)
+        self._network = Act.from_tensors(checkpoint_tensors(bundle), where, heads=options.heads)
         sizes = self._network.sizes
         if sizes.actions != joints:
             raise PolicyError(
@@ -200,80 +247,30 @@ class ActPolicy(NetworkPolicy):
                 f"{bundle.card.robot!r} has {joints} joints",
                 fix="name the right robot on the card",
             )
-        if self._options.query_every > sizes.chunk:
+        if options.query_every > sizes.chunk:
             raise PolicyError(
-                f"{bundle.where}: query_every is {self._options.query_every}, but a chunk has "
+                f"{bundle.where}: query_every is {options.query_every}, but a chunk has "
                 f"only {sizes.chunk} actions",
                 fix=f"use {sizes.chunk} or less",
             )
-        self._queue = ChunkQueue(ensemble=self._options.ensemble)
         inputs: tuple[InputSpec, ...] = (input_spec("proprio", sizes.proprio),)
         if sizes.backbone:
             channels = next(shape[1] for shape in sizes.backbone.values() if len(shape) == 4)
             shape = (None, channels, None, None)
             inputs += (InputSpec(name="images", shape=shape, dtype=np.dtype(np.float32)),)
-        super().__init__(bundle, inputs, joints=joints)
+        super().__init__(bundle, inputs)
 
-    def forget(self) -> None:
-        """Begin without predictions."""
-        self._queue.clear()
-        self._step = 0
-
-    def infer(self, inputs: dict[str, Tensor]) -> Tensor:
-        """Predict if it is time to, and return the blend for this step."""
-        if self._step % self._options.query_every == 0:
-            chunk = self._network(inputs["proprio"], inputs.get("images"))
-            self._queue.add(chunk.numpy().astype(np.float64))
-        self._step += 1
-        return torch.from_numpy(self._queue.take())
-
-    def state(self) -> bytes:
-        """Return the predictions that reach beyond this step."""
-        arrays: Arrays = {"step": np.array(self._step)}
-        return pack(arrays | {f"chunk{i}": chunk for i, chunk in enumerate(self._queue.chunks)})
-
-    def restore(self, state: bytes) -> None:
-        """Go back to a `state`.
-
-        Raises:
-            TrialError: the state belongs to another policy.
-        """
-        with unpacked(state, self._name) as arrays:
-            self._step = int(arrays["step"])
-            self._queue.chunks = [arrays[f"chunk{i}"] for i in range(len(arrays) - 1)]
+    def outputs(self, inputs: dict[str, Tensor]) -> Sequence[Tensor]:
+        """Return the chunk, (chunk, actions)."""
+        return (self._network(inputs["proprio"], inputs.get("images")),)
 
 
-class ChunkQueue:
-    """Predictions of past forward passes that reach the present step.
+def open_act(bundle: Bundle, *, joints: int) -> ChunkPolicy:
+    """Return an ACT policy.
 
-    With temporal ensembling (arXiv 2304.13705, section IV-B) the action is the mean of all
-    predictions for this step, the oldest with the weight 1 and each younger one with exp(-m) of
-    the weight of the one before it. Without, the newest prediction counts alone.
+    Raises:
+        PolicyError: the checkpoint is none, or of another robot, or the options do not fit it.
     """
-
-    def __init__(self, *, ensemble: float | None) -> None:
-        """Make an empty queue.
-
-        Args:
-            ensemble: m of the weights, 0 for equal ones; None for no ensembling.
-        """
-        self._ensemble = ensemble
-        # Rows that are left of each chunk, oldest chunk first, the present step's row first.
-        self.chunks: list[Array] = []
-
-    def clear(self) -> None:
-        """Forget all predictions."""
-        self.chunks = []
-
-    def add(self, chunk: Array) -> None:
-        """Add a forward pass, (chunk, actions); its first row is for the present step."""
-        if self._ensemble is None:
-            self.chunks = []
-        self.chunks.append(chunk)
-
-    def take(self) -> Array:
-        """Return the action of the present step, (actions,), and go on to the next."""
-        predictions = np.stack([chunk[0] for chunk in self.chunks])
-        self.chunks = [chunk[1:] for chunk in self.chunks if len(chunk) > 1]
-        weights = np.exp(-(self._ensemble or 0.0) * np.arange(len(predictions)))
-        return weights @ predictions / weights.sum()
+    options = read_options(bundle, ActOptions)
+    network = ActNetwork(bundle, options, joints=joints)
+    return ChunkPolicy(network, options, joints=joints, policy=bundle.name, is_exact=False)

@@ -6,7 +6,7 @@ their graph writes to are its recurrent state: they are reset with the trial and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,11 @@ from nw_eval.cards.joint_control import Action
 from nw_eval.cards.networks import InputSpec
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.memory import pack
+from nw_eval.networks import RecordedFile
 from nw_eval.policies.apart import check_program
 from nw_eval.policies.bundle import Bundle, NoOptions, read_options
 from nw_eval.policies.networks.exported import ExportedGraph
+from nw_eval.policies.networks.recording import numbered, record, recorded_file
 from nw_eval.policies.policy import (
     ActingNetwork,
     InputAssembler,
@@ -50,6 +52,7 @@ class TorchNetwork:
         # More threads change the order of sums, and with it the last bits of an action.
         torch.set_num_threads(1)
         self.inputs = inputs
+        self.where = bundle.where
         self._name = bundle.name
         self._subject = bundle.subject
         self._open = True
@@ -66,9 +69,17 @@ class TorchNetwork:
     def forget(self) -> None:
         """Begin without memory."""
 
-    def state(self) -> bytes:
+    def memory(self) -> dict[str, Tensor]:
         """Return what the next outputs depend on beside the inputs."""
-        return b""
+        return {}
+
+    def remember(self, memory: Mapping[str, Tensor]) -> None:
+        """Go back to a `memory`; what does not fit it raises KeyError or RuntimeError."""
+
+    def state(self) -> bytes:
+        """Return the memory as bytes."""
+        memory = self.memory()
+        return pack({name: tensor.numpy() for name, tensor in memory.items()}) if memory else b""
 
     def restore(self, state: bytes) -> None:
         """Go back to a `state`.
@@ -76,8 +87,39 @@ class TorchNetwork:
         Raises:
             TrialError: the state belongs to another policy.
         """
-        if state:
+        if self.memory():
+            with unpacked(state, self._name) as arrays:
+                self.remember({name: torch.from_numpy(array) for name, array in arrays.items()})
+        elif state:
             raise unfitting(self._name, f"{len(state)} bytes, and it remembers nothing")
+
+    def tensors(self, observation: Observation) -> dict[str, Tensor]:
+        """Return the inputs that observations make, by name."""
+        return {name: torch.from_numpy(x) for name, x in self._assemble(observation).items()}
+
+    def recorded(self, observation: Observation) -> RecordedFile:
+        """Return what `run` computes as graphs.
+
+        Args:
+            observation: as for `run`; its sizes count.
+
+        Raises:
+            UnsupportedError: it has an operator that cannot be recorded.
+        """
+        self.forget()
+        given, first = self.tensors(observation), self.memory()
+
+        def run() -> dict[str, Tensor]:
+            outputs = self.outputs(given)
+            found = {f"output {place}": tensor for place, tensor in enumerate(outputs)}
+            return found | self.memory()
+
+        kept = {name: tensor.numpy().copy() for name, tensor in first.items()}
+        try:
+            graph = record(run, numbered(given.values()), first)
+        finally:
+            self.forget()
+        return recorded_file(graph, kept)
 
     def reset(self, seed: int) -> None:  # noqa: ARG002 - nothing here is random.
         """Begin a trial."""
@@ -91,7 +133,7 @@ class TorchNetwork:
         """
         if not self._open:
             raise TrialError(f"{self._subject} is closed", fix="open it again")
-        inputs = {name: torch.from_numpy(x) for name, x in self._assemble(observation).items()}
+        inputs = self.tensors(observation)
         try:
             with torch.inference_mode():
                 outputs = self.outputs(inputs)
@@ -180,9 +222,17 @@ class TorchExportNetwork(TorchNetwork):
         """Begin with the state that the file was saved with."""
         self._graph.reset()
 
-    def state(self) -> bytes:
+    def memory(self) -> dict[str, Tensor]:
         """Return the buffers that the graph writes to."""
-        return pack({name: tensor.numpy() for name, tensor in self._graph.state().items()})
+        return self._graph.memory
+
+    def remember(self, memory: Mapping[str, Tensor]) -> None:
+        """Write them."""
+        self._graph.restore(memory)
+
+    def state(self) -> bytes:
+        """Return them as bytes."""
+        return pack({name: tensor.numpy() for name, tensor in self.memory().items()})
 
     def restore(self, state: bytes) -> None:
         """Go back to a `state`.
@@ -191,7 +241,7 @@ class TorchExportNetwork(TorchNetwork):
             TrialError: the state belongs to another policy.
         """
         with unpacked(state, self._name) as arrays:
-            self._graph.restore({name: torch.from_numpy(array) for name, array in arrays.items()})
+            self.remember({name: torch.from_numpy(array) for name, array in arrays.items()})
 
 
 class TorchExportPolicy(ActingNetwork):

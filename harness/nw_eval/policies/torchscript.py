@@ -22,9 +22,11 @@ from nw_eval.clean import clean
 from nw_eval.confinement import fence_stands
 from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.memory import pack
+from nw_eval.networks import RecordedFile, UnsupportedError
 from nw_eval.plural import plural
 from nw_eval.policies.apart import check_program
 from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.networks.recording import numbered, record, recorded_file
 from nw_eval.policies.policy import (
     ActingNetwork,
     InputAssembler,
@@ -65,6 +67,7 @@ class TorchScriptNetwork:
             PolicyError: it cannot be used, or an output is wanted by a name.
         """
         check_program(bundle, allow_code=allow_code)
+        self.where = bundle.where
         self._name = bundle.name
         self._subject = bundle.subject
         self._places = [_place(one, bundle) for one in wanted]
@@ -91,15 +94,7 @@ class TorchScriptNetwork:
         """Run the module once."""
         if self._module is None:
             raise TrialError(f"{self._subject} is closed", fix="open it again")
-        arrays = self._with_memory(self._assemble.in_order(observation))
-        tensors = [
-            [torch.from_numpy(array) for array in one]
-            if isinstance(one, list)
-            else None
-            if one is None
-            else torch.from_numpy(one)
-            for one in arrays
-        ]
+        tensors = _as_tensors(self._with_memory(self._assemble.in_order(observation)))
         try:
             with torch.inference_mode():
                 raw = self._module.forward(*tensors)
@@ -118,6 +113,51 @@ class TorchScriptNetwork:
                 )
             self._memory[_KEPT + name] = value.copy()
         return tuple(self._picked(outputs, place) for place in self._places)
+
+    def recorded(self, observation: Observation) -> RecordedFile:
+        """Return what `run` computes as a graph.
+
+        Args:
+            observation: as for `run`; its sizes count.
+
+        Raises:
+            UnsupportedError: it has an operator that cannot be recorded, or counts in Python.
+        """
+        self.reset(0)
+        seen = _as_tensors(self._assemble.in_order(observation))
+        flat = [x for one in seen for x in (one if isinstance(one, list) else [one])]
+        fed = {name: torch.from_numpy(self._zeros[_KEPT + name].copy()) for name in self._fed}
+        rest = iter(seen)
+        arguments = (
+            [fed[name] if name in fed else next(rest, None) for name in self._arguments]
+            if fed
+            else seen
+        )
+
+        def attributes() -> dict[str, Any]:
+            places = self._slots.items()
+            return {key: getattr(_part(self._module, path), name) for key, (path, name) in places}
+
+        before = attributes()
+
+        def run() -> dict[str, Any]:
+            raw = self._module.forward(*arguments)
+            outputs = raw if isinstance(raw, tuple | list) else [raw]
+            found = {f"output {k}": outputs[place] for k, place in enumerate(self._places)}
+            found |= {_KEPT + name: outputs[one.output] for name, one in self._fed.items()}
+            for key, value in attributes().items():
+                if isinstance(value, torch.Tensor):
+                    found[key] = value
+                elif value != before[key]:
+                    raise UnsupportedError(f"`{key}`, a {type(value).__name__} that changes")
+            return found
+
+        tensors = {key: x for key, x in before.items() if isinstance(x, torch.Tensor)}
+        memory = tensors | {_KEPT + name: tensor for name, tensor in fed.items()}
+        try:
+            return recorded_file(record(run, numbered(flat), memory), self._first)
+        finally:
+            self.reset(0)
 
     def _with_memory(
         self, arrays: Sequence[NDArray[Any] | list[NDArray[Any]]]
@@ -179,6 +219,17 @@ class TorchScriptPolicy(ActingNetwork):
     def __init__(self, bundle: Bundle, *, joints: int, allow_code: bool) -> None:
         network = TorchScriptNetwork(bundle, [bundle.card.output], allow_code=allow_code)
         super().__init__(network, joints=joints, policy=bundle.name)
+
+
+def _as_tensors(arrays: Sequence[NDArray[Any] | list[NDArray[Any]] | None]) -> list[Any]:
+    return [
+        [torch.from_numpy(array) for array in one]
+        if isinstance(one, list)
+        else None
+        if one is None
+        else torch.from_numpy(one)
+        for one in arrays
+    ]
 
 
 def _fed(recurrent: Recurrent | None) -> dict[str, Feedback]:

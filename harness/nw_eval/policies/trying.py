@@ -17,6 +17,7 @@ from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.fed_policy import FedPolicy
 from nw_eval.policies.opening import open_policy
+from nw_eval.policies.planned import InProcess, PlannedPolicy
 from nw_eval.policies.policy import Policy
 
 Answer = TypeVar("Answer")
@@ -79,7 +80,12 @@ def try_on_zeros(
     try:
         policy.reset(0)
         own: Policy = policy
-        fed_by = policy.policy if isinstance(policy, DrawingPolicy) else policy
+        planned = policy if isinstance(policy, PlannedPolicy) else None
+        if planned is not None and planned.unplanned is not None:
+            own = planned.unplanned
+        fed_by = own.policy if isinstance(own, DrawingPolicy | InProcess) else own
+        fed_by = fed_by.policy if isinstance(fed_by, DrawingPolicy) else fed_by
+        own = fed_by
         if isinstance(fed_by, FedPolicy):
             own = fed_by.policy
             for feeder in fed_by.feeders:
@@ -87,6 +93,8 @@ def try_on_zeros(
                 sizes |= {name: sized(name, array.shape) for name, array in fed.items()}
                 arrays |= fed
         _tried(bundle, own.inputs, own.act, arrays, sizes)
+        if planned is not None:
+            planned.act({one.name: arrays[one.name] for one in shown})
     except PolicyError as error:
         if not (may_fail and isinstance(error.__cause__, NotFiniteError)):
             raise

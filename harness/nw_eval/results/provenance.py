@@ -83,6 +83,11 @@ class SceneInfo(_Saved):
     projection: Projection | None = None  # As above: how its Gaussians became pixels in training.
 
 
+def depends(reason: str) -> str:
+    """Return the sentence that says why results are not the same on every processor."""
+    return f"its results depend on the processor: {reason}"
+
+
 class PolicyInfo(_Saved):
     """The policy of a run."""
 
@@ -94,7 +99,13 @@ class PolicyInfo(_Saved):
     computes: str = ""
     card: str = ""  # Path of the card, for --resume.
     origin: str = ""  # What the digest is of where there are no weights: server, code.
+    depends_on: str = ""  # What makes its results depend on the processor; empty: nothing does.
     fetched: FetchedInfo | None = None  # None: it lay on the machine.
+
+    @property
+    def dependence(self) -> str:
+        """Sentence on what its results depend; empty where that is nothing, or is not known."""
+        return depends(self.depends_on) if self.depends_on else ""
 
     @property
     def key(self) -> str:

@@ -11,8 +11,8 @@ import torch
 
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies import load_bundle, open_policy
+from nw_eval.policies.chunks import ChunkQueue
 from nw_eval.policies.networks.act import Act
-from nw_eval.policies.published import ChunkQueue
 from nw_eval.rollout.confined.vetting import check_bundle
 
 CARD = """\

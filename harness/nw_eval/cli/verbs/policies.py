@@ -303,6 +303,7 @@ def probe_page(report: ProbeReport) -> str:
         "",
         *commands,
         *([""] if commands else []),
+        *([] if report.runtimes is None else [f"processor: {clean(report.runtimes.text)}"]),
         *(f"{finding.kind}: {finding.text}" for finding in report.findings),
         *([report.caveat] if report.caveat else []),
         "no fault found" if not faults else plural(faults, "fault"),

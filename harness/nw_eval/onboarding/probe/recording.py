@@ -18,6 +18,7 @@ from nw_eval.policies import Bundle
 from nw_eval.policies.apart import ApartPolicy
 from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.fed_policy import FedPolicy
+from nw_eval.policies.planned import PlannedPolicy
 from nw_eval.rollout.episode import Episode, Observer, Step
 from nw_eval.rollout.job import StageClock, TrialJob
 from nw_eval.rollout.library import Library
@@ -32,6 +33,10 @@ Array = NDArray[np.float64]
 STUMBLES = 0.3
 """Roll or pitch that a policy on flat ground does not reach under its own card, rad. Measured on
 three policies: 0.07 to 0.14 with the right card, 0.28 to 1.3 with any other order of joints."""
+
+
+_FEEDS = (FedPolicy, ApartPolicy, DrawingPolicy, PlannedPolicy)
+"""Policies that say what the networks gave that feed them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +95,7 @@ class Collector(Observer):
         """Larger one of roll and pitch now, rad."""
         self._episode = episode
         policy = episode.policy
-        self._fed = policy if isinstance(policy, FedPolicy | ApartPolicy | DrawingPolicy) else None
+        self._fed = policy if isinstance(policy, _FEEDS) else None
         self._start = episode.world.trunk_position
         self._first = episode.world.joint_positions
         self._rows: list[tuple[Array, Array, Array, Array, float, Array]] = []

@@ -5,7 +5,7 @@ The report is of plain values: they travel from a confined process.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -32,6 +32,12 @@ from nw_eval.onboarding.probe.findings import (
 )
 from nw_eval.onboarding.probe.following import Followed
 from nw_eval.onboarding.probe.recording import Metered, Recording, SceneRig
+from nw_eval.onboarding.probe.runtimes import (
+    ProbedRuntimes,
+    compare_runtimes,
+    is_computed,
+    runtime_findings,
+)
 from nw_eval.onboarding.probe.summary import parts_of
 from nw_eval.policies import Bundle, load_bundle
 from nw_eval.robots import RobotSpec, find_robot, get_robot, know_robot
@@ -134,6 +140,8 @@ class ProbeReport:
     """Whether targets are torques."""
     commands: tuple[ProbedCommand, ...]
     findings: tuple[ProbeFinding, ...]
+    runtimes: ProbedRuntimes | None = None
+    """None where no file is computed that nw-eval could run."""
 
     @property
     def faults(self) -> int:
@@ -169,7 +177,10 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
     answer = call_isolated(
         _probe,
         subject=bundle.where,
-        rules=running_rules(bundle, scenes=[scene], allow_code=allow_code, also=folders),
+        rules=replace(
+            running_rules(bundle, scenes=[scene], allow_code=allow_code, also=folders),
+            kernels=("networks",) if is_computed(bundle) else (),
+        ),
         time_limit=_TIME_LIMIT,
         renders=kernels_of(robot.reference, bundle.card, "ewa") if sees else (),
         policy_process=policy_rules(bundle),
@@ -234,6 +245,8 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
         metered = Metered(rig, simulated=_BUDGET, deadline=deadline)
         followed, found = compare(metered, card, robot, recording)
         findings += found
+    runtimes = compare_runtimes(bundle, recording) if is_computed(bundle) else None
+    findings += runtime_findings(bundle, runtimes)
     return ProbeReport(
         policy=bundle.name,
         scene=scene,
@@ -245,6 +258,7 @@ def probe_here(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False) -
         drives_torque=card.control.has_torques,
         commands=tuple(_command(one) for one in followed),
         findings=tuple(findings),
+        runtimes=runtimes,
     )
 
 

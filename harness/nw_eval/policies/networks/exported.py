@@ -157,7 +157,7 @@ class ExportedGraph:
         versions = {name: tensor._version for name, tensor in self._tensors.items()}  # noqa: SLF001
         zeros = [torch.zeros(spec.shape, dtype=spec.dtype) for spec in self.inputs]
         try:
-            with _without_compiler():
+            with without_compiler():
                 shapes = {name: tensor.to("meta") for name, tensor in self._tensors.items()}
                 self._run(shapes, [tensor.to("meta") for tensor in zeros], "meta")
                 self.run(zeros)
@@ -210,6 +210,11 @@ class ExportedGraph:
         """Numbers in the tensors of the file."""
         return sum(tensor.numel() for tensor in self._tensors.values())
 
+    @property
+    def memory(self) -> dict[str, Tensor]:
+        """The tensors that the graph writes to; empty for a feed-forward graph."""
+        return {name: self._tensors[name] for name in self._initial}
+
     def state(self) -> dict[str, Tensor]:
         """Return copies of the tensors that the graph writes to; empty for a feed-forward graph."""
         return {name: self._tensors[name].clone() for name in self._initial}
@@ -221,10 +226,10 @@ class ExportedGraph:
 
 
 @contextmanager
-def _without_compiler() -> Generator[None]:
-    """Let torch compute shapes without importing its compiler, which nothing here uses.
+def without_compiler() -> Generator[None]:
+    """Let torch compute shapes, or be recorded, without importing its compiler, which is not used.
 
-    Some shapes are computed by Python functions of torch that it keeps out of its compiler's way
+    Some functions of torch are Python that it keeps out of its compiler's way
     (`torch._compile`), with `torch._dynamo.disable`. The import of that takes 4 s and fails where
     no temporary file can be made, as behind the fence.
     """

@@ -17,16 +17,19 @@ it keeps its memory from step to step.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from nw_eval import networks
 from nw_eval.errors import PolicyError
-from nw_eval.policies.networks.onnx_graph import Graph
+from nw_eval.policies.networks.onnx_graph import Graph, open_session
+from nw_eval.policies.networks.onnx_reading import read_graph
 from nw_eval.policies.networks.parameters import build, mlp
 from nw_eval.policies.safety import tensors_below
 from nw_eval.policies.safety.onnx import MICROSOFT
@@ -269,7 +272,11 @@ class LucidSimTransformer(nn.Module):
         Its inputs are `proprio`, (7, 53), and `frames`, (7, 3, 45, 80), (byte - 127.5) / 255,
         oldest first; its output is the raw action, (1, 12).
         """
-        return _Drawing(self.state_dict()).open()
+        return open_session(_Drawing(self.state_dict()).model())
+
+    def graph(self) -> networks.Graph:
+        """Return the same graph for nw-eval, whose angles have one cosine on every processor."""
+        return read_graph(_Drawing(self.state_dict(), cosine=math.cos, sine=math.sin).model())
 
 
 class Block(nn.Module):
@@ -307,18 +314,25 @@ class Rotary(nn.Module):
 class _Drawing:
     """Draws the network as a graph. Tokens are (tokens, numbers): there is no batch axis."""
 
-    def __init__(self, state: dict[str, Tensor]) -> None:
+    def __init__(
+        self,
+        state: dict[str, Tensor],
+        *,
+        cosine: Callable[[Any], Any] = np.cos,
+        sine: Callable[[Any], Any] = np.sin,
+    ) -> None:
         self._state = state
+        self._turns = [_by_element(turn) for turn in (cosine, sine)]
         self._graph = Graph()
 
-    def open(self) -> ort.InferenceSession:
+    def model(self) -> bytes:
         x = self._tokens()
         for layer in range(_LAYERS - 1):
             x = self._block(x, f"transformer.{layer}.", TOKENS)
         # Only the action token leaves the last block, so only its query is computed.
         x = self._block(x, f"transformer.{_LAYERS - 1}.", 1)
         weight, bias = self._numbers("act_proj.0.weight"), self._weight("act_proj.0.bias")
-        return self._graph.open(self._linear(x, weight, bias), 1, _ACTIONS)
+        return self._graph.model(self._linear(x, weight, bias), 1, _ACTIONS)
 
     def _tokens(self) -> str:
         node, weight = self._graph.node, self._weight
@@ -362,7 +376,9 @@ class _Drawing:
     def _turn(self, x: str, frequencies: NDArray[np.float32], heads: int, tokens: int) -> str:
         """Rotate each head of the last tokens by its position; return (tokens x heads, 64)."""
         angles = np.arange(TOKENS, dtype=np.float32)[:, None] * frequencies
-        rotations = [self._graph.constant(turn(angles)) for turn in (np.cos, np.sin)]
+        rotations = [
+            self._graph.constant(np.asarray(turn(angles), np.float32)) for turn in self._turns
+        ]
         positions = self._graph.constant(np.arange(TOKENS - tokens, TOKENS)[None])
         x = self._graph.node(
             "RotaryEmbedding", self._reshape(x, 1, tokens, -1), positions, *rotations,
@@ -382,3 +398,10 @@ class _Drawing:
 
     def _numbers(self, name: str) -> NDArray[np.float32]:
         return self._state[name].numpy()
+
+
+def _by_element(function: Callable[[Any], Any]) -> Callable[[NDArray[np.float32]], Any]:
+    """Return a function of arrays; `math` has more digits than float32 keeps."""
+    if isinstance(function, np.ufunc):
+        return function
+    return lambda array: np.array([function(x) for x in array.flat]).reshape(array.shape)

@@ -124,6 +124,7 @@ def provenance_table(run: RunInfo) -> Table:
         "seed set": f"{run.suite_digest[:12]} (same robot, protocol, seed, episode and "
         f"perturbations: same starts), {run.panel}",
         "policy": f"{run.policy.name}, {run.policy.origin or weights}",
+        "processor": run.policy.dependence,
         "scenes": f"{_scenes(run)}, {plural(sum(run.planned.values()), 'trial')} planned"
         + _saved(run),
         "fetched": "; ".join(_fetched(run)),

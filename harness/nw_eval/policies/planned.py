@@ -1,0 +1,420 @@
+"""Networks of cards with `runtime: nw-eval`: planned where their files are read, and run anywhere.
+
+ONNX files say the sizes of their inputs and are planned when they are opened. Others are opened by
+their own adapter first, in the policy's process; at the first action, when the sizes of all
+observations are known, torch runs them once there, and what it computes is recorded and planned.
+What comes back is data (`PlannedFile`), which is checked and runs in the trial's own process.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_eval.cards.card import Card
+from nw_eval.cards.joint_control import Action
+from nw_eval.cards.networks import InputSpec
+from nw_eval.clean import clean
+from nw_eval.errors import PolicyError, TrialError
+from nw_eval.memory import Arrays, pack, unpack
+from nw_eval.networks import NEXT, Program, RecordedFile, UnsupportedError
+from nw_eval.policies.bundle import Bundle, senses_by_code
+from nw_eval.policies.policy import (
+    InputAssembler,
+    Observation,
+    Policy,
+    Wanted,
+    unfitting,
+    unpacked,
+)
+
+_PARTS = 16
+_EVERY = 1000
+
+
+_RUNTIMES = {"onnx": "ONNX Runtime", "lucidsim": "ONNX Runtime"}
+"""What runs the networks of adapters that torch does not run."""
+
+
+def depends_on(card: Card) -> str:
+    """Return what makes a policy's results depend on the processor; empty if nothing does."""
+    if card.adapter == "zero" or (card.runtime == "nw-eval" and not senses_by_code(card)):
+        return ""
+    if card.runtime == "nw-eval" or card.adapter.startswith("python:"):
+        return "Python code"
+    if card.adapter == "remote":
+        return "its server"
+    return " and ".join(sorted({_RUNTIMES.get(adapter, "torch") for adapter in card.adapters}))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlannedFile:
+    """What a file of weights computes, as programs; as `RecordedFile`."""
+
+    inputs: tuple[InputSpec, ...]
+    """What the file declares to take."""
+    parts: tuple[tuple[int, Program], ...]
+    first: Arrays
+
+
+@runtime_checkable
+class Recordable(Protocol):
+    """A network whose graph can be had."""
+
+    where: str
+    inputs: tuple[InputSpec, ...]
+
+    def recorded(self, observation: Observation) -> RecordedFile:
+        """Return what it computes from observations of these sizes.
+
+        Raises:
+            UnsupportedError: it has an operator, or a use of one, that a graph cannot have; named.
+        """
+        ...
+
+
+def packed(files: Mapping[str, PlannedFile]) -> bytes:
+    """Return planned files as bytes, for `read_planned`."""
+    arrays: Arrays = {}
+    told: dict[str, Any] = {}
+    for number, (name, file) in enumerate(files.items()):
+        for place, (_, program) in enumerate(file.parts):
+            arrays[f"{number} program {place}"] = np.frombuffer(program.packed(), np.uint8)
+        arrays |= {f"{number} first {key}": array for key, array in file.first.items()}
+        told[name] = {
+            "every": [every for every, _ in file.parts],
+            "first": list(file.first),
+            "inputs": listed(file.inputs),
+        }
+    arrays["told"] = np.frombuffer(json.dumps(told).encode(), np.uint8)
+    return pack(arrays)
+
+
+def read_planned(data: bytes) -> dict[str, PlannedFile]:
+    """Return planned files from bytes, whoever wrote them, with their programs checked.
+
+    Raises:
+        ValueError: they are none.
+    """
+    try:
+        return _read(unpack(data))
+    except (KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise ValueError(f"no plans: {error!r}") from None
+
+
+def _read(arrays: Arrays) -> dict[str, PlannedFile]:
+    told = json.loads(arrays["told"].tobytes())
+    found: dict[str, PlannedFile] = {}
+    for number, (name, one) in enumerate(told.items()):
+        every = [int(each) for each in one["every"]]
+        if len(every) > _PARTS or not all(1 <= each <= _EVERY for each in every):
+            raise ValueError(f"parts every {every} actions")
+        programs = [
+            Program.unpacked(arrays[f"{number} program {place}"].tobytes())
+            for place in range(len(every))
+        ]
+        found[str(name)] = PlannedFile(
+            inputs=read_specs(one["inputs"]),
+            parts=tuple(zip(every, programs, strict=True)),
+            first={str(key): arrays[f"{number} first {key}"] for key in one["first"]},
+        )
+    return found
+
+
+def listed(specs: tuple[InputSpec, ...]) -> list[dict[str, Any]]:
+    """Return inputs of a file as JSON has them, for `read_specs`."""
+    return [
+        {"name": one.name, "shape": one.shape, "dtype": one.dtype.str, "is_list": one.is_list}
+        for one in specs
+    ]
+
+
+def read_specs(listed_specs: Any) -> tuple[InputSpec, ...]:
+    """Return inputs of a file as its process says them.
+
+    Raises:
+        TypeError, ValueError, KeyError: it says something else.
+    """
+    return tuple(
+        InputSpec(
+            name=str(one["name"]),
+            shape=tuple(None if side is None else int(side) for side in one["shape"]),
+            dtype=np.dtype(str(one["dtype"])),
+            is_list=bool(one["is_list"]),
+        )
+        for one in listed_specs
+    )
+
+
+# --- where files are read ------------------------------------------------------------------------
+
+
+def plan_policy(policy: Any, shown: Observation) -> dict[str, PlannedFile]:
+    """Return the plans of an open policy, and of the networks that feed it, by their names.
+
+    Args:
+        policy: which its own runtime runs.
+        shown: observations of the sizes and types that it will be shown.
+
+    Raises:
+        PolicyError: it has an operator that nw-eval does not run.
+    """
+    from nw_eval.policies.drawing import DrawingPolicy
+    from nw_eval.policies.fed_policy import FedPolicy
+
+    arrays = dict(shown)
+    own = policy.policy if isinstance(policy, DrawingPolicy) else policy
+    found: dict[str, PlannedFile] = {}
+    if isinstance(own, FedPolicy):
+        for feeder in own.feeders:
+            found[feeder.name] = _planned(feeder.network, arrays)
+            arrays |= feeder.named(feeder.network.run(arrays))
+        own = own.policy
+    found[""] = _planned(own, arrays)
+    return found
+
+
+def _planned(network: Any, shown: Observation) -> PlannedFile:
+    from nw_eval.networks.plan import plan
+
+    network = getattr(network, "network", network)
+    if not isinstance(network, Recordable):
+        raise TypeError(type(network).__name__)
+    try:
+        recorded = network.recorded(shown)
+        parts = tuple((every, plan(graph)) for every, graph in recorded.parts)
+    except UnsupportedError as error:
+        raise unsupported(network.where, error) from None
+    return PlannedFile(inputs=network.inputs, parts=parts, first=recorded.first)
+
+
+_UNSUPPORTED = "`runtime: nw-eval` does not run it: "
+
+
+def unsupported_by(error: PolicyError) -> str:
+    """Return the operator that an error says nw-eval does not run; empty if it says none."""
+    return error.message.partition(_UNSUPPORTED)[2]
+
+
+def unsupported(where: str, error: Exception) -> PolicyError:
+    """Return the error for a file that nw-eval does not run."""
+    return PolicyError(
+        f"{where}: {_UNSUPPORTED}{clean(error, at_most=200)}",
+        fix="write `runtime: native`, or export it with other operators",
+    )
+
+
+# --- where they run ------------------------------------------------------------------------------
+
+
+class PlannedNetwork:
+    """A file of weights as programs, with what they remember."""
+
+    def __init__(self, bundle: Bundle, wanted: Wanted) -> None:
+        """Open what a file was planned into, for as many outputs as it was planned for."""
+        from nw_eval.networks.network import Network
+
+        planned = bundle.programs[bundle.network]
+        self._name, self._subject = bundle.name, bundle.subject
+        self._count = len(wanted)
+        self.inputs = planned.inputs
+        self._assemble = InputAssembler(bundle.card, planned.inputs)
+        self._parts = tuple((every, Network(program)) for every, program in planned.parts)
+        self._first = {name: array.astype(np.float32) for name, array in planned.first.items()}
+        self._is_open = True
+        self.is_function = not self.remembers
+        """Whether equal inputs give equal outputs, whatever came before."""
+        self.reset(0)
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the next outputs depend on more than the next inputs."""
+        return bool(self._first) or any(every > 1 for every, _ in self._parts)
+
+    def reset(self, seed: int) -> None:  # noqa: ARG002 - nothing here is random.
+        """Begin a trial."""
+        self._memory: Arrays = dict(self._first)
+        self._step = 0
+
+    def run(self, observation: Observation) -> tuple[NDArray[Any], ...]:
+        """Run the programs whose turn it is.
+
+        Raises:
+            TrialError: an input has another size than it was planned for.
+        """
+        if not self._is_open:
+            raise TrialError(f"{self._subject} is closed", fix="open it again")
+        flat: list[NDArray[Any]] = []
+        for one in self._assemble.in_order(observation):
+            flat += one if isinstance(one, list) else [one]
+        feeds = {f"input {place}": array for place, array in enumerate(flat)} | self._memory
+        results: Arrays = {}
+        try:
+            for every, network in self._parts:
+                if self._step % every == 0:
+                    results |= network(feeds)
+                    for name in self._memory:
+                        if NEXT + name in results:
+                            feeds[name] = self._memory[name] = results[NEXT + name].copy()
+        except (KeyError, ValueError) as error:
+            raise TrialError(f"{self._subject} failed: {clean(error, at_most=200)}") from error
+        self._step += 1
+        return tuple(results[f"{NEXT}output {place}"] for place in range(self._count))
+
+    def state(self) -> bytes:
+        """Return what it remembers."""
+        if not self.remembers:
+            return b""
+        return pack(self._memory | {"step": np.array(self._step)})
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`.
+
+        Raises:
+            TrialError: the state belongs to another policy.
+        """
+        if not self.remembers:
+            if state:
+                raise unfitting(self._name, f"{len(state)} bytes, and it remembers nothing")
+            return
+        with unpacked(state, self._name) as arrays:
+            step = int(arrays.pop("step"))
+            found = {name: array.shape for name, array in arrays.items()}
+            if found != {name: array.shape for name, array in self._first.items()}:
+                raise unfitting(self._name, f"it has {found}")
+            self._memory, self._step = arrays, step
+
+    def close(self) -> None:
+        """End; a later `run` is an error."""
+        self._is_open = False
+
+
+class OpenPolicy(Policy, Protocol):
+    """A policy that its own runtime runs, and that can be planned."""
+
+    def planned(self, shown: Observation) -> dict[str, PlannedFile]:
+        """Return what its files are planned into for observations of these sizes.
+
+        Raises:
+            PolicyError: a file cannot be planned.
+        """
+        ...
+
+
+class PlannedPolicy:
+    """A policy that is planned at its first action.
+
+    Args:
+        bundle: of the policy.
+        start: opens it to be planned; it is closed when it has been.
+        build: opens the bundle of what was planned.
+
+    Raises:
+        PolicyError: as `start`.
+    """
+
+    def __init__(
+        self, bundle: Bundle, start: Callable[[], OpenPolicy], build: Callable[[Bundle], Policy]
+    ) -> None:
+        self._bundle, self._build = bundle, build
+        self._state = b""
+        key = bundle.digest, bundle.joints
+        known = _plans.get(key)
+        self.unplanned: OpenPolicy | None = None if known else start()
+        """The policy until its first action."""
+        self._policy: Policy | None = self._built(known) if known else None
+        self._key = key
+
+    def _built(self, files: Mapping[str, PlannedFile]) -> Policy:
+        return self._build(replace(self._bundle, programs=files))
+
+    @property
+    def inputs(self) -> tuple[InputSpec, ...]:
+        """What the checkpoint declares to take; empty where its format does not say."""
+        return () if self._open is None else self._open.inputs
+
+    @property
+    def network_inputs(self) -> dict[str, tuple[InputSpec, ...]]:
+        """What the file of each network declares to take."""
+        return getattr(self._open, "network_inputs", {})
+
+    @property
+    def held(self) -> Arrays:
+        """By name, what the networks gave last."""
+        return getattr(self._policy, "held", {})
+
+    @property
+    def _open(self) -> Policy | None:
+        return self._policy or self.unplanned
+
+    def reset(self, seed: int) -> None:
+        """Begin a trial."""
+        self._state = b""
+        if self._policy is not None:
+            self._policy.reset(seed)
+
+    def act(self, observation: Observation) -> Action:
+        """Return the raw action for an observation.
+
+        Raises:
+            PolicyError: the policy has an operator that nw-eval does not run.
+            ActionError, TrialError: as any policy's.
+        """
+        if self._policy is None:
+            if self.unplanned is None:
+                raise TrialError(f"{self._bundle.subject} is closed", fix="open it again")
+            files = self.unplanned.planned(observation)
+            while len(_plans) >= _KNOWN:
+                del _plans[next(iter(_plans))]
+            _plans[self._key] = files
+            self._policy = self._built(files)
+            self.unplanned.close()
+            self.unplanned = None
+            if self._state:
+                self._policy.restore(self._state)
+        return self._policy.act(observation)
+
+    def state(self) -> bytes:
+        """Return what it remembers; nothing before its first action."""
+        return self._state if self._policy is None else self._policy.state()
+
+    def restore(self, state: bytes) -> None:
+        """Go back to a `state`.
+
+        Raises:
+            TrialError: the state belongs to another policy.
+        """
+        self._state = state
+        if self._policy is not None:
+            self._policy.restore(state) if state else self._policy.reset(0)
+
+    def close(self) -> None:
+        """Free what it holds."""
+        for each in (self.unplanned, self._policy):
+            if each is not None:
+                each.close()
+        self.unplanned = None
+
+
+_KNOWN = 4
+_plans: dict[tuple[str, int], Mapping[str, PlannedFile]] = {}
+"""What policies were planned into that this process has opened: all of its trials open the same."""
+
+
+class InProcess:
+    """A policy that its own runtime runs in this process, and that can be planned."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.policy, name)
+
+    def planned(self, shown: Observation) -> dict[str, PlannedFile]:
+        """As `OpenPolicy`."""
+        return plan_policy(self.policy, shown)

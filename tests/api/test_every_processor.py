@@ -1,0 +1,108 @@
+"""Results of nw-eval's networks are of one class on all processors; others are of their own."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import nw_eval
+from nw_eval import api
+from nw_eval.engine.provenance import engine_of
+from nw_eval.networks import IDENTITY
+from nw_eval.policies import load_bundle
+from nw_eval.results.bank import machine_in, machine_of
+from nw_eval.results.bank_file import read_bank
+from nw_eval.results.provenance import read_run_info
+
+POLICIES = Path(nw_eval.__file__).parents[2] / "policies"
+SUITE = """\
+nw-eval: 1
+name: quick
+robot: go1
+policy: policy
+trials: 2
+seed: 5
+episode: {duration: 0.04}
+scenes: [flat/carpet_room]
+record: none
+gate: {max_drop: 0.2, baseline: go1-parkour, rounds: 2}
+"""
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """A project with a policy of one runtime, without a cache of trials."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("NW_EVAL_CACHE_GB", "0")
+
+    def make(runtime):
+        shutil.copytree(POLICIES / "go1-parkour", "policy")
+        card = Path("policy/policy.yaml")
+        text = card.read_text(encoding="utf-8")
+        card.write_text(text.replace("adapter: onnx\n", f"adapter: onnx\nruntime: {runtime}\n", 1))
+        Path("quick.yaml").write_text(SUITE)
+        return load_bundle("policy")
+
+    return make
+
+
+@pytest.fixture
+def processor(monkeypatch):
+    """Let this machine have a processor of some name."""
+
+    def choose(name):
+        monkeypatch.setattr("nw_eval.engine.provenance.cpu_kind", lambda: name)
+
+    return choose
+
+
+@pytest.mark.parametrize("runtime", ["nw-eval", "native"])
+def test_a_baseline_of_one_processor_holds_on_another_where_nw_eval_runs_the_networks(
+    runtime, project, processor
+):
+    project(runtime)
+    processor("zen 0a0a0a0a")
+    bank = read_bank(api.save_baseline("quick.yaml", trials=4, workers=1).file)
+    processor("emerald 1b1b1b1b")
+    ran = api.run("quick.yaml", workers=1)
+    run = read_run_info(ran.folder / "run.json")
+    holds = runtime == "nw-eval"
+    # Where it holds, its rows are taken over, and no trial of its policy has to run beside others.
+    assert (bank.panel_of(machine_of(run)) is not None) == holds
+    assert ("cpu" in run.engine) != holds
+    sentence = "" if holds else "its results depend on the processor: ONNX Runtime"
+    assert run.policy.dependence == sentence
+    report = (ran.folder / "report.md").read_text(encoding="utf-8")
+    assert ("its results depend on the processor" in report) != holds
+
+
+def test_the_class_of_nw_eval_s_networks_names_neither_processor_nor_runtimes(project, processor):
+    card = project("nw-eval").card
+    processor("zen 0a0a0a0a")
+    here = machine_in(engine_of("cpu", (), card))
+    processor("emerald 1b1b1b1b")
+    assert machine_in(engine_of("cpu", (), card)) == here
+    assert here["networks"] == IDENTITY == "nw-eval networks 1"
+    assert here.keys() == {"numpy", "numba", "code", "networks", "architecture"}
+
+
+def test_the_class_of_other_runtimes_is_what_it_was(project, processor):
+    card = project("native").card
+    processor("zen 0a0a0a0a")
+    here = engine_of("cpu", (), card)
+    assert here == engine_of("cpu")
+    assert here["cpu"] == "zen 0a0a0a0a"
+    assert {"onnxruntime", "torch"} <= here.keys()
+    assert not {"networks", "architecture"} & here.keys()
+
+
+def test_a_baseline_of_nw_eval_s_networks_has_one_class_whatever_saved_it(project, processor):
+    project("nw-eval")
+    processor("zen 0a0a0a0a")
+    file = api.save_baseline("quick.yaml", trials=2, workers=1).file
+    processor("emerald 1b1b1b1b")
+    assert api.save_baseline("quick.yaml", trials=2, workers=1).action == "unchanged"
+    (panel,) = read_bank(file).panels
+    assert "cpu" not in panel.machine
