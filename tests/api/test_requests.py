@@ -94,6 +94,7 @@ def saved(folder):
     return json.loads((folder / "run.json").read_text())
 
 
+@pytest.mark.nightly
 def test_another_collision_than_the_runs_is_not_overruled_by_the_folder(project, jobs):
     begin(suite=suite("./one"), out=project / "run")
     with pytest.raises(IncomparableError, match=r"scene one \(.*, now .*\) changed"):

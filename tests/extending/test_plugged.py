@@ -294,9 +294,13 @@ def reported(package, judged, option, body, more='target="file"'):
 
 
 @pytest.mark.parametrize(
-    "body", ["raise KeyError(path)", "path.write_text('half'); raise OSError(28, 'No space')",
-             "sys.exit(7)"]
-)  # fmt: skip
+    "body",
+    [
+        pytest.param("raise KeyError(path)", marks=pytest.mark.nightly),
+        "path.write_text('half'); raise OSError(28, 'No space')",
+        pytest.param("sys.exit(7)", marks=pytest.mark.nightly),
+    ],
+)
 def test_a_reporter_that_fails_costs_no_verdict_and_leaves_what_was_there(
     package, judged, tmp_path, body
 ):

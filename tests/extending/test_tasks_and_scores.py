@@ -200,6 +200,7 @@ def test_a_run_says_whose_they_are_and_is_judged_where_they_are_not_installed(
     assert "tasks.reach: it is to be reach 1.0, and is not installed" in str(caught.value)
 
 
+@pytest.mark.nightly
 def test_results_are_taken_over_until_the_code_of_a_package_changes(
     both, tmp_path, tilt, monkeypatch
 ):

@@ -230,6 +230,7 @@ def test_other_peoples_policies_pass_with_their_cards(name):
     ],
     ids=["joint order", "history order", "sign"],
 )
+@pytest.mark.nightly
 def test_a_wrong_card_is_told_what_would_be_right(tmp_path, change, words):
     told = himloco(tmp_path, change)
     assert not told.passed

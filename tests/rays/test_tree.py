@@ -219,6 +219,7 @@ def masked(mask):
     return done.stdout.strip()
 
 
+@pytest.mark.nightly
 def test_rays_give_the_same_bits_without_avx_512():
     assert masked(MASKS["AVX2 and FMA"]) == digest()
 

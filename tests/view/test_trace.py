@@ -36,6 +36,7 @@ def trace(log):
     return read_trace(log)
 
 
+@pytest.mark.nightly
 def test_poses_are_those_of_the_log(trace, log):
     for place, (time, poses) in enumerate(LogReader(log).poses()):
         assert trace.times[place] == pytest.approx(time)

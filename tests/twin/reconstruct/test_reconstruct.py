@@ -102,6 +102,7 @@ def test_a_report_says_what_was_done(built):
     assert not report.without_depth
 
 
+@pytest.mark.nightly
 def test_one_thread_gives_the_same_bits(room, tmp_path):
     options = replace(SMALL, voxel=0.06, depth=DepthOptions(side=72, neighbours=2, rounds=1))
     for threads in (1, 2):
