@@ -1,4 +1,4 @@
-"""Results of nw-eval's networks are of one class on all processors; others are of their own."""
+"""Results of nw-eval's networks are of one class on all processors once all else is."""
 
 from __future__ import annotations
 
@@ -58,6 +58,13 @@ def processor(monkeypatch):
     return choose
 
 
+@pytest.fixture
+def everywhere(monkeypatch):
+    """Let all else have the same bits on every processor."""
+    monkeypatch.setattr("nw_eval.engine.provenance.everywhere", lambda: True)
+
+
+@pytest.mark.usefixtures("everywhere")
 @pytest.mark.parametrize("runtime", ["nw-eval", "native"])
 def test_a_baseline_of_one_processor_holds_on_another_where_nw_eval_runs_the_networks(
     runtime, project, processor
@@ -78,6 +85,7 @@ def test_a_baseline_of_one_processor_holds_on_another_where_nw_eval_runs_the_net
     assert ("its results depend on the processor" in report) != holds
 
 
+@pytest.mark.usefixtures("everywhere")
 def test_the_class_of_nw_eval_s_networks_names_neither_processor_nor_runtimes(project, processor):
     card = project("nw-eval").card
     processor("zen 0a0a0a0a")
@@ -86,6 +94,15 @@ def test_the_class_of_nw_eval_s_networks_names_neither_processor_nor_runtimes(pr
     assert machine_in(engine_of("cpu", (), card)) == here
     assert here["networks"] == IDENTITY == "nw-eval networks 1"
     assert here.keys() == {"numpy", "numba", "code", "networks", "architecture"}
+
+
+def test_while_pictures_and_scores_depend_on_the_processor_the_class_names_it(project, processor):
+    card = project("nw-eval").card
+    processor("zen 0a0a0a0a")
+    here = machine_in(engine_of("cpu", (), card))
+    assert here["cpu"] == "zen 0a0a0a0a"
+    assert here["networks"] == IDENTITY
+    assert not {"onnxruntime", "torch"} & here.keys()
 
 
 def test_the_class_of_other_runtimes_is_what_it_was(project, processor):
@@ -98,6 +115,7 @@ def test_the_class_of_other_runtimes_is_what_it_was(project, processor):
     assert not {"networks", "architecture"} & here.keys()
 
 
+@pytest.mark.usefixtures("everywhere")
 def test_a_baseline_of_nw_eval_s_networks_has_one_class_whatever_saved_it(project, processor):
     project("nw-eval")
     processor("zen 0a0a0a0a")

@@ -35,6 +35,7 @@ from nw_eval.results.provenance import (
 )
 from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.access import why_off
+from nw_eval.same_bits import everywhere
 from nw_eval.scenes.folder import FileSplat
 from nw_eval.scenes.neverwhere import reference_path
 from nw_eval.suite.model import PUBLISHED
@@ -54,7 +55,7 @@ _CHANGING_BITS = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
 """Libraries whose versions make bits differ between runs of the same trials."""
 
 
-_BY_PROCESSOR = ("onnxruntime", "torch", "cpu")
+_RUNTIMES = ("onnxruntime", "torch")
 """Of these, what says nothing where nw-eval runs the networks."""
 
 
@@ -136,9 +137,9 @@ def engine_of(
 ) -> dict[str, str]:
     """Return what makes bits differ between runs of the same trials.
 
-    The kind of processor does, and so do ONNX Runtime and torch, unless nw-eval runs all networks
-    of a card: their results are of one kind on all processors of an architecture, for which
-    MuJoCo is built.
+    ONNX Runtime and torch do, unless nw-eval runs all networks of a card. The kind of processor
+    does, too, unless all else has the same bits on every processor (`same_bits.everywhere`): then
+    results are of one kind on an architecture, for which MuJoCo is built.
 
     Args:
         render: the splat renderer.
@@ -156,7 +157,7 @@ def engine_of(
     }
     if card is None or card.runtime == "native" or senses_by_code(card):
         return found
-    for name in _BY_PROCESSOR:
+    for name in (*_RUNTIMES, "cpu") if everywhere() else _RUNTIMES:
         found.pop(name, None)
     return {**found, "networks": IDENTITY, "architecture": platform.machine()}
 

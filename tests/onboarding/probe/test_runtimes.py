@@ -67,7 +67,7 @@ def test_a_network_that_nw_eval_runs_differs_by_rounding_and_what_it_depends_on_
     assert "`action` differs by at most" in found.text
     assert not list(runtime_findings(bundle(plain), found))
     ours = compared(bundle(plain, "nw-eval"))
-    assert ours.text.startswith("its results are the same on every processor; between")
+    assert ours.text.startswith("its networks give the same results on every processor; between")
     assert ours.difference == found.difference
 
 
@@ -92,3 +92,21 @@ def test_the_page_of_a_check_has_the_sentence(bundle):
     page = probe_page(probe_here(bundle(plain), scene="ramps/one_ramp_plaza"))
     (line,) = [line for line in page.splitlines() if line.startswith("processor: ")]
     assert "its results depend on the processor: ONNX Runtime" in line
+
+
+def test_an_output_that_is_no_number_is_the_one_that_differs_most(monkeypatch):
+    given = {
+        "native": {"action": np.ones((2, 3)), "code": np.ones((2, 3))},
+        "nw-eval": {"action": np.ones((2, 3)) + 1e-7, "code": np.full((2, 3), np.nan)},
+    }
+    monkeypatch.setattr(
+        "nw_eval.onboarding.probe.runtimes._run",
+        lambda _bundle, runtime, _recording: given[runtime],
+    )
+    bundle = load_bundle("go1-parkour")
+    found = compare_runtimes(bundle, None)
+    assert found.output == "code"
+    assert found.difference > TOLERANCE
+    assert [each.kind for each in runtime_findings(bundle, found)] == ["note"]
+    given["native"] = given["nw-eval"]  # Both give none.
+    assert compare_runtimes(bundle, None).difference == 0.0

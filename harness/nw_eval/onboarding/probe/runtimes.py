@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -19,7 +20,7 @@ from nw_eval.policies.planned import depends_on, unsupported_by
 from nw_eval.policies.policy import Observation
 from nw_eval.results.provenance import depends
 
-_EVERYWHERE = "its results are the same on every processor"
+_EVERYWHERE = "its networks give the same results on every processor"
 STEPS = 20
 """Actions, each with the memory of those before it."""
 TOLERANCE = 1e-4
@@ -128,7 +129,11 @@ def _drawn(recording: Recording) -> Iterator[Observation]:
 
 
 def _difference(native: NDArray[Any], ours: NDArray[Any]) -> float:
+    """Return the largest difference, of the largest number; NaN is the largest that there is."""
     if native.shape != ours.shape:
         return sys.float_info.max
+    if np.array_equal(native, ours, equal_nan=True):
+        return 0.0
     largest = float(np.abs(native).max(initial=0.0))
-    return float(np.abs(ours.astype(np.float64) - native).max(initial=0.0)) / (largest or 1.0)
+    found = float(np.abs(ours.astype(np.float64) - native).max(initial=0.0)) / (largest or 1.0)
+    return found if math.isfinite(found) else sys.float_info.max
