@@ -15,13 +15,6 @@ ABOVE = np.concatenate([np.exp(RNG.uniform(-700.0, 700.0, 2000)), RNG.uniform(0.
 SHARES = RNG.uniform(0.0, 1.0, 2000)
 
 
-@pytest.fixture(autouse=True)
-def everywhere(monkeypatch):
-    """Switch them on."""
-    monkeypatch.setattr(same_bits, "_EVERYWHERE", True)
-    assert same_bits.everywhere()
-
-
 def units(found, wanted):
     """Return the largest error, in units in the last place."""
     return np.max(np.abs(found - wanted) / np.spacing(np.abs(wanted)))
@@ -111,25 +104,3 @@ def test_products_are_those_of_the_numbers():
     np.testing.assert_allclose(same_bits.product(v, R), v @ R, rtol=1e-14, atol=1e-15)
     assert same_bits.dot(v, R[0]) == pytest.approx(v @ R[0], abs=1e-14)
     assert same_bits.length([3.0, 4.0]) == 5.0
-
-
-def test_they_are_numpys_own_until_they_are_switched_on(monkeypatch):
-    monkeypatch.setattr(same_bits, "_EVERYWHERE", False)
-    T = np.eye(4)
-    T[:3] = RNG.normal(size=(3, 4))
-    y, x = RNG.normal(size=(2, 300))
-    v, R = RNG.normal(size=3), RNG.normal(size=(3, 3))
-    for found, wanted in (
-        (same_bits.exp(x), np.exp(x)),
-        (same_bits.log(ABOVE), np.log(ABOVE)),
-        (same_bits.log2(ABOVE), np.log2(ABOVE)),
-        (same_bits.power(SHARES, 2.4), SHARES**2.4),
-        (same_bits.tan(x), np.tan(x)),
-        (same_bits.arctan2(y, x), np.arctan2(y, x)),
-        (same_bits.arcsin(SHARES), np.arcsin(SHARES)),
-        (same_bits.inverse(T), np.linalg.inv(T)),
-        (same_bits.product(v, R), v @ R),
-        (same_bits.dot(v, R[0]), v @ R[0]),
-        (same_bits.length(v), np.linalg.norm(v)),
-    ):
-        assert np.array_equal(found, wanted)

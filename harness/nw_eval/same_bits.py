@@ -5,8 +5,6 @@ kernel for each kind of processor: inverses, scalar products and some products o
 other digits there. What is here is made of single IEEE operations in one order, and of `rint`,
 `frexp` and `ldexp`, which are exact. Errors are a few units in the last place at most; `power` has
 those of its logarithm.
-
-Nothing changes before `everywhere` says so: until then each function is NumPy's own.
 """
 
 from __future__ import annotations
@@ -20,8 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Floating = TypeVar("Floating", bound=np.floating)
-
-_EVERYWHERE = False  # Rows and pictures change in their last bits where it is switched on.
 
 _LN2 = float.fromhex("0x1.62e42fefa39efp-1")
 # The first part has 21 trailing zeros: its products with exponents are exact.
@@ -41,11 +37,6 @@ _ATAN_DOWN = _ATAN[-2::-1]
 _TAN_EIGHTH = math.sqrt(2.0) - 1.0
 
 
-def everywhere() -> bool:
-    """Return whether results are to have the same bits on every processor."""
-    return _EVERYWHERE
-
-
 def _polynomial(coefficients: list[float], x: Array) -> Array:
     total = np.full_like(x, coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
@@ -56,8 +47,6 @@ def _polynomial(coefficients: list[float], x: Array) -> Array:
 
 def exp(x: NDArray[Floating]) -> NDArray[Floating]:
     """Return e^x; of float32, the nearest float32."""
-    if not _EVERYWHERE:
-        return np.exp(x)
     with np.errstate(all="ignore"):
         given = np.clip(np.asarray(x, np.float64), -800.0, 800.0)
         whole = np.rint(given * (1.0 / _LN2))
@@ -85,8 +74,6 @@ def _of_logarithm(x: ArrayLike, value: Array) -> Array:
 
 def log(x: NDArray[Floating]) -> NDArray[Floating]:
     """Return the natural logarithm; of float32, the nearest float32."""
-    if not _EVERYWHERE:
-        return np.log(x)
     with np.errstate(all="ignore"):
         exponent, first, rest = _split_log(x)
         value = exponent * _LN2_HIGH + (first + (rest + exponent * _LN2_LOW))
@@ -95,8 +82,6 @@ def log(x: NDArray[Floating]) -> NDArray[Floating]:
 
 def log2(x: NDArray[Floating]) -> NDArray[Floating]:
     """Return the logarithm to base 2, exact for powers of 2; of float32, the nearest float32."""
-    if not _EVERYWHERE:
-        return np.log2(x)
     with np.errstate(all="ignore"):
         exponent, first, rest = _split_log(x)
         return _of_logarithm(x, exponent + (first + rest) * (1.0 / _LN2)).astype(x.dtype)
@@ -104,16 +89,12 @@ def log2(x: NDArray[Floating]) -> NDArray[Floating]:
 
 def power(x: NDArray[Floating], exponent: float) -> NDArray[Floating]:
     """Return x to the power of an exponent above 0; NaN for negative x."""
-    if not _EVERYWHERE:
-        return (x**exponent).astype(x.dtype, copy=False)
     with np.errstate(all="ignore"):
         return exp(exponent * log(x.astype(np.float64))).astype(x.dtype)
 
 
 def tan(x: Array) -> Array:
     """Return the tangent of angles of a few turns."""
-    if not _EVERYWHERE:
-        return np.tan(x)
     quarters = np.rint(x * (2.0 / math.pi))
     rest = x
     for part in _QUARTER:
@@ -159,8 +140,6 @@ def _angle_of_one(y: float, x: float) -> float:
 
 def arctan2(y: ArrayLike, x: ArrayLike) -> Array:
     """Return the angle of points, rad in [-pi, pi]."""
-    if not _EVERYWHERE:
-        return np.arctan2(y, x)
     if isinstance(y, float) and isinstance(x, float) and math.isfinite(y) and math.isfinite(x):
         return np.array(_angle_of_one(float(y), float(x)))
     with np.errstate(all="ignore"):
@@ -169,8 +148,6 @@ def arctan2(y: ArrayLike, x: ArrayLike) -> Array:
 
 def arcsin(x: ArrayLike) -> Array:
     """Return the arc sine of -1 to 1, rad."""
-    if not _EVERYWHERE:
-        return np.arcsin(x)
     if isinstance(x, float) and abs(x) <= 1.0:
         return arctan2(x, math.sqrt((1.0 - x) * (1.0 + x)))
     given = np.asarray(x, np.float64)
@@ -179,23 +156,17 @@ def arcsin(x: ArrayLike) -> Array:
 
 def dot(a: Array, b: Array) -> float:
     """Return the scalar product of two vectors."""
-    if not _EVERYWHERE:
-        return float(a @ b)
     return float((a * b).sum())
 
 
 def length(a: ArrayLike) -> float:
     """Return the length of a vector."""
-    if not _EVERYWHERE:
-        return float(np.linalg.norm(a))
     vector = np.asarray(a, np.float64)
     return math.sqrt(dot(vector, vector))
 
 
 def product(v: Array, R: Array) -> Array:
     """Return v @ R of a vector (n,) and a matrix (n, m): R.T @ v."""
-    if not _EVERYWHERE:
-        return v @ R
     return (v[:, np.newaxis] * R).sum(axis=0)
 
 
@@ -205,8 +176,6 @@ def inverse(T: Array) -> Array:
     Raises:
         numpy.linalg.LinAlgError: it has none.
     """
-    if not _EVERYWHERE:
-        return np.linalg.inv(T).astype(np.float64)
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = T.tolist()
     assert last == [0.0, 0.0, 0.0, 1.0], f"no affine transform: last row {last}"
     # Columns of the adjugate are cross products of rows.

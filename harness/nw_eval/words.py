@@ -27,6 +27,8 @@ Kernels = Literal["ewa", "ray", "lens", "networks", "rays"]
 """What the CPU's kernels are compiled for, each for itself: either projection of a pinhole, lenses
 that bend, the networks of policies, and rays that meet triangles."""
 KERNELS: tuple[Kernels, ...] = get_args(Kernels)
+BLIND: tuple[Kernels, ...] = ("networks", "rays")
+"""Those of trials that draw nothing."""
 
 Engine = Literal["local", "ray"]
 """Where trials run: in processes of this machine, or on the nodes of a Ray cluster."""

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import numpy as np
 
-from nw_eval import same_bits
 from nw_eval.cards import Card
 from nw_eval.cards.observations import BUILT_IN_SENSORS
 from nw_eval.catalogue import get_scene
@@ -197,9 +196,7 @@ def yard(folder: Path) -> Path:
 
 
 def main(wanted: list[str]) -> None:
-    """Print what is asked for; `everywhere` first: with the same bits on every processor."""
-    same_bits._EVERYWHERE = wanted[0] == "everywhere"
-    wanted = wanted[same_bits._EVERYWHERE :]
+    """Print what is asked for."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = yard(Path(temporary) / "yard")
         for name in wanted:

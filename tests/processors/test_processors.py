@@ -1,7 +1,6 @@
 """Places, pictures, readings and trials have the same bits on processors of other kinds.
 
-Libraries are told to take the kernels of other processors, in processes of their own. Rows are
-compared with what is switched off until results may change: `same_bits`, and nw-eval's own rays.
+Libraries are told to take the kernels of other processors, in processes of their own.
 """
 
 from __future__ import annotations
@@ -32,11 +31,10 @@ MASKS = {
 ALL = ("files", "sensors", "trials")
 
 
-def digests(*wanted, mask=(), everywhere=True, emulator=()):
+def digests(*wanted, mask=(), emulator=()):
     """Return what a process prints that sees another processor, by name."""
-    switch = ("everywhere",) if everywhere else ()
     done = subprocess.run(
-        [*emulator, sys.executable, str(HERE / "digests.py"), *switch, *wanted],
+        [*emulator, sys.executable, str(HERE / "digests.py"), *wanted],
         env={**os.environ, **dict(mask)}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
@@ -62,7 +60,7 @@ def test_every_built_in_scene_is_recorded():
 @pytest.mark.nightly
 def test_a_built_in_scene_is_made_as_it_was_recorded():
     name = "hurdles/one_low_carpet"
-    found = digests(name, mask=MASKS["AVX2"], everywhere=False)
+    found = digests(name, mask=MASKS["AVX2"])
     assert found.items() <= recorded().items(), "this machine makes other Gaussians"
 
 
@@ -88,7 +86,7 @@ def test_all_built_in_scenes_are_made_as_they_were_recorded(task):
     wanted = {what: text for what, text in recorded().items() if what.startswith(f"{task}/")}
     assert wanted
     names = sorted(what.partition(",")[0] for what in wanted)
-    assert digests(*names, everywhere=False) == wanted
+    assert digests(*names) == wanted
 
 
 @pytest.mark.nightly

@@ -12,7 +12,6 @@ import pytest
 import trimesh
 
 from nw_eval.rays.tree import Tree
-from nw_eval.scenes.rays import _Embree
 
 MASKS = {
     "AVX2 and FMA": {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx,+avx2,+fma,+f16c"},
@@ -140,14 +139,19 @@ def test_no_ray_straight_down_passes_between_faces_of_the_ground(seed):
 
 
 def test_rays_meet_what_embree_says():
+    mesh_construction = pytest.importorskip("embreex.mesh_construction")
+    rtcore_scene = pytest.importorskip("embreex.rtcore_scene")
     vertices, faces = ground(4)
-    ours, embree = Tree(vertices, faces), _Embree(vertices, faces.astype(np.int32))
+    embree = rtcore_scene.EmbreeScene(robust=True)  # Without cracks between neighbours.
+    mesh_construction.TriangleMesh(embree, vertices.astype(np.float32), faces.astype(np.int32))
     rng = np.random.default_rng(5)
     eye = np.array([60.3, 58.2, 3.0])
     ways = rng.normal(size=(20_000, 3))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
-    distance, face = ours.cast(eye, ways)
-    wanted, of = embree.cast(eye, ways)
+    distance, face = Tree(vertices, faces).cast(eye, ways)
+    begin = np.tile(eye.astype(np.float32), (len(ways), 1))
+    hits = embree.run(begin, ways.astype(np.float32), output=True)
+    wanted, of = hits["tfar"], hits["primID"]
     assert 5_000 < (face >= 0).sum() < 15_000
     assert np.array_equal(face >= 0, of >= 0)
     met = face >= 0

@@ -1,11 +1,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nw_eval import same_bits
 from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
 from nw_eval.scenes.rays import RayScene
 
@@ -13,16 +11,8 @@ _number = st.floats(-2.0, 2.0)
 _size = st.floats(0.05, 1.0)
 
 
-@pytest.fixture(autouse=True, params=["Embree", "nw-eval"], scope="module")
-def caster(request):
-    """Let either of the two answer."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(same_bits, "_EVERYWHERE", request.param == "nw-eval")
-        yield request.param
-
-
 def _slabs(origin, direction, center, half, rotation):
-    """Distance to a box by the slab method, in float64: independent of meshes and Embree."""
+    """Distance to a box by the slab method, in float64: independent of meshes and their tree."""
     o = (origin - center) @ rotation
     d = direction @ rotation
     with np.errstate(divide="ignore", invalid="ignore"):

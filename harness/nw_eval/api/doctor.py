@@ -43,7 +43,7 @@ USES = MappingProxyType(
 )
 """What needs an extra."""
 
-LIBRARIES = ("mujoco", "numpy", "numba", "llvmlite", "onnxruntime", "torch", "pyarrow", "embreex")
+LIBRARIES = ("mujoco", "numpy", "numba", "llvmlite", "onnxruntime", "torch", "pyarrow")
 _LEAST_FREE = 2 * 10**9
 """Bytes that runs and splats of built-in scenes soon take."""
 

@@ -257,7 +257,7 @@ def _drawn_apart(
         subject="the pictures of scenes",
         rules=drawing_rules(scenes=[reference for reference, _ in used], also=also),
         time_limit=_TIME_LIMIT,
-        renders=("ray",) if any(scene.splat is not None for _, scene in used) else (),
+        renders=("ray", "rays") if any(scene.splat is not None for _, scene in used) else ("rays",),
         logs=[str(log.path.resolve()) for log in wanted],
         tops=[(top.reference, list(top.box)) for top in tops],
     )

@@ -32,7 +32,7 @@ EYE_HEIGHT = 0.3
 _GROUND_REACH = 60.0
 
 # Raise it with every change that changes a Gaussian of any scene.
-GENERATOR_VERSION = 4
+GENERATOR_VERSION = 5
 
 LIGHTS: dict[str, Light] = {
     "noon": Light(

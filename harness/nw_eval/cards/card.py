@@ -120,9 +120,10 @@ class Card(CardModel):
     """For `python:` adapters, the interpreter that runs the code, such as `.venv/bin/python`: an
     environment of its own, which needs Python 3.11 or later and NumPy. A relative path starts from
     the card's folder; no part of the digest. None = this one."""
-    runtime: Literal["native", "nw-eval"] = "native"
-    """What runs the networks: `native`, ONNX Runtime or torch, whose results depend on the
-    processor in their last digits; or `nw-eval`, whose results are the same on every processor."""
+    runtime: Literal["native", "nw-eval"] | None = None
+    """What runs the networks: `nw-eval`, whose results are the same on every processor; or
+    `native`, ONNX Runtime or torch, whose results depend on the processor in their last digits.
+    None = `nw-eval` where it has all of their operators, else `native`."""
     options: dict[str, Any] = Field(default_factory=dict[str, Any])
     """What only this adapter understands; each adapter says what that is."""
     control: Control
@@ -221,6 +222,12 @@ class Card(CardModel):
             ):
                 message = f"{name!r} feeds a clipped action back but the card clips none"
                 raise ValueError(f"{message}; add `clip` to `control`, or remove `clipped`")
+
+    @property
+    def is_planned(self) -> bool:
+        """Whether nw-eval runs its networks, if it has all of their operators."""
+        is_file = is_built_in(self.adapter) and self.adapter not in {"zero", "remote"}
+        return is_file and self.runtime != "native"
 
     @property
     def adapters(self) -> frozenset[str]:

@@ -139,8 +139,9 @@ class Plan:
 
     @property
     def kernels(self) -> tuple[Kernels, ...]:
-        """Which kernels of the CPU draw its pictures and run its networks."""
-        return kernels_of(self.suite.robot, self.bundle.card, self.suite.render.projection)
+        """Which kernels of the CPU draw its pictures, run its networks and cast its rays."""
+        projections = (self.suite.render.projection,) if self.renders else ()
+        return kernels_of(self.suite.robot, self.bundle.card, *projections)
 
     @property
     def time_limit(self) -> float:

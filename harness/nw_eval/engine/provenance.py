@@ -21,6 +21,7 @@ from nw_eval.plugins import code_named, version_named
 from nw_eval.plural import plural
 from nw_eval.policies.bundle import senses_by_code
 from nw_eval.policies.planned import depends_on
+from nw_eval.rays import IDENTITY as RAYS
 from nw_eval.results.journal import JournalHeader
 from nw_eval.results.provenance import (
     FetchedInfo,
@@ -35,7 +36,6 @@ from nw_eval.results.provenance import (
 )
 from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.access import why_off
-from nw_eval.same_bits import everywhere
 from nw_eval.scenes.folder import FileSplat
 from nw_eval.scenes.neverwhere import reference_path
 from nw_eval.suite.model import PUBLISHED
@@ -51,12 +51,12 @@ if TYPE_CHECKING:
     from nw_eval.scenes.scene import Scene
     from nw_eval.suite.model import Rendering
 
-_CHANGING_BITS = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
+_CHANGING_BITS = ("mujoco", "numpy", "onnxruntime", "torch", "numba")
 """Libraries whose versions make bits differ between runs of the same trials."""
 
 
-_RUNTIMES = ("onnxruntime", "torch")
-"""Of these, what says nothing where nw-eval runs the networks."""
+_OF_NATIVE = ("onnxruntime", "torch", "cpu")
+"""What says nothing where nw-eval runs the networks."""
 
 
 def now() -> str:
@@ -137,9 +137,8 @@ def engine_of(
 ) -> dict[str, str]:
     """Return what makes bits differ between runs of the same trials.
 
-    ONNX Runtime and torch do, unless nw-eval runs all networks of a card. The kind of processor
-    does, too, unless all else has the same bits on every processor (`same_bits.everywhere`): then
-    results are of one kind on an architecture, for which MuJoCo is built.
+    ONNX Runtime, torch and the kind of processor do, unless nw-eval runs all networks of a card:
+    then results are of one kind on an architecture, for which MuJoCo is built.
 
     Args:
         render: the splat renderer.
@@ -151,13 +150,14 @@ def engine_of(
     found = {
         **{name: versions[name] for name in _CHANGING_BITS if name in versions},
         "renderer": _renderer(render),
+        "rays": RAYS,
         "cpu": cpu_kind(),
         "code": rows_code_digest()[:16],
         **{key: f"{version_named(key)} {code_named(key)[:16]}" for key in plugins},
     }
-    if card is None or card.runtime == "native" or senses_by_code(card):
+    if card is None or senses_by_code(card) or not (card.is_planned or card.adapter == "zero"):
         return found
-    for name in (*_RUNTIMES, "cpu") if everywhere() else _RUNTIMES:
+    for name in _OF_NATIVE:
         found.pop(name, None)
     return {**found, "networks": IDENTITY, "architecture": platform.machine()}
 
@@ -172,7 +172,7 @@ def policy_info(bundle: Bundle) -> PolicyInfo:
         computes=bundle.computes,
         card="" if bundle.card_path is None else bundle.reference,
         origin="" if bundle.checkpoint is not None else bundle.origin,
-        depends_on=depends_on(bundle.card),
+        depends_on=depends_on(bundle),
         fetched=None if bundle.card_path is None else _fetched(bundle.card_path),
     )
 

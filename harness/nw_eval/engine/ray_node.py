@@ -30,6 +30,7 @@ from nw_eval.engine.worker import clock
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
+from nw_eval.words import BLIND, KERNELS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -110,8 +111,11 @@ def make_ready(spec: JobSpec, pieces: Mapping[str, Sequence[Any]]) -> None:
     places = ray_file_bundles.places(spec.file_bundles)
     scenes = [open_scene(places.get(name, name), collision) for name, collision in spec.scenes]
     ready_scans(scenes, NullListener())
+    kernels = KERNELS if spec.renders else BLIND
+    open_backend(
+        spec.render if spec.renders else "cpu", NullListener(), is_fenced=False, kernels=kernels
+    )
     if spec.renders:
-        open_backend(spec.render, NullListener(), is_fenced=False)
         build_splats(scenes, NullListener())
 
 

@@ -121,8 +121,7 @@ def carry_out(
             listener=listener,
         ) as builders,
     ):
-        if plan.renders:
-            _open_backend(plan, listener, builders, in_process=in_process)
+        _open_backend(plan, listener, builders, in_process=in_process)
         folder = _folder(plan, out, resume)
         listener.message(f"run folder: {folder.path}")
         # Workers and rows need a path that means the same everywhere.
@@ -192,10 +191,10 @@ def _in_need(plan: Plan) -> list[Scene]:
 def _open_backend(
     plan: Plan, listener: Listener, builders: SplatBuilders, *, in_process: bool
 ) -> None:
-    """Compile what draws the plan's images, while splats are built beside it."""
+    """Compile what draws, casts rays and runs networks, while splats are built beside it."""
     code = plan.request.allow_code and senses_by_code(plan.bundle.card)
     open_backend(
-        plan.render,
+        plan.render if plan.renders else "cpu",
         listener,
         is_fenced=not why_off(code=code, render=plan.render, in_process=in_process),
         surfaces=plan.bundle.card.meets_splat,

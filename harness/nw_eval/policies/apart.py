@@ -30,7 +30,14 @@ from nw_eval.clean import message_of
 from nw_eval.confinement import GONE, LEFT, Rules, confine, fence_stands, processor_time
 from nw_eval.errors import NwEvalError, ServerError, TrialError
 from nw_eval.memory import pack, unpack
-from nw_eval.policies.planned import listed, packed, plan_policy, read_planned, read_specs
+from nw_eval.policies.planned import (
+    listed,
+    operator_of,
+    packed,
+    plan_policy,
+    read_planned,
+    read_specs,
+)
 from nw_eval.policies.policy import Observation, checked_action
 from nw_eval.policies.policy_process import ACT, BOARD, HEADER, MessageLine, Server, layout, views
 
@@ -558,7 +565,7 @@ def _try(_: Any, words: Mapping[str, Any]) -> dict[str, Any]:
     else:
         with processor_time(seconds):
             try_on_zeros(**arguments)
-    return {"done": True}
+    return {"operator": operator_of(arguments["bundle"])}
 
 
 def _described(error: BaseException) -> dict[str, Any]:

@@ -81,8 +81,11 @@ class Bundle:
     network: str = ""
     """Which network of its card this is the bundle of; empty for the policy itself."""
     programs: Mapping[str, PlannedFile] = field(default_factory=dict)
-    """Where `runtime: nw-eval` runs the networks, what their files were planned into, if that has
-    been done: by the name of the network, the checkpoint's under an empty one."""
+    """Where nw-eval runs the networks, what their files were planned into, if that has been done:
+    by the name of the network, the checkpoint's under an empty one."""
+    operator: str = ""
+    """What of the networks nw-eval does not run, where the card leaves the choice and that is why
+    its `runtime` is `native`."""
     instance: object | None = None
     """The policy itself, where it is an object of this process (`instance_bundle`)."""
 
@@ -221,8 +224,8 @@ class Bundle:
             del fields["networks"]  # Cards have the digest that they had before there were any.
         if not fields["cameras"]:
             del fields["cameras"]  # As above.
-        if fields["runtime"] == "native":
-            del fields["runtime"]  # As above.
+        if fields["runtime"] != "native" or self.operator:
+            del fields["runtime"]  # As above; and whether nw-eval can run it follows from the rest.
         if self.card.adapter == "remote":
             # Where the same policy is served changes nothing; which one it is, `digest` says.
             options = fields["options"].items()

@@ -132,7 +132,7 @@ def _open_network(
         PolicyError: the file is not what its adapter reads, or has other inputs and outputs than
             the card says.
     """
-    if adapter != "onnx" and bundle.card.runtime == "nw-eval":
+    if adapter != "onnx" and bundle.card.is_planned:
         return PlannedNetwork(bundle, wanted)
     match adapter:
         case "onnx":

@@ -1,4 +1,4 @@
-"""ONNX checkpoints, run by onnxruntime on one thread or, as a card's `runtime` says, by nw-eval."""
+"""ONNX checkpoints, run by nw-eval or, as a card's `runtime` says, by onnxruntime on one thread."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class OnnxNetwork:
         self._subject = bundle.subject
         self._bundle = bundle
         self.where = bundle.where
-        runner = _Planned(bundle) if bundle.card.runtime == "nw-eval" else _Native(bundle)
+        runner = _Planned(bundle) if bundle.card.is_planned else _Native(bundle)
         self._runner: _Native | _Planned | None = runner
         specs, outputs = runner.inputs, runner.outputs
         self._fed_by = _recurrent(bundle, specs, outputs)

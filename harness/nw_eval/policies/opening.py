@@ -39,7 +39,14 @@ from nw_eval.policies.apart import (
 from nw_eval.policies.bundle import Bundle, read_options
 from nw_eval.policies.chunks import ActOptions, ChunkPolicy
 from nw_eval.policies.drawing import DrawingPolicy
-from nw_eval.policies.planned import InProcess, OpenPolicy, PlannedNetwork, PlannedPolicy
+from nw_eval.policies.planned import (
+    InProcess,
+    OpenPolicy,
+    PlannedNetwork,
+    PlannedPolicy,
+    leaves,
+    operator_of,
+)
 from nw_eval.policies.policy import ActingNetwork, Observation, Policy, raised
 from nw_eval.policies.policy_process import CodePolicy, FaultError
 
@@ -50,8 +57,9 @@ PROGRAMS = frozenset({"torchscript", "torch-export"})
 def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
     """Load a bundle's checkpoint, and its networks: in the policy's process, where there is one.
 
-    With `runtime: nw-eval` that process reads the files and plans them; what they compute is data
-    then, which is checked and runs here (`planned`).
+    That process reads files of networks and plans them; what they compute is data then, which is
+    checked and runs here (`planned`). With `runtime: native` it runs them itself, as where nw-eval
+    lacks an operator and the card leaves the choice.
 
     Args:
         bundle: from `load_bundle`.
@@ -64,14 +72,21 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
     line, card = current_line(), bundle.card
     if card.adapter == "zero":
         return ZeroPolicy(joints=bundle.joints)
-    if card.runtime == "native":
+    if not card.is_planned:
         return _open_native(bundle, line, allow_code=allow_code)
+    native = replace(bundle, card=card.model_copy(update={"runtime": "native"}))
+    if card.runtime is None and operator_of(bundle):
+        return _open_native(native, line, allow_code=allow_code)
     if card.adapters <= {"onnx"}:  # Their files say the sizes of their inputs.
-        files = {} if line is None else files_over(line, bundle)
-        return _open_here(replace(bundle, programs=files), allow_code=allow_code)
+        try:
+            files = {} if line is None else files_over(line, bundle)
+            return _open_here(replace(bundle, programs=files), allow_code=allow_code)
+        except PolicyError as error:
+            if not leaves(bundle, error):
+                raise
+        return _open_native(native, line, allow_code=allow_code)
 
     def start() -> OpenPolicy:
-        native = replace(bundle, card=card.model_copy(update={"runtime": "native"}))
         policy = _open_native(native, line, allow_code=allow_code)
         return policy if isinstance(policy, ApartPolicy) else cast("OpenPolicy", InProcess(policy))
 
@@ -102,7 +117,7 @@ def _open_checkpoint(bundle: Bundle, *, allow_code: bool) -> Policy:
     adapter = bundle.card.adapter
     if not is_built_in(adapter):
         return PythonPolicy(bundle, joints=joints, allow_code=allow_code)
-    if bundle.card.runtime == "nw-eval" and adapter != "onnx":
+    if bundle.card.is_planned and adapter != "onnx":
         return _open_planned(bundle, joints=joints)
     match adapter:
         case "onnx":

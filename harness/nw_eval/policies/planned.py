@@ -1,4 +1,4 @@
-"""Networks of cards with `runtime: nw-eval`: planned where their files are read, and run anywhere.
+"""Networks that nw-eval runs: planned where their files are read, and run anywhere.
 
 ONNX files say the sizes of their inputs and are planned when they are opened. Others are opened by
 their own adapter first, in the policy's process; at the first action, when the sizes of all
@@ -16,7 +16,6 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.card import Card
 from nw_eval.cards.joint_control import Action
 from nw_eval.cards.networks import InputSpec
 from nw_eval.clean import clean
@@ -41,12 +40,15 @@ _RUNTIMES = {"onnx": "ONNX Runtime", "lucidsim": "ONNX Runtime"}
 """What runs the networks of adapters that torch does not run."""
 
 
-def depends_on(card: Card) -> str:
+def depends_on(bundle: Bundle) -> str:
     """Return what makes a policy's results depend on the processor; empty if nothing does."""
-    if card.adapter == "zero" or (card.runtime == "nw-eval" and not senses_by_code(card)):
-        return ""
-    if card.runtime == "nw-eval" or card.adapter.startswith("python:"):
+    card = bundle.card
+    if card.adapter.startswith("python:") or senses_by_code(card):
         return "Python code"
+    if card.adapter == "zero" or card.is_planned:
+        return ""
+    if bundle.operator:
+        return bundle.operator
     if card.adapter == "remote":
         return "its server"
     return " and ".join(sorted({_RUNTIMES.get(adapter, "torch") for adapter in card.adapters}))
@@ -294,6 +296,31 @@ class PlannedNetwork:
         self._is_open = False
 
 
+_left: dict[str, str] = {}
+"""By digest of a bundle, what of its networks nw-eval does not run, as this process has found."""
+
+
+def operator_of(bundle: Bundle) -> str:
+    """Return what of a policy's networks nw-eval does not run; empty where it has not been tried.
+
+    Where its card leaves the choice, its own runtime runs it from then on.
+    """
+    return _left.get(bundle.digest, "")
+
+
+def leave(bundle: Bundle, operator: str) -> None:
+    """Let a policy's own runtime run it: it has an operator that nw-eval does not run."""
+    _left[bundle.digest] = operator
+
+
+def leaves(bundle: Bundle, error: PolicyError) -> bool:
+    """Return whether a policy's own runtime is to run it after an error; it is then remembered."""
+    operator = unsupported_by(error)
+    if bundle.card.runtime is None and operator:
+        leave(bundle, operator)
+    return bundle.card.runtime is None and bool(operator)
+
+
 class OpenPolicy(Policy, Protocol):
     """A policy that its own runtime runs, and that can be planned."""
 
@@ -311,7 +338,8 @@ class PlannedPolicy:
 
     Args:
         bundle: of the policy.
-        start: opens it to be planned; it is closed when it has been.
+        start: opens it to be planned; it is closed when it has been. Where it cannot be planned,
+            and the card leaves the choice, it is opened again, to stay.
         build: opens the bundle of what was planned.
 
     Raises:
@@ -321,8 +349,8 @@ class PlannedPolicy:
     def __init__(
         self, bundle: Bundle, start: Callable[[], OpenPolicy], build: Callable[[Bundle], Policy]
     ) -> None:
-        self._bundle, self._build = bundle, build
-        self._state = b""
+        self._bundle, self._start, self._build = bundle, start, build
+        self._seed, self._state = 0, b""
         key = bundle.digest, bundle.joints
         known = _plans.get(key)
         self.unplanned: OpenPolicy | None = None if known else start()
@@ -354,7 +382,7 @@ class PlannedPolicy:
 
     def reset(self, seed: int) -> None:
         """Begin a trial."""
-        self._state = b""
+        self._seed, self._state = seed, b""
         if self._policy is not None:
             self._policy.reset(seed)
 
@@ -368,16 +396,26 @@ class PlannedPolicy:
         if self._policy is None:
             if self.unplanned is None:
                 raise TrialError(f"{self._bundle.subject} is closed", fix="open it again")
-            files = self.unplanned.planned(observation)
-            while len(_plans) >= _KNOWN:
-                del _plans[next(iter(_plans))]
-            _plans[self._key] = files
-            self._policy = self._built(files)
+            self._policy = self._planned(self.unplanned, observation)
             self.unplanned.close()
             self.unplanned = None
             if self._state:
                 self._policy.restore(self._state)
         return self._policy.act(observation)
+
+    def _planned(self, unplanned: OpenPolicy, observation: Observation) -> Policy:
+        try:
+            files = unplanned.planned(observation)
+        except PolicyError as error:
+            if not leaves(self._bundle, error):
+                raise
+            policy = self._start()  # What was recorded may remember that.
+            policy.reset(self._seed)
+            return policy
+        while len(_plans) >= _KNOWN:
+            del _plans[next(iter(_plans))]
+        _plans[self._key] = files
+        return self._built(files)
 
     def state(self) -> bytes:
         """Return what it remembers; nothing before its first action."""

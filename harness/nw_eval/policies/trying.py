@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.cards.networks import InputSpec, shape_problems, sized
+from nw_eval.clean import clean
 from nw_eval.errors import NotFiniteError, NwEvalError, PolicyError
 from nw_eval.policies.apart import current_line
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.fed_policy import FedPolicy
 from nw_eval.policies.opening import open_policy
-from nw_eval.policies.planned import InProcess, PlannedPolicy
+from nw_eval.policies.planned import InProcess, PlannedPolicy, leave
 from nw_eval.policies.policy import Policy
 
 Answer = TypeVar("Answer")
@@ -65,7 +66,9 @@ def try_bundle(
     if line is None or bundle.card.python is not None:  # Another interpreter knows no `try`.
         try_on_zeros(**arguments)
     else:
-        line.ask({"call": "try", "arguments": bytes(ForkingPickler.dumps((arguments, seconds)))})
+        words = {"call": "try", "arguments": bytes(ForkingPickler.dumps((arguments, seconds)))}
+        if operator := line.ask(words).get("operator"):
+            leave(bundle, clean(str(operator), at_most=200))
 
 
 def try_on_zeros(

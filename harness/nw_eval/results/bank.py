@@ -25,7 +25,7 @@ from nw_eval.results.column import Settings
 from nw_eval.results.provenance import BaselineInfo, RunInfo
 from nw_eval.results.row import Row
 
-_SIMULATOR = ("mujoco", "embreex", "renderer")
+_SIMULATOR = ("mujoco", "rays", "renderer")
 """Parts of `RunInfo.engine` that are the simulated world: in another version it is another one."""
 
 
@@ -43,7 +43,7 @@ class BankKey(_Part):
     scenes: dict[str, str]
     """Digests of the scenes by name."""
     simulator: dict[str, str]
-    """Versions of what makes the simulated world: mujoco, embreex, renderer."""
+    """Versions of what makes the simulated world: mujoco, rays, renderer."""
     measured: dict[str, str] = {}
     """Package, version and code of each score that a package brings along: `scores.NAME`."""
 

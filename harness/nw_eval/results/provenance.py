@@ -337,7 +337,7 @@ def read_run_info(path: Path) -> RunInfo:
     return info
 
 
-LIBRARIES = ("mujoco", "numpy", "torch", "onnxruntime", "numba", "embreex", "pyarrow")
+LIBRARIES = ("mujoco", "numpy", "torch", "onnxruntime", "numba", "pyarrow")
 """Whose versions may change results or how they are kept."""
 
 

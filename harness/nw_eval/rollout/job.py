@@ -11,7 +11,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal, Self, get_args
 
-from nw_eval.same_bits import everywhere
 from nw_eval.suite.model import PUBLISHED, Rendering
 from nw_eval.suite.trials import Trial
 from nw_eval.tasks import COURSE, AnyTask
@@ -74,17 +73,18 @@ def kernels_of(robot: str, card: Card, *projections: Projection) -> tuple[Kernel
     Args:
         robot: what `get_robot` understands.
         card: of the policy that sees it.
-        projections: of pinholes.
+        projections: of pinholes; none where nothing is drawn.
     """
+    own: tuple[Kernels, ...] = (*(("networks",) if card.is_planned else ()), "rays")
+    if not projections:
+        return own
     # Robots of folders are read by the simulator's compiler.
     from nw_eval.cards import mounted_robot
     from nw_eval.robots import get_robot
 
     lenses = [mount.intrinsics for mount in mounted_robot(get_robot(robot), card).cameras.values()]
     is_bent = any(lens is not None and lens.distortion is not None for lens in lenses)
-    networks = ("networks",) if card.runtime == "nw-eval" else ()
-    rays = ("rays",) if everywhere() else ()
-    return (*dict.fromkeys(projections), *(("lens",) if is_bent else ()), *networks, *rays)
+    return (*dict.fromkeys(projections), *(("lens",) if is_bent else ()), *own)
 
 
 Stage = Literal["setup", "physics", "render", "sense", "policy", "log"]

@@ -30,7 +30,7 @@ TRIAL, PROVENANCE, VERDICT = "nw.trial", "nw.provenance", "nw.verdict"
 _LONGEST = 600.0  # s; as `suite.model.EpisodeRules` allows
 
 # Whose versions change bits. A replay under others is refused a verdict on its bits.
-_LIBRARIES = ("mujoco", "numpy", "onnxruntime", "torch", "numba", "embreex")
+_LIBRARIES = ("mujoco", "numpy", "onnxruntime", "torch", "numba")
 # Fields of a job that say how it was run, where to, and what its caller allowed, not what it is. A
 # log may be untrusted: none of them is written, and none is believed.
 _CIRCUMSTANCE = frozenset({"allow_code", "attachments", "mcap", "record", "time_limit"})

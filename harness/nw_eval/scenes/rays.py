@@ -1,20 +1,16 @@
-"""Rays against static geometry: Embree answers them, or nw-eval's own tree (`nw_eval.rays`)."""
+"""Rays against static geometry, the same on every processor."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.same_bits import everywhere
+from nw_eval.rays.tree import Tree
 from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 
 _LOOKED_THROUGH = [FACE_KINDS.index(kind) for kind in ("overhead", "beside")]
-
-# Embree's "no hit" is 1e37; nothing of ours is that far away.
-_FAR = 1e30
 
 
 class RayScene:
@@ -28,12 +24,12 @@ class RayScene:
         self.mesh = mesh
         corners = mesh.triangles
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        self._scene = _caster(mesh.vertices, mesh.faces)
+        self._scene = Tree(mesh.vertices, mesh.faces)
         # Heights are asked of ground that one can stand on: a ceiling shows its underside, and
         # crowns and lamps hang overhead.
         walkable = (normal[:, 2] > 0) & ~np.isin(mesh.kinds, _LOOKED_THROUGH)
         faces = np.flatnonzero(walkable)
-        self._ground = _caster(mesh.vertices, mesh.faces[faces])
+        self._ground = Tree(mesh.vertices, mesh.faces[faces])
         # Corner and normal of each of them, a column for each face. The last one is that of a miss,
         # which has index -1: infinitely deep.
         planes = np.concatenate([corners[faces, 0], normal[faces]], axis=1)
@@ -97,73 +93,3 @@ class RayScene:
 def _down(count: int) -> NDArray[np.float32]:
     """Return directions straight down, (N, 3), which must not be changed."""
     return np.tile(np.array([0.0, 0.0, -1.0], dtype=np.float32), (count, 1))
-
-
-class _Caster(Protocol):
-    """What answers rays; as `nw_eval.rays.tree.Tree`."""
-
-    def cast(
-        self, origins: NDArray[np.floating], directions: NDArray[np.floating]
-    ) -> tuple[NDArray[np.float64], NDArray[np.int32]]: ...
-
-    def distance(
-        self, origins: NDArray[np.floating], directions: NDArray[np.floating]
-    ) -> NDArray[np.float64]: ...
-
-    def face(
-        self, origins: NDArray[np.floating], directions: NDArray[np.floating]
-    ) -> NDArray[np.int32]: ...
-
-
-def _caster(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> _Caster:
-    if everywhere():
-        from nw_eval.rays.tree import Tree  # Numba loads with it.
-
-        return Tree(vertices, faces)
-    return _Embree(vertices, faces)
-
-
-class _Embree:
-    """Triangles in Embree."""
-
-    def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
-        from embreex.mesh_construction import TriangleMesh as EmbreeMesh
-        from embreex.rtcore_scene import EmbreeScene
-
-        # Robust mode closes the cracks between neighbouring triangles.
-        self._scene: Any = EmbreeScene(robust=True)
-        if len(faces):
-            corners = np.ascontiguousarray(faces, dtype=np.int32)
-            EmbreeMesh(self._scene, vertices.astype(np.float32), corners)
-
-    def cast(
-        self, origins: NDArray[np.floating], directions: NDArray[np.floating]
-    ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        hits = self._scene.run(*_rays(origins, directions), output=True)
-        distance = hits["tfar"].astype(np.float64)
-        face = hits["primID"]
-        distance[face < 0] = np.inf
-        return distance, face
-
-    def distance(
-        self, origins: NDArray[np.floating], directions: NDArray[np.floating]
-    ) -> NDArray[np.float64]:
-        found = self._scene.run(*_rays(origins, directions), query="DISTANCE")
-        return np.where(found > _FAR, np.inf, found.astype(np.float64))
-
-    def face(
-        self, origins: NDArray[np.floating], directions: NDArray[np.floating]
-    ) -> NDArray[np.int32]:
-        return self._scene.run(*_rays(origins, directions))
-
-
-def _rays(
-    origins: NDArray[np.floating], directions: NDArray[np.floating]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return both as Embree takes them, (N, 3) each."""
-    towards = np.ascontiguousarray(directions, dtype=np.float32)
-    if origins.ndim > 1:
-        return np.ascontiguousarray(origins, dtype=np.float32), towards
-    begin = np.empty_like(towards)
-    begin[:] = origins
-    return begin, towards

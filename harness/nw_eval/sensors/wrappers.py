@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from nw_eval.cards import wrappers
 from nw_eval.errors import CodeError, NwEvalError, PolicyError
 from nw_eval.memory import Arrays
-from nw_eval.same_bits import everywhere
 from nw_eval.sensors.plugins import foreign_wrapper
 from nw_eval.sensors.sensor import Plain, Sample, Shot, Spec, StepContext, Wrapper
 
@@ -320,10 +319,7 @@ class Resize(Plain):
             return sample[rows.astype(np.intp)][:, columns.astype(np.intp)]
         down, across = self._matrix(height, settings.height), self._matrix(width, settings.width)
         planes = sample.reshape(height, width, -1).astype(np.float64)
-        if everywhere():
-            resized = _along(across, _along(down, planes).swapaxes(0, 1)).swapaxes(0, 1)
-        else:
-            resized = np.einsum("hi,wj,ijc->hwc", down, across, planes, optimize=True)
+        resized = _along(across, _along(down, planes).swapaxes(0, 1)).swapaxes(0, 1)
         shape = (settings.height, settings.width, *sample.shape[2:])
         return rounded(resized.reshape(shape), sample.dtype)
 

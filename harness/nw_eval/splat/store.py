@@ -32,7 +32,7 @@ from nw_eval.files.cache import DamagedError, read_sealed, sealed_path
 from nw_eval.splat.gaussians import SH0, SH_COUNTS, Gaussians, drawable, quaternions
 from nw_eval.words import PROJECTIONS, RASTERIZE_MODES, Projection, RasterizeMode
 
-FORMAT = 4
+FORMAT = 5
 """Changes with the layout of the arrays; part of every cache key."""
 
 SUFFIX = ".nwsplat"

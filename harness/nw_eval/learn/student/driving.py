@@ -24,6 +24,7 @@ from nw_eval.rollout.confined.access import running_rules
 from nw_eval.rollout.job import TrialJob, kernels_of
 from nw_eval.suite.digest import digest_of
 from nw_eval.suite.trials import Trial
+from nw_eval.words import BLIND, KERNELS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -72,8 +73,9 @@ def make_ready(scenes: Sequence[FoundScene], card: Card, say: Callable[[str], No
     opened, listener = [found.scene for found in scenes], _Told(say)
     check_splats(card, opened)
     ready_scans(opened, listener)
-    if card.splat_images:
-        open_backend("cpu", listener, is_fenced=True)
+    sees = bool(card.splat_images)
+    open_backend("cpu", listener, is_fenced=True, kernels=KERNELS if sees else BLIND)
+    if sees:
         build_splats(opened, listener)
 
 

@@ -179,7 +179,7 @@ def probe_policy(bundle: Bundle, *, scene: str = FLAT, allow_code: bool = False)
         subject=bundle.where,
         rules=replace(
             running_rules(bundle, scenes=[scene], allow_code=allow_code, also=folders),
-            kernels=("networks",) if is_computed(bundle) else (),
+            kernels=("networks", "rays") if is_computed(bundle) else ("rays",),
         ),
         time_limit=_TIME_LIMIT,
         renders=kernels_of(robot.reference, bundle.card, "ewa") if sees else (),

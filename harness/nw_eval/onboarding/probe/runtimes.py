@@ -68,7 +68,7 @@ def compare_runtimes(bundle: Bundle, recording: Recording) -> ProbedRuntimes:
     Raises:
         PolicyError: the policy fails.
     """
-    reason = depends_on(bundle.card)
+    reason = depends_on(bundle)
     try:
         native = _run(bundle, "native", recording)
     except (PrerequisiteError, ImportError) as error:
@@ -96,7 +96,7 @@ def runtime_findings(bundle: Bundle, runtimes: ProbedRuntimes | None) -> Iterato
         f"`{runtimes.output}` differs by {runtimes.difference:.1g} of its largest number between "
         f"its own runtime and nw-eval; {TOLERANCE:g} is allowed"
     )
-    fix = "; write `runtime: native`" if bundle.card.runtime == "nw-eval" else ""
+    fix = "; write `runtime: native`" if bundle.card.is_planned else ""
     yield ProbeFinding(kind="fault" if fix else "note", text=text + fix)
 
 

@@ -11,7 +11,6 @@ from nw_eval.errors import StoreError
 from nw_eval.files.cache import cache_dir
 from nw_eval.policies.bundle import senses_by_code
 from nw_eval.policies.safety import FileLimits
-from nw_eval.same_bits import everywhere
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -112,7 +111,7 @@ def running_rules(
         writes=() if logs is None else (logs.resolve(),),
         memory=memory_to_run(_size(*bundle.files), scenes=len(places)),
         off=why_off(code=allow_code and senses_by_code(bundle.card), render=render),
-        kernels=(*_kernels(bundle), *_casting()),
+        kernels=(*_kernels(bundle), "rays"),
     )
 
 
@@ -145,11 +144,7 @@ def fence_in_server(bundle: Bundle, *, port: int) -> None:
 
 
 def _kernels(bundle: Bundle) -> tuple[Kernels, ...]:
-    return ("networks",) if bundle.card.runtime == "nw-eval" else ()
-
-
-def _casting() -> tuple[Kernels, ...]:
-    return ("rays",) if everywhere() else ()
+    return ("networks",) if bundle.card.is_planned else ()
 
 
 def why_off(*, code: bool, render: Backend = "cpu", in_process: bool = False) -> str:

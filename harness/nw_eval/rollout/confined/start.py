@@ -167,7 +167,7 @@ def prepare() -> None:
 def prepare_for(card: Card) -> None:
     """Let a fork server that there is import what a policy's checkpoint is opened with."""
     fork_server = _fork_server
-    if card.runtime == "nw-eval" and card.adapters <= {"onnx"}:
+    if card.is_planned and card.adapters <= {"onnx"}:
         return  # It is read without a library.
     if fork_server is not None and card.adapter not in _NONE:
         fork_server.learn(_LIBRARY.get(card.adapter, "torch"))

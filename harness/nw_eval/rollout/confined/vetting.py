@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from nw_eval.cards import physics_steps
 from nw_eval.errors import PolicyError
 from nw_eval.policies import Bundle, load_bundle
+from nw_eval.policies.planned import leave, operator_of
 from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.robots import RobotSpec, find_robot, get_robot, know_robot
 from nw_eval.rollout.confined.access import opening_rules, policy_rules
@@ -33,7 +34,8 @@ def vet_bundle(
     `check_bundle`.
 
     Returns:
-        The bundle; a remote one with the digest of what its server says that it serves.
+        The bundle; a remote one with the digest of what its server says that it serves. Where its
+        card leaves the choice of what runs it, and nw-eval lacks an operator, its card says so.
 
     Raises:
         PolicyError: as `check_bundle`; or the card does not fit the protocol, or what is
@@ -67,8 +69,12 @@ def vet_bundle(
         arguments=arguments,
     ) as call:
         prepare_kernels()  # Trials may want them, and this process does not.
-        call.answer(TIME_LIMIT)
-    return bundle
+        operator = call.answer(TIME_LIMIT)
+    if not operator:
+        return bundle
+    leave(bundle, operator)
+    card = bundle.card.model_copy(update={"runtime": "native"})
+    return replace(bundle, card=card, operator=operator)
 
 
 def _with_server(bundle: Bundle, robot: str, *, allow_code: bool) -> Bundle:
@@ -103,10 +109,11 @@ def _check(
     robot_folder: str | None,
     allow_code: bool,
     may_fail: bool,
-) -> None:
+) -> str:
     know_robot(robot, None if robot_folder is None else Path(robot_folder))
     bundle = load_bundle(card, checkpoint=None if checkpoint is None else Path(checkpoint))
     check_bundle(bundle, get_robot(robot), allow_code=allow_code, may_fail=may_fail)
+    return operator_of(bundle)
 
 
 def check_bundle(
