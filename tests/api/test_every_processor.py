@@ -1,4 +1,4 @@
-"""Results of nw-eval's networks are of one class on all processors once all else is."""
+"""Results of nw-eval's networks are of one class on all processors."""
 
 from __future__ import annotations
 
@@ -37,11 +37,12 @@ def project(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("NW_EVAL_CACHE_GB", "0")
 
-    def make(runtime):
+    def make(runtime=None):
         shutil.copytree(POLICIES / "go1-parkour", "policy")
         card = Path("policy/policy.yaml")
         text = card.read_text(encoding="utf-8")
-        card.write_text(text.replace("adapter: onnx\n", f"adapter: onnx\nruntime: {runtime}\n", 1))
+        line = f"adapter: onnx\nruntime: {runtime}\n" if runtime else "adapter: onnx\n"
+        card.write_text(text.replace("adapter: onnx\n", line, 1))
         Path("quick.yaml").write_text(SUITE)
         return load_bundle("policy")
 
@@ -58,14 +59,7 @@ def processor(monkeypatch):
     return choose
 
 
-@pytest.fixture
-def everywhere(monkeypatch):
-    """Let all else have the same bits on every processor."""
-    monkeypatch.setattr("nw_eval.engine.provenance.everywhere", lambda: True)
-
-
-@pytest.mark.usefixtures("everywhere")
-@pytest.mark.parametrize("runtime", ["nw-eval", "native"])
+@pytest.mark.parametrize("runtime", [None, "native"])
 def test_a_baseline_of_one_processor_holds_on_another_where_nw_eval_runs_the_networks(
     runtime, project, processor
 ):
@@ -75,7 +69,7 @@ def test_a_baseline_of_one_processor_holds_on_another_where_nw_eval_runs_the_net
     processor("emerald 1b1b1b1b")
     ran = api.run("quick.yaml", workers=1)
     run = read_run_info(ran.folder / "run.json")
-    holds = runtime == "nw-eval"
+    holds = runtime is None
     # Where it holds, its rows are taken over, and no trial of its policy has to run beside others.
     assert (bank.panel_of(machine_of(run)) is not None) == holds
     assert ("cpu" in run.engine) != holds
@@ -85,7 +79,6 @@ def test_a_baseline_of_one_processor_holds_on_another_where_nw_eval_runs_the_net
     assert ("its results depend on the processor" in report) != holds
 
 
-@pytest.mark.usefixtures("everywhere")
 def test_the_class_of_nw_eval_s_networks_names_neither_processor_nor_runtimes(project, processor):
     card = project("nw-eval").card
     processor("zen 0a0a0a0a")
@@ -94,15 +87,6 @@ def test_the_class_of_nw_eval_s_networks_names_neither_processor_nor_runtimes(pr
     assert machine_in(engine_of("cpu", (), card)) == here
     assert here["networks"] == IDENTITY == "nw-eval networks 1"
     assert here.keys() == {"numpy", "numba", "code", "networks", "architecture"}
-
-
-def test_while_pictures_and_scores_depend_on_the_processor_the_class_names_it(project, processor):
-    card = project("nw-eval").card
-    processor("zen 0a0a0a0a")
-    here = machine_in(engine_of("cpu", (), card))
-    assert here["cpu"] == "zen 0a0a0a0a"
-    assert here["networks"] == IDENTITY
-    assert not {"onnxruntime", "torch"} & here.keys()
 
 
 def test_the_class_of_other_runtimes_is_what_it_was(project, processor):
@@ -115,7 +99,6 @@ def test_the_class_of_other_runtimes_is_what_it_was(project, processor):
     assert not {"networks", "architecture"} & here.keys()
 
 
-@pytest.mark.usefixtures("everywhere")
 def test_a_baseline_of_nw_eval_s_networks_has_one_class_whatever_saved_it(project, processor):
     project("nw-eval")
     processor("zen 0a0a0a0a")

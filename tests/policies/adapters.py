@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -154,6 +155,11 @@ def weights_of(name: str) -> object:
         saved["depth_encoder_state_dict"] = randomized(DepthEncoder(41472), 3)
         saved["depth_actor_state_dict"] = randomized(ParkourActor(), 4)
     return saved
+
+
+def by_its_own_runtime(bundle):
+    """Return a bundle that ONNX Runtime or torch runs."""
+    return replace(bundle, card=bundle.card.model_copy(update={"runtime": "native"}))
 
 
 def write(folder: Path, name: str, *, runtime: str = "nw-eval") -> Path:

@@ -7,6 +7,7 @@ import zipfile
 import numpy as np
 import pytest
 import torch
+from adapters import by_its_own_runtime
 
 from nw_eval.confinement import offered
 from nw_eval.errors import PolicyError, TrialError
@@ -112,9 +113,8 @@ def test_an_evil_script_reads_and_writes_nothing_behind_the_wall(tmp_path, monke
     assert ord("s") not in came["Writing"]
     assert not list(tmp_path.rglob("written.pt"))
     with trusting():  # What it would have done.
-        open_policy(bundle_of(tmp_path / "Writing", scripted(Writing()))).act(
-            {"body": np.zeros(12, dtype=np.float32)}
-        )
+        bundle = by_its_own_runtime(bundle_of(tmp_path / "Writing", scripted(Writing())))
+        open_policy(bundle).act({"body": np.zeros(12, dtype=np.float32)})
     assert list(tmp_path.rglob("written.pt")) == [tmp_path / "written.pt"]
 
 
@@ -287,6 +287,7 @@ def test_the_state_of_another_script_does_not_fit(tmp_path):
     other = open_policy(bundle_of(tmp_path, scripted(Doubling())))
     with pytest.raises(TrialError, match="does not fit policy 'mine'"):
         other.restore(saved)
+        other.act({"body": np.ones(12, np.float32)})
 
 
 class FedBack(torch.nn.Module):
@@ -301,7 +302,7 @@ FEEDS = "inputs: {x: [body]}\nrecurrent: {h: {output: 0, shape: [1, 12]}}\n"
 
 
 def test_an_output_that_feeds_an_input_is_reset_saved_and_restored(tmp_path):
-    policy = open_policy(bundle_of(tmp_path, scripted(FedBack()), FEEDS))
+    policy = open_policy(by_its_own_runtime(bundle_of(tmp_path, scripted(FedBack()), FEEDS)))
     observation = {"body": np.zeros(12, np.float32)}
     assert [policy.act(observation)[0] for _ in range(3)] == [1, 3, 7]
     saved = policy.state()

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from adapters import by_its_own_runtime
 
 from nw_eval.api.policies import init_policy
 from nw_eval.errors import PolicyError, TrialError
@@ -99,7 +100,7 @@ def test_a_recurrent_policy_goes_on_from_its_state_bit_for_bit(name, drafted):
 
 
 def test_a_state_of_another_policy_is_refused(drafted):
-    policy = open_policy(load_bundle(drafted("rsl-rl-1")))
+    policy = open_policy(by_its_own_runtime(load_bundle(drafted("rsl-rl-1"))))
     with pytest.raises(TrialError, match="does not fit"):
         policy.restore(b"12")
 

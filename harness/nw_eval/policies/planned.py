@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from nw_eval.cards.joint_control import Action
 from nw_eval.cards.networks import InputSpec
 from nw_eval.clean import clean
-from nw_eval.errors import PolicyError, TrialError
+from nw_eval.errors import NwEvalError, PolicyError, TrialError
 from nw_eval.memory import Arrays, pack, unpack
 from nw_eval.networks import NEXT, Program, RecordedFile, UnsupportedError
 from nw_eval.policies.bundle import Bundle, senses_by_code
@@ -192,6 +192,12 @@ def _planned(network: Any, shown: Observation) -> PlannedFile:
         parts = tuple((every, plan(graph)) for every, graph in recorded.parts)
     except UnsupportedError as error:
         raise unsupported(network.where, error) from None
+    except NwEvalError:
+        raise
+    except Exception as error:  # noqa: BLE001 - torch raises anything for what does not fit.
+        lines = clean(error).strip().splitlines() or [type(error).__name__]
+        reason = UnsupportedError(f"a network that fails as it is recorded: {lines[-1]}")
+        raise unsupported(network.where, reason) from None
     return PlannedFile(inputs=network.inputs, parts=parts, first=recorded.first)
 
 
@@ -339,7 +345,7 @@ class PlannedPolicy:
     Args:
         bundle: of the policy.
         start: opens it to be planned; it is closed when it has been. Where it cannot be planned,
-            and the card leaves the choice, it is opened again, to stay.
+            and the card leaves the choice, it stays.
         build: opens the bundle of what was planned.
 
     Raises:
@@ -349,12 +355,11 @@ class PlannedPolicy:
     def __init__(
         self, bundle: Bundle, start: Callable[[], OpenPolicy], build: Callable[[Bundle], Policy]
     ) -> None:
-        self._bundle, self._start, self._build = bundle, start, build
+        self._bundle, self._build = bundle, build
         self._seed, self._state = 0, b""
         key = bundle.digest, bundle.joints
         known = _plans.get(key)
-        self.unplanned: OpenPolicy | None = None if known else start()
-        """The policy until its first action."""
+        self._unplanned: OpenPolicy | None = None if known else start()
         self._policy: Policy | None = self._built(known) if known else None
         self._key = key
 
@@ -364,12 +369,12 @@ class PlannedPolicy:
     @property
     def inputs(self) -> tuple[InputSpec, ...]:
         """What the checkpoint declares to take; empty where its format does not say."""
-        return () if self._open is None else self._open.inputs
+        return () if self.policy is None else self.policy.inputs
 
     @property
     def network_inputs(self) -> dict[str, tuple[InputSpec, ...]]:
         """What the file of each network declares to take."""
-        return getattr(self._open, "network_inputs", {})
+        return getattr(self.policy, "network_inputs", {})
 
     @property
     def held(self) -> Arrays:
@@ -377,8 +382,9 @@ class PlannedPolicy:
         return getattr(self._policy, "held", {})
 
     @property
-    def _open(self) -> Policy | None:
-        return self._policy or self.unplanned
+    def policy(self) -> Policy | None:
+        """What was planned; until the first action, what will be; None once it is closed."""
+        return self._policy or self._unplanned
 
     def reset(self, seed: int) -> None:
         """Begin a trial."""
@@ -394,11 +400,12 @@ class PlannedPolicy:
             ActionError, TrialError: as any policy's.
         """
         if self._policy is None:
-            if self.unplanned is None:
+            if self._unplanned is None:
                 raise TrialError(f"{self._bundle.subject} is closed", fix="open it again")
-            self._policy = self._planned(self.unplanned, observation)
-            self.unplanned.close()
-            self.unplanned = None
+            self._policy = self._planned(self._unplanned, observation)
+            if self._policy is not self._unplanned:
+                self._unplanned.close()
+            self._unplanned = None
             if self._state:
                 self._policy.restore(self._state)
         return self._policy.act(observation)
@@ -409,9 +416,8 @@ class PlannedPolicy:
         except PolicyError as error:
             if not leaves(self._bundle, error):
                 raise
-            policy = self._start()  # What was recorded may remember that.
-            policy.reset(self._seed)
-            return policy
+            unplanned.reset(self._seed)  # It may remember what was recorded.
+            return unplanned
         while len(_plans) >= _KNOWN:
             del _plans[next(iter(_plans))]
         _plans[self._key] = files
@@ -433,10 +439,10 @@ class PlannedPolicy:
 
     def close(self) -> None:
         """Free what it holds."""
-        for each in (self.unplanned, self._policy):
+        for each in (self._unplanned, self._policy):
             if each is not None:
                 each.close()
-        self.unplanned = None
+        self._unplanned = None
 
 
 _KNOWN = 4

@@ -19,7 +19,6 @@ from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.fed_policy import FedPolicy
 from nw_eval.policies.opening import open_policy
 from nw_eval.policies.planned import InProcess, PlannedPolicy, leave
-from nw_eval.policies.policy import Policy
 
 Answer = TypeVar("Answer")
 
@@ -82,10 +81,8 @@ def try_on_zeros(
     policy = open_policy(bundle, allow_code=allow_code)
     try:
         policy.reset(0)
-        own: Policy = policy
         planned = policy if isinstance(policy, PlannedPolicy) else None
-        if planned is not None and planned.unplanned is not None:
-            own = planned.unplanned
+        own: Any = policy if planned is None else planned.policy
         fed_by = own.policy if isinstance(own, DrawingPolicy | InProcess) else own
         fed_by = fed_by.policy if isinstance(fed_by, DrawingPolicy) else fed_by
         own = fed_by

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from adapters import by_its_own_runtime
 from torch import nn
 
 from nw_eval.errors import PolicyError
@@ -130,7 +131,8 @@ def save_bundle(folder: Path, data: bytes, card: str = CARD) -> Path:
 
 def test_buffers_that_the_graph_writes_to_are_the_recurrent_state(tmp_path):
     network = Recurrent()
-    policy = open_policy(load_bundle(save_bundle(tmp_path, exported(network, OBS))))
+    bundle = load_bundle(save_bundle(tmp_path, exported(network, OBS)))
+    policy = open_policy(by_its_own_runtime(bundle))
     rng = np.random.default_rng(0)
     observations = rng.normal(size=(8, 53)).astype(np.float32)
     network.hidden.zero_()

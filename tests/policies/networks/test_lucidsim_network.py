@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from adapters import by_its_own_runtime
 
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies import load_bundle, open_policy
@@ -205,7 +206,7 @@ def test_missing_unknown_and_misshapen_weights_are_one_error():
 
 def test_the_card_runs_with_the_present_frame_seven_times(tmp_path):
     weights = random_weights()
-    policy = open_policy(load_bundle(save_bundle(tmp_path, weights)))
+    policy = open_policy(by_its_own_runtime(load_bundle(save_bundle(tmp_path, weights))))
     rng = np.random.default_rng(5)
     proprio = rng.normal(size=53).astype(np.float32)
     frames = rng.uniform(-0.5, 0.5, (7, 3, 45, 80)).astype(np.float32)
@@ -224,6 +225,6 @@ def test_the_cards_observations_are_those_that_the_network_takes(tmp_path):
 
 
 def test_a_vector_of_another_length_is_said_in_the_cards_terms(tmp_path):
-    policy = open_policy(load_bundle(save_bundle(tmp_path, random_weights())))
+    policy = open_policy(by_its_own_runtime(load_bundle(save_bundle(tmp_path, random_weights()))))
     with pytest.raises(TrialError, match="`proprio` is 48 numbers; the transformer wants 53"):
         policy.act({"proprio": np.zeros(48), "rgb": np.zeros((7, 3, 45, 80), np.float32)})

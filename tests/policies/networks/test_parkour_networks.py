@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from adapters import by_its_own_runtime
 
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies import load_bundle, open_policy
@@ -242,7 +243,8 @@ def test_student_continues_from_a_saved_state_bit_for_bit(tmp_path):
 
 
 def test_a_state_of_something_else_is_refused(tmp_path):
-    policy = open_policy(load_bundle(save_bundle(tmp_path, STUDENT_CARD, checkpoint(student=True))))
+    bundle = load_bundle(save_bundle(tmp_path, STUDENT_CARD, checkpoint(student=True)))
+    policy = open_policy(by_its_own_runtime(bundle))
     for state in (b"", b"nonsense"):
         with pytest.raises(TrialError, match="the state does not fit policy 'parkour-student'"):
             policy.restore(state)

@@ -234,8 +234,11 @@ def test_functions_and_optimised_files_pass(tmp_path):
 def test_onnxruntime_tells_nobody_and_writes_nothing(tmp_path):
     folder = onnx_files.bundle(tmp_path / "bundle", onnx_files.honest().SerializeToString())
     code = (
-        "from pathlib import Path; from nw_eval.policies import load_bundle, open_policy;"
-        f"open_policy(load_bundle(Path({str(folder)!r})));"
+        "from dataclasses import replace; from pathlib import Path;"
+        "from nw_eval.policies import load_bundle, open_policy;"
+        f"bundle = load_bundle(Path({str(folder)!r}));"
+        "card = bundle.card.model_copy(update={'runtime': 'native'});"
+        "open_policy(replace(bundle, card=card));"
         "from nw_eval.onboarding.checkpoint import inspect_checkpoint;"
         f"inspect_checkpoint(Path({str(folder / 'policy.onnx')!r}));"
         "import os; print(os.environ['ORT_DISABLE_TELEMETRY'])"
