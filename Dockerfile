@@ -18,7 +18,7 @@ COPY constraints.txt /
 RUN python -m venv /opt/nw-eval \
  && /opt/nw-eval/bin/pip install --no-cache-dir --index-url "${TORCH_INDEX}" "$(grep ^torch== /constraints.txt)"
 COPY --from=build /dist/ /dist/
-RUN /opt/nw-eval/bin/pip install --no-cache-dir -c /constraints.txt /dist/*.whl
+RUN /opt/nw-eval/bin/pip install --no-cache-dir -c /constraints.txt "$(ls /dist/*.whl)[onnxruntime,torch]"
 
 FROM python:${PYTHON}
 COPY --from=install /opt/nw-eval /opt/nw-eval

@@ -85,16 +85,15 @@ $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "nw-eval needs Python 3.11 or newer, this is " + sys.version.split()[0] + "; run make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
 
-# numba first: the kernels compile while pip brings the rest, since both take one core. Then torch alone: the pinned
-# CPU build satisfies every later requirement. Python compiles what is imported, once; compiling all of it ahead takes
+# numba first: the kernels compile while pip brings the rest, since both take one core. Of what the tests need, torch
+# first and alone: the pinned CPU build satisfies every later requirement. Python compiles what is imported, once; compiling all of it ahead takes
 # ten seconds of a core. Kernels that could not be compiled here are at the first use, which says why.
 PIP := $(BIN)/pip install -q --no-compile --disable-pip-version-check
 WARM_UP := from nw_eval.splat.warmup import warmup; warmup()
 $(VENV)/.installed: $(BIN)/python pyproject.toml constraints.txt
 	$(PIP) -c constraints.txt numba numpy pydantic
 	PYTHONPATH=harness $(BIN)/python -c '$(WARM_UP)' >/dev/null 2>&1 & \
-	  $(PIP) torch==$(shell sed -n 's/^torch==//p' constraints.txt) \
-	  && $(PIP) -c constraints.txt -e .; code=$$?; wait; exit $$code
+	  $(PIP) -c constraints.txt -e .; code=$$?; wait; exit $$code
 	touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed
@@ -102,5 +101,6 @@ $(VENV)/.installed-docs: $(VENV)/.installed
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
+	$(PIP) torch==$(shell sed -n 's/^torch==//p' constraints.txt)
 	$(PIP) -c constraints.txt -e '.[dev]'
 	touch $@

@@ -157,6 +157,19 @@ class PrerequisiteError(NwEvalError):
     exit_code = 2
 
 
+_EXTRAS = frozenset({"onnxruntime", "torch"})
+"""Packages of which each is an extra of its own name."""
+
+
+def not_installed(error: BaseException) -> PrerequisiteError | None:
+    """Return what to say of an import that failed, if an extra brings the package; else None."""
+    if not isinstance(error, ModuleNotFoundError) or error.name not in _EXTRAS:
+        return None
+    return PrerequisiteError(
+        f"the package {error.name} is not installed", fix=f"pip install 'nw-eval[{error.name}]'"
+    )
+
+
 class TrialError(NwEvalError):
     """A trial could not be run to a result; the policy is not to blame for a score of 0."""
 

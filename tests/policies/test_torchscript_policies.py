@@ -281,13 +281,12 @@ def test_a_script_whose_memory_cannot_be_saved_is_refused(tmp_path):
 
 
 def test_the_state_of_another_script_does_not_fit(tmp_path):
-    policy = open_policy(bundle_of(tmp_path, scripted(Counting())))
+    policy = open_policy(by_its_own_runtime(bundle_of(tmp_path, scripted(Counting()))))
     policy.act({"body": np.ones(12, np.float32)})
     saved = policy.state()
-    other = open_policy(bundle_of(tmp_path, scripted(Doubling())))
+    other = open_policy(by_its_own_runtime(bundle_of(tmp_path, scripted(Doubling()))))
     with pytest.raises(TrialError, match="does not fit policy 'mine'"):
         other.restore(saved)
-        other.act({"body": np.ones(12, np.float32)})
 
 
 class FedBack(torch.nn.Module):

@@ -35,7 +35,7 @@ from nw_eval.cli.terminal.interruption import (
     nothing_left_to_interrupt,
 )
 from nw_eval.cli.terminal.last_words import tell, unforeseen
-from nw_eval.errors import NwEvalError, StoreError
+from nw_eval.errors import NwEvalError, StoreError, not_installed
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
@@ -73,6 +73,7 @@ def _code_of(error: BaseException) -> int:
     if isinstance(error, KeyboardInterrupt) or interruption.was_heard:
         tell("interrupted")
         return INTERRUPTED
+    error = not_installed(error) or error
     if isinstance(error, NwEvalError):
         tell(f"error: {error}")
         return error.exit_code

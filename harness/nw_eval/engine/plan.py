@@ -186,6 +186,7 @@ def plan_jobs(plan: Plan, folder: RunFolder) -> tuple[TrialJob, ...]:
             policy_name=bundle.name,
             checkpoint=plan.request.checkpoint,
             checkpoint_digest=bundle.checkpoint_digest,
+            operator=bundle.operator,
             allow_code=plan.request.allow_code,
             record=suite.record,
             mcap=folder.mcap(trial.scene, trial.id).resolve(),

@@ -570,6 +570,7 @@ def _try(_: Any, words: Mapping[str, Any]) -> dict[str, Any]:
 
 def _described(error: BaseException) -> dict[str, Any]:
     """Return an exception in words."""
+    error = errors.not_installed(error) or error
     kind = type(error).__name__
     if isinstance(error, NwEvalError):
         return {"kind": kind, "lines": error.message.split("\n"), "fix": error.fix}

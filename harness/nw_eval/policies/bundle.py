@@ -155,6 +155,17 @@ class Bundle:
             network=name,
         )
 
+    def by_its_own_runtime(self, operator: str) -> Bundle:
+        """Return the bundle with a card that says `native`, since nw-eval lacks an operator.
+
+        Args:
+            operator: of its networks; empty = return the bundle as it is.
+        """
+        if not operator:
+            return self
+        card = self.card.model_copy(update={"runtime": "native"})
+        return replace(self, card=card, operator=operator)
+
     @property
     def origin(self) -> str:
         """What the digests say, short and in words."""

@@ -27,7 +27,14 @@ import numpy as np
 
 from nw_eval.cards.joint_control import Action
 from nw_eval.cards.networks import InputSpec, is_built_in
-from nw_eval.errors import CodeError, NwEvalError, PolicyError, TrialError
+from nw_eval.errors import (
+    CodeError,
+    NwEvalError,
+    PolicyError,
+    PrerequisiteError,
+    TrialError,
+    not_installed,
+)
 from nw_eval.files.importable import importable
 from nw_eval.policies.apart import (
     ApartPolicy,
@@ -68,15 +75,16 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
     Raises:
         PolicyError: a file is not what the card's adapter reads, or its inputs and outputs do not
             fit the card.
+        PrerequisiteError: what reads its files is not installed.
     """
     line, card = current_line(), bundle.card
     if card.adapter == "zero":
         return ZeroPolicy(joints=bundle.joints)
     if not card.is_planned:
         return _open_native(bundle, line, allow_code=allow_code)
+    if card.runtime is None and (operator := operator_of(bundle)):
+        return _open_native(bundle.by_its_own_runtime(operator), line, allow_code=allow_code)
     native = replace(bundle, card=card.model_copy(update={"runtime": "native"}))
-    if card.runtime is None and operator_of(bundle):
-        return _open_native(native, line, allow_code=allow_code)
     if card.adapters <= {"onnx"}:  # Their files say the sizes of their inputs.
         try:
             files = {} if line is None else files_over(line, bundle)
@@ -84,7 +92,8 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
         except PolicyError as error:
             if not leaves(bundle, error):
                 raise
-        return _open_native(native, line, allow_code=allow_code)
+        left = bundle.by_its_own_runtime(operator_of(bundle))
+        return _open_native(left, line, allow_code=allow_code)
 
     def start() -> OpenPolicy:
         policy = _open_native(native, line, allow_code=allow_code)
@@ -94,7 +103,11 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
 
 
 def _open_native(bundle: Bundle, line: PolicyLine | None, *, allow_code: bool) -> Policy:
-    """Open a bundle to be run by the runtimes of its files."""
+    """Open a bundle to be run by the runtimes of its files.
+
+    Raises:
+        PrerequisiteError: they are not installed.
+    """
     if line is not None:
         return ApartPolicy(bundle, line, joints=bundle.joints, allow_code=allow_code)
     policy = _open_here(bundle, allow_code=allow_code)
@@ -103,11 +116,20 @@ def _open_native(bundle: Bundle, line: PolicyLine | None, *, allow_code: bool) -
 
 
 def _open_here(bundle: Bundle, *, allow_code: bool) -> Policy:
-    policy = _open_checkpoint(bundle, allow_code=allow_code)
-    if bundle.card.networks:
-        from nw_eval.policies.fed_policy import FedPolicy
+    try:
+        policy = _open_checkpoint(bundle, allow_code=allow_code)
+        if bundle.card.networks:
+            from nw_eval.policies.fed_policy import FedPolicy
 
-        policy = FedPolicy(bundle, policy, allow_code=allow_code)
+            policy = FedPolicy(bundle, policy, allow_code=allow_code)
+    except ModuleNotFoundError as error:
+        absent = not_installed(error)
+        if absent is None:
+            raise
+        why = f"nw-eval does not run {bundle.operator}, and " if bundle.operator else ""
+        raise PrerequisiteError(
+            f"{bundle.where}: `{bundle.card.adapter}`: {why}{absent.message}", fix=absent.fix
+        ) from None
     return policy
 
 

@@ -55,6 +55,7 @@ class TrialJob:
     policy_name: str = ""  # the bundle's name, by which a replay elsewhere can find it
     checkpoint: Path | None = None  # weights instead of those that the card names
     checkpoint_digest: str  # hex SHA-256; empty = whatever a server serves
+    operator: str = ""  # of its networks, that nw-eval does not run: their own runtime does
     allow_code: bool = False  # the caller's word, which no file can give
     record: Record = "failures"  # camera images for which trials; the rest is always logged
     mcap: Path | None = None  # where the log goes; None = no log

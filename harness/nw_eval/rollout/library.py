@@ -83,7 +83,7 @@ class Library:
             PolicyError: as `policies.load_bundle`.
         """
         know_robot(job.robot, job.robot_folder)
-        return self.bundle(job.policy, job.checkpoint)
+        return self.bundle(job.policy, job.checkpoint).by_its_own_runtime(job.operator)
 
     def _make_rays(self, reference: str, collision: Collision) -> RayScene:
         from nw_eval.scenes.rays import RayScene

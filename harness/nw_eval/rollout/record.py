@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import platform
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from types import MappingProxyType
@@ -15,6 +16,8 @@ from pydantic import TypeAdapter, ValidationError
 from nw_eval import __version__
 from nw_eval.catalogue import parse_reference
 from nw_eval.clean import clean, without_credentials
+from nw_eval.networks import IDENTITY as NETWORKS
+from nw_eval.rays import IDENTITY as RAYS
 from nw_eval.rollout.job import TrialJob, as_outcome, policy_fault
 from nw_eval.suite.model import PUBLISHED
 from nw_eval.suite.trials import MAX_TRIALS, Trial
@@ -31,6 +34,7 @@ _LONGEST = 600.0  # s; as `suite.model.EpisodeRules` allows
 
 # Whose versions change bits. A replay under others is refused a verdict on its bits.
 _LIBRARIES = ("mujoco", "numpy", "onnxruntime", "torch", "numba")
+_RUNTIMES = ("onnxruntime", "torch")
 # Fields of a job that say how it was run, where to, and what its caller allowed, not what it is. A
 # log may be untrusted: none of them is written, and none is believed.
 _CIRCUMSTANCE = frozenset({"allow_code", "attachments", "mcap", "record", "time_limit"})
@@ -39,14 +43,19 @@ _OF_TRIALS = tuple(name for name in Trial.__dataclass_fields__ if name != "place
 
 
 @cache
-def provenance() -> Mapping[str, str]:
-    """Return versions and architecture, without importing anything heavy."""
-    found = {"nw-eval": __version__, "architecture": platform.machine()}
+def provenance(*, is_planned: bool) -> Mapping[str, str]:
+    """Return versions and architecture, without importing anything heavy.
+
+    Args:
+        is_planned: whether nw-eval runs the policy's networks: then no other runtime counts.
+    """
+    found = {"nw-eval": __version__, "architecture": platform.machine(), "rays": RAYS}
     for name in _LIBRARIES:
-        try:
+        with suppress(PackageNotFoundError):
             found[name] = version(name)
-        except PackageNotFoundError:
-            continue
+    if is_planned:
+        found = {name: value for name, value in found.items() if name not in _RUNTIMES}
+        found["networks"] = NETWORKS
     return MappingProxyType(found)
 
 
@@ -62,8 +71,9 @@ def trial_metadata(job: TrialJob) -> dict[str, str]:
         fields["task"] = job.task.model_dump()
     if job.rendering != PUBLISHED:
         fields["rendering"] = job.rendering.model_dump()
-    if not job.scores:
-        del fields["scores"]
+    for name in ("scores", "operator"):
+        if not fields[name]:
+            del fields[name]
     fields["trial"] = {name: getattr(trial, name) for name in _OF_TRIALS}
     return {
         "trial": trial.id,

@@ -97,7 +97,7 @@ class Recorder(Observer):
             command=partial(velocity_at, self._trial.bundle.card.command),
             metadata={
                 TRIAL: trial_metadata(job),
-                PROVENANCE: provenance(),
+                PROVENANCE: provenance(is_planned=self._trial.bundle.card.is_planned),
                 ELEMENTS: self._seen.elements(),
                 **({SHUTTERS: shutters} if shutters else {}),
             },

@@ -26,6 +26,7 @@ from nw_eval.errors import (
     StoreError,
     TrialError,
     UsageError,
+    not_installed,
 )
 from nw_eval.policies.apart import use_line
 from nw_eval.rollout.confined.progress import Progress
@@ -269,6 +270,9 @@ def _answer(
             "error": f"opening the checkpoint takes more memory{held}; export the actor alone"
         }
     except Exception as error:  # noqa: BLE001 - it is told, and the process ends.
-        answer = {"error": f"{type(error).__name__}: {error}"}
+        if absent := not_installed(error):
+            answer = {"error": str(absent), "kind": type(absent).__name__}
+        else:
+            answer = {"error": f"{type(error).__name__}: {error}"}
     sender.send_bytes(json.dumps(answer).encode())
     sender.close()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from nw_eval.cards import physics_steps
 from nw_eval.errors import PolicyError
 from nw_eval.policies import Bundle, load_bundle
-from nw_eval.policies.planned import leave, operator_of
+from nw_eval.policies.planned import operator_of
 from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.robots import RobotSpec, find_robot, get_robot, know_robot
 from nw_eval.rollout.confined.access import opening_rules, policy_rules
@@ -70,11 +70,7 @@ def vet_bundle(
     ) as call:
         prepare_kernels()  # Trials may want them, and this process does not.
         operator = call.answer(TIME_LIMIT)
-    if not operator:
-        return bundle
-    leave(bundle, operator)
-    card = bundle.card.model_copy(update={"runtime": "native"})
-    return replace(bundle, card=card, operator=operator)
+    return bundle.by_its_own_runtime(operator)
 
 
 def _with_server(bundle: Bundle, robot: str, *, allow_code: bool) -> Bundle:

@@ -86,6 +86,7 @@ def agreed(
         recorded,
         policy=policy or _found(recorded),
         checkpoint=checkpoint or (None if policy else recorded.checkpoint),
+        operator="" if policy or checkpoint else recorded.operator,
         allow_code=allow_code,
     )
     logged = replace(logged, job=job)

@@ -371,6 +371,7 @@ def _open_replayed(job: TrialJob, bundle: Bundle, library: Library) -> OpenTrial
         policy=bundle.reference,
         checkpoint=None,
         checkpoint_digest=bundle.checkpoint_digest,
+        operator="",
         mcap=None,
     )
     return open_trial(job, _WithReplayPolicy(library, bundle), StageClock())

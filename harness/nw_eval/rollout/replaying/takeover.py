@@ -138,7 +138,7 @@ def replay(
         if film is not None:
             film.end(result)
     was, now = logged.verdict, as_metadata(result)
-    built, builds = logged.versions, provenance()
+    built, builds = logged.versions, provenance(is_planned=trial.bundle.card.is_planned)
     report = ReplayReport(
         trial=job.trial.id,
         start_step=start_step,
