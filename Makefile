@@ -17,7 +17,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := run
 
 run: $(VENV)/.installed
-	@$(BIN)/nw-eval run suites/hurdles.yaml --all-rounds --trials 10; code=$$?; \
+	@$(BIN)/nw-eval run suites/hurdles.yaml; code=$$?; \
 	echo "nw-eval is installed in $(VENV): \`source $(BIN)/activate\`, then \`nw-eval --help\`"; exit $$code
 
 # Types are checked by one core while the other compiles the kernels: those of the splats by `warmup`, those of

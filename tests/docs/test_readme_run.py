@@ -3,37 +3,17 @@
 from __future__ import annotations
 
 import re
-from io import StringIO
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from nw_eval import cli
-from nw_eval.built_in.splits import split_of
-from nw_eval.catalogue import names
-from nw_eval.gate.baseline.combine import judge_run
-from nw_eval.reporting.console import print_summary
 from nw_eval.results.bank import bank_mean, mean_of
 from nw_eval.results.bank_file import find_bank, read_bank
-from nw_eval.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
-from nw_eval.results.row import Row
 from nw_eval.suite import load_suite
 
 ROOT = Path(__file__).parents[2]
 START = ROOT / "docs" / "index.md"
-
-# The trials of `make run` that did not complete: waypoints reached by each.
-FALLEN = {
-    "one_high_stone_plaza": [0, 0],
-    "three_crates_workshop": [2, 3],
-    "three_grassy_courtyard": [1],
-    "three_high_wood_hall": [0, 0, 0, 1, 1, 1, 1, 2, 2, 3],
-    "two_beams_yard_night": [1, 1, 1, 2],
-    "two_foam_office": [2],
-    "two_logs_park": [2],
-}
-WAYPOINTS = {"one": 2, "two": 3, "three": 4}
 
 
 def shown(page: Path, verdict: str) -> str:
@@ -43,108 +23,36 @@ def shown(page: Path, verdict: str) -> str:
     return found
 
 
-def scenes() -> list[str]:
-    return [name for name in names() if name.startswith("hurdles/")]
+def timeless(text: str) -> str:
+    return re.sub(r"· [\d.]+ (s|min) on \d+ workers", "", " ".join(text.split()))
 
 
-def row(scene: str, index: int, reached: int, total: int) -> Row:
-    return Row(
-        trial_id=f"{scene.replace('/', '-')}-{index:03d}",
-        suite="hurdles",
-        scene=scene,
-        task="hurdles",
-        robot="go1",
-        seed_index=index,
-        seed=index,
-        policy="go1-act-rgb",
-        status="ok",
-        outcome="completed" if reached == total else "collided",
-        end_reason="",
-        completed=reached == total,
-        success=reached / total,
-        waypoints_reached=reached,
-        waypoints_total=total,
-        steps=200,
-        sim_s=4.0,
-        physics_s=0.5,
-        render_s=1.0,
-        policy_s=0.1,
-        log_s=0.2,
-        wall_s=2.0,
-        checkpoint_digest="cc" * 32,
-        scene_digest="dd" * 32,
+def test_the_verdict_of_make_run_is_of_the_committed_baseline() -> None:
+    text = timeless(shown(START, "PASS"))
+    bank, gate = read_bank(find_bank("go1-act-rgb", suite="hurdles")), load_suite("hurdles").gate
+    starts = [start for cell in bank.panels[0].by_stratum.values() for start in cell]
+    completed = sum(start.completed for start in starts)
+    assert f"success {bank_mean(bank):.3f} (95 % bounds" in text
+    assert f", bar {gate.success_rate:g})" in text
+    assert (
+        f"completed {completed} of {len(starts)} trials in {len(bank.manifest.key.scenes)}" in text
     )
+    (worst,) = re.findall(r"below the bar by itself: (\S+) (\d\.\d+) ", text)
+    means = {scene: mean_of(found) for (scene, _), found in bank.panels[0].by_stratum.items()}
+    below = {scene: f"{mean:.3f}" for scene, mean in means.items() if mean < gate.success_rate}
+    assert below == {worst[0]: worst[1]}
 
 
-def rows() -> list[Row]:
-    made: list[Row] = []
-    for scene in scenes():
-        name = scene.removeprefix("hurdles/")
-        total = WAYPOINTS[name.split("_")[0]]
-        fallen = FALLEN.get(name, [])
-        reached = [*fallen, *[total] * (10 - len(fallen))]
-        made += [row(scene, index, count, total) for index, count in enumerate(reached)]
-    return made
-
-
-def test_the_scenes_and_the_verdict_of_make_run_are_what_is_printed_today() -> None:
-    wanted = [line.rstrip() for line in shown(START, "PASS").splitlines()]
-    suite = load_suite("hurdles")
-    (wall,) = re.findall(r" scenes · ([\d.]+) (s|min) on (\d+) workers", "\n".join(wanted))
-    seconds, workers = float(wall[0]) * {"s": 1, "min": 60}[wall[1]], int(wall[2])
-    run = RunInfo(
-        id="run",
-        started="2026-11-21T20:03:38Z",
-        finished="2026-11-21T20:04:02Z",
-        wall_s=seconds,
-        suite_file="suites/hurdles.yaml",
-        suite=suite.model_dump(by_alias=True, mode="json"),
-        suite_digest=suite.digest,
-        policy=PolicyInfo(name="go1-act-rgb", checkpoint_digest="cc" * 32),
-        scenes={
-            name: SceneInfo(digest="dd" * 32, task="hurdles", trials=10, split=split_of(name))
-            for name in scenes()
-        },
-        workers=workers,
-        code=CodeInfo(version="0.1.0", digest="ee" * 32),
-        machine=MachineInfo(host="ci", cpu="", cores=2, system="", python=""),
-        versions={},
-    )
-    console = Console(file=StringIO(), width=120)
-    gate = suite.gate.model_copy(update={"max_drop": None, "baseline": None})
-    print_summary(console, run, rows(), judge_run(rows(), run, gate, None), Path("run"))
-    printed = [line.rstrip() for line in console.file.getvalue().splitlines()]
-    told = [line for line in wanted if line.startswith(" hurdles/")]
-    assert len(told) == 3, "the largest drops, then an ellipsis"
-    bank = read_bank(find_bank("go1-act-rgb", suite="hurdles"))
-    dropped: list[tuple[float, str]] = []
-    for line in printed:
-        if line.startswith(" hurdles/"):
-            scene, success = line.split()[0], float(line.split()[4])
-            mean = mean_of(bank.panels[0].by_stratum[scene, ()])
-            change = success - mean
-            dropped.append((change, " ".join(f"{line} {mean:.3f} {change:+.3f}".split())))
-    # Both columns of the baseline are rounded by themselves.
-    assert [" ".join(line.split()) for line in told] == [line for _, line in sorted(dropped)][:3]
-    means = [line for line in printed if line.startswith("Mean success: ")]
-    assert means == [line for line in wanted if line.startswith("Mean success: ")] != []
-    # Against its own baseline a verdict says two things more; without, what its seeds are worth.
-    text = " ".join(wanted[_verdict(wanted) :])
-    own = "baseline go1-act-rgb is the same policy · 160 run again and equal · "
-    nothing = "* the same policy as the baseline go1-act-rgb: 160 run again and equal "
-    assert own in text
-    assert nothing in text
-    without = re.sub(
-        r"; in this seed set \(seed \d+\) it is known: \d\.\d+\.",
-        ".",
-        " ".join(printed[_verdict(printed) :]),
-    )
-    assert without == text.replace(own, "").replace(nothing, "")
-
-
-def _verdict(lines: list[str]) -> int:
-    (found,) = [index for index, line in enumerate(lines) if line.startswith("PASS ·")]
-    return found
+@pytest.mark.nightly
+def test_make_run_prints_what_the_page_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
+    with pytest.raises(SystemExit) as left:
+        cli.main(["run", str(ROOT / "suites" / "hurdles.yaml"), "--no-cache", "--out", "run"])
+    assert left.value.code == 0
+    assert timeless(shown(START, "PASS")) in timeless(capsys.readouterr().out)
 
 
 def test_the_regression_is_shown_alike_and_of_the_shipped_suite_and_baseline() -> None:
@@ -176,8 +84,5 @@ def test_the_regression_is_what_its_command_prints(
     printed = capsys.readouterr().out
     if "ran beside the candidate" in printed:
         pytest.skip("the bits here are not the baseline's: its own policy runs beside the other")
-
-    def timeless(text: str) -> str:
-        return re.sub(r"· [\d.]+ (s|min) on \d+ workers", "", " ".join(text.split()))
 
     assert timeless(" ".join(wanted)) in timeless(printed)

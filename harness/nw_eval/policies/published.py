@@ -27,6 +27,8 @@ The layout of its state dict is that of `nw_eval.policies.networks.act`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -63,6 +65,9 @@ from nw_eval.policies.torch_network import (
     checkpoint_tensors,
     input_spec,
 )
+
+if TYPE_CHECKING:
+    import onnxruntime as ort
 
 _BODY = (input_spec("proprio", PROPRIO), input_spec("history", HISTORY * PROPRIO))
 
@@ -184,9 +189,13 @@ class LucidSimPolicy(NetworkPolicy):
         tensors = checkpoint_tensors(bundle)
         where = str(bundle.checkpoint)
         self._transformer = build(LucidSimTransformer, tensors, where, unused=("yaw",))
-        self._session = self._transformer.open()
         inputs = (input_spec("proprio", None), input_spec("frames", FRAMES, *IMAGE))
         super().__init__(bundle, inputs, joints=joints)
+
+    @cached_property
+    def _session(self) -> ort.InferenceSession:
+        """What runs it here; where it is only recorded, nothing does."""
+        return self._transformer.open()
 
     def infer(self, inputs: dict[str, Tensor]) -> Tensor:
         """Return the action token's projection."""
