@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import pytest
 
 from nw_eval.engine.order import in_order
+from nw_eval.engine.pool import Finished
 from nw_eval.engine.rounds import RunStanding, run_trials
-from nw_eval.engine.workers import Finished
 from nw_eval.results.journal import Journal, JournalHeader, read_journal
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder

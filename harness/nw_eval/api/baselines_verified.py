@@ -86,8 +86,8 @@ def verify_baseline(
         IncomparableError: it does not hold here, or its policy is another one.
     """
     from nw_eval.api.baselines import here, show_baseline
-    from nw_eval.api.plans import check_workers
-    from nw_eval.api.verifying import check_sample, draw, unforeseen_seed
+    from nw_eval.engine.machine import check_workers
+    from nw_eval.engine.order import check_sample, draw, unforeseen_seed
     from nw_eval.suite import load_suite
 
     check_workers(workers)

@@ -80,8 +80,9 @@ def find_cause(
     """
     from nw_eval.api.attribution import baseline_bundle
     from nw_eval.api.cause import apart, write_crossed
-    from nw_eval.api.plans import check_workers
-    from nw_eval.api.saved_run import check_whole, continued
+    from nw_eval.api.continuing import continued
+    from nw_eval.api.saved_run import check_whole
+    from nw_eval.engine.machine import check_workers
     from nw_eval.gate.cause import ARMS, write_cause_file
     from nw_eval.reporting.markdown import write_cause
     from nw_eval.request import Request

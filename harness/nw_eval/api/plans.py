@@ -280,7 +280,7 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
     Raises:
         IncomparableError: the baseline has fewer starts than are to run again.
     """
-    from nw_eval.api.verifying import draw
+    from nw_eval.engine.order import draw
     from nw_eval.engine.plan import DrawnOrder
     from nw_eval.engine.provenance import policy_info
     from nw_eval.gate.baseline.match import draw_rounds
@@ -400,20 +400,11 @@ def check(
     Raises:
         UsageError, SuiteError, PolicyError: as `plan`.
     """
+    from nw_eval.engine.machine import check_workers
     from nw_eval.engine.plan import forecast
 
     check_workers(workers)
     return forecast(_planned(request, changes, may_fail=False), workers=workers)
-
-
-def check_workers(workers: int | None) -> None:
-    """Refuse a number of workers that is none.
-
-    Raises:
-        UsageError: it is less than 1.
-    """
-    if workers is not None and workers < 1:
-        raise UsageError(f"--workers {workers} is too low", fix="give at least 1")
 
 
 def chosen_scenes(

@@ -9,8 +9,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, get_args
 
-from nw_eval.api.plans import check_workers, plan
+from nw_eval.api.plans import plan
 from nw_eval.api.reports import RunReport, prepare_pages, report_here
+from nw_eval.engine.machine import check_workers
 from nw_eval.errors import UsageError, nearest
 from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.plural import plural
@@ -75,7 +76,7 @@ def run(
         IncomparableError: the run to resume was made under something else.
         StoreError: results cannot be written; those that were written stay.
     """
-    from nw_eval.api.saved_run import continued
+    from nw_eval.api.continuing import continued
 
     check_workers(workers)
     if resume is not None and out is not None:
@@ -139,9 +140,9 @@ def roll_out(
     """
     from nw_eval.api.contest import Contest
     from nw_eval.api.plans import rechecked
-    from nw_eval.api.verifying import unforeseen_seed
     from nw_eval.engine import session
     from nw_eval.engine.listener import NullListener
+    from nw_eval.engine.order import unforeseen_seed
     from nw_eval.gate.baseline.combine import unjudged
     from nw_eval.results.labels import ci_labels, usable
     from nw_eval.results.provenance import read_run_info

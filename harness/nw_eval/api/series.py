@@ -244,9 +244,9 @@ def _bank_of(
 
 def _judged(request: Request, folder: Path, means: _Means) -> RunReport:
     """Return the judged run of a checkpoint, begun or gone on with."""
+    from nw_eval.api.continuing import continued
     from nw_eval.api.plans import plan_of
     from nw_eval.api.runs import judged, roll_out
-    from nw_eval.api.saved_run import continued
     from nw_eval.results.journal import has_begun
     from nw_eval.suite import draft_of, load_suite
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.api.plans import check_workers, plan
+from nw_eval.api.plans import plan
 from nw_eval.api.renamed import keywords_were
 from nw_eval.api.reports import judge
 from nw_eval.api.runs import roll_out
+from nw_eval.engine.machine import check_workers
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import made_place
 from nw_eval.request import Request

@@ -104,7 +104,8 @@ def plan_trials(
         IncomparableError: the baseline or the run has other scenes than the suite.
     """
     from nw_eval.api.banks import NO_BASELINE
-    from nw_eval.api.plans import check_workers, plan
+    from nw_eval.api.plans import plan
+    from nw_eval.engine.machine import check_workers
 
     check_workers(workers)
     if baseline is not None and run is not None:
@@ -319,7 +320,8 @@ def plan_shards(
         UsageError: there would be no part, or parts without a trial; or as `plan`.
         SuiteError, PolicyError: as `plan`.
     """
-    from nw_eval.api.plans import check_workers, plan
+    from nw_eval.api.plans import plan
+    from nw_eval.engine.machine import check_workers
     from nw_eval.engine.order import shards_of
     from nw_eval.engine.plan import forecast
     from nw_eval.request import Request

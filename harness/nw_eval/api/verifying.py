@@ -6,63 +6,20 @@ Which trials run again cannot be predicted.
 from __future__ import annotations
 
 import re
-import secrets
-from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from hashlib import sha256
-from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from nw_eval.api.renamed import keywords_were
-from nw_eval.errors import NwEvalError, StoreError, UsageError
+from nw_eval.errors import StoreError, UsageError
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.results.evidence_check import CheckedFiles
-    from nw_eval.rollout.replaying.reports import Difference
+    from nw_eval.rollout.replaying.reports import Repeats
 
 SAMPLE = "5%"
 """Of the trials with a result that run again, where nothing else is asked for."""
-
-Kind = Literal["state", "action", "observation", "image", "other"]
-"""Of what a log holds."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RepeatedTrial:
-    """A trial of the run that was run again."""
-
-    trial: str
-    steps: int
-    """Control steps that it has now."""
-    differences: tuple[Difference, ...]
-    """Columns of its row that are others now, the digests of states and actions among them."""
-    partings: Mapping[Kind, int]
-    """The control step, from 0, from which on its log holds others: its images, say."""
-    log: Literal["same", "compared", "gone"]
-    """The log has the same bytes; or was compared message by message; or cannot be compared."""
-    fault: str = ""
-    """Why it came to no result now, if it did not."""
-
-    @property
-    def is_identical(self) -> bool:
-        """Whether all that was compared is the same, bit for bit."""
-        return not (self.fault or self.differences or self.partings)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Repeats:
-    """Trials of a run that were run again."""
-
-    seed: int
-    """What drew them."""
-    of: int
-    """How many trials with a result they were drawn from."""
-    trials: tuple[RepeatedTrial, ...] = ()
-    unable: NwEvalError | None = None
-    """Why none could be run again, or compared."""
-    interrupted: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,8 +91,9 @@ def verify(
         UsageError: it is no run's folder, or an argument is of no use.
         StoreError: its run.json is damaged, or contradicts itself.
     """
-    from nw_eval.api.plans import check_workers
     from nw_eval.api.saved_run import saved_suite, saved_trials
+    from nw_eval.engine.machine import check_workers
+    from nw_eval.engine.order import check_sample, unforeseen_seed
     from nw_eval.request import Request
     from nw_eval.results.evidence_check import check_files
     from nw_eval.results.provenance import read_run_info
@@ -175,49 +133,3 @@ def _of_another_root(files: CheckedFiles, root: str) -> CheckedFiles:
     about = f"merkle_root is {files.root[:12] or 'missing'}, not {root[:12]}"
     finding = Discrepancy(what="changed", file="run.json", about=about)
     return replace(files, findings=(finding, *files.findings))
-
-
-_BITS = 48  # of a seed, which somebody may have to type
-_SHARE = re.compile(r"([0-9]{1,3}(?:\.[0-9]{1,9})?) ?%|([0-9]{1,9})")
-
-
-def unforeseen_seed() -> int:
-    """Return a seed that was not known before."""
-    return secrets.randbits(_BITS)
-
-
-def draw(trials: Collection[str], sample: str, seed: int) -> tuple[str, ...]:
-    """Return the trials that a seed draws, sorted: the same ones whatever their order was.
-
-    Args:
-        trials: ids.
-        sample: as `check_sample`.
-        seed: of the draw.
-    """
-    count = min(max(1, _count(sample, len(trials))), len(trials))
-    ranked = sorted(trials, key=lambda name: sha256(f"{seed}/{name}".encode()).digest())
-    return tuple(sorted(ranked[:count]))
-
-
-def check_sample(sample: str, option: str = "--trials") -> None:
-    """Refuse what is neither a share, such as `5%`, nor a number of trials.
-
-    Args:
-        sample: the words.
-        option: what they were given for.
-
-    Raises:
-        UsageError: it is not.
-    """
-    found = _SHARE.fullmatch(sample)
-    if found is None or not 0.0 < float(found[1] or found[2]) <= (100.0 if found[1] else 1e9):
-        raise UsageError(
-            f"{option} {sample!r} is no share of the trials and no number of them",
-            fix="give one, such as 5% or 3",
-        )
-
-
-def _count(sample: str, of: int) -> int:
-    if sample.endswith("%"):
-        return ceil(float(sample.rstrip(" %")) / 100.0 * of)
-    return int(sample)

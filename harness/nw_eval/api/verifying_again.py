@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
-from nw_eval.api.verifying import Kind, RepeatedTrial, Repeats, draw
 from nw_eval.clean import clean
 from nw_eval.confinement import Rules
+from nw_eval.engine.order import draw
 from nw_eval.errors import IncomparableError, NwEvalError, PolicyError, UsageError
 from nw_eval.results.evidence import log_sha256
 from nw_eval.results.evidence_check import log_path
@@ -31,7 +31,7 @@ from nw_eval.rollout.confined.isolated import call_isolated
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.rollout.record import VERDICT
 from nw_eval.rollout.replaying.logged import recorded_rate
-from nw_eval.rollout.replaying.reports import Difference
+from nw_eval.rollout.replaying.reports import Difference, Kind, RepeatedTrial, Repeats
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
@@ -87,7 +87,7 @@ def _plan(folder: RunFolder, info: RunInfo, request: Request) -> Plan:
         PolicyError: the policy cannot be run again, or is on a server that the run alone names.
         UsageError: CUDA must draw, and the caller does not allow code.
     """
-    from nw_eval.api.saved_run import continued
+    from nw_eval.api.continuing import continued
     from nw_eval.engine.provenance import journal_header
 
     if request.policy is None and not info.policy.card:

@@ -389,10 +389,10 @@ class _Watch:
 
     def _judged(self, checkpoint: Path, folder: Path, step: int) -> RunReport:
         """Run all trials of a checkpoint, or those that are missing, and judge them."""
+        from nw_eval.api.continuing import continued
         from nw_eval.api.plans import plan
         from nw_eval.api.reports import as_begun, judge
         from nw_eval.api.runs import judged, roll_out
-        from nw_eval.api.saved_run import continued
         from nw_eval.results.journal import has_begun
         from nw_eval.results.labels import fitting
         from nw_eval.rollout.confined.start import prepare

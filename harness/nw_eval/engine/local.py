@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Self
 from nw_eval.engine import worker
 from nw_eval.engine.machine import WorkerOutput, can_be_listed, restrained
 from nw_eval.engine.order import next_place
+from nw_eval.engine.pool import Finished, QueuedWorkers
 from nw_eval.engine.prepare import needs_splats
 from nw_eval.engine.worker import UnstartedError, WorkerProcess, WorkerStart
-from nw_eval.engine.workers import Finished, QueuedWorkers
 from nw_eval.errors import PrerequisiteError, TrialError
 from nw_eval.policies import load_bundle
 from nw_eval.robots import know_robot

@@ -29,6 +29,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, Self
 
 from nw_eval.clean import clean
+from nw_eval.errors import UsageError
 from nw_eval.files.cache import open_own
 from nw_eval.results.provenance import usable_cores
 from nw_eval.rollout.confined.progress import descendants, stat_of, text_of
@@ -73,6 +74,16 @@ _OUTPUT_CHUNK = 2**16
 _PATIENCE = 5.0  # s for the last words of workers that are gone
 _MORE_OUTPUT = "(the run printed more, which was not kept)"
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def check_workers(workers: int | None) -> None:
+    """Refuse a number of workers that is none.
+
+    Raises:
+        UsageError: it is less than 1.
+    """
+    if workers is not None and workers < 1:
+        raise UsageError(f"--workers {workers} is too low", fix="give at least 1")
 
 
 def worker_count(wanted: int | None, jobs: int) -> int:

@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from nw_eval.cards import Card
+    from nw_eval.engine.pool import Finished
     from nw_eval.engine.ray_file_bundles import FileBundle
-    from nw_eval.engine.workers import Finished
     from nw_eval.policies import Bundle
     from nw_eval.rollout.job import TrialJob, TrialResult
     from nw_eval.scenes import Scene

@@ -27,9 +27,9 @@ from nw_eval.clean import clean
 from nw_eval.engine import ray_node as there
 from nw_eval.engine.machine import WorkerOutput
 from nw_eval.engine.order import next_place
+from nw_eval.engine.pool import Finished, QueuedWorkers
 from nw_eval.engine.ray_file_bundles import Outgoing
 from nw_eval.engine.ray_node import Answer, JobSpec, NodeAgent
-from nw_eval.engine.workers import Finished, QueuedWorkers
 from nw_eval.errors import NwEvalError, PrerequisiteError, StoreError, TrialError, UsageError
 from nw_eval.files.cache import atomic_path
 from nw_eval.policies.bundle import senses_by_code

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from nw_eval.engine.known import KnownTrials
-    from nw_eval.engine.workers import Finished, StartWorkers, Workers
+    from nw_eval.engine.pool import Finished, StartWorkers, Workers
     from nw_eval.results.journal import Journal
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder

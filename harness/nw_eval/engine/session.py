@@ -44,8 +44,8 @@ from nw_eval.rollout.confined.access import why_off
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
+    from nw_eval.engine.pool import StartWorkers, Workers
     from nw_eval.engine.rounds import Enough, RunStanding
-    from nw_eval.engine.workers import StartWorkers, Workers
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.scenes import Scene

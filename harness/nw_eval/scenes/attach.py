@@ -12,7 +12,8 @@ from typing import Any
 import mujoco as _mujoco
 import numpy as np
 
-from nw_eval.scenes.narrowphase.install import CARRIER_BASE, use_own_collisions
+from nw_eval.scenes.narrowphase import CARRIER_BASE
+from nw_eval.scenes.narrowphase.install import use_own_collisions
 from nw_eval.scenes.scene import HeightField, Primitive, Triangles
 
 # Its classes live in compiled modules without type information.

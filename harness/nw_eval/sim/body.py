@@ -5,7 +5,7 @@ These are the readings: nothing outside `nw_eval.sim` touches MuJoCo's model or 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from nw_eval import same_bits
 from nw_eval.errors import UsageError, nearest
 from nw_eval.robots.spec import STATIC_GROUP, VISUAL_GROUP
 from nw_eval.sim.binding import MjData, MjModel, mujoco
+from nw_eval.sim.looks import RobotRays, mesh_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -267,8 +268,6 @@ class Body:
         reach = (np.abs(R[:, 0]) * half).sum(axis=1)
         ends = [*(middle + reach).tolist(), *(middle - reach).tolist()]
         if self.robot.pictured == "visuals":  # Physics has no geom of what is only seen.
-            from nw_eval.sim.looks import mesh_of
-
             ahead, x = self.trunk_rotation[0], float(self._data.xpos[self._trunk, 0])
             for shape in self.robot.visuals:
                 if shape.body == self.robot.root:
@@ -330,14 +329,6 @@ def _box_round(model: MjModel, data: MjData, geom: int) -> tuple[Array, Array]:
 
 
 _NO_CUTOFF = 1e10
-
-
-class RobotRays(NamedTuple):
-    """What N rays met. A miss has distance inf, geom -1 and normal 0."""
-
-    distance: npt.NDArray[np.float64]  # (N,) m along the ray
-    geom: npt.NDArray[np.int32]  # (N,) index into `World.geom_rgba`
-    normal: npt.NDArray[np.float64]  # (N, 3) unit, world frame, out of the surface
 
 
 def cast_at_visuals(

@@ -11,7 +11,6 @@ import numpy.typing as npt
 from nw_eval import same_bits
 from nw_eval.scenes.mesh import TriangleMesh, rotation_matrix
 from nw_eval.scenes.rays import RayScene
-from nw_eval.sim.body import RobotRays
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,6 +19,14 @@ if TYPE_CHECKING:
     from nw_eval.sim.binding import MjData, MjModel
 
 Array = npt.NDArray[np.float64]
+
+
+class RobotRays(NamedTuple):
+    """What N rays met. A miss has distance inf, geom -1 and normal 0."""
+
+    distance: Array  # (N,) m along the ray
+    geom: npt.NDArray[np.int32]  # (N,) index into `World.geom_rgba`
+    normal: Array  # (N, 3) unit, world frame, out of the surface
 
 
 class _Part(NamedTuple):

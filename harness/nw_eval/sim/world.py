@@ -14,7 +14,7 @@ from nw_eval.errors import TrialError
 from nw_eval.protocol import STRICT, EvaluationProtocol
 from nw_eval.scenes.prop import prop_body
 from nw_eval.sim.binding import mujoco
-from nw_eval.sim.body import Body, RobotRays, cast_at_visuals, geoms_of
+from nw_eval.sim.body import Body, cast_at_visuals, geoms_of
 from nw_eval.sim.forces import (
     CONTACT_THRESHOLD,
     ContactForces,
@@ -22,7 +22,7 @@ from nw_eval.sim.forces import (
     PhysicsRate,
     specific_force,
 )
-from nw_eval.sim.looks import Looks
+from nw_eval.sim.looks import Looks, RobotRays
 from nw_eval.sim.model import Actuators, shared_model
 from nw_eval.sim.state import check, fingerprint, keep_warnings_out_of_files, pack, unpack
 

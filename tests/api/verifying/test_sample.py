@@ -2,7 +2,7 @@
 
 import pytest
 
-from nw_eval.api.verifying import check_sample, draw, unforeseen_seed
+from nw_eval.engine.order import check_sample, draw, unforeseen_seed
 from nw_eval.errors import UsageError
 
 TRIALS = [f"hurdles-one-{index:03d}" for index in range(100)]

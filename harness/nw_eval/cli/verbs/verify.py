@@ -15,8 +15,8 @@ from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import VerifiedRun
-    from nw_eval.api.verifying import RepeatedTrial, Repeats
     from nw_eval.results.evidence_check import CheckedFiles, Discrepancy
+    from nw_eval.rollout.replaying.reports import RepeatedTrial, Repeats
 
 
 @dataclass(frozen=True, kw_only=True)

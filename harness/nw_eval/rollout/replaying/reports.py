@@ -1,13 +1,16 @@
-"""What a replay, a takeover and a failure attribution found."""
+"""What a replay, a takeover, a failure attribution and the repetition of trials found."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Literal, Self
 
 from nw_eval.rollout.replaying.logged import recorded_rate
+
+if TYPE_CHECKING:
+    from nw_eval.errors import NwEvalError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,3 +166,43 @@ class AttributionReport:
         """Whether no try that fails lies before one that completes."""
         words = [each.completes for each in self.tries]
         return words == sorted(words, reverse=True)
+
+
+Kind = Literal["state", "action", "observation", "image", "other"]
+"""Of what a log holds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepeatedTrial:
+    """A trial of the run that was run again."""
+
+    trial: str
+    steps: int
+    """Control steps that it has now."""
+    differences: tuple[Difference, ...]
+    """Columns of its row that are others now, the digests of states and actions among them."""
+    partings: Mapping[Kind, int]
+    """The control step, from 0, from which on its log holds others: its images, say."""
+    log: Literal["same", "compared", "gone"]
+    """The log has the same bytes; or was compared message by message; or cannot be compared."""
+    fault: str = ""
+    """Why it came to no result now, if it did not."""
+
+    @property
+    def is_identical(self) -> bool:
+        """Whether all that was compared is the same, bit for bit."""
+        return not (self.fault or self.differences or self.partings)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repeats:
+    """Trials of a run that were run again."""
+
+    seed: int
+    """What drew them."""
+    of: int
+    """How many trials with a result they were drawn from."""
+    trials: tuple[RepeatedTrial, ...] = ()
+    unable: NwEvalError | None = None
+    """Why none could be run again, or compared."""
+    interrupted: bool = False

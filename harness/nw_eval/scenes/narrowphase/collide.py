@@ -19,7 +19,7 @@ import numpy as np
 from numba import types
 
 from nw_eval.machine_code import c_function, inlined, kernel
-from nw_eval.scenes.narrowphase.install import CARRIER_BASE
+from nw_eval.scenes.narrowphase import CARRIER_BASE
 from nw_eval.scenes.narrowphase.triangles import (
     CAPSULE,
     CONTACT,

@@ -92,12 +92,6 @@ _EXAMPLES = tuple(
     )
 )
 
-CARRIER_BASE = 0.5 + 2.0**-20
-"""Its depth below the mesh, metres: half a metre, by a hair that no other field's depth has.
-
-What has sunk deeper is no longer looked at.
-"""
-
 
 TESTED = "4.0.0"
 """The version of MuJoCo that the kernels are tested with, as constraints.txt has it."""
