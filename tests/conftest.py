@@ -11,7 +11,7 @@ import pytest
 from hypothesis import settings
 
 from nw_eval.machine_code import folder_note
-from nw_eval.policies.apart import trusting
+from nw_eval.policies.line import trusting
 
 pytest_plugins = ("pytester",)  # Only this file may say so.
 

@@ -1,7 +1,10 @@
-"""Imports between a folder and its own sub-folders go one way."""
+"""Imports go one way: between a folder and its own sub-folders, and among all files."""
 
+import ast
 import re
 from collections import defaultdict
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import nw_eval
@@ -51,3 +54,47 @@ def test_a_pair_that_imports_each_other_is_found(tmp_path):
     assert two_way(package) == set()
     (package / "engine" / "cache" / "key.py").write_text("import nw_eval.engine.plan\n")
     assert two_way(package) == {"nw_eval.engine.cache"}
+
+
+def imported(tree: ast.AST) -> Iterator[str]:
+    """Yield the names that code imports, inside functions too, but not those for types alone."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            continue
+        if isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        yield from imported(node)
+
+
+def circle(package):
+    """Return the names of files that import each other in a circle; none if there is no circle."""
+    files = {}
+    for path in package.rglob("*.py"):
+        parts = path.relative_to(package.parent).with_suffix("").parts
+        files[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    graph = {}
+    for name, path in files.items():
+        found = set(imported(ast.parse(path.read_text(encoding="utf-8"))))
+        targets = {each if each in files else each.rpartition(".")[0] for each in found}
+        graph[name] = (targets & files.keys()) - {name}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return error.args[1]
+    return []
+
+
+def test_no_files_import_each_other_in_a_circle():
+    assert circle(PACKAGE) == []
+
+
+def test_a_circle_that_is_closed_inside_a_function_is_found(tmp_path):
+    package = tmp_path / "nw_eval"
+    package.mkdir()
+    (package / "plan.py").write_text("from nw_eval.order import draw\n")
+    (package / "order.py").write_text("def draw():\n    pass\n")
+    assert circle(package) == []
+    (package / "order.py").write_text("def draw():\n    from nw_eval import plan\n")
+    assert sorted(set(circle(package))) == ["nw_eval.order", "nw_eval.plan"]

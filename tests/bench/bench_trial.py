@@ -25,7 +25,7 @@ from onnx import TensorProto, helper
 
 from nw_eval.files.shipped import shipped
 from nw_eval.policies import load_bundle
-from nw_eval.policies.apart import line_to
+from nw_eval.policies.line import line_to
 from nw_eval.rollout.confined.access import policy_rules
 from nw_eval.rollout.confined.start import PolicyProcess
 from nw_eval.rollout.job import StageClock, StageSeconds, TrialJob

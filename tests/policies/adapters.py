@@ -15,7 +15,7 @@ import torch
 from torch import nn
 
 from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.apart import trusting
+from nw_eval.policies.line import trusting
 from nw_eval.policies.networks.act import Act, ActSizes
 from nw_eval.policies.networks.parkour import (
     DepthEncoder,

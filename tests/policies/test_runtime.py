@@ -16,8 +16,9 @@ import pytest
 import nw_eval
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.apart import line_to, trusting
-from nw_eval.policies.planned import PlannedFile, packed, plan_policy, read_planned
+from nw_eval.policies.line import line_to, trusting
+from nw_eval.policies.planned import PlannedFile, packed, read_planned
+from nw_eval.policies.planning import plan_policy
 from nw_eval.rollout.confined.access import policy_rules
 from nw_eval.rollout.confined.start import PolicyProcess
 from nw_eval.rollout.confined.vetting import check_bundle, vet_bundle

@@ -14,7 +14,7 @@ from nw_eval.errors import PolicyError, TrialError
 from nw_eval.onboarding.checkpoint import inspect_checkpoint
 from nw_eval.onboarding.draft import write_card_draft
 from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.apart import line_to, trusting
+from nw_eval.policies.line import line_to, trusting
 from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.access import policy_rules
 from nw_eval.rollout.confined.start import PolicyProcess

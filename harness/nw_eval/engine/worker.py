@@ -28,7 +28,7 @@ from nw_eval.clean import clean
 from nw_eval.confinement import Rules, confine, kill_group
 from nw_eval.engine.machine import Resident, kill, left_by
 from nw_eval.plural import in_words
-from nw_eval.policies.apart import use_line
+from nw_eval.policies.line import use_line
 from nw_eval.rollout.confined.progress import HANGS_AFTER, Progress, descendants
 from nw_eval.rollout.confined.start import parts_of, start_pair
 from nw_eval.rollout.job import StageClock, TrialJob, TrialResult

@@ -143,7 +143,7 @@ class InProcessWorkers(QueuedWorkers):
         self._library = Library(known=(bundle,))
 
     def __enter__(self) -> Self:
-        from nw_eval.policies.apart import trusting
+        from nw_eval.policies.line import trusting
 
         self._cleanup.enter_context(_one_thread())
         self._cleanup.enter_context(trusting())

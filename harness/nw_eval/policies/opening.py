@@ -36,24 +36,13 @@ from nw_eval.errors import (
     not_installed,
 )
 from nw_eval.files.importable import importable
-from nw_eval.policies.apart import (
-    ApartPolicy,
-    PolicyLine,
-    code_refused,
-    current_line,
-    files_over,
-)
+from nw_eval.policies.asked import ApartPolicy, code_refused, files_over
 from nw_eval.policies.bundle import Bundle, read_options
 from nw_eval.policies.chunks import ActOptions, ChunkPolicy
 from nw_eval.policies.drawing import DrawingPolicy
-from nw_eval.policies.planned import (
-    InProcess,
-    OpenPolicy,
-    PlannedNetwork,
-    PlannedPolicy,
-    leaves,
-    operator_of,
-)
+from nw_eval.policies.line import PolicyLine, current_line
+from nw_eval.policies.planned import OpenPolicy, PlannedNetwork, PlannedPolicy, leaves, operator_of
+from nw_eval.policies.planning import InProcess
 from nw_eval.policies.policy import ActingNetwork, Observation, Policy, raised
 from nw_eval.policies.policy_process import CodePolicy, FaultError
 

@@ -39,7 +39,7 @@ from nw_eval.cards.model import CardModel
 from nw_eval.cards.networks import InputSpec
 from nw_eval.clean import clean
 from nw_eval.errors import PolicyError, PrerequisiteError, ServerError, TrialError
-from nw_eval.policies.apart import AskedPolicy, Served
+from nw_eval.policies.asked import AskedPolicy, Served
 from nw_eval.policies.bundle import NOTHING, Bundle, read_options
 
 try:

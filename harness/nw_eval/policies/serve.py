@@ -19,8 +19,8 @@ from urllib.parse import urlsplit
 
 from nw_eval.clean import clean
 from nw_eval.errors import NwEvalError, PrerequisiteError, UsageError
-from nw_eval.policies.apart import trusting, trusts
 from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.line import trusting, trusts
 from nw_eval.policies.opening import open_policy
 from nw_eval.policies.policy import Policy
 from nw_eval.policies.policy_process import CALLS, respond

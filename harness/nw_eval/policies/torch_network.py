@@ -19,8 +19,8 @@ from nw_eval.cards.networks import InputSpec
 from nw_eval.errors import PolicyError, TrialError
 from nw_eval.memory import pack
 from nw_eval.networks import RecordedFile
-from nw_eval.policies.apart import check_program
 from nw_eval.policies.bundle import Bundle, NoOptions, read_options
+from nw_eval.policies.line import check_program
 from nw_eval.policies.networks.exported import ExportedGraph
 from nw_eval.policies.networks.recording import numbered, record, recorded_file
 from nw_eval.policies.policy import (

@@ -24,8 +24,8 @@ from nw_eval.errors import PolicyError, TrialError, nearest
 from nw_eval.memory import pack
 from nw_eval.networks import RecordedFile, UnsupportedError
 from nw_eval.plural import plural
-from nw_eval.policies.apart import check_program
 from nw_eval.policies.bundle import Bundle
+from nw_eval.policies.line import check_program
 from nw_eval.policies.networks.recording import numbered, record, recorded_file
 from nw_eval.policies.policy import (
     ActingNetwork,

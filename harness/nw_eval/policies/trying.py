@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from nw_eval.cards.networks import InputSpec, shape_problems, sized
 from nw_eval.clean import clean
 from nw_eval.errors import NotFiniteError, NwEvalError, PolicyError
-from nw_eval.policies.apart import current_line
 from nw_eval.policies.bundle import Bundle
 from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.fed_policy import FedPolicy
+from nw_eval.policies.line import current_line
 from nw_eval.policies.opening import open_policy
-from nw_eval.policies.planned import InProcess, PlannedPolicy, leave
+from nw_eval.policies.planned import PlannedPolicy, leave
+from nw_eval.policies.planning import InProcess
 
 Answer = TypeVar("Answer")
 

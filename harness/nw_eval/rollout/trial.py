@@ -16,7 +16,7 @@ import numpy as np
 from nw_eval.cards import JointControl, mounted_robot, physics_steps
 from nw_eval.errors import PolicyError, ServerError, TrialError, UsageError, is_interrupt
 from nw_eval.policies import ActionFilter, Bundle, Policy, open_policy
-from nw_eval.policies.apart import AskedPolicy
+from nw_eval.policies.asked import AskedPolicy
 from nw_eval.protocol import EvaluationProtocol, protocol_named
 from nw_eval.robots import RobotSpec, get_robot
 from nw_eval.rollout.episode import Episode

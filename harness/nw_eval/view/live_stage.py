@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import NwEvalError
-from nw_eval.policies.apart import line_to
+from nw_eval.policies.line import line_to
 from nw_eval.rollout.confined.access import policy_rules
 from nw_eval.rollout.confined.start import PolicyProcess
 from nw_eval.rollout.episode import carry_over

@@ -7,7 +7,7 @@ from torchscript import CARD, CRAFTED
 from nw_eval.confinement import offered
 from nw_eval.errors import NwEvalError
 from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.apart import line_to
+from nw_eval.policies.line import line_to
 from nw_eval.rollout.confined.access import policy_rules
 from nw_eval.rollout.confined.start import PolicyProcess
 

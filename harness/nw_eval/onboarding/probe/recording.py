@@ -15,7 +15,7 @@ from nw_eval.cards import Card
 from nw_eval.cards.networks import InputSpec
 from nw_eval.catalogue import parse_reference
 from nw_eval.policies import Bundle
-from nw_eval.policies.apart import ApartPolicy
+from nw_eval.policies.asked import ApartPolicy
 from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.fed_policy import FedPolicy
 from nw_eval.policies.planned import PlannedPolicy

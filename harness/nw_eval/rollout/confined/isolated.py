@@ -28,7 +28,7 @@ from nw_eval.errors import (
     UsageError,
     not_installed,
 )
-from nw_eval.policies.apart import use_line
+from nw_eval.policies.line import use_line
 from nw_eval.rollout.confined.progress import Progress
 from nw_eval.rollout.confined.start import Started, WorldAndPolicy, parts_of, start_pair
 from nw_eval.words import Kernels

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Hashable, Sequence
 
     from nw_eval.cards import Card
-    from nw_eval.policies.apart import PolicyLine
+    from nw_eval.policies.line import PolicyLine
     from nw_eval.words import Kernels
 
     Line = tuple[Connection, Connection, Connection]
@@ -311,7 +311,8 @@ def open_policy_process(
         OSError: it cannot be started.
     """
     # It knows cards and NumPy, for which the fork server does not wait.
-    from nw_eval.policies.apart import serve_policies, shared_memory
+    from nw_eval.policies.line import shared_memory
+    from nw_eval.policies.served import serve_policies
 
     with ExitStack() as closing:
         questions, ask = map(closing.enter_context, Pipe(duplex=False))
@@ -437,7 +438,7 @@ class PolicyProcess:
             opened = open_policy_process(self._rules, is_one_of_many=True)
             self._process, line = self._cleanup.enter_context(opened)
             self._cleanup.callback(self._end, self._process)
-            from nw_eval.policies.apart import PolicyLine
+            from nw_eval.policies.line import PolicyLine
 
             self._line = PolicyLine(*line, lost=self._lost)
         return self._line
