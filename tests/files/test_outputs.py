@@ -37,7 +37,7 @@ ELSEWHERE = {
     "hub/reference.py": "fills a folder of the cache that appears by one rename",
     "learn/curve.py": "appends events as a training goes on",
     "learn/student/trajectory.py": "writes a part file in its own data folder and renames it",
-    "machine_code.py": "marks a folder of the cache",
+    "machine_code/__init__.py": "marks a folder of the cache",
     "policies/folding.py": "runs confined, in a scratch folder, and may not set rights",
     "pytest_plugin/runs.py": "holds a lock, and writes nothing",
     "reporting/github.py": "appends to a file of GitHub's runner",

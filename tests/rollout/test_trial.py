@@ -95,7 +95,7 @@ BROKEN = partial(GlidingWorld, raises={5: KeyError("camera")})
 def test_a_fault_of_our_own_is_a_crash_that_says_where(run_faked):
     result = run_faked(world=BROKEN)
     assert (result.status, result.error_type) == ("error", "crashed")
-    assert result.error_text.startswith("KeyError: 'camera' at testing.py:")
+    assert result.error_text.startswith("KeyError: 'camera' at fakes.py:")
 
 
 def test_an_error_leaves_a_log_that_says_so(run_faked, tmp_path):

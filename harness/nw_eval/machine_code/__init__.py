@@ -45,7 +45,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _AS_WRITTEN: dict[str, Any] = {"boundscheck": False, "error_model": "numpy"}
 
 
-_VECTORS = Path(__file__).parent / "simd"
+_VECTORS = Path(__file__).parents[1] / "simd"
 
 
 def hash_sources(folder: Path) -> str:

@@ -1,10 +1,4 @@
-"""For tests of what extends nw-eval: a clock, a policy and a world that do as they are told.
-
-    from nw_eval.testing import FakePolicy, GlidingWorld, trial_setup
-
-A trial with them is an ordinary one: `FakePolicy` is an object as `nw_eval.evaluate` takes it,
-`GlidingWorld` has all readings of `World`, whose robot it moves without physics.
-"""
+"""A clock, a policy and a world that do as they are told."""
 
 from __future__ import annotations
 
@@ -24,16 +18,6 @@ from nw_eval.sensors import StepContext
 from nw_eval.sim import World
 from nw_eval.suite.trials import Trial
 from nw_eval.tasks import Course
-
-__all__ = [
-    "FakeClock",
-    "FakePolicy",
-    "GlidingWorld",
-    "fake_card",
-    "gliding_world",
-    "moment_of",
-    "trial_setup",
-]
 
 Array = NDArray[np.float64]
 
