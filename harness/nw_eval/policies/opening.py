@@ -41,7 +41,15 @@ from nw_eval.policies.bundle import Bundle, read_options
 from nw_eval.policies.chunks import ActOptions, ChunkPolicy
 from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.line import PolicyLine, current_line
-from nw_eval.policies.planned import OpenPolicy, PlannedNetwork, PlannedPolicy, leaves, operator_of
+from nw_eval.policies.planned import (
+    OpenPolicy,
+    PlannedNetwork,
+    PlannedPolicy,
+    files_known,
+    keep_files,
+    leaves,
+    operator_of,
+)
 from nw_eval.policies.planning import InProcess
 from nw_eval.policies.policy import ActingNetwork, Observation, Policy, raised
 from nw_eval.policies.policy_process import CodePolicy, FaultError
@@ -76,8 +84,11 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
     native = replace(bundle, card=card.model_copy(update={"runtime": "native"}))
     if card.adapters <= {"onnx"}:  # Their files say the sizes of their inputs.
         try:
-            files = {} if line is None else files_over(line, bundle)
-            return _open_here(replace(bundle, programs=files), allow_code=allow_code)
+            files = files_known(bundle)
+            if files is None and line is not None:
+                files = files_over(line, bundle)
+                keep_files(bundle, files)
+            return _open_here(replace(bundle, programs=files or {}), allow_code=allow_code)
         except PolicyError as error:
             if not leaves(bundle, error):
                 raise

@@ -235,6 +235,25 @@ class PlannedNetwork:
         self._is_open = False
 
 
+_KNOWN = 4
+_plans: dict[tuple[str, int], Mapping[str, PlannedFile]] = {}
+
+
+def files_known(bundle: Bundle) -> Mapping[str, PlannedFile] | None:
+    """Return what a policy was planned into that this process has opened; None if it has not.
+
+    All trials of a process open the same policies.
+    """
+    return _plans.get((bundle.digest, bundle.joints))
+
+
+def keep_files(bundle: Bundle, files: Mapping[str, PlannedFile]) -> None:
+    """Keep what a policy was planned into, for `files_known`."""
+    while len(_plans) >= _KNOWN:
+        del _plans[next(iter(_plans))]
+    _plans[bundle.digest, bundle.joints] = files
+
+
 _left: dict[str, str] = {}
 """By digest of a bundle, what of its networks nw-eval does not run, as this process has found."""
 
@@ -290,11 +309,9 @@ class PlannedPolicy:
     ) -> None:
         self._bundle, self._build = bundle, build
         self._seed, self._state = 0, b""
-        key = bundle.digest, bundle.joints
-        known = _plans.get(key)
+        known = files_known(bundle)
         self._unplanned: OpenPolicy | None = None if known else start()
         self._policy: Policy | None = self._built(known) if known else None
-        self._key = key
 
     def _built(self, files: Mapping[str, PlannedFile]) -> Policy:
         return self._build(replace(self._bundle, programs=files))
@@ -351,9 +368,7 @@ class PlannedPolicy:
                 raise
             unplanned.reset(self._seed)  # It may remember what was recorded.
             return unplanned
-        while len(_plans) >= _KNOWN:
-            del _plans[next(iter(_plans))]
-        _plans[self._key] = files
+        keep_files(self._bundle, files)
         return self._built(files)
 
     def state(self) -> bytes:
@@ -376,8 +391,3 @@ class PlannedPolicy:
             if each is not None:
                 each.close()
         self._unplanned = None
-
-
-_KNOWN = 4
-_plans: dict[tuple[str, int], Mapping[str, PlannedFile]] = {}
-"""What policies were planned into that this process has opened: all of its trials open the same."""
