@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import nw_eval
@@ -12,11 +16,23 @@ from nw_eval import api
 from nw_eval.engine.provenance import engine_of
 from nw_eval.networks import IDENTITY
 from nw_eval.policies import load_bundle
+from nw_eval.policies.networks.onnx_graph import Graph
 from nw_eval.results.bank import machine_in, machine_of
 from nw_eval.results.bank_file import read_bank
 from nw_eval.results.provenance import read_run_info
 
 POLICIES = Path(nw_eval.__file__).parents[2] / "policies"
+SUMMING = """\
+nw-policy: 1
+name: summing
+robot: go1
+adapter: onnx
+checkpoint: {{file: policy.onnx, sha256: {digest}}}
+control: {{action: joint_position_offset, scale: 0.25}}
+observations:
+  proprio: {{sensor: proprio, layout: parkour53}}
+"""
+"""A card whose file has an operator that nw-eval does not run."""
 SUITE = """\
 nw-eval: 1
 name: quick
@@ -107,3 +123,61 @@ def test_a_baseline_of_nw_eval_s_networks_has_one_class_whatever_saved_it(projec
     assert api.save_baseline("quick.yaml", trials=2, workers=1).action == "unchanged"
     (panel,) = read_bank(file).panels
     assert "cpu" not in panel.machine
+
+
+@pytest.fixture
+def summing(project):
+    """The project's policy, with a file that sums up."""
+    project()
+    graph, rng = Graph(), np.random.default_rng(2)
+    matrix = graph.constant(rng.normal(0, 0.1, (53, 12)).astype(np.float32))
+    product = graph.node("MatMul", graph.input("obs", 1, 53), matrix)
+    data = graph.model(graph.node("CumSum", product, graph.constant(np.array(1))), 1, 12)
+    folder = Path("policy")
+    for file in folder.iterdir():
+        file.unlink()
+    (folder / "policy.onnx").write_bytes(data)
+    (folder / "policy.yaml").write_text(SUMMING.format(digest=hashlib.sha256(data).hexdigest()))
+    return folder
+
+
+def test_a_policy_with_another_operator_goes_to_its_own_runtime_and_the_run_says_which(summing):
+    ran = api.run("quick.yaml", workers=1, baseline="none")
+    run = read_run_info(ran.folder / "run.json")
+    assert run.policy.dependence == "its results depend on the processor: operator CumSum"
+    assert {"cpu", "onnxruntime"} <= run.engine.keys()
+    assert run.policy.card_digest == load_bundle(summing).digest
+    log = next((ran.folder / "mcap").rglob("*.mcap"))
+    assert api.replay(log).is_identical
+    assert api.replay(log).versions == ()
+
+
+@pytest.mark.usefixtures("summing")
+def test_without_that_runtime_the_operator_and_the_extra_are_named():
+    code = """
+import sys
+sys.modules["onnxruntime"] = None
+from nw_eval.errors import PrerequisiteError
+from nw_eval.policies import load_bundle, open_policy
+try:
+    open_policy(load_bundle("policy"))
+except PrerequisiteError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert "nw-eval does not run operator CumSum, and the package onnxruntime is not" in done.stdout
+    assert done.stdout.endswith("; pip install 'nw-eval[onnxruntime]'\n")
+
+
+def test_a_command_without_torch_names_the_extra(tmp_path):
+    code = """
+import sys
+sys.modules["torch"] = None
+from nw_eval.cli import main
+main(["train", "teacher", "teacher-smoke", "--out", "out"])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert "error: the package torch is not installed; pip install 'nw-eval[" in done.stderr

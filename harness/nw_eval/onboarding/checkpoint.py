@@ -321,19 +321,19 @@ _SETTINGS = {"stable-baselines3": _saved_settings, "safetensors": _header_settin
 
 
 def _onnx(data: bytes, path: Path, sha256: str) -> CheckpointFacts:
-    from nw_eval.policies.networks.onnx_graph import open_session
+    from nw_eval.policies.networks.onnx_reading import read_declared
 
     check_onnx(data, str(path))
     try:
-        session = open_session(data, optimise=False)
-    except Exception as error:  # noqa: BLE001 - onnxruntime's exceptions share no public base.
+        declared = read_declared(data)
+    except ValueError as error:
         raise PolicyError(
             f"{path}: not a usable ONNX file: {clean(error, at_most=200)}",
             fix="export it again as one file with standard operators",
         ) from None
-    inputs = tuple(_node(node.name, node.shape, node.type) for node in session.get_inputs())
-    outputs = tuple(_node(node.name, node.shape, node.type) for node in session.get_outputs())
-    metadata = dict(session.get_modelmeta().custom_metadata_map)
+    inputs = tuple(ArrayFacts(**each._asdict()) for each in declared.inputs)
+    outputs = tuple(ArrayFacts(**each._asdict()) for each in declared.outputs)
+    metadata = declared.metadata
     state = state_pairs({a.name: a.shape for a in inputs}, {a.name: a.shape for a in outputs})
     return CheckpointFacts(
         path=path,
@@ -346,13 +346,6 @@ def _onnx(data: bytes, path: Path, sha256: str) -> CheckpointFacts:
         metadata=metadata,
         exporter=read_exporter_metadata(metadata),
     )
-
-
-def _node(name: str, shape: Sequence[int | str | None], kind: str) -> ArrayFacts:
-    sizes = tuple(size if isinstance(size, int) else None for size in shape)
-    dtype = kind.removeprefix("tensor(").removesuffix(")")
-    dtype = {"float": "float32", "double": "float64"}.get(dtype, dtype)
-    return ArrayFacts(name=name, shape=sizes, dtype=dtype)
 
 
 def _exported(data: bytes, path: Path, sha256: str) -> CheckpointFacts:

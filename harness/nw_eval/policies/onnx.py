@@ -295,6 +295,8 @@ def _session(graph: _GraphFile) -> ort.InferenceSession:
     check_onnx(graph.data, graph.where)
     try:
         return open_session(graph.data)
+    except ModuleNotFoundError:  # It is not the file's fault.
+        raise
     except Exception as error:  # noqa: BLE001 - onnxruntime's exceptions share no public base.
         raise PolicyError(
             f"{graph.where}: not a usable ONNX file: {clean(error, at_most=200)}",

@@ -7,7 +7,8 @@ numbers, and no functions that call themselves.
 from __future__ import annotations
 
 import math
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ _DTYPES: dict[int, str] = {
     11: "<f8", 12: "<u4", 13: "<u8",
 }  # fmt: skip
 """TensorProto.DataType."""
+_WORDS = {8: "string", 16: "bfloat16"}
 _MOST = 2**24
 _STANDARD = "ai.onnx"
 
@@ -36,6 +38,37 @@ def read_graph(data: bytes) -> Graph:
         ValueError: it is damaged.
     """
     return _GraphReader(data).graph()
+
+
+class DeclaredArray(NamedTuple):
+    """An input or output as a file declares it."""
+
+    name: str
+    shape: tuple[int | None, ...]
+    """None is a free axis."""
+    dtype: str
+    """As NumPy calls it; empty where the file does not say."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeclaredGraph:
+    """What a file says of its main graph."""
+
+    inputs: tuple[DeclaredArray, ...]
+    outputs: tuple[DeclaredArray, ...]
+    metadata: dict[str, str]
+
+
+def read_declared(data: bytes) -> DeclaredGraph:
+    """Return what a file declares. An output without a shape has that of its plan, if there is one.
+
+    Args:
+        data: the whole file, which `check_onnx` has passed.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    return _GraphReader(data).declared()
 
 
 class _GraphReader:
@@ -59,6 +92,47 @@ class _GraphReader:
         found.nodes = [self._node(node) for node in self._inside(main, "node", "Node")]
         found.outputs = [value.text("name") for value in self._inside(main, "output", "ValueInfo")]
         return found
+
+    def declared(self) -> DeclaredGraph:
+        (main,) = self._inside(self._model, "graph", "Graph")
+        weights = {tensor.text("name") for tensor in self._inside(main, "initializer", "Tensor")}
+        inputs = [self._declared(value) for value in self._inside(main, "input", "ValueInfo")]
+        outputs = [self._declared(value) for value in self._inside(main, "output", "ValueInfo")]
+        if not all(each.dtype and each.shape for each in outputs):
+            outputs = self._inferred(outputs)
+        entries = self._inside(self._model, "metadata_props", "Entry")
+        return DeclaredGraph(
+            inputs=tuple(each for each in inputs if each.name not in weights),
+            outputs=tuple(outputs),
+            metadata={entry.text("key"): entry.text("value") for entry in entries},
+        )
+
+    def _inferred(self, outputs: list[DeclaredArray]) -> list[DeclaredArray]:
+        from nw_eval.networks.plan import plan
+
+        try:
+            known = plan(self.graph()).outputs
+        except (UnsupportedError, ValueError):
+            return outputs
+        return [
+            DeclaredArray(each.name, tuple(slot.shape), np.dtype(slot.dtype).name)
+            for each in outputs
+            for slot in [known[each.name]]
+        ]
+
+    def _declared(self, value: ProtobufMessage) -> DeclaredArray:
+        for type_ in self._inside(value, "type", "Type"):
+            for tensor in self._inside(type_, "tensor_type", "TensorType"):
+                number = tensor.integer("elem_type")
+                dtype = np.dtype(_DTYPES[number]).name if number in _DTYPES else ""
+                sides = [
+                    axis.integer("dim_value")
+                    for shape in self._inside(tensor, "shape", "Shape")
+                    for axis in self._inside(shape, "dim", "Dim")
+                ]
+                shape = tuple(side or None for side in sides)
+                return DeclaredArray(value.text("name"), shape, dtype or _WORDS.get(number, ""))
+        return DeclaredArray(value.text("name"), (), "")
 
     def _inside(self, message: ProtobufMessage, field: str, kind: str) -> list[ProtobufMessage]:
         return [self._reader.read(view, kind) for view in message.views(field)]
