@@ -146,7 +146,11 @@ def test_a_full_disk_at_the_very_start_leaves_a_folder_that_can_be_started(proje
         api.run("quick.yaml", out=out, trials=1)
 
 
-def test_a_run_is_not_resumed_on_another_kind_of_processor(project, monkeypatch):
+def test_a_run_by_another_runtime_is_not_resumed_on_another_kind_of_processor(project, monkeypatch):
+    shutil.rmtree(project / "mine")
+    shutil.copytree(shipped("policies") / "go1-parkour", project / "mine")
+    card = project / "mine" / "policy.yaml"
+    card.write_text(card.read_text().replace("adapter: onnx\n", "adapter: onnx\nruntime: native\n"))
     api.run("quick.yaml", out=project / "run", trials=1)
     before = (project / "run" / "journal.jsonl").read_bytes()
     monkeypatch.setenv("NUMBA_CPU_NAME", "generic")

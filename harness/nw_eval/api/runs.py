@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Protocol, get_args
 
 from nw_eval.api.plans import plan
 from nw_eval.api.reports import RunReport, prepare_pages, report_here
-from nw_eval.engine.machine import check_workers
 from nw_eval.errors import UsageError, nearest
 from nw_eval.files.traceback_file import TracebackIn
 from nw_eval.plural import plural
@@ -77,6 +76,7 @@ def run(
         StoreError: results cannot be written; those that were written stay.
     """
     from nw_eval.api.continuing import continued
+    from nw_eval.engine.machine import check_workers
 
     check_workers(workers)
     if resume is not None and out is not None:

@@ -12,7 +12,6 @@ from nw_eval.api.plans import plan
 from nw_eval.api.renamed import keywords_were
 from nw_eval.api.reports import judge
 from nw_eval.api.runs import roll_out
-from nw_eval.engine.machine import check_workers
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import made_place
 from nw_eval.request import Request
@@ -77,6 +76,7 @@ def sweep(
         StoreError: results cannot be written.
     """
     from nw_eval.api.comparisons import check_share
+    from nw_eval.engine.machine import check_workers
     from nw_eval.gate.sweep import curve_of
     from nw_eval.reporting.sweep import write_sweep
 
