@@ -175,7 +175,7 @@ def test_make_run_ends_by_saying_how_to_go_on_and_with_the_code_of_the_run(tmp_p
         text=True,
         check=False,
     )
-    assert "ran: run suites/hurdles.yaml --all-rounds --trials 10\n" in ended.stdout
+    assert "ran: run suites/hurdles.yaml\n" in ended.stdout
     assert (
         ended.stdout.split("ran: ")[1]
         .splitlines()[-1]

@@ -29,6 +29,7 @@ COUNTING = {
     "contact_termination": st.booleans(),
     "collision": st.sampled_from(["terrain", "triangles"]),
     "checkpoint_digest": TEXT,
+    "operator": TEXT,
     "record": st.sampled_from(["all", "failures", "none", "summary"]),
     "render": st.sampled_from(["cpu", "cuda"]),
     "rendering": st.builds(
