@@ -305,7 +305,7 @@ def test_looking_at_banks_loads_no_simulator_and_not_even_arrow():
         "for words in (['list'], ['show', 'stand'], ['diff', 'stand', 'stand']):\n"
         "    try: cli.main(['baseline', *words])\n"
         "    except SystemExit as left: assert left.code == 0\n"
-        "heavy = {'mujoco', 'torch', 'numba', 'onnxruntime', 'embreex', 'pyarrow'}\n"
+        "heavy = {'mujoco', 'torch', 'numba', 'onnxruntime', 'pyarrow'}\n"
         "print(sorted(heavy & {*sys.modules}))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

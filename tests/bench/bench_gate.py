@@ -82,7 +82,7 @@ def provenance(rounds, starts, frictions, scenes=64):
         drawn_from=starts,
         code=code_info(),
         machine=machine_info(),
-        engine={"mujoco": "4.0.0", "embreex": "4.4", "renderer": "cpu", "cpu": "some"},
+        engine={"mujoco": "4.0.0", "rays": "nw-eval rays 1", "renderer": "cpu", "cpu": "some"},
     )
 
 

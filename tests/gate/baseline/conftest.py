@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     Scores = Mapping[str | Stratum, Sequence[float | None]]
     Visits = Mapping[str | Stratum, Sequence[float | None] | float | None]
 
-ENGINE = {"mujoco": "4.0.0", "embreex": "4.4", "renderer": "cpu gsplat-1.5", "cpu": "zen 4"}
+ENGINE = {"mujoco": "4.0.0", "rays": "nw-eval rays 1", "renderer": "cpu gsplat-1.5", "cpu": "zen 4"}
 
 
 def stratum_of(name: str | Stratum) -> Stratum:

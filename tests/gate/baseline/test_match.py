@@ -90,7 +90,7 @@ def test_of_a_suite_of_which_a_bank_knows_the_digest_only_what_can_be_told_is_to
     assert refusal(run, bank).startswith(f"its suite digest is {digests}: {words}")
 
 
-@pytest.mark.parametrize("name", ["mujoco", "embreex", "renderer"])
+@pytest.mark.parametrize("name", ["mujoco", "rays", "renderer"])
 def test_another_version_of_the_simulator_is_another_world(
     run: RunInfo, bank: BaselineResults, name: str
 ) -> None:

@@ -325,7 +325,7 @@ def test_judging_needs_no_simulator(run: RunInfo, bank: BaselineResults, drawn_r
         "try:\n"
         f"    main(['gate', {folder!r}, '--baseline', 'shipped', '--out', 'page.md'])\n"
         "finally:\n"
-        "    heavy = {'mujoco', 'torch', 'numba', 'onnxruntime', 'embreex', 'matplotlib'}\n"
+        "    heavy = {'mujoco', 'torch', 'numba', 'onnxruntime', 'matplotlib'}\n"
         "    print(sorted(heavy & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -18,7 +18,13 @@ if TYPE_CHECKING:
 
     from nw_eval.results.row import Row
 
-ENGINE = {"mujoco": "4.0.0", "embreex": "4.4", "renderer": "cpu", "cpu": "znver4", "torch": "2.6"}
+ENGINE = {
+    "mujoco": "4.0.0",
+    "rays": "nw-eval rays 1",
+    "renderer": "cpu",
+    "cpu": "znver4",
+    "torch": "2.6",
+}
 CELLS = ((("friction", 0.5),), (("friction", 1.0),))
 SCENES = ("hurdles/one", "hurdles/two")
 
@@ -68,7 +74,11 @@ def test_a_whole_run_is_a_bank_that_a_file_can_keep(
     assert len(panel.starts[0].trajectory) == 16
     assert bank.manifest.starts == 3
     assert bank.manifest.note == "why it is"
-    assert bank.manifest.key.simulator == {"mujoco": "4.0.0", "embreex": "4.4", "renderer": "cpu"}
+    assert bank.manifest.key.simulator == {
+        "mujoco": "4.0.0",
+        "rays": "nw-eval rays 1",
+        "renderer": "cpu",
+    }
     assert panel.machine == {"cpu": "znver4", "torch": "2.6"}
     assert bank.manifest.panels[0].saved == run.finished
     write_bank(tmp_path / "p.parquet", bank)

@@ -80,10 +80,10 @@ def test_what_a_policy_that_failed_by_itself_reached_is_no_success(
         ({"protocol": "neverwhere-2026"}, ["suite protocol  strict -> neverwhere-2026"]),
         ({"suite_digest": "ab" * 32}, [f"suite digest  {'aa' * 8} -> {'ab' * 8}"]),
         (
-            {"simulator": {"mujoco": "4.1.0", "embreex": "4.4"}},
+            {"simulator": {"mujoco": "4.1.0", "rays": "nw-eval rays 1"}},
             [
-                "simulator embreex   none -> 4.4",
                 "simulator mujoco    4.0.0 -> 4.1.0",
+                "simulator rays      none -> nw-eval rays 1",
                 "simulator renderer  cpu gsplat-1.5 -> none",
             ],
         ),
