@@ -230,7 +230,7 @@ def mlp(case):
     file = case.save({f"actor.{name}": value for name, value in randomized(layers).items()})
     written_to(case, MlpPolicy, "infer")
     options = "{weights: actor, activation: elu}"
-    return case.card("mlp", f"  obs: {{{BODY}}}\n", "", file, options=options)
+    return case.card("mlp", f"  obs: {{{BODY}}}\n", "", file, options=options, runtime="native")
 
 
 def act(case):
@@ -241,7 +241,7 @@ def act(case):
     file = case.save(randomized(Act(sizes)))
     written_to(case, ActNetwork, "outputs")
     inputs = "inputs: {proprio: [obs]}\n"
-    return case.card("act", f"  obs: {{{BODY}, rate: 10}}\n", inputs, file)
+    return case.card("act", f"  obs: {{{BODY}, rate: 10}}\n", inputs, file, runtime="native")
 
 
 def lucidsim(case):
@@ -252,9 +252,8 @@ def lucidsim(case):
   rgb: {sensor: splat_rgb, camera: ego, width: 80, height: 45, stack: 7, axes: chw, rate: 10,
         dtype: float32}
 """
-    return case.card(
-        "lucidsim", observations, "inputs: {proprio: [proprio], frames: [rgb]}\n", file
-    )
+    inputs = "inputs: {proprio: [proprio], frames: [rgb]}\n"
+    return case.card("lucidsim", observations, inputs, file, runtime="native")
 
 
 def parkour(case):
@@ -271,7 +270,7 @@ def parkour(case):
   depth: {{sensor: depth, camera: ego, width: 80, height: 45, rate: 10}}
 """
     inputs = "inputs: {proprio: [proprio], history: [history], depth: [depth]}\n"
-    return case.card("extreme-parkour", observations, inputs, file)
+    return case.card("extreme-parkour", observations, inputs, file, runtime="native")
 
 
 def zero(case):
@@ -324,7 +323,7 @@ def fed_by(adapter):
 
 
 CASES = {
-    "onnx": lambda case: case.card("onnx", file=onnx_file(case)),
+    "onnx": lambda case: case.card("onnx", file=onnx_file(case), runtime="native"),
     "torchscript": lambda case: case.card("torchscript", file=script_file(case)),
     "torch-export": lambda case: case.card("torch-export", file=export_file(case)),
     "mlp": mlp,

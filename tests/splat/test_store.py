@@ -102,7 +102,7 @@ def test_another_content_or_format_does_not_open(compiled):
     data = bytearray(read_sealed(compiled))
     data[:4096] = data[:4096].replace(b'"format": ', b'"format": 9')[:4096]
     forge(compiled, data)
-    with pytest.raises(SceneError, match="store format 94"):
+    with pytest.raises(SceneError, match="store format 95"):
         open_store(compiled)
 
 

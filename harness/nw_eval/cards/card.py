@@ -273,4 +273,7 @@ class Card(CardModel):
         network = self.networks[name]
         alone = {"adapter", "checkpoint", "inputs", "recurrent"}
         changed = {key: getattr(network, key) for key in alone}
-        return self.model_copy(update={**changed, "networks": {}, "options": {}, "output": None})
+        changed |= {"networks": {}, "options": {}, "output": None}
+        # What feeds code, or a server, is opened beside it.
+        runtime = self.runtime if self.is_planned else "native"
+        return self.model_copy(update={**changed, "runtime": runtime})
