@@ -66,8 +66,9 @@ def test_a_policy_that_is_worse_by_just_max_drop_passes_as_seldom_as_promised() 
 
 def test_a_policy_that_is_worse_by_just_what_is_tolerated_is_seldom_convicted() -> None:
     for cell, found in those("at tolerate"):
-        # A baseline of ten starts in all errs too much in its own mean for a claim about others.
-        tiny = cell.claim == "fresh" and cell.baseline == TWO_SCENES and cell.starts == 5
+        # A baseline of ten or twelve starts in all errs too much in its own mean for a claim about
+        # others; docs/concepts/power.md says by how much.
+        tiny = cell.claim == "fresh" and cell.baseline == TWO_SCENES and cell.starts <= 6
         assert found.regressed <= most(2 * ALPHA_REGR if tiny else ALPHA_REGR), cell
 
 
