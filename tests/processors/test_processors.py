@@ -57,7 +57,6 @@ def test_every_built_in_scene_is_recorded():
     assert {what.partition(",")[0] for what in recorded()} == {entry.name for entry in ENTRIES}
 
 
-@pytest.mark.nightly
 def test_a_built_in_scene_is_made_as_it_was_recorded():
     name = "hurdles/one_low_carpet"
     found = digests(name, mask=MASKS["AVX2"])

@@ -169,11 +169,11 @@ def test_rays_along_planes_of_the_boxes_and_rays_of_zeros_are_answered():
     assert tree.distance(o[:1], np.array([[0, np.inf, -1.0]])).tolist() == [np.inf]
 
 
-def test_a_ray_that_begins_on_a_face_meets_it():
+def test_a_ray_that_begins_on_a_face_meets_the_next():
     box = trimesh.creation.box((2.0, 2.0, 2.0))
     on_top = np.array([[0.3, 0.2, 1.0], [0.3, 0.2, 1.0]])
     distance = Tree(box.vertices, box.faces).distance(on_top, np.array([[0, 0, -1.0], [0, 0, 1]]))
-    assert distance.tolist() == [0.0, 0.0]
+    assert distance.tolist() == [2.0, np.inf]
 
 
 def test_the_first_of_equal_faces_counts_and_broken_ones_do_not():

@@ -333,7 +333,7 @@ def cast(  # noqa: C901, PLR0912 - kinds of words and of axes, in the loop that 
             if bits == 0:
                 continue
             t = fused(u, az, fused(v, bz, w * cz)) * along / (u + v + w)
-            bits &= mask_bits((t >= np.float32(0.0)) & (t <= best))
+            bits &= mask_bits((t > np.float32(0.0)) & (t <= best))
             store(lane, 0, t)
             while bits != 0:
                 child = lowest_bit(bits)

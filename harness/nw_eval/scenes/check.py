@@ -257,7 +257,8 @@ def _spawn(scene: Scene, rays: RayScene) -> list[SceneFinding]:
 
 def _looks_down(scene: Scene, rays: RayScene, x: float, y: float, z: float) -> bool:
     """Return whether the first face below the robot's body is seen from behind."""
-    origin = np.array([[x, y, z + 0.4]])
+    # A ray does not meet the face on which it begins, such as the top of a crate of 0.4 m.
+    origin = np.array([[x, y, z + 0.401]])
     _, face = rays.cast(origin, np.array([[0.0, 0.0, -1.0]]))
     if face[0] < 0:
         return False
