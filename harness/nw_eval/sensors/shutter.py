@@ -27,7 +27,7 @@ from nw_eval import same_bits
 from nw_eval.robots.spec import CameraMount
 from nw_eval.sensors.drawing.overlay import RobotView
 from nw_eval.sim import World
-from nw_eval.sim.body import RobotRays
+from nw_eval.sim.looks import RobotRays
 from nw_eval.splat.camera import Camera, Pixels, Rows
 
 Array = NDArray[np.float64]

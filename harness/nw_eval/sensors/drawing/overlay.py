@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from nw_eval.scenes.mesh import CONE_BASE, CONE_HEIGHT, TriangleMesh, cone_mesh, merge
 from nw_eval.scenes.rays import RayScene
 from nw_eval.sensors.drawing.pictures import FACE_CLASSES, NOTHING, PALETTE
-from nw_eval.sim.body import RobotRays
+from nw_eval.sim.looks import RobotRays
 from nw_eval.splat.camera import Camera, Pixels, Rows
 from nw_eval.splat.image import Image, composite
 from nw_eval.splat.kernels import insert as insertion
