@@ -81,7 +81,6 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
         return _open_native(bundle, line, allow_code=allow_code)
     if card.runtime is None and (operator := operator_of(bundle)):
         return _open_native(bundle.by_its_own_runtime(operator), line, allow_code=allow_code)
-    native = replace(bundle, card=card.model_copy(update={"runtime": "native"}))
     if card.adapters <= {"onnx"}:  # Their files say the sizes of their inputs.
         try:
             files = files_known(bundle)
@@ -96,6 +95,7 @@ def open_policy(bundle: Bundle, *, allow_code: bool = False) -> Policy:
         return _open_native(left, line, allow_code=allow_code)
 
     def start() -> OpenPolicy:
+        native = replace(bundle, card=card.model_copy(update={"runtime": "native"}))
         policy = _open_native(native, line, allow_code=allow_code)
         return policy if isinstance(policy, ApartPolicy) else cast("OpenPolicy", InProcess(policy))
 

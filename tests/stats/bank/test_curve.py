@@ -70,8 +70,10 @@ def test_the_operating_curve_is_near_the_gates_that_were_recorded(
     assert [point.drop for point in points] == [0.0, 0.05, 0.1, 0.2]
     for point in points:
         found, arms = cells[point.drop], 2 if against == "control" else 1
-        assert 100 * point.regressed == pytest.approx(found.regressed, abs=11.0), point
-        assert 100 * point.passed == pytest.approx(found.passed, abs=11.0), point
+        # One point is further off, as docs/concepts/power.md says.
+        worst = (baseline, against, point.drop) == (HURDLES, "panel", 0.05)
+        assert 100 * point.regressed == pytest.approx(found.regressed, abs=8.0), point
+        assert 100 * point.passed == pytest.approx(found.passed, abs=10.5 if worst else 8.0), point
         assert arms * point.trials == pytest.approx(found.trials, rel=0.25), point
         if point.drop >= 0.10:
             assert point.passed <= 0.05 + 0.021, point
