@@ -89,7 +89,7 @@ $(BIN)/python:
 # first and alone: the pinned CPU build satisfies every later requirement. Python compiles what is imported, once; compiling all of it ahead takes
 # ten seconds of a core. Kernels that could not be compiled here are at the first use, which says why.
 PIP := $(BIN)/pip install -q --no-compile --disable-pip-version-check
-WARM_UP := from nw_eval.splat.warmup import warmup; warmup()
+WARM_UP := from nw_eval.warmup import warmup; warmup()
 $(VENV)/.installed: $(BIN)/python pyproject.toml constraints.txt
 	$(PIP) -c constraints.txt numba numpy pydantic
 	PYTHONPATH=harness $(BIN)/python -c '$(WARM_UP)' >/dev/null 2>&1 & \

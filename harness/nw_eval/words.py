@@ -27,6 +27,8 @@ Kernels = Literal["ewa", "ray", "lens", "networks", "rays"]
 """What the CPU's kernels are compiled for, each for itself: either projection of a pinhole, lenses
 that bend, the networks of policies, and rays that meet triangles."""
 KERNELS: tuple[Kernels, ...] = get_args(Kernels)
+SPLAT_KERNELS: tuple[Kernels, ...] = ("ewa", "ray", "lens")
+"""Of them those that draw pictures of splats."""
 BLIND: tuple[Kernels, ...] = ("networks", "rays")
 """Those of trials that draw nothing."""
 

@@ -12,13 +12,13 @@ from nw_eval import api
 from nw_eval.catalogue import get_scene
 from nw_eval.errors import IncomparableError
 from nw_eval.gate.absolute import judge
+from nw_eval.gate.settings import Validity
 from nw_eval.results.parquet import read_rows
 from nw_eval.scenes.capture_file import write_captures
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.stats.betting import lower_bound
 from nw_eval.suite import Gate
-from nw_eval.suite.model import Validity
 
 pytestmark = pytest.mark.nightly  # real workers; by day tests/rollout and tests/gate show as much
 

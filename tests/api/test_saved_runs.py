@@ -28,8 +28,8 @@ from nw_eval.results.provenance import (
 from nw_eval.results.row import Row
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.results.sealed import sealed
+from nw_eval.results.trials import Trial
 from nw_eval.suite import new_suite
-from nw_eval.suite.trials import Trial
 
 SUITE = new_suite(
     {

@@ -40,9 +40,9 @@ from nw_eval.policies.networks.parkour import (
     ParkourActor,
     ParkourExpert,
 )
+from nw_eval.results.trials import Trial
 from nw_eval.rollout.job import StageClock, TrialJob
 from nw_eval.rollout.trial import open_trial
-from nw_eval.suite.trials import Trial
 
 PATH_TARGET = 60.0
 """Microseconds of a control step beside network and rays."""

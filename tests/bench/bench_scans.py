@@ -24,11 +24,11 @@ from scanned import write_scan
 
 from nw_eval.catalogue import get_scene, names
 from nw_eval.policies import load_bundle
+from nw_eval.results.trials import Trial
 from nw_eval.rollout import trial as rollout_trial
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
-from nw_eval.suite.trials import Trial
 
 TASKS = ("hurdles", "gaps", "ramps", "stairs")
 NOISE = {"scan": 0.0, "noisy scan": 0.002}

@@ -26,14 +26,14 @@ from onnx import TensorProto, helper
 from nw_eval.files.shipped import shipped
 from nw_eval.policies import load_bundle
 from nw_eval.policies.line import line_to
+from nw_eval.results.trials import Trial
 from nw_eval.rollout.confined.access import policy_rules
 from nw_eval.rollout.confined.start import PolicyProcess
 from nw_eval.rollout.job import StageClock, StageSeconds, TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
 from nw_eval.splat.store import open_store
-from nw_eval.suite.model import DRAFTED
-from nw_eval.suite.trials import Trial
+from nw_eval.suite.rendering import DRAFTED
 
 SCENES = ("hurdles/three_low", "hurdles/two_logs_park", "hurdles/one_low_carpet")
 TRIALS = 3

@@ -25,11 +25,11 @@ from nw_eval.policies import load_bundle
 from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.results.trials import expand
 from nw_eval.rollout.trial import run_trial
 from nw_eval.splat.files import write_splat
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.suite.model import new_suite
-from nw_eval.suite.trials import expand
 
 SCENE = "flat/carpet_room"
 

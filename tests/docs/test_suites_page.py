@@ -11,12 +11,13 @@ import pytest
 
 from nw_eval.built_in.splits import Split
 from nw_eval.catalogue import names
+from nw_eval.gate.settings import Gate
 from nw_eval.protocol import STRICT
+from nw_eval.results.trials import MAX_TRIALS
 from nw_eval.robots import get_robot
 from nw_eval.sim.model import GRAVITY, compile_model
 from nw_eval.suite import Suite, load_suite
-from nw_eval.suite.model import MAX_CELLS, Gate
-from nw_eval.suite.trials import MAX_TRIALS
+from nw_eval.suite.model import MAX_CELLS
 from nw_eval.tasks.course import PUBLISHED_FIRST_SEED, REACH_RADIUS, REACH_STEPS, Limits
 from nw_eval.words import OUTCOMES, Protocol, Tier
 

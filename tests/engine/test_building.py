@@ -16,7 +16,7 @@ from nw_eval.engine.prepare import SplatBuilders
 from nw_eval.errors import SceneError
 from nw_eval.results.journal import read_journal
 from nw_eval.results.row import rows_digest
-from nw_eval.suite.trials import Trial
+from nw_eval.results.trials import Trial
 
 NAMES = ("hurdles/one_low_carpet", "hurdles/three_low", "hurdles/two_logs_park")
 ANSWERING = """#!/bin/sh

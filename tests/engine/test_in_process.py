@@ -24,9 +24,9 @@ from nw_eval.results.parquet import read_rows
 from nw_eval.results.provenance import StopInfo, read_run_info
 from nw_eval.results.row import rows_digest
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.results.trials import expand
 from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.suite.model import new_suite
-from nw_eval.suite.trials import expand
 
 SCENE = "flat/carpet_room"
 

@@ -18,13 +18,13 @@ from nw_eval.errors import PluginError, SuiteError
 from nw_eval.plugins import ROBOTS, SCORES, TASKS, PluginWarning, identity_of
 from nw_eval.policies import load_bundle
 from nw_eval.results.provenance import read_run_info
+from nw_eval.results.trials import Trial
 from nw_eval.robots import find_robot
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.record import job_from_metadata, trial_metadata
 from nw_eval.rollout.trial import run_trial
 from nw_eval.suite import load_suite
 from nw_eval.suite.model import new_suite
-from nw_eval.suite.trials import Trial
 from nw_eval.tasks import open_task, task_kinds
 from nw_eval.tasks.task import TaskRules
 

@@ -20,9 +20,9 @@ from nw_eval.protocol import STRICT
 from nw_eval.request import Request
 from nw_eval.results.journal import Journal, JournalHeader
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.results.trials import expand
 from nw_eval.rollout.confined import start
 from nw_eval.suite.model import new_suite
-from nw_eval.suite.trials import expand
 from nw_eval.tasks.course import draw_start
 
 SCENE = "flat/carpet_room"

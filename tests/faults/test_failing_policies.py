@@ -10,9 +10,9 @@ import pytest
 
 from nw_eval.cli.verbs.replay import replay_line
 from nw_eval.gate.absolute import judge
+from nw_eval.gate.settings import Gate
 from nw_eval.results.row import rows_digest
 from nw_eval.rollout.replaying.takeover import replay
-from nw_eval.suite.model import Gate
 
 CARD = """\
 nw-policy: 1

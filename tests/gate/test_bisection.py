@@ -15,10 +15,10 @@ from nw_eval.api.series import BisectedSeries
 from nw_eval.cli.verbs.bisect import series_page
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.bisection import Decision, bisect
+from nw_eval.gate.settings import Gate
 from nw_eval.gate.verdict import Comparison
 from nw_eval.results.provenance import PolicyInfo, RunInfo, code_info, machine_info
 from nw_eval.stats.interval import Interval
-from nw_eval.suite.model import Gate
 
 if TYPE_CHECKING:
     from collections.abc import Callable

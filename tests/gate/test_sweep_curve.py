@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from nw_eval.gate.sweep import curve_of
 from nw_eval.reporting.sweep import cliff_words, parting_words, sweep_table, write_sweep
 from nw_eval.scores import specs_of
+from nw_eval.suite.axes import axis_named
 
 
 class Row:
@@ -32,7 +33,9 @@ def rows_of(shares, n=20, axis="friction", scenes=("a", "b")):
 
 
 def test_a_cliff_is_the_first_value_from_the_neutral_one_that_is_worse_beyond_chance():
-    curve = curve_of("friction", "p", rows_of({0.2: 0.0, 0.4: 0.3, 0.6: 0.95, 1.2: 1.0}))
+    curve = curve_of(
+        axis_named("friction"), "p", rows_of({0.2: 0.0, 0.4: 0.3, 0.6: 0.95, 1.2: 1.0})
+    )
     (cliff,) = curve.cliffs
     assert (cliff.holds.value, cliff.falls.value) == (0.6, 0.4)
     assert curve.reference.value == 1.2
@@ -44,31 +47,33 @@ def test_a_cliff_is_the_first_value_from_the_neutral_one_that_is_worse_beyond_ch
 
 def test_a_camera_that_may_tilt_both_ways_has_a_cliff_on_each_side():
     shares = {-0.3: 0.1, -0.1: 1.0, 0.0: 1.0, 0.1: 0.9, 0.3: 0.0}
-    curve = curve_of("camera_pitch", "p", rows_of(shares, axis="camera_pitch"))
+    curve = curve_of(axis_named("camera_pitch"), "p", rows_of(shares, axis="camera_pitch"))
     assert [(c.holds.value, c.falls.value) for c in curve.cliffs] == [(-0.1, -0.3), (0.1, 0.3)]
 
 
 def test_a_value_that_is_as_good_as_the_neutral_one_holds():
-    curve = curve_of("payload", "p", rows_of({0.0: 0.9, 2.0: 0.95, 5.0: 0.0}, axis="payload"))
+    curve = curve_of(
+        axis_named("payload"), "p", rows_of({0.0: 0.9, 2.0: 0.95, 5.0: 0.0}, axis="payload")
+    )
     (line,) = cliff_words(curve)
     assert line.endswith("; holds at 2")
 
 
 def test_what_chance_may_explain_is_no_cliff():
-    curve = curve_of("friction", "p", rows_of({0.4: 0.9, 1.2: 1.0}, n=10))
+    curve = curve_of(axis_named("friction"), "p", rows_of({0.4: 0.9, 1.2: 1.0}, n=10))
     assert curve.cliffs == ()
     (line,) = cliff_words(curve)
     assert "no cliff from friction 0.4 to 1.2" in line
 
 
 def test_a_fall_that_so_few_trials_cannot_show_is_too_few_trials_and_says_how_many_would():
-    curve = curve_of("friction", "p", rows_of({0.2: 0.0, 1.25: 1.0}, n=2))
+    curve = curve_of(axis_named("friction"), "p", rows_of({0.2: 0.0, 1.25: 1.0}, n=2))
     (line,) = cliff_words(curve)
     assert line == (
         "p: too few trials to tell; 3 needed in each scene at each value (--trials 3) for a fall "
         "from 4 of 4 to none"
     )
-    (enough,) = curve_of("friction", "p", rows_of({0.2: 0.0, 1.25: 1.0}, n=3)).cliffs
+    (enough,) = curve_of(axis_named("friction"), "p", rows_of({0.2: 0.0, 1.25: 1.0}, n=3)).cliffs
     assert enough.falls.value == 0.2
 
 
@@ -76,28 +81,30 @@ def test_a_fall_that_so_few_trials_cannot_show_is_too_few_trials_and_says_how_ma
 @pytest.mark.parametrize("values", [2, 5, 9])
 def test_the_number_that_is_needed_is_the_least_with_which_a_fall_to_none_is_found(scenes, values):
     shares = {0.1 * (place + 1): 0.0 for place in range(values - 1)} | {1.25: 1.0}
-    few = curve_of("friction", "p", rows_of(shares, n=1, scenes=scenes))
+    few = curve_of(axis_named("friction"), "p", rows_of(shares, n=1, scenes=scenes))
     if few.needed is None:
         assert few.cliffs
         return
     for n in (few.needed - 1, few.needed):
-        curve = curve_of("friction", "p", rows_of(shares, n=n, scenes=scenes))
+        curve = curve_of(axis_named("friction"), "p", rows_of(shares, n=n, scenes=scenes))
         assert bool(curve.cliffs) == (n == few.needed)
         assert (curve.needed is None) == (n == few.needed)
 
 
 def test_where_few_complete_at_the_reference_more_trials_are_needed_than_are_for_all():
-    curve = curve_of("friction", "p", rows_of({0.2: 0.0, 1.25: 0.3}, n=10, scenes=("a",)))
+    curve = curve_of(
+        axis_named("friction"), "p", rows_of({0.2: 0.0, 1.25: 0.3}, n=10, scenes=("a",))
+    )
     (line,) = cliff_words(curve)
     assert line.endswith("for a fall from 3 of 10 to none")
     more = rows_of({0.2: 0.0, 1.25: 0.3}, n=curve.needed, scenes=("a",))
     assert curve.needed > 10
-    assert curve_of("friction", "p", more).cliffs
+    assert curve_of(axis_named("friction"), "p", more).cliffs
 
 
 def test_two_policies_of_too_few_trials_are_not_said_to_be_alike():
     one, two = (
-        curve_of("friction", name, rows_of({0.4: share, 1.2: share}, n=2))
+        curve_of(axis_named("friction"), name, rows_of({0.4: share, 1.2: share}, n=2))
         for name, share in (("one", 1.0), ("two", 0.0))
     )
     assert parting_words(one, two) == (
@@ -108,7 +115,7 @@ def test_two_policies_of_too_few_trials_are_not_said_to_be_alike():
 
 def test_a_value_at_which_too_few_trials_ran_neither_falls_nor_holds_in_the_parquet_file(tmp_path):
     rows = rows_of({0.2: 0.0, 1.25: 1.0}, n=2)
-    write_sweep([[curve_of("friction", "p", rows)]], "smoke", tmp_path)
+    write_sweep([[curve_of(axis_named("friction"), "p", rows)]], "smoke", tmp_path)
     written = pq.read_table(tmp_path / "sweep.parquet").to_pylist()
     assert [(row["falls"], row["trials_needed"]) for row in written] == [(None, 3), (False, 3)]
     page = (tmp_path / "sweep.md").read_text()
@@ -117,7 +124,7 @@ def test_a_value_at_which_too_few_trials_ran_neither_falls_nor_holds_in_the_parq
 
 
 def test_a_policy_that_never_completes_has_nothing_to_fall_from():
-    curve = curve_of("friction", "p", rows_of({0.4: 0.0, 1.2: 0.0}))
+    curve = curve_of(axis_named("friction"), "p", rows_of({0.4: 0.0, 1.2: 0.0}))
     assert cliff_words(curve) == [
         "p: nothing to fall from: none of 40 trials at friction 1.2 completed"
     ]
@@ -127,14 +134,14 @@ def test_trials_without_a_result_are_counted_and_judge_nothing():
     rows = rows_of({0.4: 1.0, 1.2: 1.0}, n=3)
     rows.append(Row(0.4, None, success=None))
     rows[-1].success = None
-    curve = curve_of("friction", "p", rows)
+    curve = curve_of(axis_named("friction"), "p", rows)
     assert [point.errors for point in curve.points] == [1, 0]
     assert sweep_table([curve]).rows[0][2] == "6, 1 errors"
 
 
 def test_two_policies_part_where_they_do_beyond_chance():
-    one = curve_of("friction", "one", rows_of({0.4: 1.0, 1.2: 1.0}))
-    two = curve_of("friction", "two", rows_of({0.4: 0.1, 1.2: 0.95}))
+    one = curve_of(axis_named("friction"), "one", rows_of({0.4: 1.0, 1.2: 1.0}))
+    two = curve_of(axis_named("friction"), "two", rows_of({0.4: 0.1, 1.2: 0.95}))
     assert (
         parting_words(one, two)
         == "one and two: different shares complete at friction 0.4 (1.00 and 0.10)"
@@ -148,7 +155,9 @@ def test_the_order_of_rows_changes_nothing(done, seed):
     shares = {0.1 * (place + 1): count / 6 for place, count in enumerate(done)}
     rows = rows_of(shares, n=6)
     shuffled = [rows[i] for i in np.random.default_rng(seed).permutation(len(rows))]
-    assert curve_of("friction", "p", rows) == curve_of("friction", "p", shuffled)
+    assert curve_of(axis_named("friction"), "p", rows) == curve_of(
+        axis_named("friction"), "p", shuffled
+    )
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9])
@@ -173,7 +182,7 @@ def _cliffs(rows, monkey=pytest.MonkeyPatch):
     quick = Estimate(mean=0.5, interval=Interval(0.0, 1.0), n=1, confidence=0.95)
     with monkey.context() as patch:
         patch.setattr(sweep, "mean_of_scenes", lambda *_: quick)
-        return curve_of("friction", "p", rows).cliffs
+        return curve_of(axis_named("friction"), "p", rows).cliffs
 
 
 def test_scores_are_shown_by_value_beside_success(tmp_path):
@@ -184,7 +193,7 @@ def test_scores_are_shown_by_value_beside_success(tmp_path):
         value = dict(row.perturbation)["friction"]
         row.scores = (("mean_power", by_scene / value),)
     rows[0].outcome = "policy_failed"
-    curve = curve_of("friction", "p", rows, specs=specs_of(["mean_power"]))
+    curve = curve_of(axis_named("friction"), "p", rows, specs=specs_of(["mean_power"]))
     low, high = (point.scores["mean_power"] for point in curve.points)
     assert high == pytest.approx(150.0)
     assert low == pytest.approx(((3 * 200.0 + 1000.0) / 4 + 400.0) / 2)

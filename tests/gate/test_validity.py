@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from nw_eval.gate.absolute import judge
+from nw_eval.gate.settings import Validity
 from nw_eval.gate.validity import has_left, seconds_outside
 from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.suite import Gate
-from nw_eval.suite.model import Validity
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

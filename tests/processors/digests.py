@@ -22,6 +22,7 @@ from nw_eval.cards.observations import BUILT_IN_SENSORS
 from nw_eval.catalogue import get_scene
 from nw_eval.files.shipped import shipped
 from nw_eval.lens import Distortion
+from nw_eval.results.trials import Trial
 from nw_eval.robots import get_robot
 from nw_eval.rollout.job import TrialJob, TrialResult
 from nw_eval.rollout.library import Library
@@ -33,7 +34,6 @@ from nw_eval.sim import World
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.render import open_renderer
 from nw_eval.splat.store import Layout, memory_store, open_store
-from nw_eval.suite.trials import Trial
 from nw_eval.tasks import Course
 
 NEEDED = {"proprio": {"layout": "parkour53"}}

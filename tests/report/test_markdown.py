@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from nw_eval.digest import digest_of
 from nw_eval.errors import StoreError
 from nw_eval.gate.absolute import judge
 from nw_eval.reporting.markdown import render_markdown, write_report
@@ -15,7 +16,6 @@ from nw_eval.reporting.tables import tasks_table
 from nw_eval.results.provenance import PolicyInfo
 from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.suite import Gate
-from nw_eval.suite.digest import digest_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable

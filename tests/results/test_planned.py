@@ -8,7 +8,7 @@ import pytest
 
 from nw_eval.errors import StoreError
 from nw_eval.results.ended import of_plan
-from nw_eval.suite.trials import Trial
+from nw_eval.results.trials import Trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from nw_eval.catalogue import get_scene
+from nw_eval.results.trials import Trial
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
 from nw_eval.sim import World
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import compile_store
-from nw_eval.suite.trials import Trial
 
 SCENE = "flat/carpet_room"
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from nw_eval.catalogue import open_scene
+from nw_eval.results.trials import Trial
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.trial import run_trial
-from nw_eval.suite.trials import Trial
 
 ASSETS = Path(
     os.environ.get("NW_EVAL_ASSETS", Path(__file__).resolve().parents[3] / "shared" / "assets")

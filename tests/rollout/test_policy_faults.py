@@ -10,12 +10,12 @@ import pytest
 
 from nw_eval.errors import PolicyError, ServerError, UsageError
 from nw_eval.policies.opening import ZeroPolicy
+from nw_eval.results.trials import Trial
 from nw_eval.rollout.job import TrialJob, TrialResult, policy_fault
 from nw_eval.rollout.library import Library
 from nw_eval.rollout.record import verdict_metadata
 from nw_eval.rollout.trial import run_trial
 from nw_eval.scores.own import OwnScore, own_text
-from nw_eval.suite.trials import Trial
 from nw_eval.tasks.course import Course
 from nw_eval.testing import FakePolicy, GlidingWorld
 

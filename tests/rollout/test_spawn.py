@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.suite.trials import Trial
+from nw_eval.results.trials import Trial
 from nw_eval.tasks.course import draw_start
 
 # Measured on the published evaluation (MuJoCo 3.1.6), seeds 10000 and 10001: the spawn offsets of

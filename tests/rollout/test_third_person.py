@@ -11,6 +11,7 @@ from nw_eval import api
 from nw_eval.catalogue import get_scene
 from nw_eval.errors import UsageError
 from nw_eval.policies import load_bundle
+from nw_eval.results.trials import Trial
 from nw_eval.robots import get_robot
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.replaying import film
@@ -22,7 +23,6 @@ from nw_eval.sensors.drawing.pictures import draw_sheet
 from nw_eval.sim import World
 from nw_eval.splat.camera import Pixels
 from nw_eval.splat.image import Image
-from nw_eval.suite.trials import Trial
 
 SCENE = """\
 nw-scene: 1

@@ -19,12 +19,12 @@ from nw_eval import cli
 from nw_eval.catalogue import get_scene
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.policies import load_bundle
+from nw_eval.results.trials import Trial
 from nw_eval.robots import get_robot
 from nw_eval.rollout.job import TrialJob
 from nw_eval.rollout.record import attachments
 from nw_eval.rollout.trial import run_trial
 from nw_eval.scores import BUILT_IN
-from nw_eval.suite.trials import Trial
 
 GO1 = get_robot("go1")
 HEADER = "std_msgs/Header header\n"

@@ -161,7 +161,7 @@ from nw_eval.scenes.rays import RayScene
 from nw_eval.splat.camera import Camera, Pixels, look_at
 from nw_eval.splat.image import Image
 from nw_eval.splat.kernels import insert
-from nw_eval.splat.warmup import warmup
+from nw_eval.warmup import warmup
 
 warmup(kernels=("ray",))
 kernels = [each for each in vars(insert).values() if hasattr(each, "signatures")]

@@ -19,7 +19,7 @@ from nw_eval.splat.gaussians import concatenate, describe
 from nw_eval.splat.portrait import framing_camera, orbit, save_gif, save_png
 from nw_eval.splat.render import CpuRenderer
 from nw_eval.splat.store import memory_store
-from nw_eval.splat.warmup import warmup
+from nw_eval.warmup import warmup
 
 
 def test_a_description_counts_what_is_there():
@@ -116,7 +116,7 @@ from nw_eval.lens import Distortion
 from nw_eval.splat.camera import Camera, Pixels
 from nw_eval.splat.render import CpuRenderer
 from nw_eval.splat.kernels.draw import draw
-from nw_eval.splat.warmup import warmup
+from nw_eval.warmup import warmup
 from splat_rooms import room
 from nw_eval.splat.store import memory_store
 
@@ -152,7 +152,7 @@ def test_the_first_install_compiles_with_the_packages_that_it_has_by_then():
     modules = [name for name, of in packages_distributions().items() if late & set(of)]
     assert {"mujoco", "pandas"} <= set(modules)
     program = f"import sys; sys.modules.update(dict.fromkeys({modules}))\n"
-    program += "import nw_eval.splat.warmup, nw_eval.splat.render"
+    program += "import nw_eval.warmup, nw_eval.splat.render"
     subprocess.run([sys.executable, "-c", program], check=True)
 
 

@@ -5,8 +5,11 @@ from typing import Any
 
 import pytest
 
-from nw_eval.suite import Suite, new_suite
+from nw_eval.results.trials import _USUAL, digest_of_trials
+from nw_eval.suite import Suite, load_suite, new_suite
 from nw_eval.suite.model import Source
+from nw_eval.suite.rendering import PUBLISHED
+from nw_eval.tasks import COURSE
 
 BASE: dict[str, Any] = {
     "nw-eval": 1,
@@ -78,3 +81,13 @@ def test_where_a_suite_was_written_is_no_part_of_it() -> None:
     elsewhere = new_suite(BASE, Source(file="/elsewhere.yaml", places={(): (3, 1)}))
     assert elsewhere == suite()
     assert elsewhere.content_digest == suite().content_digest
+
+
+def test_settings_that_a_suite_leaves_out_are_those_under_which_digests_are_as_before():
+    suite = load_suite("hurdles")
+    assert suite.task == COURSE
+    assert suite.render != PUBLISHED
+    plain = new_suite({**suite.model_dump(by_alias=True), "render": PUBLISHED.model_dump()})
+    assert {"task": COURSE.model_dump(), "render": PUBLISHED.model_dump()} == _USUAL
+    said = {**plain.model_dump(), "task": COURSE.model_dump(), "render": PUBLISHED.model_dump()}
+    assert digest_of_trials(said) == plain.digest != suite.digest

@@ -121,8 +121,8 @@ class Here:
     @property
     def work(self) -> Path:
         """Where its trials are kept: one folder for each key, policy and class of machine."""
+        from nw_eval.digest import digest_of
         from nw_eval.engine.provenance import journal_header
-        from nw_eval.suite.digest import digest_of
 
         header = journal_header(self.plan)
         key = [header.suite_digest, header.policy_digest, self.policy.checkpoint_digest]

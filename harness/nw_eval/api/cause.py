@@ -172,7 +172,7 @@ def _rounds(info: RunInfo, suite: Suite, trials: int | None) -> int:
 
 def _plain(suite: Suite, rounds: int) -> Suite:
     """Return a suite that judges nothing, with so many trials of each scene."""
-    from nw_eval.suite.model import Gate
+    from nw_eval.gate.settings import Gate
 
     changes = {"gate": Gate.model_validate({}), "record": "none", "trials": rounds}
     return suite.model_copy(update=changes)

@@ -214,7 +214,7 @@ def _cache() -> tuple[dict[str, str | int], list[str]]:
 
 
 def _compiled() -> tuple[str, ...]:
-    """Return what `splat.warmup.warm_kernels` does, without a second for importing numba."""
+    """Return what `warmup.warm_kernels` does, without a second for importing numba."""
     from llvmlite import binding
 
     from nw_eval.files.cache import cache_dir

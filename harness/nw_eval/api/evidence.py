@@ -31,6 +31,7 @@ from pydantic import ValidationError
 
 from nw_eval.api.evidence_log import ReadClip, ReadLog, ReadLogs, read_logs
 from nw_eval.confinement import Rules
+from nw_eval.digest import digest_of
 from nw_eval.errors import NwEvalError, StoreError
 from nw_eval.files.cache import DamagedError, private_dir, read_sealed, sealed_path
 from nw_eval.plural import plural
@@ -51,7 +52,6 @@ from nw_eval.results.provenance import code_info
 from nw_eval.results.row import Row
 from nw_eval.results.run_folder import RunFolder
 from nw_eval.rollout.confined.isolated import call_isolated
-from nw_eval.suite.digest import digest_of
 
 if TYPE_CHECKING:
     from nw_eval.results.provenance import RunInfo

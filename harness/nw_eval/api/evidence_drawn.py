@@ -20,10 +20,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from nw_eval.api.evidence import KeptEvidence, WantedLog
 from nw_eval.api.evidence_log import PERIOD, SECONDS, Box, ReadClip, box_round, clip_of, sized
+from nw_eval.digest import digest_of
 from nw_eval.errors import NwEvalError
 from nw_eval.reporting.html.evidence import Film, LogEvidence, PlacePicture, PlaceView
 from nw_eval.results.provenance import code_info
-from nw_eval.suite.digest import digest_of
 
 if TYPE_CHECKING:
     from nw_eval.results.row import Row

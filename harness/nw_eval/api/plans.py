@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from nw_eval.policies import Bundle
     from nw_eval.results.bank import Against, Stratum
     from nw_eval.results.provenance import PolicyInfo
+    from nw_eval.results.trials import DrawnStart
     from nw_eval.robots import FoundRobot
     from nw_eval.scenes import Scene
     from nw_eval.scenes.finding import SceneFinding
     from nw_eval.suite import Draft, Suite, Trial
-    from nw_eval.suite.trials import DrawnStart
     from nw_eval.words import Arm, Collision
 
 
@@ -182,7 +182,7 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
 
 def _check_pictures(suite: Suite | None, request: Request, faults: Faults) -> None:
     """Tell where the backend cannot draw what a suite asks for."""
-    from nw_eval.suite.model import PUBLISHED
+    from nw_eval.suite.rendering import PUBLISHED
 
     if suite is None or request.render != "cuda" or suite.render == PUBLISHED:
         return
@@ -336,7 +336,7 @@ def _on_panel(request: Request, suite: Suite, policy: PolicyInfo, against: Again
     from nw_eval.gate.baseline.match import fresh_seed
     from nw_eval.suite import override
 
-    seed = fresh_seed(policy, suite) if request.panel == "fresh" else None
+    seed = fresh_seed(policy, suite.model_dump(by_alias=True)) if request.panel == "fresh" else None
     rounds = suite.gate.rounds if against is not None and request.trials is None else None
     return override(suite, Request(seed=seed, trials=rounds))
 

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from nw_eval.results.provenance import RunInfo
     from nw_eval.results.row import Row
     from nw_eval.results.run_folder import RunFolder
+    from nw_eval.results.trials import SceneLike
     from nw_eval.suite import Suite, Trial
-    from nw_eval.suite.trials import SceneLike
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,8 +124,8 @@ def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
         IncomparableError: an older nw-eval drew them in another way.
     """
     from nw_eval.gate.baseline.match import drawn_order
+    from nw_eval.results.trials import MAX_TRIALS
     from nw_eval.suite import expand
-    from nw_eval.suite.trials import MAX_TRIALS
 
     scenes = _saved_scenes(info)
     order = None

@@ -210,7 +210,7 @@ def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> W
     from nw_eval.catalogue import match_scenes
     from nw_eval.engine.listener import NullListener
     from nw_eval.engine.prepare import build_splats
-    from nw_eval.splat.warmup import warmup as compile_kernels
+    from nw_eval.warmup import warmup as compile_kernels
 
     seconds = compile_kernels()
     found = match_scenes(tuple(scenes)) if scenes else ()

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
     from nw_eval.engine.listener import Listener
     from nw_eval.gate.bisection import Bisection, Decision
+    from nw_eval.gate.settings import Gate
     from nw_eval.request import Request
-    from nw_eval.suite.model import Gate
 
 _REPORTS = Path("reports")
 

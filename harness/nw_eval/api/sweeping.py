@@ -79,6 +79,7 @@ def sweep(
     from nw_eval.engine.machine import check_workers
     from nw_eval.gate.sweep import curve_of
     from nw_eval.reporting.sweep import write_sweep
+    from nw_eval.suite.axes import axis_named
 
     check_workers(workers)
     check_share(confidence)
@@ -107,7 +108,9 @@ def sweep(
         )
         run = judge(done.path, baseline="none")
         if run.rows:
-            curve = curve_of(name, labels[number - 1], run.rows, confidence, run.info.scores)
+            curve = curve_of(
+                axis_named(name), labels[number - 1], run.rows, confidence, run.info.scores
+            )
             found.setdefault(name, []).append(curve)
         interrupted = run.interrupted
         if interrupted:

@@ -33,11 +33,11 @@ from tempfile import mkdtemp
 from time import time
 from typing import TYPE_CHECKING, Any, Self, cast
 
+from nw_eval.digest import digest_of
 from nw_eval.errors import StoreError, UsageError
 from nw_eval.files.cache import cache_dir, private_dir
 from nw_eval.results.row import Row, from_dict, to_dict
 from nw_eval.results.seal import seal, unseal
-from nw_eval.suite.digest import digest_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -24,7 +24,7 @@ from nw_eval.results.provenance import ShardInfo
 if TYPE_CHECKING:
     from collections.abc import Collection, Container, Iterable, Sequence
 
-    from nw_eval.suite.trials import Trial
+    from nw_eval.results.trials import Trial
 
 _NEAR = 16
 """Trials of a drawn order among which a worker may choose."""

@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from nw_eval.results.column import Settings
     from nw_eval.results.provenance import ShardInfo
     from nw_eval.results.run_folder import RunFolder
+    from nw_eval.results.trials import DrawnStart, Trial
     from nw_eval.scenes import Scene
     from nw_eval.suite.model import Suite
-    from nw_eval.suite.trials import DrawnStart, Trial
     from nw_eval.words import Arm, Backend, Kernels, PanelKind
 
 # Wall seconds for each simulated second, and on top for the first compilation of kernels: many

@@ -90,7 +90,7 @@ def open_backend(
     """
     if is_fenced and render == "cpu" and has_kernels(kernels) and not surfaces:
         return
-    from nw_eval.splat.warmup import kernel_note, warmup
+    from nw_eval.warmup import kernel_note, warmup
 
     with beside or nullcontext():
         seconds = warmup(render, surfaces=surfaces, kernels=kernels)

@@ -38,7 +38,7 @@ from nw_eval.robots import get_robot
 from nw_eval.rollout.confined.access import why_off
 from nw_eval.scenes.folder import FileSplat
 from nw_eval.scenes.neverwhere import reference_path
-from nw_eval.suite.model import PUBLISHED
+from nw_eval.suite.rendering import PUBLISHED
 from nw_eval.tasks import declared_by
 from nw_eval.words import Backend
 
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from nw_eval.policies import Bundle
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.scenes.scene import Scene
-    from nw_eval.suite.model import Rendering
+    from nw_eval.suite.rendering import Rendering
 
 _CHANGING_BITS = ("mujoco", "numpy", "onnxruntime", "torch", "numba")
 """Libraries whose versions make bits differ between runs of the same trials."""

@@ -354,7 +354,7 @@ def start(settings: WorkerStart, output: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if kernels := (*settings.renders, *settings.rules.kernels):
         with suppress(Exception):  # The trial that wants them says what is wrong.
-            from nw_eval.splat.warmup import warmup
+            from nw_eval.warmup import warmup
 
             warmup(kernels=kernels)
     global _awaits_splats  # noqa: PLW0603 - as a process is started, so it stays.

@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import StoreError
+from nw_eval.gate.settings import Gate
 from nw_eval.gate.validity import in_a_sentence, over_the_cap, that_left, too_many
 from nw_eval.gate.verdict import Comparison, SceneScore, Verdict, Word
 from nw_eval.plural import plural
@@ -41,7 +42,6 @@ from nw_eval.stats.betting import Groups, lower_bound, trials_to_certify, upper_
 from nw_eval.stats.bootstrap import mean_of_scenes
 from nw_eval.stats.interval import Interval
 from nw_eval.stats.power import SceneCounts, shares_after
-from nw_eval.suite.model import Gate
 
 _NAMED = 3  # Scenes or trials that a reason names before it says "and more".
 

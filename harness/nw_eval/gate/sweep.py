@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from types import MappingProxyType
+from typing import Protocol
 
 import numpy as np
 
@@ -21,7 +22,15 @@ from nw_eval.results.row import Row
 from nw_eval.scores import ScoreSpec
 from nw_eval.stats.bootstrap import mean_of_scenes
 from nw_eval.stats.interval import Interval, fisher
-from nw_eval.suite.axes import axis_named
+
+
+class AxisLike(Protocol):
+    """What a curve must know of its axis."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def reference(self) -> float: ...  # noqa: D102
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +108,7 @@ class AxisCurve:
 
 
 def curve_of(
-    axis: str,
+    axis: AxisLike,
     policy: str,
     rows: Sequence[Row],
     confidence: float = 0.95,
@@ -108,7 +117,7 @@ def curve_of(
     """Return the curve of a policy's trials, each of which lies in a cell of one axis.
 
     Args:
-        axis: its name.
+        axis: along which they were run.
         policy: what it is called.
         rows: of its trials.
         confidence: of each interval, and of all cliffs together.
@@ -116,23 +125,24 @@ def curve_of(
 
     Raises:
         ValueError: there are no rows.
-        UsageError, PluginError: there is no such axis, or its package is broken.
     """
-    values = sorted({dict(row.perturbation)[axis] for row in rows})
+    values = sorted({dict(row.perturbation)[axis.name] for row in rows})
     points = tuple(
         _point(
-            value, [row for row in rows if dict(row.perturbation)[axis] == value], confidence, specs
+            value,
+            [row for row in rows if dict(row.perturbation)[axis.name] == value],
+            confidence,
+            specs,
         )
         for value in values
     )
-    middle = axis_named(axis).reference
-    place = min(range(len(points)), key=lambda i: (abs(points[i].value - middle), i))
+    place = min(range(len(points)), key=lambda i: (abs(points[i].value - axis.reference), i))
     sides = (points[:place][::-1], points[place + 1 :])
     most = _most(confidence, len(points) - 1)
     cliffs = [_cliff(points[place], side, most) for side in sides]
     enough = all(_shows_none(points[place], point, most) for side in sides for point in side)
     return AxisCurve(
-        axis=axis,
+        axis=axis.name,
         policy=policy,
         points=points,
         reference=points[place],

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from nw_eval.gate.settings import Gate, Validity
 from nw_eval.plural import plural
 from nw_eval.results.row import VIEW_RATE, Row
-from nw_eval.suite.model import Gate, Validity
 
 _SLACK = 1e-9  # against rounding of tenths and shares
 

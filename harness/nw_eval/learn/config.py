@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Literal, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError
 
+from nw_eval.digest import digest_of
 from nw_eval.errors import PrerequisiteError, UsageError, nearest
 from nw_eval.files.inside import what_is
 from nw_eval.files.shipped import shipped
 from nw_eval.files.yaml_file import YamlProblems, read_yaml, validation_problems
-from nw_eval.suite.digest import digest_of
 
 if TYPE_CHECKING:
     import torch

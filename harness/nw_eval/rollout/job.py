@@ -11,8 +11,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Literal, Self, get_args
 
-from nw_eval.suite.model import PUBLISHED, Rendering
-from nw_eval.suite.trials import Trial
+from nw_eval.results.trials import Trial
+from nw_eval.suite.rendering import PUBLISHED, Rendering
 from nw_eval.tasks import COURSE, AnyTask
 from nw_eval.words import (
     POLICY_FAULTS,

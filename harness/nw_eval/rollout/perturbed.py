@@ -33,7 +33,7 @@ from nw_eval.sim import Actuators
 from nw_eval.suite.axes import AXES, Felt, axis_named
 
 if TYPE_CHECKING:
-    from nw_eval.suite.trials import Trial
+    from nw_eval.results.trials import Trial
 
 Array = NDArray[np.float64]
 Cell = Mapping[str, float]

@@ -18,9 +18,9 @@ from nw_eval.catalogue import parse_reference
 from nw_eval.clean import clean, without_credentials
 from nw_eval.networks import IDENTITY as NETWORKS
 from nw_eval.rays import IDENTITY as RAYS
+from nw_eval.results.trials import MAX_TRIALS, Trial
 from nw_eval.rollout.job import TrialJob, as_outcome, policy_fault
-from nw_eval.suite.model import PUBLISHED
-from nw_eval.suite.trials import MAX_TRIALS, Trial
+from nw_eval.suite.rendering import PUBLISHED
 from nw_eval.tasks import COURSE
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from nw_eval.rollout.scored import ScoreMeter
 from nw_eval.scenes import Scene
 from nw_eval.sensors import build_sensors
 from nw_eval.sim import World
-from nw_eval.suite.model import SHOWN
+from nw_eval.suite.rendering import SHOWN
 from nw_eval.tasks import TaskRules, open_task
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from nw_eval.rollout.job import TrialJob
     from nw_eval.splat.render import Renderer
-    from nw_eval.suite.model import Rendering
+    from nw_eval.suite.rendering import Rendering
     from nw_eval.words import Backend, Fault, Outcome
 
 

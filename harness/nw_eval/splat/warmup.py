@@ -1,4 +1,4 @@
-"""Compiling the kernels ahead of the first frame."""
+"""Compiling the renderer's kernels ahead of the first frame."""
 
 from __future__ import annotations
 
@@ -13,21 +13,19 @@ from nw_eval.lens import Distortion
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.splat.store import memory_store
-from nw_eval.words import KERNELS, Backend, Kernels
+from nw_eval.words import SPLAT_KERNELS, Backend, Kernels
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-_KERNELS = Path(__file__).parent / "kernels"
-_PACKAGE = Path(__file__).parents[1]
-_OWN: dict[Kernels, Path] = {"networks": _PACKAGE / "networks", "rays": _PACKAGE / "rays"}
+KERNEL_FOLDER = Path(__file__).parent / "kernels"
 
 
 def warmup(
     backend: Backend = "cpu",
     *,
     surfaces: bool = False,
-    kernels: Collection[Kernels] = KERNELS,
+    kernels: Collection[Kernels] = SPLAT_KERNELS,
 ) -> float:
     """Compile kernels into the user's cache, or load them from there.
 
@@ -57,10 +55,6 @@ def warmup(
     )
     camera = Camera.from_fovy(width=16, height=16, fovy=1.0, T_world_camera=np.eye(4))
     store = memory_store(gaussians)
-    if "networks" in kernels:
-        _warm_networks()
-    if "rays" in kernels:
-        _warm_rays()
     if backend != "cpu":
         open_renderer(store, backend).render(camera)
         return time.perf_counter() - started
@@ -68,14 +62,11 @@ def warmup(
 
     straight = Distortion(model="fisheye", coefficients=(0.0, 0.0, 0.0, 0.0))
     for kind in kernels:
-        if kind in _OWN:
-            mark_compiled(_OWN[kind], kind)
-            continue
         if kind == "lens":
             open_renderer(store).render(replace(camera, distortion=straight))
         else:
             open_renderer(store, projection=kind).render(camera)
-        mark_compiled(_KERNELS, kind)
+        mark_compiled(KERNEL_FOLDER, kind)
     _warm_insertion()
     if surfaces:
         CpuRenderer(store).surface(camera)
@@ -104,34 +95,3 @@ def _warm_insertion() -> None:
     insert.outline(values > 0.0, numbers)
     insert.rays_around(lines, numbers[:1], lines, lines.copy())
     insert.soften(np.ones(16), colour, numbers[:1], np.ones(16), colour, line)
-
-
-def _warm_networks() -> None:
-    from nw_eval.networks import Graph
-    from nw_eval.networks.network import Network
-    from nw_eval.networks.plan import plan
-
-    graph = Graph()
-    given = graph.input("x", (1, 1))
-    graph.outputs = [graph.add("Tanh", given)]
-    Network(plan(graph))({"x": np.zeros((1, 1), np.float32)})
-
-
-def _warm_rays() -> None:
-    from nw_eval.rays.tree import Tree
-
-    Tree(np.eye(3), np.array([[0, 1, 2]])).cast(np.zeros(3), np.ones((1, 3)))
-
-
-def warm_kernels() -> tuple[Kernels, ...]:
-    """Return which of the CPU's kernels `warmup` finds compiled, by this version of them."""
-    from nw_eval.machine_code import is_compiled  # It knows numba.
-
-    return tuple(kind for kind in KERNELS if is_compiled(_OWN.get(kind, _KERNELS), kind))
-
-
-def kernel_note() -> str | None:
-    """Return why the user's cache cannot keep compiled kernels, in one line; None if it can."""
-    from nw_eval.machine_code import folder_note
-
-    return folder_note()

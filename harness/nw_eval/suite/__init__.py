@@ -6,6 +6,8 @@ and a seed of its own that nothing else can move.
 
 from __future__ import annotations
 
+from nw_eval.gate.settings import Gate
+from nw_eval.results.trials import Trial, expand
 from nw_eval.suite.load import (
     Draft,
     draft_of,
@@ -15,8 +17,7 @@ from nw_eval.suite.load import (
     suite_yaml,
     tier_problems,
 )
-from nw_eval.suite.model import Gate, Suite, json_schema, new_suite, override, with_robot
-from nw_eval.suite.trials import Trial, expand
+from nw_eval.suite.model import Suite, json_schema, new_suite, override, with_robot
 
 __all__ = [
     "Draft",

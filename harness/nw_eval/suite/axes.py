@@ -34,6 +34,7 @@ from nw_eval.errors import PluginError, UsageError, nearest
 from nw_eval.plugins import AXES as GROUP
 from nw_eval.plugins import distribution, installed, is_elsewhere, load, warn, warn_if_built_in
 from nw_eval.plural import plural
+from nw_eval.results.trials import cells_of
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -396,10 +397,7 @@ class _Grid(BaseModel):
     @property
     def cells(self) -> tuple[tuple[tuple[str, float], ...], ...]:
         """The cells of the grid, axes in alphabetical order; one empty cell without axes."""
-        cells: list[tuple[tuple[str, float], ...]] = [()]
-        for axis, values in sorted(self.axes.items()):
-            cells = [(*cell, (axis, float(value))) for cell in cells for value in values]
-        return tuple(cells)
+        return cells_of(self.axes)
 
 
 def _faults_of(name: Any, values: Any, *, is_saved: bool) -> Iterator[InitErrorDetails]:

@@ -25,7 +25,8 @@ from nw_eval.files.cache import atomic_path, followed
 from nw_eval.files.inside import regular, what_is
 from nw_eval.files.shipped import available
 from nw_eval.files.yaml_file import YamlProblems, read_yaml, validation_problems
-from nw_eval.suite.model import DRAFTED, Source, Suite, new_suite
+from nw_eval.suite.model import Source, Suite, new_suite
+from nw_eval.suite.rendering import DRAFTED
 
 
 @dataclass(frozen=True, kw_only=True)

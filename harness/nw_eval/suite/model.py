@@ -6,36 +6,30 @@ types.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from fnmatch import fnmatchcase
 from math import prod
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, cast
+from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     PrivateAttr,
-    SerializerFunctionWrapHandler,
     ValidationError,
     ValidationInfo,
     field_validator,
-    model_serializer,
     model_validator,
 )
 
+from nw_eval.digest import digest_of
 from nw_eval.errors import NwEvalError, Problem, UsageError
-from nw_eval.files.yaml_file import KEY_LIMIT, is_key
+from nw_eval.gate.settings import Gate, Grown, Strict, declared
 from nw_eval.plugins import AXES as GROUP
 from nw_eval.plugins import (
     SCORES,
     TASKS,
-    is_elsewhere,
-    is_measure,
     key_of,
     version_named,
     version_of,
@@ -43,6 +37,7 @@ from nw_eval.plugins import (
 )
 from nw_eval.protocol import protocol_named
 from nw_eval.request import Request
+from nw_eval.results.trials import digest_of_trials
 from nw_eval.scores import BUILT_IN as SCORE_CLASSES
 from nw_eval.scores import ScoreSpec, specs_of
 from nw_eval.scores.own import (
@@ -54,12 +49,11 @@ from nw_eval.scores.own import (
     own_text,
     source_digest,
 )
-from nw_eval.scores.score import unusable_range
 from nw_eval.suite.axes import AXES, Perturb, each_once
-from nw_eval.suite.digest import digest_of
+from nw_eval.suite.rendering import PUBLISHED, Rendering
 from nw_eval.tasks import BUILT_IN as TASK_CLASSES
 from nw_eval.tasks import COURSE, AnyTask, declared_by, declared_by_kind
-from nw_eval.words import Projection, Protocol, Record, Tier
+from nw_eval.words import Protocol, Record
 
 MAX_CELLS = 10_000
 """Most cells that a perturbation grid may have: a longer one is a slip of the pen."""
@@ -91,37 +85,12 @@ class Source:
         return Problem(file=self.file, line=line, column=column, message=message, fix=fix)
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _Grown(_Strict):
-    came_later: ClassVar[tuple[str, ...]]
-
-    @model_serializer(mode="wrap")
-    def _without_what_is_not_used(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what came later, while it is not used: a suite keeps its digest."""
-        fields: dict[str, Any] = write(self)
-        for name in self.came_later:
-            if getattr(self, name) == type(self).model_fields[name].default:
-                fields.pop(name, None)
-        return fields
-
-
-def _key(text: str) -> str:
-    """Return a key that a suite file may hold, so that every suite can be saved."""
-    if not is_key(text):
-        raise ValueError(f"{text[:40]!r} is not a key; use a short printable name")
-    return text
-
-
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 Pattern = Annotated[str, Field(min_length=1, max_length=1024)]
-KeyPattern = Annotated[str, Field(min_length=1, max_length=KEY_LIMIT), AfterValidator(_key)]
 Patterns = Annotated[tuple[Pattern, ...], Field(min_length=1), AfterValidator(each_once)]
 
 
-class EpisodeRules(_Strict):
+class EpisodeRules(Strict):
     """What ends a trial, besides its last waypoint and a fall."""
 
     duration: float = Field(
@@ -134,276 +103,7 @@ class EpisodeRules(_Strict):
     )
 
 
-class Rendering(_Strict):
-    """How Gaussians become the pictures that a policy sees; the defaults are the published ones.
-
-    Its fields are options of `splat.render.open_renderer`. Which machine part computes it is no
-    matter of the suite: `--render`.
-    """
-
-    projection: Projection = Field(
-        "ewa",
-        description="ewa: as gsplat and the published evaluation draw, with perspective replaced "
-        "by its tangent at each Gaussian's centre. ray: each Gaussian along the pixel's own ray, "
-        "right for wide cameras near the ground.",
-    )
-    samples: Literal[1, 4] = Field(
-        1,
-        description="Of a pixel: 1 with gsplat's low-pass, or the mean of 2x2 with hardly any.",
-    )
-    near: float = Field(
-        0.01,
-        gt=0.0,
-        le=10.0,
-        description="Least depth of a Gaussian's centre before the camera, m.",
-    )
-
-
-PUBLISHED = Rendering()  # pyright: ignore[reportCallIssue]  # Defaults sit in Field.
-"""How pictures are drawn where nothing is said."""
-
-SHOWN = PUBLISHED.model_copy(update={"projection": "ray"})
-"""How pictures for people are drawn, which are large, or are averaged themselves."""
-
-DRAFTED = SHOWN.model_copy(update={"samples": 4})
-"""How the pictures of suites that nw-eval writes are drawn."""
-
-
-class Validity(_Strict):
-    """Where images of a splat still show the scene: near the cameras that it was photographed with.
-
-    A trial in which they do not for longer than `longer_than` in a row has left the captured
-    volume, and is counted apart.
-    """
-
-    distance: float | None = Field(
-        None,
-        gt=0.0,
-        le=1000.0,
-        description="Farthest that the policy's camera may be from the nearest capture camera, m.",
-    )
-    angle: float | None = Field(
-        None,
-        gt=0.0,
-        le=3.2,
-        description="Widest angle between the optical axes of these two, rad.",
-    )
-    alpha: float | None = Field(
-        None,
-        gt=0.0,
-        lt=1.0,
-        description="Least share of an image that the splat must cover.",
-    )
-    longer_than: float = Field(
-        0.5,
-        ge=0.0,
-        le=600.0,
-        description="Longest simulated time in a row beyond any of these, s.",
-    )
-    at_most: float = Field(
-        0.2,
-        ge=0.0,
-        lt=1.0,
-        description="Largest share of trials that may leave the captured volume; with more the "
-        "verdict is INCONCLUSIVE.",
-    )
-
-    @model_validator(mode="after")
-    def _limited(self) -> Self:
-        if self.distance is None and self.angle is None and self.alpha is None:
-            raise ValueError("validity has no limit; set distance, angle or alpha")
-        return self
-
-
-class ScoreGate(_Strict):
-    """What one score must show, in its own unit."""
-
-    bar: float | None = Field(
-        None,
-        description="The mean must reach it, statistically significant; the score declares from "
-        "which side.",
-    )
-    max_drop: float | None = Field(
-        None, gt=0.0, description="Change for the worse against the baseline that must not pass."
-    )
-    tolerate: float | None = Field(
-        None,
-        ge=0.0,
-        description="Equivalence margin: change for the worse that counts as equal; a fifth of "
-        "max_drop if None.",
-    )
-    range: tuple[float, float] | None = Field(
-        None,
-        description="A narrower range than the score's own, to which its values are clipped: the "
-        "narrower, the fewer trials a verdict needs.",
-    )
-
-    @model_validator(mode="after")
-    def _asks_for_something(self) -> Self:
-        if self.bar is None and self.max_drop is None:
-            raise ValueError("neither bar nor max_drop is set; set one")
-        if self.tolerate is not None and self.tolerate > (self.max_drop or 0.0):
-            raise ValueError(f"tolerate {self.tolerate:g} is over max_drop; lower it")
-        return self
-
-    @property
-    def tolerated(self) -> float:
-        """`tolerate`, or a fifth of `max_drop`."""
-        return 0.2 * (self.max_drop or 0.0) if self.tolerate is None else self.tolerate
-
-    def spec(self, declared: ScoreSpec) -> ScoreSpec:
-        """Return a score's declaration with the range that counts here."""
-        return declared if self.range is None else declared.within(*self.range)
-
-    def fault(self, name: str, declared: ScoreSpec) -> str | None:
-        """Return what of it does not fit the declaration of its score, or None."""
-        if self.range is not None:
-            low, high = self.range
-            if not declared.low <= low < high <= declared.high:
-                return (
-                    f"{name}: range {low:g} to {high:g} is not within {declared.low:g} to "
-                    f"{declared.high:g}; narrow it"
-                )
-            if fault := unusable_range(low, high):
-                return f"{name}: {fault}"
-        spec = self.spec(declared)
-        # Nearer to an end, the bar is one with it in the numbers that statistics see.
-        if self.bar is not None and not 1e-6 <= spec.scaled(self.bar) <= 1.0 - 1e-6:
-            return (
-                f"{name}: bar {self.bar:g} is not between {spec.low:g} and {spec.high:g}, the ends "
-                "of its range, or too near to one; move it, or narrow `range`"
-            )
-        if self.max_drop is not None and self.max_drop >= spec.width:
-            return f"{name}: max_drop {self.max_drop:g} is as wide as its range; lower it"
-        return None
-
-
-class Gate(_Grown):
-    """What a run must show to pass."""
-
-    came_later = ("validity", "claim", "scores")
-
-    success_rate: float | None = Field(
-        None,
-        ge=1e-6,
-        le=1.0 - 1e-6,
-        description="Absolute bar: the lower confidence bound of mean success must reach it. "
-        "Without one nothing is judged, and the verdict is RAN.",
-    )
-    baseline: str | None = Field(
-        None,
-        min_length=1,
-        description="Baseline to compare with, `reports/baselines/<suite>/<this>.parquet`, or a "
-        "path. It applies to the suite's own `policy`. Another policy is compared with what "
-        "--baseline names, or with nothing. --baseline none omits the comparison.",
-    )
-    max_drop: float | None = Field(
-        None,
-        gt=0.0,
-        lt=1.0,
-        description="Drop of mean success against the baseline that must not pass; 0.10 where a "
-        "baseline is named and this is not. Without a baseline the bar alone is judged.",
-    )
-    tolerate: float = Field(
-        0.02,
-        ge=0.0,
-        lt=1.0,
-        description="Equivalence margin: a drop against the baseline that counts as equal. "
-        "Between it and max_drop "
-        "either verdict is legitimate.",
-    )
-    scene_drop: float = Field(
-        0.10,
-        ge=0.0,
-        lt=1.0,
-        description="Drop in one scene that is tolerated; a scene that regressed further is "
-        "named, and a critical one alone makes the verdict REGRESSED.",
-    )
-    rounds: int = Field(
-        20,
-        ge=1,
-        le=10_000,
-        description="Most trials of each scene against a baseline, on average: scene and start of "
-        "each trial are drawn at random. The run ends as soon as the verdict is settled.",
-    )
-    claim: Literal["fresh", "panel"] = Field(
-        "fresh",
-        description="Initial states that a comparison with the baseline is about. fresh: new ones "
-        "in the same scenes. panel: only the baseline's own, which takes slightly fewer trials "
-        "where many of them are used.",
-    )
-    false_alarm: float = Field(
-        0.01,
-        gt=0.0,
-        le=0.5,
-        description="Largest probability that a drop of `tolerate` or less is called REGRESSED.",
-    )
-    confidence: float = Field(
-        0.95,
-        ge=0.5,
-        le=0.9999,
-        description="Confidence of each one-sided bound of the bar. A wrong PASS has at most "
-        "probability 1 - confidence, a wrong REGRESSED too, or twice that with critical scenes. "
-        "Against a baseline a drop of max_drop passes with at most 1 - confidence.",
-    )
-    tiers: dict[KeyPattern, Tier] = Field(
-        {},
-        description="Scene names or globs. The exact name wins, then the first glob; a glob whose "
-        "scenes are all covered by earlier ones is an error. critical: must have results; the run "
-        "is REGRESSED if its own upper bound is below the bar. supporting (the default): counts in "
-        "the mean. informational: is only reported.",
-    )
-    scores: dict[str, ScoreGate] = Field(
-        {},
-        description="Scores that are judged beside success, each with `bar`, `max_drop` or both, "
-        "in its own unit. All trials of the budget run then.",
-    )
-    validity: Validity | None = Field(
-        None,
-        description="Limits beyond which a trial has left the captured volume; such trials are "
-        "counted separately. Without limits nothing is checked.",
-    )
-
-    @field_validator("scores")
-    @classmethod
-    def _known_scores(
-        cls, gates: dict[str, ScoreGate], info: ValidationInfo
-    ) -> dict[str, ScoreGate]:
-        if "success" in gates:
-            raise ValueError("success is judged by success_rate and max_drop; set those of `gate`")
-        for name, declared in _declared(gates, info).items():
-            if fault := gates[name].fault(name, declared):
-                raise ValueError(fault)
-        return gates
-
-    @model_validator(mode="after")
-    def _ordered_drops(self) -> Self:
-        if self.tolerate > self.most_drop:
-            most = f"{self.most_drop:g}"
-            raise ValueError(f"tolerate {self.tolerate:g} is over max_drop {most}; lower it")
-        return self
-
-    @property
-    def shared(self) -> int:
-        """Over how many scores, success among them, the errors of REGRESSED are split."""
-        return 1 + len(self.scores)
-
-    @property
-    def most_drop(self) -> float:
-        """`max_drop`, or 0.10 where none is named."""
-        return 0.10 if self.max_drop is None else self.max_drop
-
-    def tier(self, scene: str) -> Tier:
-        """Return the tier of a scene; its exact name wins over globs, then the first glob."""
-        if scene in self.tiers:
-            return self.tiers[scene]
-        for pattern, tier in self.tiers.items():
-            if fnmatchcase(scene, pattern):
-                return tier
-        return "supporting"
-
-
-class Suite(_Grown):
+class Suite(Grown):
     """A suite: which robot meets which scenes, how often, and what it must show."""
 
     came_later = ("task", "render", "scores", "expect", "plugins")
@@ -486,7 +186,7 @@ class Suite(_Grown):
         cls, scores: tuple[str | OwnScore, ...], info: ValidationInfo
     ) -> tuple[str | OwnScore, ...]:
         names = [each if isinstance(each, str) else each.spec.name for each in scores]
-        _declared([each for each in scores if isinstance(each, str)], info)
+        declared([each for each in scores if isinstance(each, str)], info)
         # What the task declares would stand beside it in rows and gates, by the same name.
         of_task: Mapping[str, ScoreSpec] = (info.context or {}).get("task", {})
         for each in scores:
@@ -506,7 +206,7 @@ class Suite(_Grown):
         cls, expect: dict[str, Expectation], info: ValidationInfo
     ) -> dict[str, Expectation]:
         named = [each.score for each in expect.values() if each.score is not None]
-        _declared(named, info)
+        declared(named, info)
         if of_task := [name for name in named if name in (info.context or {}).get("task", ())]:
             raise ValueError(f"{of_task[0]!r} is a score of the task's own; name it in gate.scores")
         return expect
@@ -575,27 +275,8 @@ class Suite(_Grown):
 
     @property
     def digest(self) -> str:
-        """Hex sha256 of what decides the course of a trial.
-
-        That is robot, protocol, seed, episode, task, pictures and perturbations, with the versions
-        of the packages that have the task or some of their axes. It names trials, so it must not
-        change with policy, gate, scores, record, name, scenes or the number of trials: raising
-        `trials` keeps the earlier ones, and two policies meet the same ones.
-        """
-        fields = self.model_dump(include={"robot", "protocol", "seed", "episode", "perturb"})
-        # What an axis or a task does is a matter of its version. A score changes no trial.
-        acting = {key: said for key, said in self.plugins.items() if not is_measure(key)}
-        if acting:
-            fields["plugins"] = acting
-        # What is not used is left out, so that new axes and switches keep old digests.
-        fields["perturb"] = {axis: values for axis, values in fields["perturb"].items() if values}
-        if fields["episode"]["contact_termination"]:
-            del fields["episode"]["contact_termination"]
-        if self.task != COURSE:
-            fields["task"] = self.task.model_dump()
-        if self.render != PUBLISHED:
-            fields["render"] = self.render.model_dump()
-        return digest_of(fields)
+        """Hex sha256 of what decides the course of its trials; see `digest_of_trials`."""
+        return digest_of_trials(self.model_dump())
 
     @property
     def content_digest(self) -> str:
@@ -681,22 +362,6 @@ def _own_scores(settings: Mapping[str, Any]) -> dict[str, ScoreSpec]:
 
 def _mapping(value: Any) -> Mapping[Any, Any]:
     return cast("Mapping[Any, Any]", value) if isinstance(value, Mapping) else {}
-
-
-def _declared(names: Iterable[str], info: ValidationInfo) -> dict[str, ScoreSpec]:
-    """Return the declarations of scores, but for those whose package is installed elsewhere only.
-
-    Raises:
-        ValueError: there is no such score, or its package is broken.
-    """
-    said = (info.context or {}).get("plugins", {})
-    own: Mapping[str, ScoreSpec] = (info.context or {}).get("own", {})
-    found = {name: own[name] for name in names if name in own}
-    others = [name for name in names if name not in own]
-    try:
-        return found | specs_of(name for name in others if not is_elsewhere(SCORES, name, said))
-    except NwEvalError as error:
-        raise ValueError(str(error)) from None
 
 
 def plugin_faults(suite: Suite) -> list[Problem]:

@@ -12,11 +12,11 @@ from nw_eval.cards import Card, mounted_robot
 from nw_eval.catalogue import get_scene
 from nw_eval.policies import Bundle
 from nw_eval.policies.bundle import instance_bundle
+from nw_eval.results.trials import Trial
 from nw_eval.robots import get_robot
 from nw_eval.rollout.perturbed import TrialSetup
 from nw_eval.sensors import StepContext
 from nw_eval.sim import World
-from nw_eval.suite.trials import Trial
 from nw_eval.tasks import Course
 
 Array = NDArray[np.float64]

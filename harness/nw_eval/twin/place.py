@@ -12,15 +12,12 @@ Also here: an alignment at work on points, meshes and cameras. A scene need not 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from ruamel.yaml import YAML
 
 from nw_eval.errors import SceneError
 from nw_eval.files.cache import atomic_path
@@ -30,6 +27,14 @@ from nw_eval.scenes.limits import checked_name
 from nw_eval.scenes.mesh import FACE_KINDS, FaceKind, TriangleMesh
 from nw_eval.scenes.neverwhere.scan import check_similarity
 from nw_eval.scenes.rays import RayScene
+from nw_eval.scenes.saving import (
+    COLLISION,
+    SPLAT,
+    rounded,
+    similarity_entry,
+    write_collision,
+    write_yaml,
+)
 from nw_eval.splat.camera import Camera
 from nw_eval.splat.gaussians import quaternions
 from nw_eval.suite.load import robot_from, write_ready_suite
@@ -86,19 +91,7 @@ def moved_capture(T: Values, capture: Capture) -> Capture:
     return replace(capture, shots=shots, points=points, metric=True, up=(0.0, 0.0, 1.0))
 
 
-def similarity_entry(T: Values) -> dict[str, Any]:
-    """Return what `T_world_splat` of a scene.yaml is to be: scale, quat (wxyz) and translation.
-
-    Raises:
-        SceneError: T is no similarity.
-    """
-    scale = check_similarity(T, "an alignment")
-    quat = quaternions(T[:3, :3] / scale)
-    quat = quat if quat[0] >= 0 else -quat
-    return {"scale": scale, "quat": quat.tolist(), "translation": T[:3, 3].tolist()}
-
-
-COLLISION, SPLAT, CAPTURES, SUITE = "collision.ply", "splat.ply", "captures.json", "suite.yaml"
+CAPTURES, SUITE = "captures.json", "suite.yaml"
 
 F64 = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -219,41 +212,6 @@ def _write_collision(mesh: Path, path: Path, T: NDArray[np.float64]) -> None:
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise SceneError(f"{mesh} is no mesh: {error}", fix="reconstruct again") from None
     write_collision(path, vertices, faces)
-
-
-def write_yaml(path: Path, text: dict[str, Any]) -> None:
-    """Write a mapping as YAML, each point on one line, whole or not at all.
-
-    Raises:
-        StoreError: it cannot be written.
-    """
-    yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = None
-    yaml.sort_base_mapping_type_on_output = False  # pyright: ignore[reportAttributeAccessIssue]
-    stream = StringIO()
-    yaml.dump(text, stream)
-    with atomic_path(path) as temporary:
-        temporary.write_text(stream.getvalue(), encoding="utf-8")
-
-
-def rounded(point: Iterable[float]) -> list[float]:
-    """Return metres, to a tenth of a millimetre."""
-    return [round(float(part), 4) for part in point]
-
-
-def write_collision(
-    path: Path, vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]
-) -> None:
-    """Write vertices (V, 3), world, m, and faces (F, 3) as a PLY file, whole or not at all.
-
-    Raises:
-        StoreError: it cannot be written.
-    """
-    import trimesh
-
-    mesh = trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
-    with atomic_path(path) as temporary:
-        mesh.export(temporary, file_type="ply")
 
 
 def without_lips(vertices: F64, faces: NDArray[np.integer]) -> NDArray[np.integer]:

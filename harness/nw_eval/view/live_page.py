@@ -24,11 +24,11 @@ from nw_eval.files.inside import what_is
 from nw_eval.rollout.mcap.drawn import place_update, props_update, robot_update
 from nw_eval.rollout.observed import View, views_of
 from nw_eval.scenes.prop import prop_body
+from nw_eval.scenes.saving import write_place
 from nw_eval.sensors.drawing.pictures import picture_of
 from nw_eval.splat.files import read_splat
 from nw_eval.suite.axes import AXES, axis_named
 from nw_eval.suite.load import write_ready_suite
-from nw_eval.twin.label.files import write_place
 from nw_eval.view.drawing import (
     ServedPage,
     aim_along,

@@ -60,7 +60,7 @@ def open_stage(
     from nw_eval.policies import load_bundle
     from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import new_suite
-    from nw_eval.suite.model import DRAFTED
+    from nw_eval.suite.rendering import DRAFTED
 
     robot = load_bundle(policy, checkpoint=checkpoint).card.robot
     suite = new_suite(

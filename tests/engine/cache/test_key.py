@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from nw_eval.engine import cache
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.results.trials import Trial
 from nw_eval.rollout.job import TrialJob
-from nw_eval.suite.model import Rendering
-from nw_eval.suite.trials import Trial
+from nw_eval.suite.rendering import Rendering
 from nw_eval.tasks import TaskSettings
 
 

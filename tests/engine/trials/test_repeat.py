@@ -5,8 +5,8 @@ import pytest
 from nw_eval.engine.rounds import is_open, settled
 from nw_eval.engine.rows import make_row
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.results.trials import Trial
 from nw_eval.rollout.job import TrialJob, TrialResult
-from nw_eval.suite.trials import Trial
 
 RAISED = TrialResult(
     status="error",

@@ -9,10 +9,10 @@ import pytest
 
 from nw_eval.engine.rows import make_row
 from nw_eval.results.run_folder import RunFolder
+from nw_eval.results.trials import Trial
 from nw_eval.rollout.job import StageSeconds, TrialJob, TrialResult
 from nw_eval.rollout.record import job_from_metadata, trial_metadata, verdict_metadata
-from nw_eval.suite.model import Rendering
-from nw_eval.suite.trials import Trial
+from nw_eval.suite.rendering import Rendering
 
 
 @pytest.fixture

@@ -13,10 +13,10 @@ from nw_eval.errors import IncomparableError, StoreError
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.baseline.judge import compare, setup_of
 from nw_eval.gate.baseline.match import contradictions
+from nw_eval.gate.settings import Validity
 from nw_eval.reporting.tables.scenes import scenes_table
 from nw_eval.results.bank import trajectory
 from nw_eval.suite import Gate
-from nw_eval.suite.model import Validity
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,11 +11,11 @@ import pytest
 from pydantic import ValidationError
 
 from nw_eval.gate.baseline.combine import judge_run
+from nw_eval.gate.settings import Gate
 from nw_eval.results.bank import Against, BaselineResults
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
 from nw_eval.scores import specs_of
-from nw_eval.suite.model import Gate
 
 Make = Callable[..., Any]
 WAYS = {"drawn_from": 60}

@@ -9,8 +9,8 @@ import pytest
 
 from nw_eval.gate.baseline.combine import judge_run
 from nw_eval.gate.baseline.judge import compare
+from nw_eval.gate.settings import Validity
 from nw_eval.suite import Gate
-from nw_eval.suite.model import Validity
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -15,8 +15,8 @@ from nw_eval.gate.baseline.power_forecast import (
     outset_of_bank,
     outset_of_rows,
 )
+from nw_eval.gate.settings import Gate
 from nw_eval.stats.bank.curve import CurvePoint, Progress
-from nw_eval.suite.model import Gate
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,6 +15,7 @@ from nw_eval.errors import StoreError
 from nw_eval.gate import ledger as ledger_file
 from nw_eval.gate.absolute import judge
 from nw_eval.gate.ledger import append_entry, append_verdict, read_ledger
+from nw_eval.gate.settings import Gate
 from nw_eval.results.provenance import (
     BaselineInfo,
     PolicyInfo,
@@ -24,7 +25,6 @@ from nw_eval.results.provenance import (
     machine_info,
 )
 from nw_eval.results.seal import seal
-from nw_eval.suite.model import Gate
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,16 +9,11 @@ from hypothesis import strategies as st
 from rooms import capture, room, similarity, walk
 
 from nw_eval.errors import SceneError
+from nw_eval.scenes.saving import similarity_entry
 from nw_eval.splat.gaussians import Gaussians, transformed
 from nw_eval.twin.align.align import align
 from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
-from nw_eval.twin.place import (
-    moved_camera,
-    moved_capture,
-    moved_mesh,
-    moved_points,
-    similarity_entry,
-)
+from nw_eval.twin.place import moved_camera, moved_capture, moved_mesh, moved_points
 
 RNG = np.random.default_rng(11)
 POINTS = room(RNG, floor=300, walls=120, stray=40)

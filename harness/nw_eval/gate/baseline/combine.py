@@ -19,11 +19,11 @@ from nw_eval.gate.baseline.finding import by_place
 from nw_eval.gate.baseline.judge import compare, setup_of
 from nw_eval.gate.baseline.match import known_rows
 from nw_eval.gate.baseline.scores import with_scores
+from nw_eval.gate.settings import Gate
 from nw_eval.gate.verdict import Comparison, Verdict, Word
 from nw_eval.results.bank import Against
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
-from nw_eval.suite.model import Gate
 
 
 def judge_run(rows: Sequence[Row], run: RunInfo, gate: Gate, against: Against | None) -> Verdict:

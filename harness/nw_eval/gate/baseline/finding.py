@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.gate.settings import Gate
 from nw_eval.gate.verdict import Basis, Claim
 from nw_eval.results.bank import Panel, Start, Stratum, score
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
+from nw_eval.results.trials import DrawnStart
 from nw_eval.stats.bank.evidence import Bank, Margins
 from nw_eval.stats.bank.interval import drop_interval_after, scene_drop_intervals
 from nw_eval.stats.bank.trials import SUSPECT, DrawnTrials, TrialRules, looks, settle
 from nw_eval.stats.interval import Interval
-from nw_eval.suite.model import Gate
-from nw_eval.suite.trials import DrawnStart
 from nw_eval.words import Arm
 
 Floats = NDArray[np.float64]

@@ -28,17 +28,17 @@ from nw_eval.gate.baseline.finding import (
 )
 from nw_eval.gate.baseline.match import basis_of, check_match, claim_of, drawn_order, recheck
 from nw_eval.gate.baseline.power_forecast import Outset, about_more_trials, outset_of_bank
+from nw_eval.gate.settings import Gate
 from nw_eval.gate.validity import over_the_cap, that_left
 from nw_eval.gate.verdict import Basis, Claim, Comparison, SceneDrop, percent_sure
 from nw_eval.plural import plural
 from nw_eval.results.bank import Against, BaselineResults, Panel, Start, Stratum, score
 from nw_eval.results.provenance import RunInfo
 from nw_eval.results.row import Row
+from nw_eval.results.trials import DrawnStart
 from nw_eval.stats.bank.curve import CurvePoint, progress_from
 from nw_eval.stats.bank.trials import CRITICAL_TRIALS, SUSPECT, most_false_alarms
 from nw_eval.stats.hazard import Ends, first_partings
-from nw_eval.suite.model import Gate
-from nw_eval.suite.trials import DrawnStart
 
 _FURTHER = 4
 """How many times its budget of trials a run that is undecided might have, for what more bring."""

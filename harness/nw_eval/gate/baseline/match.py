@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from shlex import quote
+from typing import Any
 
 from nw_eval.errors import IncomparableError, StoreError
+from nw_eval.gate.settings import Gate, tier_of
 from nw_eval.gate.verdict import Basis, Claim, Recheck
 from nw_eval.plural import plural
 from nw_eval.results.bank import (
@@ -28,9 +30,9 @@ from nw_eval.results.bank import (
 )
 from nw_eval.results.provenance import PolicyInfo, RunInfo
 from nw_eval.results.row import Row, from_dict
+from nw_eval.results.trials import DrawnStart, cells_of, digest_of_trials, expand
 from nw_eval.stats.bank.trials import order_of_starts, order_of_trials
-from nw_eval.suite.model import Gate, Suite, new_suite
-from nw_eval.suite.trials import DrawnStart, expand
+from nw_eval.words import Tier
 
 _NAMED = 3  # scenes or trials, and values of each, that a sentence names before it says "and more"
 
@@ -92,15 +94,15 @@ def _suite_faults(run: RunInfo, bank: BaselineResults) -> Iterable[str]:
     if ours.suite_digest == theirs.suite_digest:
         return
     # Whatever differs besides seed and protocol is in the digest alone.
-    alike = new_suite({**run.suite, "seed": theirs.seed, "protocol": theirs.protocol})
-    if alike.digest != theirs.suite_digest:
+    alike = {**run.suite, "seed": theirs.seed, "protocol": theirs.protocol}
+    if digest_of_trials(alike) != theirs.suite_digest:
         digests = f"{ours.suite_digest[:8]}, the baseline's {theirs.suite_digest[:8]}"
-        yield f"its suite digest is {digests}: {_what_else(alike, bank)}"
+        yield f"its suite digest is {digests}: {_what_else(run, bank)}"
 
 
-def _what_else(suite: Suite, bank: BaselineResults) -> str:
+def _what_else(run: RunInfo, bank: BaselineResults) -> str:
     """Return which settings differ, as far as a baseline knows its own."""
-    ours = sorted(suite.perturb.cells)
+    ours = sorted(cells_of(run.suite["perturb"]))
     theirs = sorted({cell for _, cell in bank.panels[0].by_stratum})
     if ours == theirs:
         return "robot, task, episode, pictures or version of a plug-in differ"
@@ -338,7 +340,7 @@ def _label(stratum: Stratum) -> str:
     return scene + "".join(f" {axis}={value!r}" for axis, value in cell)
 
 
-def fresh_seed(candidate: PolicyInfo, suite: Suite) -> int:
+def fresh_seed(candidate: PolicyInfo, settings: Mapping[str, Any]) -> int:
     """Return the seed of the starts that only this candidate meets in a suite, 0 to 2^63 - 1.
 
     It is the first 63 bits of sha256("fresh/<checkpoint digest>/<card digest>/<suite digest>"), the
@@ -347,9 +349,9 @@ def fresh_seed(candidate: PolicyInfo, suite: Suite) -> int:
 
     Args:
         candidate: who is judged.
-        suite: what it is to meet, with any seed.
+        settings: of the suite that it is to meet, with any seed.
     """
-    unseeded = new_suite({**suite.model_dump(by_alias=True), "seed": 0}).digest
+    unseeded = digest_of_trials({**settings, "seed": 0})
     text = f"fresh/{candidate.key}/{unseeded}"
     return int.from_bytes(sha256(text.encode()).digest()[:8], "big") >> 1
 
@@ -372,6 +374,21 @@ class _Place:
     digest: str
 
 
+class _Asked:
+    """The suite of a run, as far as its trials need it."""
+
+    def __init__(self, run: RunInfo, trials: int) -> None:
+        said = run.suite
+        self.name, self.digest, self.seed = str(said["name"]), run.suite_digest, int(said["seed"])
+        self.trials, self.gate, self.perturb = trials, self, self
+        self.cells = cells_of(said["perturb"])
+        self._tiers: Mapping[str, Tier] = said["gate"]["tiers"]
+
+    def tier(self, scene: str) -> Tier:
+        """Return how much a scene counts."""
+        return tier_of(scene, self._tiers)
+
+
 def known_rows(run: RunInfo, bank: BaselineResults) -> tuple[Row, ...]:
     """Return a baseline's results as rows, taken over (`Row.cached`): they cost this run no time.
 
@@ -384,7 +401,7 @@ def known_rows(run: RunInfo, bank: BaselineResults) -> tuple[Row, ...]:
     """
     panel = bank.panel_of(machine_of(run)) or bank.panels[0]
     starts = {(*start.stratum, start.seed_index): start for start in panel.starts}
-    suite = new_suite({**run.suite, "trials": bank.manifest.starts})
+    suite = _Asked(run, bank.manifest.starts)
     scenes = [_Place(name=name, task=s.task, digest=s.digest) for name, s in run.scenes.items()]
     rows: list[Row] = []
     for trial in expand(suite, scenes):

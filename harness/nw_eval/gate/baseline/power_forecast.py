@@ -22,9 +22,11 @@ from nw_eval.gate.baseline.finding import (
     rules_of,
     strata_that_count,
 )
+from nw_eval.gate.settings import Gate
 from nw_eval.plural import plural
 from nw_eval.results.bank import Panel, Start, Stratum, score
 from nw_eval.results.row import Row
+from nw_eval.results.trials import DrawnStart
 from nw_eval.stats.bank.curve import (
     Against,
     CurvePoint,
@@ -36,8 +38,6 @@ from nw_eval.stats.bank.curve import (
 )
 from nw_eval.stats.bank.trials import TrialRules, settle
 from nw_eval.stats.power import SceneCounts
-from nw_eval.suite.model import Gate
-from nw_eval.suite.trials import DrawnStart
 
 NOTHING_MORE = (
     "every start of the baseline was met: a baseline with more starts, and as many trials, goes on"

@@ -36,6 +36,7 @@ from nw_eval.gate.baseline.finding import (
 )
 from nw_eval.gate.baseline.judge import ComparisonSetup, setup_of
 from nw_eval.gate.baseline.match import renewing
+from nw_eval.gate.settings import Gate, ScoreGate
 from nw_eval.gate.verdict import ScoreFinding, Verdict, Word, percent_sure
 from nw_eval.plural import plural
 from nw_eval.results.bank import Against, BaselineResults, Start, Stratum
@@ -47,7 +48,6 @@ from nw_eval.stats.bank.interval import drop_interval_after, scene_drop_interval
 from nw_eval.stats.bank.trials import DrawnTrials
 from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.stats.interval import Interval
-from nw_eval.suite.model import Gate, ScoreGate
 
 
 def with_scores(

@@ -9,9 +9,9 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from nw_eval.cards.model import Rate
+from nw_eval.digest import digest_of
 from nw_eval.learn.config import ConfigModel, TrainingConfig
-from nw_eval.suite.digest import digest_of
-from nw_eval.suite.model import PUBLISHED, Rendering
+from nw_eval.suite.rendering import PUBLISHED, Rendering
 
 NOTHING = "nothing"
 """`start` of a network whose weights are drawn."""

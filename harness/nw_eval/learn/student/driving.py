@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from nw_eval.built_in.splits import split_of
 from nw_eval.catalogue import FoundScene, references
+from nw_eval.digest import digest_of
 from nw_eval.engine.listener import NullListener
 from nw_eval.engine.local import LocalWorkers
 from nw_eval.engine.machine import WorkerOutput, worker_count
@@ -20,10 +21,9 @@ from nw_eval.learn.progress import EVERY
 from nw_eval.learn.student.drive import Pair
 from nw_eval.learn.student.trajectory import read_trajectory
 from nw_eval.plural import plural
+from nw_eval.results.trials import Trial
 from nw_eval.rollout.confined.access import running_rules
 from nw_eval.rollout.job import TrialJob, kernels_of
-from nw_eval.suite.digest import digest_of
-from nw_eval.suite.trials import Trial
 from nw_eval.words import BLIND, KERNELS
 
 if TYPE_CHECKING:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 from pydantic import Field, model_validator
 
 from nw_eval.catalogue import FoundScene, references
+from nw_eval.digest import digest_of
 from nw_eval.errors import UsageError
 from nw_eval.learn.config import ConfigFile, ConfigModel
 from nw_eval.learn.student.config import Sees, StudentConfig
 from nw_eval.learn.student.driving import training_scenes
-from nw_eval.suite.digest import digest_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -19,6 +19,7 @@ from nw_eval.policies.asked import ApartPolicy
 from nw_eval.policies.drawing import DrawingPolicy
 from nw_eval.policies.fed_policy import FedPolicy
 from nw_eval.policies.planned import PlannedPolicy
+from nw_eval.results.trials import Trial
 from nw_eval.rollout.episode import Episode, Observer, Step
 from nw_eval.rollout.job import StageClock, TrialJob
 from nw_eval.rollout.library import Library
@@ -26,7 +27,6 @@ from nw_eval.rollout.trial import open_trial
 from nw_eval.scenes.scene import Scene
 from nw_eval.sensors.proprio import commanded_speed
 from nw_eval.sim import World
-from nw_eval.suite.trials import Trial
 from nw_eval.words import Collision, Outcome
 
 Array = NDArray[np.float64]

@@ -256,7 +256,7 @@ def _answer(
 ) -> None:
     try:
         if kernels := (*renders, *rules.kernels):
-            from nw_eval.splat.warmup import warmup
+            from nw_eval.warmup import warmup
 
             warmup(kernels=kernels)
         confine(rules)

@@ -1,6 +1,6 @@
 """Imported by the fork server: kernels that have been compiled: a child has them at once."""
 
-from nw_eval.splat.warmup import warm_kernels, warmup
+from nw_eval.warmup import warm_kernels, warmup
 
 __all__ = ["WARM"]
 

@@ -30,7 +30,7 @@ from nw_eval.rollout.replaying.film import Film, contact_sheet
 from nw_eval.rollout.replaying.logged import agreed, check_inside, check_start, read_logged_trial
 from nw_eval.rollout.replaying.reports import AttributionReport, ReplayReport, TakeoverReport
 from nw_eval.rollout.replaying.takeover import OPTION, attribute, replay, second_job, take_over
-from nw_eval.suite.model import SHOWN
+from nw_eval.suite.rendering import SHOWN
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator

@@ -31,26 +31,20 @@ from nw_eval.files.cache import atomic_path, cache_dir, check_new, new_folder
 from nw_eval.files.inside import what_is
 from nw_eval.files.yaml_file import YamlProblems, read_yaml
 from nw_eval.scenes.capture_file import CameraPose, read_poses, write_captures
-from nw_eval.scenes.folder import SCENE_FILE, FileSplat, folder_files, load_folder
-from nw_eval.scenes.limits import name_of
+from nw_eval.scenes.folder import SCENE_FILE, folder_files, load_folder
 from nw_eval.scenes.mesh import TriangleMesh, rotation_matrix
 from nw_eval.scenes.mesh_file import MESH_SUFFIXES, read_mesh
 from nw_eval.scenes.neverwhere.scan import check_similarity
-from nw_eval.scenes.scene import Box, Scene
-from nw_eval.splat.files import read_splat, write_splat
-from nw_eval.splat.gaussians import quaternions
-from nw_eval.suite.load import robot_from, write_ready_suite
-from nw_eval.twin.label.state import LabelState, Placement, StartPose, as_point, mapped
-from nw_eval.twin.place import (
-    COLLISION,
-    SPLAT,
-    SUITE,
-    Route,
+from nw_eval.scenes.saving import (
     rounded,
     similarity_entry,
     write_collision,
-    write_yaml,
+    write_place,
 )
+from nw_eval.splat.gaussians import quaternions
+from nw_eval.suite.load import robot_from, write_ready_suite
+from nw_eval.twin.label.state import LabelState, Placement, StartPose, as_point, mapped
+from nw_eval.twin.place import SUITE, Route
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -424,53 +418,3 @@ def copy_scene(reference: str, out: Path, *, robot: str = "go1") -> None:
                 shutil.copyfile(path, staged / name)
         name, own = load_folder(staged, needs_scale=False).name, robot_from(out, robot)
         write_ready_suite(staged / SUITE, name, ["."], robot=own)
-
-
-def write_place(scene: Scene, folder: Path) -> None:
-    """Write the files of a scene folder: Gaussians, and boxes or the mesh where not all are boxes.
-
-    Raises:
-        OSError, StoreError: they cannot be written.
-    """
-    boxes = [solid for solid in scene.solids if isinstance(solid, Box)]
-    is_boxes = len(boxes) == len(scene.solids)
-    if is_boxes:
-        write_yaml(folder / _BOXES, {"boxes": [_box(box) for box in boxes]})
-    else:
-        write_collision(folder / COLLISION, scene.static_mesh.vertices, scene.static_mesh.faces)
-    spawn = scene.spawn
-    text: dict[str, Any] = {
-        "nw-scene": 1,
-        "name": name_of(folder.name),
-        "title": scene.title,
-        "task": scene.task,
-        "licence": scene.licence,
-        "collision": _BOXES if is_boxes else COLLISION,
-        "ground": scene.ground.z,
-        "trail": [rounded(point) for point in scene.trail],
-        "spawn": {
-            "position": rounded(spawn.position),
-            "yaw": spawn.yaw,
-            "x_jitter": spawn.x_jitter,
-            "y_jitter": spawn.y_jitter,
-            "yaw_jitter": spawn.yaw_jitter,
-        },
-        "waypoint_noise": list(scene.waypoint_noise),
-    }
-    if scene.splat is not None:
-        source = scene.splat.path if isinstance(scene.splat, FileSplat) else scene.splat_store()
-        write_splat(folder / SPLAT, read_splat(source))
-        text |= {"splat": SPLAT, "T_world_splat": similarity_entry(scene.T_world_splat)}
-    write_yaml(folder / SCENE_FILE, text)
-
-
-def _box(box: Box) -> dict[str, Any]:
-    kind = box.kind if box.kind in {"obstacle", "structure", "clutter"} else "structure"
-    return {
-        "center": [*map(float, box.center)],
-        "half_size": [*map(float, box.half_size)],
-        "quat": [*map(float, box.quat)],
-        "friction": [*map(float, box.friction)],
-        "material": box.material,
-        "kind": kind,
-    }

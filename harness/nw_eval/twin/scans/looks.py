@@ -20,10 +20,11 @@ from nw_eval.files.pictures import open_picture
 from nw_eval.scenes.limits import TEXTURE_PIXELS
 from nw_eval.scenes.mesh_file import PaintedMesh
 from nw_eval.scenes.neverwhere.scan import check_similarity
+from nw_eval.scenes.saving import SPLAT, similarity_entry
 from nw_eval.splat.files import read_splat, write_splat
 from nw_eval.splat.gaussians import Gaussians
 from nw_eval.twin.gaussians.initial import FLAT, distances, gaussians_at
-from nw_eval.twin.place import SPLAT, moved_points, similarity_entry
+from nw_eval.twin.place import moved_points
 
 Values = NDArray[np.float64]
 

@@ -29,19 +29,11 @@ from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_eval.scenes.mesh_file import MESH_SUFFIXES, PaintedMesh, read_painted, unread
 from nw_eval.scenes.mesh_parts import Material
 from nw_eval.scenes.rays import RayScene
+from nw_eval.scenes.saving import COLLISION, rounded, write_collision, write_yaml
 from nw_eval.scenes.surface import Surface
 from nw_eval.suite.load import check_has_policy, robot_from, write_ready_suite
 from nw_eval.survey import footing_lines, survey_lines
-from nw_eval.twin.place import (
-    COLLISION,
-    SUITE,
-    Route,
-    check_scene_name,
-    moved_points,
-    rounded,
-    write_collision,
-    write_yaml,
-)
+from nw_eval.twin.place import SUITE, Route, check_scene_name, moved_points
 from nw_eval.twin.scans.looks import write_looks
 from nw_eval.words import Task
 

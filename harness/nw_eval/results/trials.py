@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from hashlib import sha256
-from typing import TYPE_CHECKING, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
+from nw_eval.digest import canonical, digest_of
 from nw_eval.errors import UsageError
-from nw_eval.suite.digest import canonical
+from nw_eval.plugins import is_measure
 from nw_eval.words import Tier
-
-if TYPE_CHECKING:
-    from nw_eval.suite.model import Suite
-
 
 MAX_TRIALS = 1_000_000
 """Most trials of one run; more is a slip of the pen."""
@@ -35,6 +32,32 @@ class SceneLike(Protocol):
     def task(self) -> str: ...  # noqa: D102
     @property
     def digest(self) -> str: ...  # noqa: D102
+
+
+class _GateLike(Protocol):
+    def tier(self, scene: str) -> Tier: ...
+
+
+class _GridLike(Protocol):
+    @property
+    def cells(self) -> tuple[tuple[tuple[str, float], ...], ...]: ...
+
+
+class SuiteLike(Protocol):
+    """What a suite must tell for all of its trials to be known."""
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def digest(self) -> str: ...  # noqa: D102
+    @property
+    def seed(self) -> int: ...  # noqa: D102
+    @property
+    def trials(self) -> int: ...  # noqa: D102
+    @property
+    def perturb(self) -> _GridLike: ...  # noqa: D102
+    @property
+    def gate(self) -> _GateLike: ...  # noqa: D102
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -120,7 +143,7 @@ _SLOTS = [
 
 
 def expand(
-    suite: Suite, scenes: Sequence[SceneLike], drawn: Sequence[DrawnStart] | None = None
+    suite: SuiteLike, scenes: Sequence[SceneLike], drawn: Sequence[DrawnStart] | None = None
 ) -> tuple[Trial, ...]:
     """Return every trial of a suite, interleaved: all scenes' first trials, then the second ones.
 
@@ -175,3 +198,48 @@ def expand(
             )
         owners[slug] = scene.name
     return trials
+
+
+_USUAL: dict[str, Any] = {
+    "task": {"kind": "course"},
+    "render": {"projection": "ewa", "samples": 1, "near": 0.01},
+}
+"""Settings under which a suite has the digest that it had before it could say them."""
+
+
+def digest_of_trials(settings: Mapping[str, Any]) -> str:
+    """Return the hex sha256 of what decides the course of a suite's trials.
+
+    That is robot, protocol, seed, episode, task, pictures and perturbations, with the versions of
+    the packages that have the task or some of their axes. It names trials, so it must not change
+    with policy, gate, scores, record, name, scenes or the number of trials: raising `trials` keeps
+    the earlier ones, and two policies meet the same ones.
+
+    Args:
+        settings: of the suite, as it is written out.
+    """
+    fields = {name: settings[name] for name in ("robot", "protocol", "seed")}
+    # What is not used is left out, so that new axes and switches keep old digests.
+    fields["episode"] = {
+        name: value
+        for name, value in settings["episode"].items()
+        if name != "contact_termination" or not value
+    }
+    fields["perturb"] = {axis: each for axis, each in settings["perturb"].items() if each}
+    # What an axis or a task does is a matter of its version. A score changes no trial.
+    plugins = cast("Mapping[str, str]", settings.get("plugins") or {})
+    if acting := {key: said for key, said in plugins.items() if not is_measure(key)}:
+        fields["plugins"] = acting
+    for name, usual in _USUAL.items():
+        if (said := settings.get(name)) is not None and said != usual:
+            fields[name] = said
+    return digest_of(fields)
+
+
+def cells_of(perturb: Mapping[str, Sequence[float]]) -> tuple[tuple[tuple[str, float], ...], ...]:
+    """Return the cells of a grid, axes in alphabetical order; one empty cell without axes."""
+    cells: list[tuple[tuple[str, float], ...]] = [()]
+    for axis, values in sorted(perturb.items()):
+        if values:
+            cells = [(*cell, (axis, float(value))) for cell in cells for value in values]
+    return tuple(cells)
