@@ -89,18 +89,22 @@ $(BIN)/python:
 # first and alone: the pinned CPU build satisfies every later requirement. Python compiles what is imported, once; compiling all of it ahead takes
 # ten seconds of a core. Kernels that could not be compiled here are at the first use, which says why.
 PIP := $(BIN)/pip install -q --no-compile --disable-pip-version-check
-WARM_UP := from nw_eval.warmup import warmup; warmup()
-$(VENV)/.installed: $(BIN)/python pyproject.toml constraints.txt
-	$(PIP) -c constraints.txt numba numpy pydantic
+# All packages in one call: pip takes a path that is given for what another one needs. Hatchling is there first, so
+# that it is not installed anew for each of them.
+PACKAGES := $(addprefix -e harness/nw_,base splat gate twin learn)
+PIP_HERE := $(PIP) --no-build-isolation -c constraints.txt $(PACKAGES)
+WARM_UP := from nw_sim.warmup import warmup; warmup()
+$(VENV)/.installed: $(BIN)/python pyproject.toml $(wildcard harness/*/pyproject.toml) constraints.txt
+	$(PIP) -c constraints.txt numba numpy pydantic hatchling
 	PYTHONPATH=harness $(BIN)/python -c '$(WARM_UP)' >/dev/null 2>&1 & \
-	  $(PIP) -c constraints.txt -e .; code=$$?; wait; exit $$code
+	  $(PIP_HERE) -e .; code=$$?; wait; exit $$code
 	touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed
-	$(PIP) -c constraints.txt -e '.[docs]'
+	$(PIP_HERE) -e '.[docs]'
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
 	$(PIP) torch==$(shell sed -n 's/^torch==//p' constraints.txt)
-	$(PIP) -c constraints.txt -e '.[dev]'
+	$(PIP_HERE) -e '.[dev]'
 	touch $@

@@ -131,8 +131,8 @@ def _schema(kind: str) -> dict[str, Any]:
 
     if kind != "robot":
         return api.schema(kind)  # type: ignore[arg-type]
-    from nw_eval.files.yaml_file import json_schema_of
-    from nw_eval.robots.folder import RobotFile
+    from nw_base.files.yaml_file import json_schema_of
+    from nw_scenes.robots.folder import RobotFile
 
     return json_schema_of(RobotFile)
 
@@ -246,8 +246,8 @@ def columns() -> str:
     """Return the columns of `trials.parquet`."""
     import pyarrow as pa
 
-    from nw_eval.results.parquet import SCHEMA
-    from nw_eval.results.row import COLUMNS
+    from nw_gate.results.parquet import SCHEMA
+    from nw_gate.results.row import COLUMNS
 
     lines = ["| column | type | what |", "|---|---|---|"]
     for name, column in COLUMNS.items():
@@ -260,14 +260,14 @@ def columns() -> str:
 
 def topics() -> str:
     """Return the topics of a log."""
-    from nw_eval.rollout.mcap.topics import topics_table
+    from nw_sim.rollout.mcap.topics import topics_table
 
     return topics_table()
 
 
 def system_calls() -> str:
     """Return the system calls that the fence allows, and what arguments some may have."""
-    from nw_eval.confinement import seccomp
+    from nw_base.confinement import seccomp
 
     groups = {
         **seccomp.ALLOWED,
@@ -285,10 +285,10 @@ def system_calls() -> str:
 
 def network_operators() -> str:
     """Return the operators that nw-eval's networks have, of ONNX and of torch."""
-    from nw_eval.networks.plan import OPERATORS
-    from nw_eval.networks.planning import operators
-    from nw_eval.policies.networks.aten import RULES
-    from nw_eval.policies.networks.aten_layers import COMPOSED
+    from nw_policies.executor.plan import OPERATORS
+    from nw_policies.executor.planning import operators
+    from nw_policies.networks.aten import RULES
+    from nw_policies.networks.aten_layers import COMPOSED
 
     known = operators()
     kinds = {
@@ -297,7 +297,7 @@ def network_operators() -> str:
         "recurrent layers": "recurrent",
         "what moves numbers": "moves",
     }
-    assert {f"nw_eval.networks.{kind}" for kind in kinds.values()} == {
+    assert {f"nw_policies.executor.{kind}" for kind in kinds.values()} == {
         module.__name__ for module in OPERATORS
     }
     onnx = [(title, _names(" ".join(known[kind]))) for title, kind in kinds.items()]
@@ -313,7 +313,7 @@ def _names(text: str) -> str:
 
 def scores() -> str:
     """Return the scores that are built in, as they are declared."""
-    from nw_eval.scores import BUILT_IN
+    from nw_gate.scores import BUILT_IN
 
     rows = [
         (

@@ -10,8 +10,8 @@ import signal
 import pytest
 from hypothesis import settings
 
-from nw_eval.machine_code import folder_note
-from nw_eval.policies.line import trusting
+from nw_base.machine_code import folder_note
+from nw_policies.line import trusting
 
 pytest_plugins = ("pytester",)  # Only this file may say so.
 

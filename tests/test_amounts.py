@@ -2,7 +2,7 @@
 
 import pytest
 
-from nw_eval.plural import bytes_of, in_words
+from nw_base.plural import bytes_of, in_words
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from nw_eval.memory import pack, unpack
+from nw_base.memory import pack, unpack
 
 NUMBERS = st.sampled_from(["<f4", "<f8", ">f8", "<i8", "|u1", "|b1"])
 ARRAYS = st.dictionaries(

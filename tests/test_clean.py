@@ -5,7 +5,7 @@ import unicodedata
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
 
 
 @given(st.text(max_size=300))

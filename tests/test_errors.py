@@ -4,7 +4,7 @@ from copy import deepcopy
 
 import pytest
 
-from nw_eval.errors import Problem, SceneError, SuiteError, TrialError
+from nw_base.errors import Problem, SceneError, SuiteError, TrialError
 
 EVIL = "x\n::error::owned\x1b[2J\u202e ws://user:secret@host/ ##vso[task]"
 

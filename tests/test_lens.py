@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from nw_eval.lens import Distortion, Intrinsics
+from nw_base.lens import Distortion, Intrinsics
 
 # A D455's colour camera (factory calibration as published in ABC-iRobotics/Hand_Tools).
 D455 = (-0.05574646681, 0.06033258925, -0.00097871176, -0.00084552983, -0.01606938667)

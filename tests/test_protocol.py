@@ -10,17 +10,17 @@ from typing import get_args
 import pytest
 
 import nw_eval
-from nw_eval.protocol import NEVERWHERE_2026, PROTOCOLS, STRICT, EvaluationProtocol, protocol_named
-from nw_eval.words import Protocol
+from nw_base.protocol import NEVERWHERE_2026, PROTOCOLS, STRICT, EvaluationProtocol, protocol_named
+from nw_base.words import Protocol
 
-PACKAGE = Path(nw_eval.__file__).parent
-OWN = PACKAGE / "protocol.py"
+HARNESS = Path(nw_eval.__file__).parents[1]
+OWN = HARNESS / "nw_base" / "protocol.py"
 SWITCHES = [field.name for field in dataclasses.fields(EvaluationProtocol) if field.name != "name"]
 
 
 def elsewhere() -> Iterator[tuple[Path, ast.Module]]:
     """Every production file but the protocols' own."""
-    for path in sorted(PACKAGE.rglob("*.py")):
+    for path in sorted(HARNESS.rglob("*.py")):
         if path != OWN:
             yield path, ast.parse(path.read_text(encoding="utf-8"))
 
@@ -42,7 +42,7 @@ def test_every_word_has_its_protocol() -> None:
 
 def test_nobody_else_asks_for_the_word() -> None:
     askers = {
-        str(path.relative_to(PACKAGE)): words
+        str(path.relative_to(HARNESS)): words
         for path, tree in elsewhere()
         if (words := set(compared(tree)) & set(get_args(Protocol)))
     }

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from nw_eval import same_bits
+from nw_base import same_bits
 
 RNG = np.random.default_rng(0)
 SIGNED = np.concatenate([RNG.normal(size=2000), RNG.uniform(-700.0, 700.0, 2000), [0.0, -0.0, 1.0]])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval import words
+from nw_base import words
 
 ROOT = Path(__file__).parents[1]
 SURFACES = {

@@ -4,6 +4,20 @@ from typing import Any, TypeAlias
 
 from typing_extensions import deprecated
 
+from nw_base.errors import (
+    CodeError,
+    FetchError,
+    IncomparableError,
+    NwEvalError,
+    PluginError,
+    PolicyError,
+    PrerequisiteError,
+    SceneError,
+    StoreError,
+    SuiteError,
+    TrialError,
+    UsageError,
+)
 from nw_eval.api import (
     ActingPolicy,
     AttributedTrial,
@@ -112,42 +126,28 @@ from nw_eval.api import (
     watch,
     write_site,
 )
-from nw_eval.cards.card import Card
-from nw_eval.cards.load import ListedPolicy
 from nw_eval.engine.plan import Forecast, Plan
-from nw_eval.errors import (
-    CodeError,
-    FetchError,
-    IncomparableError,
-    NwEvalError,
-    PluginError,
-    PolicyError,
-    PrerequisiteError,
-    SceneError,
-    StoreError,
-    SuiteError,
-    TrialError,
-    UsageError,
-)
-from nw_eval.gate.ledger_report import LedgerReport
-from nw_eval.gate.side_by_side import PolicyComparison
-from nw_eval.gate.verdict import Comparison, Verdict
-from nw_eval.hub.reference import Fetched
-from nw_eval.onboarding.probe.report import ProbeReport
-from nw_eval.onboarding.probe.summary import CardSummary
-from nw_eval.onboarding.robot_check import CheckedRobot, RobotSummary
-from nw_eval.request import Request
-from nw_eval.results.bank import BaselineChange, BaselineResults
-from nw_eval.results.row import Row
-from nw_eval.rollout.replaying.reports import AttributionReport, ReplayReport, TakeoverReport
-from nw_eval.rollout.replaying.rescored import LogScores
-from nw_eval.scenes.overview import SceneFigures
-from nw_eval.sensors.gallery import SeenCard
-from nw_eval.splat.files.format import SplatFormat
-from nw_eval.splat.gaussians import Gaussians, SplatFigures
-from nw_eval.stats.agreement import Agreement
-from nw_eval.suite.axes import Axis
 from nw_eval.viewing.recording.track import WrittenRecording
+from nw_gate.ledger_report import LedgerReport
+from nw_gate.results.bank import BaselineChange, BaselineResults
+from nw_gate.results.request import Request
+from nw_gate.results.row import Row
+from nw_gate.side_by_side import PolicyComparison
+from nw_gate.stats.agreement import Agreement
+from nw_gate.verdict import Comparison, Verdict
+from nw_policies.cards.card import Card
+from nw_policies.cards.load import ListedPolicy
+from nw_scenes.hub.reference import Fetched
+from nw_scenes.overview import SceneFigures
+from nw_sim.axes import Axis
+from nw_sim.probe.report import ProbeReport
+from nw_sim.probe.robot_check import CheckedRobot, RobotSummary
+from nw_sim.probe.summary import CardSummary
+from nw_sim.rollout.replaying.reports import AttributionReport, ReplayReport, TakeoverReport
+from nw_sim.rollout.replaying.rescored import LogScores
+from nw_sim.sensors.gallery import SeenCard
+from nw_splat.files.format import SplatFormat
+from nw_splat.gaussians import Gaussians, SplatFigures
 
 __version__: str
 

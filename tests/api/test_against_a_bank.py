@@ -18,23 +18,23 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
+from nw_base.errors import IncomparableError, StoreError, UsageError
+from nw_base.files.shipped import shipped
 from nw_eval import api
 from nw_eval.api.plans import rechecked
 from nw_eval.cli import main
 from nw_eval.cli.verbs.check import forecast_page
 from nw_eval.engine import session
 from nw_eval.engine.rounds import Attempts
-from nw_eval.errors import IncomparableError, StoreError, UsageError
-from nw_eval.files.shipped import shipped
 from nw_eval.reporting.headline import headline
-from nw_eval.results.bank import trajectory
-from nw_eval.results.bank_file import bank_of_run, read_bank, write_bank
-from nw_eval.results.ended import write_trials
-from nw_eval.results.journal import read_journal, write_journal
-from nw_eval.results.provenance import StopInfo, read_run_info
-from nw_eval.results.row import rows_digest, texts_of
-from nw_eval.results.run_folder import RunFolder
 from nw_eval.suite import load_suite
+from nw_gate.results.bank import trajectory
+from nw_gate.results.bank_file import bank_of_run, read_bank, write_bank
+from nw_gate.results.ended import write_trials
+from nw_gate.results.journal import read_journal, write_journal
+from nw_gate.results.provenance import StopInfo, read_run_info
+from nw_gate.results.row import rows_digest, texts_of
+from nw_gate.results.run_folder import RunFolder
 
 SUITE = """\
 nw-eval: 1

@@ -8,9 +8,9 @@ import sys
 import pytest
 
 import nw_eval
+from nw_base.errors import IncomparableError, UsageError
 from nw_eval.cli import main
-from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.results.bank import (
+from nw_gate.results.bank import (
     BankKey,
     BankPolicy,
     BaselineResults,
@@ -19,7 +19,7 @@ from nw_eval.results.bank import (
     PanelInfo,
     Start,
 )
-from nw_eval.results.bank_file import write_bank
+from nw_gate.results.bank_file import write_bank
 
 SCENES = {"hurdles/a": "11" * 32, "hurdles/b": "22" * 32}
 MACHINE = {"cpu": "znver4 1f0c77a2"}

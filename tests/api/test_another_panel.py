@@ -6,9 +6,9 @@ import json
 
 import pytest
 
+from nw_base.errors import IncomparableError, UsageError
 from nw_eval import api
 from nw_eval.cli.verbs.check import forecast_page
-from nw_eval.errors import IncomparableError, UsageError
 
 SUITE = """\
 nw-eval: 1

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from nw_base.errors import IncomparableError, StoreError, TrialError, UsageError
+from nw_base.files.shipped import shipped
 from nw_eval import api, cli
 from nw_eval.cli.verbs.baseline import saved_page
 from nw_eval.engine.listener import NullListener
-from nw_eval.errors import IncomparableError, StoreError, TrialError, UsageError
-from nw_eval.files.shipped import shipped
-from nw_eval.results.bank_file import read_bank
-from nw_eval.results.provenance import read_run_info, write_run_info
+from nw_gate.results.bank_file import read_bank
+from nw_gate.results.provenance import read_run_info, write_run_info
 
 SUITE = """\
 nw-eval: 1

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from nw_base.errors import TrialError, UsageError
 from nw_eval import api
 from nw_eval.cli.verbs.options import summary
 from nw_eval.engine import cache, provenance
@@ -15,12 +16,11 @@ from nw_eval.engine.cache import TrialStore, read_entry, write_entry
 from nw_eval.engine.known import known_trials
 from nw_eval.engine.listener import NullListener
 from nw_eval.engine.plan import plan_jobs
-from nw_eval.errors import TrialError, UsageError
-from nw_eval.results.evidence import run_leaf
-from nw_eval.results.parquet import read_rows
-from nw_eval.results.row import from_dict, rows_digest, to_dict
-from nw_eval.results.run_folder import RunFolder
 from nw_eval.view.sources import kind_of, open_shelf
+from nw_gate.results.evidence import run_leaf
+from nw_gate.results.parquet import read_rows
+from nw_gate.results.row import from_dict, rows_digest, to_dict
+from nw_gate.results.run_folder import RunFolder
 
 SUITE = """\
 nw-eval: 1

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from nw_base.files.shipped import available
 from nw_eval import api, cli
-from nw_eval.files.shipped import available
-from nw_eval.gate.absolute import judge, trials_to_pass
-from nw_eval.results.row import Row
 from nw_eval.suite import Gate
 from nw_eval.suite.load import write_ready_suite
+from nw_gate.absolute import judge, trials_to_pass
+from nw_gate.results.row import Row
 
 ROOT = Path(__file__).parents[2]
 SUITE = """\

@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nw_base.errors import IncomparableError
 from nw_eval import api
-from nw_eval.catalogue import get_scene
-from nw_eval.errors import IncomparableError
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.settings import Validity
-from nw_eval.results.parquet import read_rows
-from nw_eval.scenes.capture_file import write_captures
-from nw_eval.splat.files import write_splat
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.stats.betting import lower_bound
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.results.parquet import read_rows
+from nw_gate.settings import Validity
+from nw_gate.stats.betting import lower_bound
+from nw_scenes.capture_file import write_captures
+from nw_sim.catalogue import get_scene
+from nw_splat.files import write_splat
+from nw_splat.gaussians import Gaussians
 
 pytestmark = pytest.mark.nightly  # real workers; by day tests/rollout and tests/gate show as much
 

@@ -5,11 +5,11 @@ import shutil
 import pytest
 
 import nw_eval
+from nw_base.errors import PolicyError
 from nw_eval.api.cause import apart, write_crossed
 from nw_eval.cli import main
-from nw_eval.errors import PolicyError
-from nw_eval.policies import load_bundle
-from nw_eval.sensors.build import check_card
+from nw_policies import load_bundle
+from nw_sim.sensors.build import check_card
 
 SUITE = """\
 nw-eval: 1

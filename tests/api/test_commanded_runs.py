@@ -10,10 +10,10 @@ import yaml
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from nw_base.errors import SuiteError
 from nw_eval import api
-from nw_eval.errors import SuiteError
-from nw_eval.results.row import rows_digest
 from nw_eval.suite import load_suite, suite_yaml
+from nw_gate.results.row import rows_digest
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[3] / "shared" / "assets"))
 SUITE = """\

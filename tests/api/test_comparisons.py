@@ -8,10 +8,11 @@ import sys
 import pytest
 
 import nw_eval
+from nw_base.errors import IncomparableError, UsageError
 from nw_eval.api.saved_run import saved_trials
 from nw_eval.cli import main
-from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.results.bank import (
+from nw_eval.suite import new_suite
+from nw_gate.results.bank import (
     BankPolicy,
     BaselineResults,
     Manifest,
@@ -21,9 +22,9 @@ from nw_eval.results.bank import (
     key_of,
     machine_of,
 )
-from nw_eval.results.bank_file import write_bank
-from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.provenance import (
+from nw_gate.results.bank_file import write_bank
+from nw_gate.results.journal import Journal, JournalHeader
+from nw_gate.results.provenance import (
     CodeInfo,
     MachineInfo,
     PolicyInfo,
@@ -31,8 +32,7 @@ from nw_eval.results.provenance import (
     SceneInfo,
     write_run_info,
 )
-from nw_eval.results.row import Row
-from nw_eval.suite import new_suite
+from nw_gate.results.row import Row
 
 SCENE, DIGEST, CHECKPOINT, STARTS = "flat/room", "dd" * 32, "cc" * 32, 3
 

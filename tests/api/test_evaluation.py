@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import nw_eval
-from nw_eval.errors import PolicyError, UsageError
-from nw_eval.results.row import rows_digest
+from nw_base.errors import PolicyError, UsageError
+from nw_gate.results.row import rows_digest
 
 SUITE = """\
 nw-eval: 1

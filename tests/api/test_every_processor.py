@@ -14,12 +14,12 @@ import pytest
 import nw_eval
 from nw_eval import api
 from nw_eval.engine.provenance import engine_of
-from nw_eval.networks import IDENTITY
-from nw_eval.policies import load_bundle
-from nw_eval.policies.networks.onnx_graph import Graph
-from nw_eval.results.bank import machine_in, machine_of
-from nw_eval.results.bank_file import read_bank
-from nw_eval.results.provenance import read_run_info
+from nw_gate.results.bank import machine_in, machine_of
+from nw_gate.results.bank_file import read_bank
+from nw_gate.results.provenance import read_run_info
+from nw_policies import load_bundle
+from nw_policies.executor import IDENTITY
+from nw_policies.networks.onnx_graph import Graph
 
 POLICIES = Path(nw_eval.__file__).parents[2] / "policies"
 SUMMING = """\
@@ -157,8 +157,8 @@ def test_without_that_runtime_the_operator_and_the_extra_are_named():
     code = """
 import sys
 sys.modules["onnxruntime"] = None
-from nw_eval.errors import PrerequisiteError
-from nw_eval.policies import load_bundle, open_policy
+from nw_base.errors import PrerequisiteError
+from nw_policies import load_bundle, open_policy
 try:
     open_policy(load_bundle("policy"))
 except PrerequisiteError as error:

@@ -7,16 +7,16 @@ from importlib.util import find_spec
 
 import pytest
 
-from nw_eval import api
-from nw_eval.cli.verbs.check import forecast_page
-from nw_eval.cli.verbs.options import summary
-from nw_eval.errors import (
+from nw_base.errors import (
     IncomparableError,
     PrerequisiteError,
     SuiteError,
     UsageError,
 )
-from nw_eval.results.parquet import read_rows
+from nw_eval import api
+from nw_eval.cli.verbs.check import forecast_page
+from nw_eval.cli.verbs.options import summary
+from nw_gate.results.parquet import read_rows
 
 SUITE = """\
 nw-eval: 1

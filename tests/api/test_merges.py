@@ -16,15 +16,15 @@ from types import SimpleNamespace
 
 import pytest
 
+from nw_base.errors import IncomparableError, NwEvalError, StoreError, UsageError
 from nw_eval import api
 from nw_eval.cli import main
 from nw_eval.engine.order import in_order, shard_of
-from nw_eval.errors import IncomparableError, NwEvalError, StoreError, UsageError
-from nw_eval.request import Request, Shard
-from nw_eval.results.ended import write_trials
-from nw_eval.results.journal import Journal, JournalHeader, read_journal
-from nw_eval.results.parquet import read_rows
-from nw_eval.results.provenance import (
+from nw_eval.suite import expand, new_suite
+from nw_gate.results.ended import write_trials
+from nw_gate.results.journal import Journal, JournalHeader, read_journal
+from nw_gate.results.parquet import read_rows
+from nw_gate.results.provenance import (
     CacheInfo,
     PolicyInfo,
     RunInfo,
@@ -33,9 +33,9 @@ from nw_eval.results.provenance import (
     machine_info,
     write_run_info,
 )
-from nw_eval.results.row import Row, rows_digest
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.suite import expand, new_suite
+from nw_gate.results.request import Request, Shard
+from nw_gate.results.row import Row, rows_digest
+from nw_gate.results.run_folder import RunFolder
 
 PLACES = [
     SimpleNamespace(name=f"hurdles/{name}", task="hurdles", digest=2 * name[0] * 16)

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from nw_base.errors import PolicyError, RobotError, SuiteError
 from nw_eval import api
 from nw_eval.engine import ray_file_bundles
 from nw_eval.engine.listener import NullListener
 from nw_eval.engine.ray_file_bundles import Outgoing
-from nw_eval.errors import PolicyError, RobotError, SuiteError
-from nw_eval.results.row import rows_digest
-from nw_eval.robots import find_robot
+from nw_gate.results.row import rows_digest
+from nw_scenes.robots import find_robot
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[3] / "shared" / "assets"))
 

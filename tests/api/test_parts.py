@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from nw_base.errors import IncomparableError
 from nw_eval import api
 from nw_eval.cli import main
-from nw_eval.errors import IncomparableError
-from nw_eval.results.provenance import read_run_info
+from nw_gate.results.provenance import read_run_info
 
 SUITE = """\
 nw-eval: 1

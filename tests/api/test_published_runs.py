@@ -13,10 +13,11 @@ import pytest
 
 import nw_eval
 from nw_eval.api.saved_run import saved_suite, saved_trials
-from nw_eval.results.ended import write_trials
-from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.labels import KNOWN
-from nw_eval.results.provenance import (
+from nw_eval.suite import new_suite
+from nw_gate.results.ended import write_trials
+from nw_gate.results.journal import Journal, JournalHeader
+from nw_gate.results.labels import KNOWN
+from nw_gate.results.provenance import (
     BaselineInfo,
     CacheInfo,
     CodeInfo,
@@ -27,10 +28,9 @@ from nw_eval.results.provenance import (
     read_run_info,
     write_run_info,
 )
-from nw_eval.results.row import Row
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.results.seal import seal
-from nw_eval.suite import new_suite
+from nw_gate.results.row import Row
+from nw_gate.results.run_folder import RunFolder
+from nw_gate.results.seal import seal
 
 if TYPE_CHECKING:
     from collections.abc import Callable

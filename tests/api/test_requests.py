@@ -13,14 +13,15 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from nw_eval import api, catalogue
+from nw_base.errors import IncomparableError, UsageError
+from nw_eval import api
 from nw_eval.cli.verbs import parse
 from nw_eval.engine import local, session
-from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.policies import load_bundle
-from nw_eval.request import Request
-from nw_eval.results.provenance import read_run_info
-from nw_eval.results.seal import seal
+from nw_gate.results.provenance import read_run_info
+from nw_gate.results.request import Request
+from nw_gate.results.seal import seal
+from nw_policies import load_bundle
+from nw_sim import catalogue
 
 SUITE = """\
 nw-eval: 1
@@ -177,7 +178,7 @@ def test_run_json_keeps_what_was_asked_for_and_is_read_back_as_it_was_written(pr
 
 
 def test_weights_are_found_from_anywhere(project, jobs, tmp_path, monkeypatch):
-    vetting = "nw_eval.rollout.confined.vetting.vet_bundle"
+    vetting = "nw_sim.rollout.confined.vetting.vet_bundle"
     monkeypatch.setattr(vetting, lambda bundle, *_, **__: bundle)  # It takes a process.
     bundle = load_bundle("go1-parkour")
     shutil.copyfile(bundle.checkpoint, project / "weights.onnx")

@@ -9,13 +9,13 @@ import sys
 
 import pytest
 
+from nw_base.errors import IncomparableError, StoreError, UsageError
+from nw_base.files.shipped import shipped
 from nw_eval import api
 from nw_eval.cli.verbs.options import summary
-from nw_eval.errors import IncomparableError, StoreError, UsageError
-from nw_eval.files.shipped import shipped
-from nw_eval.results.journal import Journal, read_journal
-from nw_eval.results.provenance import read_run_info
-from nw_eval.results.row import rows_digest
+from nw_gate.results.journal import Journal, read_journal
+from nw_gate.results.provenance import read_run_info
+from nw_gate.results.row import rows_digest
 
 SUITE = """\
 nw-eval: 1
@@ -116,7 +116,7 @@ import os, signal
 from pathlib import Path
 from nw_eval import api
 from nw_eval.cli.verbs.options import summary
-from nw_eval.results.journal import Journal
+from nw_gate.results.journal import Journal
 
 Journal._begin = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 api.run("quick.yaml", out=Path("run"), trials=1)

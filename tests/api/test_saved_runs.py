@@ -9,14 +9,16 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from nw_base.errors import StoreError
+from nw_base.trials import Trial
 from nw_eval import api
 from nw_eval.cli import main
 from nw_eval.cli.verbs.options import summary
-from nw_eval.errors import StoreError
-from nw_eval.results.ended import write_trials
-from nw_eval.results.journal import Journal, JournalHeader, read_journal
-from nw_eval.results.parquet import SCHEMA
-from nw_eval.results.provenance import (
+from nw_eval.suite import new_suite
+from nw_gate.results.ended import write_trials
+from nw_gate.results.journal import Journal, JournalHeader, read_journal
+from nw_gate.results.parquet import SCHEMA
+from nw_gate.results.provenance import (
     PolicyInfo,
     RunInfo,
     SceneInfo,
@@ -25,11 +27,9 @@ from nw_eval.results.provenance import (
     read_run_info,
     write_run_info,
 )
-from nw_eval.results.row import Row
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.results.sealed import sealed
-from nw_eval.results.trials import Trial
-from nw_eval.suite import new_suite
+from nw_gate.results.row import Row
+from nw_gate.results.run_folder import RunFolder
+from nw_gate.results.sealed import sealed
 
 SUITE = new_suite(
     {

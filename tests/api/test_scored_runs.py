@@ -5,11 +5,11 @@ from html import unescape
 
 import pytest
 
+from nw_base.errors import UsageError
 from nw_eval import api
-from nw_eval.errors import UsageError
 from nw_eval.reporting.junit import junit_xml
-from nw_eval.results.bank_file import read_bank, write_bank
-from nw_eval.results.parquet import read_rows
+from nw_gate.results.bank_file import read_bank, write_bank
+from nw_gate.results.parquet import read_rows
 
 SUITE = """
 nw-eval: 1

@@ -8,11 +8,11 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
+from nw_base.errors import IncomparableError, PolicyError, UsageError
 from nw_eval import api
 from nw_eval.api.series import _of_folders
 from nw_eval.cli.verbs.bisect import series_page
-from nw_eval.errors import IncomparableError, PolicyError, UsageError
-from nw_eval.policies import load_bundle
+from nw_policies import load_bundle
 
 SUITE = """\
 nw-eval: 1

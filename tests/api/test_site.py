@@ -10,13 +10,13 @@ from html.parser import HTMLParser
 import pytest
 
 import nw_eval
+from nw_base.errors import UsageError
 from nw_eval.api.saved_run import saved_trials
 from nw_eval.cli import main
 from nw_eval.engine.order import shard_of
-from nw_eval.errors import UsageError
-from nw_eval.request import Shard
-from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.provenance import (
+from nw_eval.suite import new_suite
+from nw_gate.results.journal import Journal, JournalHeader
+from nw_gate.results.provenance import (
     CodeInfo,
     MachineInfo,
     PolicyInfo,
@@ -25,9 +25,9 @@ from nw_eval.results.provenance import (
     StopInfo,
     write_run_info,
 )
-from nw_eval.results.row import Row
-from nw_eval.scores import specs_of
-from nw_eval.suite import new_suite
+from nw_gate.results.request import Shard
+from nw_gate.results.row import Row
+from nw_gate.scores import specs_of
 
 DIGEST, STARTS = "dd" * 32, 12
 

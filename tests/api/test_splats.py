@@ -7,17 +7,17 @@ import pytest
 import trimesh
 from PIL import Image as Picture
 
+from nw_base.errors import SceneError
+from nw_base.files.cache import cache_dir
 from nw_eval import api, cli
-from nw_eval.built_in.splits import EVALUATION
-from nw_eval.catalogue import get_scene
-from nw_eval.errors import SceneError
-from nw_eval.files.cache import cache_dir
-from nw_eval.scenes.overview import circuit
-from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.files import read_splat
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import memory_store, open_store
+from nw_places.splits import EVALUATION
+from nw_scenes.overview import circuit
+from nw_scenes.rays import RayScene
+from nw_sim.catalogue import get_scene
+from nw_splat.camera import Camera, look_at
+from nw_splat.files import read_splat
+from nw_splat.render import CpuRenderer
+from nw_splat.store import memory_store, open_store
 
 GAPS = "gaps/two_12in_carpet"  # Its floor is lower than z = 0, where the robot starts.
 

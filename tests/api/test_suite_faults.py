@@ -6,11 +6,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_eval import api, catalogue, cli
-from nw_eval.built_in.entry import Entry
+from nw_base.errors import PolicyError, SuiteError
+from nw_eval import api, cli
 from nw_eval.cli.verbs.check import forecast_page
-from nw_eval.errors import PolicyError, SuiteError
 from nw_eval.suite import load_suite
+from nw_places.entry import Entry
+from nw_sim import catalogue
 
 # What is right, and in its place: what is wrong, and what is said of it.
 FAULTS = {

@@ -4,9 +4,9 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
+from nw_base.errors import UsageError
 from nw_eval import api
-from nw_eval.errors import UsageError
-from nw_eval.request import Request
+from nw_gate.results.request import Request
 
 SUITE = """\
 nw-eval: 1

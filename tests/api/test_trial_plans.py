@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from PIL import Image
 
+from nw_base.errors import IncomparableError, UsageError
 from nw_eval import api
 from nw_eval.cli import main
-from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.results.bank import (
+from nw_gate.results.bank import (
     BankKey,
     BankPolicy,
     BaselineResults,
@@ -22,10 +22,10 @@ from nw_eval.results.bank import (
     PanelInfo,
     Start,
 )
-from nw_eval.results.bank_file import read_bank, write_bank
-from nw_eval.results.ended import write_trials
-from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.provenance import (
+from nw_gate.results.bank_file import read_bank, write_bank
+from nw_gate.results.ended import write_trials
+from nw_gate.results.journal import Journal, JournalHeader
+from nw_gate.results.provenance import (
     PolicyInfo,
     RunInfo,
     SceneInfo,
@@ -33,8 +33,8 @@ from nw_eval.results.provenance import (
     machine_info,
     write_run_info,
 )
-from nw_eval.results.row import Row
-from nw_eval.results.run_folder import RunFolder
+from nw_gate.results.row import Row
+from nw_gate.results.run_folder import RunFolder
 
 SUITE = """\
 nw-eval: 1

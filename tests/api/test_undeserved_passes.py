@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from nw_base.errors import NwEvalError, StoreError, SuiteError, UsageError
 from nw_eval import api
-from nw_eval.errors import NwEvalError, StoreError, SuiteError, UsageError
 
 PLACE = {
     "nw-scene": 1,

@@ -14,15 +14,15 @@ import pyarrow.parquet as pq
 import pytest
 from onnx import numpy_helper
 
+from nw_base.errors import IncomparableError, StoreError, UsageError
 from nw_eval import api
 from nw_eval.api import reports, watching
 from nw_eval.api.reports import written
 from nw_eval.api.watching import checkpoints_in, training_step
 from nw_eval.cli.verbs.watch import checkpoint_line
 from nw_eval.engine.listener import NullListener
-from nw_eval.errors import IncomparableError, StoreError, UsageError
-from nw_eval.policies import load_bundle
 from nw_eval.testing import FakeClock
+from nw_policies import load_bundle
 
 SUITE = """\
 nw-eval: 1

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 
-from nw_eval.results.journal import read_journal
-from nw_eval.results.provenance import usable_cores
+from nw_gate.results.journal import read_journal
+from nw_gate.results.provenance import usable_cores
 
 SUITES, SCENES = ("hurdles-state", "hurdles"), 16
 TRIALS = int(sys.argv[1]) if len(sys.argv) > 1 else 160

@@ -23,8 +23,8 @@ import pyarrow.parquet
 import trimesh
 from trimesh.transformations import translation_matrix
 
-from nw_eval.splat.files import write_splat
-from nw_eval.splat.gaussians import Gaussians
+from nw_splat.files import write_splat
+from nw_splat.gaussians import Gaussians
 
 SCENES = "hurdles/three*"
 TRIALS = 8  # a scene, and twice as many

@@ -17,7 +17,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from nw_eval.api.saved_run import saved_suite, saved_trials
-from nw_eval.results.bank import (
+from nw_eval.suite import new_suite
+from nw_gate.results.bank import (
     BankPolicy,
     BaselineResults,
     Manifest,
@@ -27,10 +28,10 @@ from nw_eval.results.bank import (
     key_of,
     machine_of,
 )
-from nw_eval.results.bank_file import write_bank
-from nw_eval.results.ended import write_trials
-from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.provenance import (
+from nw_gate.results.bank_file import write_bank
+from nw_gate.results.ended import write_trials
+from nw_gate.results.journal import Journal, JournalHeader
+from nw_gate.results.provenance import (
     PolicyInfo,
     RunInfo,
     SceneInfo,
@@ -38,9 +39,8 @@ from nw_eval.results.provenance import (
     machine_info,
     write_run_info,
 )
-from nw_eval.results.row import Row
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.suite import new_suite
+from nw_gate.results.row import Row
+from nw_gate.results.run_folder import RunFolder
 
 WANTED = 2.0  # seconds, at most
 NW_EVAL = str(Path(sys.executable).with_name("nw-eval"))

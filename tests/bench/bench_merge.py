@@ -24,10 +24,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from nw_eval.engine.order import shard_of
-from nw_eval.request import Shard
-from nw_eval.results.ended import write_trials
-from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.provenance import (
+from nw_eval.suite import expand, new_suite
+from nw_gate.results.ended import write_trials
+from nw_gate.results.journal import Journal, JournalHeader
+from nw_gate.results.provenance import (
     PolicyInfo,
     RunInfo,
     SceneInfo,
@@ -35,9 +35,9 @@ from nw_eval.results.provenance import (
     machine_info,
     write_run_info,
 )
-from nw_eval.results.row import Row
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.suite import expand, new_suite
+from nw_gate.results.request import Shard
+from nw_gate.results.row import Row
+from nw_gate.results.run_folder import RunFolder
 
 SECONDS, BYTES = 30.0, 2**30  # at most
 NW_EVAL = str(Path(sys.executable).with_name("nw-eval"))

@@ -28,21 +28,21 @@ import onnx
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.cards.observations import ProprioObservation
-from nw_eval.onboarding.probe.recording import ThisBundle
-from nw_eval.policies import Policy, load_bundle, open_policy
-from nw_eval.policies.networks.act import Act, read_sizes
-from nw_eval.policies.networks.onnx_graph import Graph
-from nw_eval.policies.networks.parkour import (
+from nw_base.trials import Trial
+from nw_policies import Policy, load_bundle, open_policy
+from nw_policies.cards.observations import ProprioObservation
+from nw_policies.networks.act import Act, read_sizes
+from nw_policies.networks.onnx_graph import Graph
+from nw_policies.networks.parkour import (
     DepthEncoder,
     Estimator,
     LucidSimTransformer,
     ParkourActor,
     ParkourExpert,
 )
-from nw_eval.results.trials import Trial
-from nw_eval.rollout.job import StageClock, TrialJob
-from nw_eval.rollout.trial import open_trial
+from nw_sim.probe.recording import ThisBundle
+from nw_sim.rollout.job import StageClock, TrialJob
+from nw_sim.rollout.trial import open_trial
 
 PATH_TARGET = 60.0
 """Microseconds of a control step beside network and rays."""

@@ -14,9 +14,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from bench_truth import camera, views
 
-from nw_eval.catalogue import get_scene
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import open_store
+from nw_sim.catalogue import get_scene
+from nw_splat.render import CpuRenderer
+from nw_splat.store import open_store
 
 SCENES = ("hurdles/one_low_carpet", "gaps/three_20in_lobby", "ramps/one_ramp_plaza")
 MOST = {(80, 45): 1.10, (160, 90): 1.06, (640, 360): 1.06}

@@ -22,13 +22,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "scenes" / "terrain"))
 
 from scanned import write_scan
 
-from nw_eval.catalogue import get_scene, names
-from nw_eval.policies import load_bundle
-from nw_eval.results.trials import Trial
-from nw_eval.rollout import trial as rollout_trial
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.trial import run_trial
+from nw_base.trials import Trial
+from nw_policies import load_bundle
+from nw_sim.catalogue import get_scene, names
+from nw_sim.rollout import trial as rollout_trial
+from nw_sim.rollout.job import TrialJob
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.trial import run_trial
 
 TASKS = ("hurdles", "gaps", "ramps", "stairs")
 NOISE = {"scan": 0.0, "noisy scan": 0.002}

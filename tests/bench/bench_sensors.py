@@ -13,16 +13,16 @@ import time
 
 import numpy as np
 
-from nw_eval.cards import Card
-from nw_eval.catalogue import get_scene
-from nw_eval.policies import load_bundle
-from nw_eval.robots import get_robot
-from nw_eval.scenes import Scene
-from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
-from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors import StepContext, build_sensors
-from nw_eval.sim import World
-from nw_eval.tasks import Course
+from nw_policies import load_bundle
+from nw_policies.cards import Card
+from nw_scenes import Scene
+from nw_scenes.mesh import FACE_KINDS, TriangleMesh
+from nw_scenes.rays import RayScene
+from nw_scenes.robots import get_robot
+from nw_sim.catalogue import get_scene
+from nw_sim.physics import World
+from nw_sim.sensors import StepContext, build_sensors
+from nw_sim.tasks import Course
 
 COLUMNS, ROWS = 250, 101  # of the scan's vertices: 49,800 triangles
 TRAIL = np.array([[2.0, 0.0, 0.15], [4.0, 0.0, 0.30]])

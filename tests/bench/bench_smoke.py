@@ -16,16 +16,16 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "splat"))
 import splat_reference
 import torch
 
-from nw_eval.built_in.bake.generate import generate
-from nw_eval.catalogue import match_scenes
-from nw_eval.policies import load_bundle
-from nw_eval.request import Request
-from nw_eval.rollout import trial as rollout_trial
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.trial import run_trial
-from nw_eval.splat.image import Image
 from nw_eval.suite import expand, load_suite, override
+from nw_gate.results.request import Request
+from nw_places.bake.generate import generate
+from nw_policies import load_bundle
+from nw_sim.catalogue import match_scenes
+from nw_sim.rollout import trial as rollout_trial
+from nw_sim.rollout.job import TrialJob
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.trial import run_trial
+from nw_splat.image import Image
 
 WANTED = 20.0  # times as many trials a minute
 

@@ -23,10 +23,10 @@ import splat_reference
 import torch
 from splat_rooms import eye_camera, psnr, room
 
-from nw_eval.splat.camera import Pixels
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import compile_store, open_store
-from nw_eval.splat.warmup import warmup
+from nw_splat.camera import Pixels
+from nw_splat.render import CpuRenderer
+from nw_splat.store import compile_store, open_store
+from nw_splat.warmup import warmup
 
 TARGETS = {
     (100_000, 160): (6, 120),

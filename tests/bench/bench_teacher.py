@@ -14,15 +14,15 @@ import time
 import numpy as np
 import torch
 
-from nw_eval.learn.config import find_config, load_config, one_thread
-from nw_eval.learn.teacher.config import CourseSettings, TeacherConfig
-from nw_eval.learn.teacher.curriculum import Curriculum
-from nw_eval.learn.teacher.episodes import Episodes
-from nw_eval.learn.teacher.lanes import Lanes
-from nw_eval.learn.teacher.policy import begin
-from nw_eval.learn.teacher.simulation import training_robot
-from nw_eval.learn.teacher.training import PpoLearner, SampleCollector
-from nw_eval.robots import get_robot
+from nw_learn.config import find_config, load_config, one_thread
+from nw_learn.teacher.config import CourseSettings, TeacherConfig
+from nw_learn.teacher.curriculum import Curriculum
+from nw_learn.teacher.episodes import Episodes
+from nw_learn.teacher.lanes import Lanes
+from nw_learn.teacher.policy import begin
+from nw_learn.teacher.simulation import training_robot
+from nw_learn.teacher.training import PpoLearner, SampleCollector
+from nw_scenes.robots import get_robot
 
 GOAL = 8000
 """Control steps a second of two free cores, at 10 ms."""

@@ -15,13 +15,13 @@ import time
 import mujoco
 import numpy as np
 
-from nw_eval.robots import get_robot
-from nw_eval.scenes.attach import add_height_field, add_triangles
-from nw_eval.scenes.grid import TerrainOptions
-from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
-from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.scene import Box, HeightField, Triangles
-from nw_eval.scenes.terrain import build_terrain
+from nw_scenes.attach import add_height_field, add_triangles
+from nw_scenes.grid import TerrainOptions
+from nw_scenes.mesh import FACE_KINDS, TriangleMesh
+from nw_scenes.rays import RayScene
+from nw_scenes.robots import get_robot
+from nw_scenes.scene import Box, HeightField, Triangles
+from nw_scenes.terrain import build_terrain
 
 TRAIL = np.array([[2.2, 0.0, 0.15], [4.2, 0.0, 0.30], [6.0, 0.0, 0.30]])
 COLUMNS, ROWS = 250, 100  # of the scan's vertices: 49,302 triangles

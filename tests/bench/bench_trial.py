@@ -23,17 +23,17 @@ from time import thread_time
 import onnx
 from onnx import TensorProto, helper
 
-from nw_eval.files.shipped import shipped
-from nw_eval.policies import load_bundle
-from nw_eval.policies.line import line_to
-from nw_eval.results.trials import Trial
-from nw_eval.rollout.confined.access import policy_rules
-from nw_eval.rollout.confined.start import PolicyProcess
-from nw_eval.rollout.job import StageClock, StageSeconds, TrialJob
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.trial import run_trial
-from nw_eval.splat.store import open_store
-from nw_eval.suite.rendering import DRAFTED
+from nw_base.files.shipped import shipped
+from nw_base.trials import Trial
+from nw_policies import load_bundle
+from nw_policies.line import line_to
+from nw_sim.rendering import DRAFTED
+from nw_sim.rollout.confined.access import policy_rules
+from nw_sim.rollout.confined.start import PolicyProcess
+from nw_sim.rollout.job import StageClock, StageSeconds, TrialJob
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.trial import run_trial
+from nw_splat.store import open_store
 
 SCENES = ("hurdles/three_low", "hurdles/two_logs_park", "hurdles/one_low_carpet")
 TRIALS = 3

@@ -25,10 +25,10 @@ import numpy as np
 from PIL import Image as PillowImage
 from traced_truth import TracedPlace
 
-from nw_eval.catalogue import get_scene
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import open_store
+from nw_sim.catalogue import get_scene
+from nw_splat.camera import Camera, look_at
+from nw_splat.render import CpuRenderer
+from nw_splat.store import open_store
 
 SCENES = (
     "hurdles/one_low_carpet", "hurdles/three_high_wood_hall", "gaps/three_20in_lobby",

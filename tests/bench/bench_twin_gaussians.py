@@ -27,16 +27,16 @@ import twin_reference as reference
 from PIL import Image as Picture
 from splat_rooms import eye_camera, room
 
-from nw_eval.catalogue import get_scene
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import memory_store, open_store
-from nw_eval.twin.gaussians.config import TrainConfig
-from nw_eval.twin.gaussians.images import Images, Photo
-from nw_eval.twin.gaussians.initial import gaussians_at
-from nw_eval.twin.gaussians.loss import photo_loss, view_figures
-from nw_eval.twin.gaussians.rasteriser import Rasteriser
-from nw_eval.twin.gaussians.trainer import Trainer
+from nw_sim.catalogue import get_scene
+from nw_splat.camera import Camera, look_at
+from nw_splat.render import CpuRenderer
+from nw_splat.store import memory_store, open_store
+from nw_twin.gaussians.config import TrainConfig
+from nw_twin.gaussians.images import Images, Photo
+from nw_twin.gaussians.initial import gaussians_at
+from nw_twin.gaussians.loss import photo_loss, view_figures
+from nw_twin.gaussians.rasteriser import Rasteriser
+from nw_twin.gaussians.trainer import Trainer
 
 TARGET = (50_000, 320)
 """Gaussians and columns that the targets are for."""

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nw_eval.built_in.bake import generate as baked
-from nw_eval.built_in.bake.lighting import Lighting, sky_radiance
-from nw_eval.built_in.bake.surfels import Cells, cut, decal_at, dot, frames, paint, position
-from nw_eval.built_in.places.crowns import crown_mesh
-from nw_eval.scenes.mesh import merge, quad_mesh
-from nw_eval.scenes.rays import RayScene
+from nw_places.bake import generate as baked
+from nw_places.bake.lighting import Lighting, sky_radiance
+from nw_places.bake.surfels import Cells, cut, decal_at, dot, frames, paint, position
+from nw_places.places.crowns import crown_mesh
+from nw_scenes.mesh import merge, quad_mesh
+from nw_scenes.rays import RayScene
 
 RAYS = 28
 """Into the hemisphere, for the light that surfaces pass on; the bake's own number."""

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.catalogue import get_scene
-from nw_eval.scenes import Scene
+from nw_scenes import Scene
+from nw_sim.catalogue import get_scene
 
 
 @dataclass(frozen=True)

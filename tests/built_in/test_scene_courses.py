@@ -9,14 +9,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.built_in.bake.generate import generate
-from nw_eval.built_in.gaps import DEPTH
-from nw_eval.built_in.ramps import Boards, Humps
-from nw_eval.built_in.stairs import Stairs
-from nw_eval.catalogue import _BY_NAME, get_scene, names
-from nw_eval.robots import get_robot
-from nw_eval.scenes.rays import RayScene
-from nw_eval.sim.world import World
+from nw_places.bake.generate import generate
+from nw_places.gaps import DEPTH
+from nw_places.ramps import Boards, Humps
+from nw_places.stairs import Stairs
+from nw_scenes.rays import RayScene
+from nw_scenes.robots import get_robot
+from nw_sim.catalogue import _BY_NAME, get_scene, names
+from nw_sim.physics.world import World
 
 
 def _of(task):

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.built_in.entry import GENERATOR_VERSION
-from nw_eval.catalogue import names
+from nw_places.entry import GENERATOR_VERSION
+from nw_sim.catalogue import names
 
 
 def _golden():

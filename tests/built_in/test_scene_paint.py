@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.built_in.bake.foliage import quats_from_normals
-from nw_eval.built_in.bake.materials import _TABLE, coat
-from nw_eval.built_in.bake.spots import Spots, hashed, noise, pulse, tiles
-from nw_eval.built_in.bake.surfels import cut, frames
-from nw_eval.built_in.entry import LIGHTS
-from nw_eval.built_in.places.parts import Decal, Patch
-from nw_eval.scenes.mesh import rotation_matrix
+from nw_places.bake.foliage import quats_from_normals
+from nw_places.bake.materials import _TABLE, coat
+from nw_places.bake.spots import Spots, hashed, noise, pulse, tiles
+from nw_places.bake.surfels import cut, frames
+from nw_places.entry import LIGHTS
+from nw_places.places.parts import Decal, Patch
+from nw_scenes.mesh import rotation_matrix
 
 
 def _spots(count=400, blur=0.02, size=1.5, seed=0):

@@ -7,16 +7,16 @@ import sys
 import numpy as np
 import pytest
 
-from nw_eval.built_in.bake.generate import generate
-from nw_eval.built_in.entry import LIGHTS, BuiltInSplat
-from nw_eval.built_in.places import scenery as outdoors
-from nw_eval.built_in.places.builder import SceneBuilder
-from nw_eval.catalogue import get_scene
-from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.camera import Camera
-from nw_eval.splat.gaussians import SH0
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import digest, open_store
+from nw_places.bake.generate import generate
+from nw_places.entry import LIGHTS, BuiltInSplat
+from nw_places.places import scenery as outdoors
+from nw_places.places.builder import SceneBuilder
+from nw_scenes.rays import RayScene
+from nw_sim.catalogue import get_scene
+from nw_splat.camera import Camera
+from nw_splat.gaussians import SH0
+from nw_splat.render import CpuRenderer
+from nw_splat.store import digest, open_store
 
 
 def tiny_place():
@@ -39,8 +39,8 @@ def test_the_same_place_gives_the_same_bytes():
 def test_the_bytes_do_not_depend_on_threads_or_hash_seeds():
     code = (
         "import sys; sys.path.insert(0, sys.argv[1]);"
-        "from test_scene_splat import tiny_place; from nw_eval.splat.store import digest;"
-        "from nw_eval.built_in.bake.generate import generate;"
+        "from test_scene_splat import tiny_place; from nw_splat.store import digest;"
+        "from nw_places.bake.generate import generate;"
         "print(digest(generate(tiny_place(), budget=3000)))"
     )
     found = {

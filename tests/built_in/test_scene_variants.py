@@ -5,10 +5,10 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from nw_eval.built_in.entries import ENTRIES, has_variants, parted, variant
-from nw_eval.built_in.splits import split_of
-from nw_eval.catalogue import get_scene, names, references
-from nw_eval.errors import SceneError
+from nw_base.errors import SceneError
+from nw_places.entries import ENTRIES, has_variants, parted, variant
+from nw_places.splits import split_of
+from nw_sim.catalogue import get_scene, names, references
 
 BY_NAME = {entry.name: entry for entry in ENTRIES}
 EVERY = [(name, number) for name in BY_NAME if has_variants(name) for number in (1, 2, 3)]

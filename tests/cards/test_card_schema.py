@@ -5,7 +5,7 @@ import json
 import pytest
 
 from nw_eval import api
-from nw_eval.cards import Card
+from nw_policies.cards import Card
 
 
 @pytest.fixture(scope="module")

@@ -4,11 +4,11 @@ import textwrap
 import pytest
 from pydantic import ValidationError
 
-from nw_eval.cards import JointControl, load_card
-from nw_eval.cards.terms import LAYOUTS, Constant, term_size
-from nw_eval.errors import PolicyError
-from nw_eval.files.yaml_file import parse_yaml
-from nw_eval.robots import get_robot
+from nw_base.errors import PolicyError
+from nw_base.files.yaml_file import parse_yaml
+from nw_policies.cards import JointControl, load_card
+from nw_policies.cards.terms import LAYOUTS, Constant, term_size
+from nw_scenes.robots import get_robot
 
 MINIMAL = """\
 nw-policy: 1

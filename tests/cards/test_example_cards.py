@@ -12,20 +12,20 @@ import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.cards import load_card
-from nw_eval.onboarding.probe.findings import measure, observation_findings
-from nw_eval.onboarding.probe.recording import record
-from nw_eval.onboarding.probe.summary import parts_of
-from nw_eval.policies import load_bundle
-from nw_eval.policies.networks.act import Act, ActSizes
-from nw_eval.policies.networks.parkour import (
+from nw_policies import load_bundle
+from nw_policies.cards import load_card
+from nw_policies.networks.act import Act, ActSizes
+from nw_policies.networks.parkour import (
     DepthEncoder,
     Estimator,
     LucidSimTransformer,
     ParkourActor,
 )
-from nw_eval.robots import get_robot
-from nw_eval.rollout.confined.vetting import check_bundle
+from nw_scenes.robots import get_robot
+from nw_sim.probe.findings import measure, observation_findings
+from nw_sim.probe.recording import record
+from nw_sim.probe.summary import parts_of
+from nw_sim.rollout.confined.vetting import check_bundle
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "policies" / "examples"
 # Those of robots whose models nw-eval has.

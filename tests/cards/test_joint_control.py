@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from nw_eval.cards import Card, JointControl, actuator_values, physics_steps
-from nw_eval.cards.joints import joint_values
-from nw_eval.errors import PolicyError
-from nw_eval.policies import ActionDelay
-from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.robots import get_robot
+from nw_base.errors import PolicyError
+from nw_base.protocol import NEVERWHERE_2026, STRICT
+from nw_policies import ActionDelay
+from nw_policies.cards import Card, JointControl, actuator_values, physics_steps
+from nw_policies.cards.joints import joint_values
+from nw_scenes.robots import get_robot
 
 GO1 = get_robot("go1")
 # Isaac Gym's order; the permutation to the robot's order is its own inverse (reference:

@@ -5,9 +5,9 @@ import re
 
 import pytest
 
-from nw_eval.cards import load_card
-from nw_eval.errors import PolicyError
-from nw_eval.policies import load_bundle
+from nw_base.errors import PolicyError
+from nw_policies import load_bundle
+from nw_policies.cards import load_card
 
 BODY, ENCODER = b"the policy", b"what feeds it"
 DIGESTS = {name: hashlib.sha256(data).hexdigest() for name, data in (("B", BODY), ("E", ENCODER))}

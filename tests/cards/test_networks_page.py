@@ -11,8 +11,8 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.rollout.confined.vetting import check_bundle
+from nw_policies import load_bundle, open_policy
+from nw_sim.rollout.confined.vetting import check_bundle
 
 # torch recommends torch.export for new files; people have these.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")

@@ -18,16 +18,17 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.cards import Card, load_card
-from nw_eval.cards.control import Control
-from nw_eval.cards.networks import ADAPTERS
-from nw_eval.cards.observations import (
+from nw_policies import load_bundle, open_policy
+from nw_policies.cards import Card, load_card
+from nw_policies.cards.control import Control
+from nw_policies.cards.networks import ADAPTERS
+from nw_policies.cards.observations import (
     BUILT_IN_SENSORS,
     BaseObservation,
     History,
     ProprioObservation,
 )
-from nw_eval.cards.terms import (
+from nw_policies.cards.terms import (
     Acceleration,
     AnyTerm,
     FootContacts,
@@ -35,12 +36,11 @@ from nw_eval.cards.terms import (
     LastOutput,
     Yaw,
 )
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.remote import RemoteOptions
-from nw_eval.robots import get_robot
-from nw_eval.rollout.confined.vetting import check_bundle
-from nw_eval.sensors import check_card
-from nw_eval.sensors.heights import grid
+from nw_policies.remote import RemoteOptions
+from nw_scenes.robots import get_robot
+from nw_sim.rollout.confined.vetting import check_bundle
+from nw_sim.sensors import check_card
+from nw_sim.sensors.heights import grid
 
 NW_EVAL = [sys.executable, "-c", "from nw_eval.cli import main; main()"]
 DOCS = Path(__file__).resolve().parents[2] / "docs"

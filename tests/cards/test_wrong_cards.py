@@ -12,16 +12,16 @@ import torch
 from onnx import helper, numpy_helper
 from ruamel.yaml import YAML
 
+from nw_base.errors import PolicyError
 from nw_eval import api
-from nw_eval.cards import Card, load_card
-from nw_eval.cards.joints import joint_values
 from nw_eval.cli.verbs.policies import probe_page
-from nw_eval.errors import PolicyError
-from nw_eval.onboarding.notation import changed_lines, flow, per_joint
-from nw_eval.onboarding.probe.hypotheses import turned_cards
-from nw_eval.onboarding.probe.report import BEYOND, probe_here
-from nw_eval.policies import load_bundle
-from nw_eval.robots import get_robot
+from nw_policies import load_bundle
+from nw_policies.cards import Card, load_card
+from nw_policies.cards.joints import joint_values
+from nw_policies.drafting.notation import changed_lines, flow, per_joint
+from nw_scenes.robots import get_robot
+from nw_sim.probe.hypotheses import turned_cards
+from nw_sim.probe.report import BEYOND, probe_here
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 EXAMPLES = REPOSITORY / "policies" / "examples"

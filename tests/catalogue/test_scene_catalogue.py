@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.built_in.splits import EVALUATION
-from nw_eval.catalogue import (
+from nw_base.errors import SceneError
+from nw_places.splits import EVALUATION
+from nw_sim.catalogue import (
     _BY_NAME,
     get_scene,
     match_scenes,
@@ -18,7 +19,6 @@ from nw_eval.catalogue import (
     scene_files,
     scene_paths,
 )
-from nw_eval.errors import SceneError
 
 
 def _hurdles():
@@ -152,7 +152,7 @@ def test_scene_folders_match_by_relative_and_absolute_globs(tmp_path: Path):
 
 def test_listing_and_opening_scenes_loads_no_heavy_library():
     code = (
-        "import sys; import nw_eval.catalogue as s; [s.get_scene(n).digest for n in s.names()];"
+        "import sys; import nw_sim.catalogue as s; [s.get_scene(n).digest for n in s.names()];"
         "print([m for m in ('numba','torch','mujoco','matplotlib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from nw_eval.cli.verbs import begin
-from nw_eval.rollout.confined import start
+from nw_sim.rollout.confined import start
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def test_a_run_in_forked_processes_starts_what_they_are_forked_from(arguments, b
 def test_that_is_the_one_that_the_run_goes_on_with():
     code = (
         "from nw_eval.cli.verbs import begin; begin(['run', 'hurdles']); "
-        "from nw_eval.rollout.confined import start; first = start._fork_server; "
+        "from nw_sim.rollout.confined import start; first = start._fork_server; "
         "from nw_eval.cli.verbs import parse; import nw_eval.api.runs; start.prepare(); "
         "assert first is not None and first is start._fork_server; first.__del__()"
     )
@@ -45,7 +45,7 @@ def test_that_is_the_one_that_the_run_goes_on_with():
 
 def test_nobody_waits_for_the_simulator_before_the_first_trial_starts():
     modules = ("nw_eval.api.runs", "nw_eval.api.plans", "nw_eval.engine.session")
-    modules += ("nw_eval.rollout.confined.vetting", "nw_eval.engine.known")
+    modules += ("nw_sim.rollout.confined.vetting", "nw_eval.engine.known")
     code = f"import sys, {', '.join(modules)}; print(*sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120

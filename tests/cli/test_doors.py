@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
+from nw_base.errors import SceneError
 from nw_eval import cli
-from nw_eval.errors import SceneError
 
 HEAVY = ("mujoco", "torch", "numba", "onnxruntime", "pyarrow", "pandas", "matplotlib", "numpy")
 

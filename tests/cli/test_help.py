@@ -32,7 +32,7 @@ LEAVES = dict(forms())
 EXAMPLES = [
     f"{verb} {words}".strip()
     for verb, known in VERBS.items()
-    for words in [*known.examples, *(f"{part} {e}" for part, (_, e) in known.parts.items())]
+    for words in [*known.examples, *(f"{part} {e}" for part, (_, e, _) in known.parts.items())]
 ]
 
 
@@ -295,7 +295,7 @@ def test_a_shell_reads_its_script(shell, tmp_path, capsys):
 
 
 def test_doctor_says_what_there_is_as_text_and_as_json(capsys):
-    from nw_eval.warmup import warm_kernels
+    from nw_sim.warmup import warm_kernels
 
     assert end_of("doctor") == 0
     text = capsys.readouterr().out

@@ -6,9 +6,9 @@ import shutil
 
 import pytest
 
+from nw_base.errors import StoreError
 from nw_eval import api, cli
-from nw_eval.errors import StoreError
-from nw_eval.gate.ledger import read_ledger
+from nw_gate.ledger import read_ledger
 
 
 def left(*arguments):

@@ -279,8 +279,8 @@ def things(regressed_run, tmp_path_factory):
     """Return what commands name: runs, a part of one, a log, a network, Gaussians."""
     import numpy as np
 
-    from nw_eval.splat.files import write_splat
-    from nw_eval.splat.gaussians import Gaussians
+    from nw_splat.files import write_splat
+    from nw_splat.gaussians import Gaussians
 
     folder = tmp_path_factory.mktemp("things")
     suite, part = regressed_run.parent / "suite.yaml", folder / "part"

@@ -5,11 +5,11 @@ from contextlib import suppress
 
 import pytest
 
+from nw_base.errors import NwEvalError, UsageError
 from nw_eval import api, cli
 from nw_eval.api.ledgers import check_ledger
-from nw_eval.errors import NwEvalError, UsageError
-from nw_eval.results.evidence import log_sha256
-from nw_eval.results.run_folder import open_run_folder
+from nw_gate.results.evidence import log_sha256
+from nw_gate.results.run_folder import open_run_folder
 
 SUITE = """\
 nw-eval: 1

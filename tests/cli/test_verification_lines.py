@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
+from nw_base.errors import IncomparableError
 from nw_eval.api.verifying import VerifiedRun
 from nw_eval.cli.verbs.verify import verification_lines
-from nw_eval.errors import IncomparableError
-from nw_eval.results.evidence_check import CheckedFiles, Discrepancy
-from nw_eval.rollout.replaying.reports import Difference, RepeatedTrial, Repeats
+from nw_gate.results.evidence_check import CheckedFiles, Discrepancy
+from nw_sim.rollout.replaying.reports import Difference, RepeatedTrial, Repeats
 
 WHOLE = {"remarks": (), "rows": 100, "logs": 100, "log_bytes": 5_000_000, "root": "ab" * 32}
 

@@ -49,14 +49,14 @@ class Mine:
         return [0.0] * 12
 """
 OLDER = """\
-from nw_eval.confinement import fence
+from nw_base.confinement import fence
 real = fence.version
 fence.version = lambda: min(real(), VERSION)
 """
 
 
 def without_landlock():
-    from nw_eval.confinement.seccomp import Instruction, install
+    from nw_base.confinement.seccomp import Instruction, install
 
     steps = [Instruction(0x20, 0)]
     for number in (444, 445, 446):

@@ -240,7 +240,7 @@ def _rest(own):
 
 def _others():
     """Yield every system call that is on no list, but what never comes back or ends this."""
-    from nw_eval.confinement import seccomp
+    from nw_base.confinement import seccomp
 
     known = [numbers for text in seccomp.ALLOWED.values() for _, numbers in seccomp.named(text)]
     allowed = {numbers[_column] for numbers in known if _column < len(numbers)}
@@ -268,7 +268,7 @@ def tried(*, own, outside, victim, queue):
         *_queues(queue),
         *_writes(own, outside),
         *_rest(own),
-        *(_others() if "nw_eval.confinement" in sys.modules else ()),
+        *(_others() if "nw_base.confinement" in sys.modules else ()),
     ]
     through = {}
     for name, probe in probes:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.confinement import offered
+from nw_base.confinement import offered
 
 pytestmark = [
     pytest.mark.slow,

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.confinement import Fence, Rules, offered
-from nw_eval.errors import PolicyError
-from nw_eval.rollout.confined.isolated import call_isolated
+from nw_base.confinement import Fence, Rules, offered
+from nw_base.errors import PolicyError
+from nw_sim.rollout.confined.isolated import call_isolated
 
 fenced = pytest.mark.skipif(
     not (offered().landlock >= 3 and offered().seccomp), reason="this kernel has no whole fence"
@@ -120,8 +120,8 @@ import sys
 sys.path.insert(0, sys.argv[1])
 import confined_functions
 from pathlib import Path
-from nw_eval.confinement import Rules
-from nw_eval.rollout.confined.isolated import call_isolated
+from nw_base.confinement import Rules
+from nw_sim.rollout.confined.isolated import call_isolated
 
 if __name__ == "__main__":
     function = getattr(confined_functions, sys.argv[2])
@@ -169,8 +169,8 @@ def wait_for_number(path):
 
 WITHOUT = """\
 import os, sys
-from nw_eval.confinement import Rules, confine
-from nw_eval.confinement.seccomp import Instruction, install
+from nw_base.confinement import Rules, confine
+from nw_base.confinement.seccomp import Instruction, install
 
 # The kernel's answers where it is older, or a container forbids: of Landlock's calls, of a filter.
 landlock, seccomp = 0x00050026, 0x00050016  # ENOSYS, EINVAL

@@ -4,7 +4,7 @@ import errno
 
 import pytest
 
-from nw_eval.confinement.seccomp import ALLOWED, MACHINES, SERVING, WRITING, named, program
+from nw_base.confinement.seccomp import ALLOWED, MACHINES, SERVING, WRITING, named, program
 
 ALLOW, FAIL, KILL = 0x7FFF0000, 0x00050000, 0x80000000
 REFUSED, UNKNOWN = FAIL | errno.EPERM, FAIL | errno.ENOSYS

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.confinement import ForkServer, Rules
-from nw_eval.confinement import fork_server as module
-from nw_eval.rollout.confined import start
+from nw_base.confinement import ForkServer, Rules
+from nw_base.confinement import fork_server as module
+from nw_sim.rollout.confined import start
 
 MODULE = "fork_server_functions"
 SOURCE = """\
@@ -30,7 +30,7 @@ def sleeps(): time.sleep(600)
 OWNER = """\
 import sys, time
 from multiprocessing import Pipe
-from nw_eval.confinement import ForkServer, Rules, confine
+from nw_base.confinement import ForkServer, Rules, confine
 import fork_server_functions
 
 def sleeps_confined(line):
@@ -213,7 +213,7 @@ def test_without_a_fork_server_processes_start_from_nothing(functions, monkeypat
 
 SLOW_OWNER = """\
 import sys, time
-from nw_eval.confinement import ForkServer
+from nw_base.confinement import ForkServer
 
 if __name__ == "__main__":
     fork_server = ForkServer()

@@ -13,23 +13,23 @@ import numpy as np
 import pytest
 import torch
 
+from nw_base.confinement import child_environment, offered
+from nw_base.files.cache import cache_dir
+from nw_base.trials import expand
 from nw_eval.api import check_policy, init_policy
-from nw_eval.catalogue import FoundScene, get_scene
-from nw_eval.confinement import child_environment, offered
 from nw_eval.engine.local import LocalProcesses
 from nw_eval.engine.machine import LARGEST, WorkerOutput
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.rounds import run_trials
-from nw_eval.files.cache import cache_dir
-from nw_eval.policies import load_bundle
-from nw_eval.request import Request
-from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.results.trials import expand
-from nw_eval.rollout.trial import run_trial
-from nw_eval.splat.files import write_splat
-from nw_eval.splat.gaussians import Gaussians
 from nw_eval.suite.model import new_suite
+from nw_gate.results.journal import Journal, JournalHeader
+from nw_gate.results.request import Request
+from nw_gate.results.run_folder import RunFolder
+from nw_policies import load_bundle
+from nw_sim.catalogue import FoundScene, get_scene
+from nw_sim.rollout.trial import run_trial
+from nw_splat.files import write_splat
+from nw_splat.gaussians import Gaussians
 
 SCENE = "flat/carpet_room"
 

@@ -14,8 +14,8 @@ import pytest
 from ruamel.yaml import YAML
 
 from nw_eval.cli.verbs import parse
-from nw_eval.gate.verdict import EXIT_CODES
 from nw_eval.reporting.junit import _KINDS
+from nw_gate.verdict import EXIT_CODES
 
 PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "ci.md").read_text(encoding="utf-8")
 BLOCKS = dict(re.findall(r"^```\w+ (\S+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL))

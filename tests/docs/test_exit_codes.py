@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api, cli
-from nw_eval.gate.verdict import EXIT_CODES
-from nw_eval.results.bank import Panel
-from nw_eval.results.bank_file import bank_of_run, write_bank
+from nw_gate.results.bank import Panel
+from nw_gate.results.bank_file import bank_of_run, write_bank
+from nw_gate.verdict import EXIT_CODES
 
 START = Path(__file__).parents[2] / "docs" / "index.md"
 

@@ -14,14 +14,14 @@ import pytest
 from tyro.extras import get_parser
 
 import nw_eval
+from nw_base.confinement import seccomp
+from nw_base.files.yaml_file import json_schema_of
 from nw_eval import api
 from nw_eval.cli.verbs import _config, forms
-from nw_eval.confinement import seccomp
-from nw_eval.files.yaml_file import json_schema_of
-from nw_eval.results.parquet import SCHEMA
-from nw_eval.robots.folder import RobotFile
-from nw_eval.rollout.mcap.topics import TOPICS
-from nw_eval.scores import BUILT_IN
+from nw_gate.results.parquet import SCHEMA
+from nw_gate.scores import BUILT_IN
+from nw_scenes.robots.folder import RobotFile
+from nw_sim.rollout.mcap.topics import TOPICS
 
 if TYPE_CHECKING:
     from argparse import ArgumentParser
@@ -214,8 +214,8 @@ def test_every_system_call_that_the_fence_allows_stands_in_the_table() -> None:
 
 
 def test_every_operator_that_networks_have_is_listed() -> None:
-    from nw_eval.networks.planning import operators
-    from nw_eval.policies.networks.recording import RULES
+    from nw_policies.executor.planning import operators
+    from nw_policies.networks.recording import RULES
 
     told = generate.network_operators()
     known = [name for names in operators().values() for name in names]

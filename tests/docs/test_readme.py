@@ -10,13 +10,13 @@ import pytest
 from onnx import TensorProto, helper
 from PIL import Image
 
+from nw_base.errors import PolicyError
 from nw_eval import api, cli
-from nw_eval.cards import load_card
-from nw_eval.catalogue import names
-from nw_eval.errors import PolicyError
-from nw_eval.policies import load_bundle
-from nw_eval.rollout.confined.vetting import check_bundle
-from nw_eval.sensors import check_card
+from nw_policies import load_bundle
+from nw_policies.cards import load_card
+from nw_sim.catalogue import names
+from nw_sim.rollout.confined.vetting import check_bundle
+from nw_sim.sensors import check_card
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"

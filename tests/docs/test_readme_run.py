@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from nw_eval import cli
-from nw_eval.results.bank import bank_mean, mean_of
-from nw_eval.results.bank_file import find_bank, read_bank
 from nw_eval.suite import load_suite
+from nw_gate.results.bank import bank_mean, mean_of
+from nw_gate.results.bank_file import find_bank, read_bank
 
 ROOT = Path(__file__).parents[2]
 START = ROOT / "docs" / "index.md"

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.confinement import family
+from nw_base.confinement import family
+from nw_base.errors import UsageError
+from nw_base.words import FAULTS, OUTCOMES, POLICY_FAULTS
 from nw_eval.engine import machine
-from nw_eval.errors import UsageError
-from nw_eval.gate.verdict import EXIT_CODES
-from nw_eval.results.parquet import SCHEMA
-from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import MEASURED, OF_THE_PLAN
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.rollout.episode import HUGE
-from nw_eval.words import FAULTS, OUTCOMES, POLICY_FAULTS
+from nw_gate.results.parquet import SCHEMA
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import MEASURED, OF_THE_PLAN
+from nw_gate.results.run_folder import RunFolder
+from nw_gate.verdict import EXIT_CODES
+from nw_sim.rollout.episode import HUGE
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT / "docs" / "reference"

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.catalogue import get_scene
-from nw_eval.scenes import limits
-from nw_eval.scenes.limits import checked_name
-from nw_eval.scenes.mesh_file import MESH_SUFFIXES
-from nw_eval.scenes.neverwhere.scan import _SIZES
-from nw_eval.splat import files as splat_files
+from nw_scenes import limits
+from nw_scenes.limits import checked_name
+from nw_scenes.mesh_file import MESH_SUFFIXES
+from nw_scenes.neverwhere.scan import _SIZES
+from nw_sim.catalogue import get_scene
+from nw_splat import files as splat_files
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ("how-to/published-scenes.md", "reference/scene.md", "reference/meshes-and-splats.md")

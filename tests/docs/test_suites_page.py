@@ -9,17 +9,17 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from nw_eval.built_in.splits import Split
-from nw_eval.catalogue import names
-from nw_eval.gate.settings import Gate
-from nw_eval.protocol import STRICT
-from nw_eval.results.trials import MAX_TRIALS
-from nw_eval.robots import get_robot
-from nw_eval.sim.model import GRAVITY, compile_model
+from nw_base.protocol import STRICT
+from nw_base.trials import MAX_TRIALS
+from nw_base.words import OUTCOMES, Protocol, Tier
 from nw_eval.suite import Suite, load_suite
 from nw_eval.suite.model import MAX_CELLS
-from nw_eval.tasks.course import PUBLISHED_FIRST_SEED, REACH_RADIUS, REACH_STEPS, Limits
-from nw_eval.words import OUTCOMES, Protocol, Tier
+from nw_gate.settings import Gate
+from nw_places.splits import Split
+from nw_scenes.robots import get_robot
+from nw_sim.catalogue import names
+from nw_sim.physics.model import GRAVITY, compile_model
+from nw_sim.tasks.course import PUBLISHED_FIRST_SEED, REACH_RADIUS, REACH_STEPS, Limits
 
 ROOT = Path(__file__).parents[2]
 PAGES = (
@@ -60,7 +60,7 @@ def test_its_words_are_those_of_the_format() -> None:
 def test_the_outcomes_are_told_in_the_order_in_which_they_are_looked_for() -> None:
     rules = {row[0].strip("`"): row[1] for row in table("outcome")}
     assert set(rules) == set(OUTCOMES) - {"policy_failed"}
-    source = (ROOT / "harness/nw_eval/tasks/course.py").read_text(encoding="utf-8")
+    source = (ROOT / "harness/nw_sim/tasks/course.py").read_text(encoding="utf-8")
     body = source.split("    def check(")[1].split("    def state(")[0]
     assert re.findall(r'return "(\w+)"', body) == list(rules)
     limits = Limits()
@@ -113,8 +113,8 @@ def test_suites_of_one_panel_differ_in_what_the_page_says_only() -> None:
 
 
 def test_with_a_friction_of_the_suite_that_value_alone_counts() -> None:
-    from nw_eval.catalogue import get_scene
-    from nw_eval.sim.model import Actuators
+    from nw_sim.catalogue import get_scene
+    from nw_sim.physics.model import Actuators
 
     robot, scene = get_robot("go1"), get_scene("flat/carpet_room")
     for friction, wanted in ((None, 1.25), (0.6, 0.6)):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.learn.teacher.config import (
+from nw_learn.teacher.config import (
     CourseSettings,
     PpoSettings,
     TeacherConfig,

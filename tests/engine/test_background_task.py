@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from nw_base.errors import StoreError
 from nw_eval.engine.session import BackgroundTask
-from nw_eval.errors import StoreError
 
 
 @dataclass

@@ -8,15 +8,15 @@ from types import SimpleNamespace
 
 import pytest
 
+from nw_base.errors import SceneError
+from nw_base.trials import Trial
 from nw_eval import api
-from nw_eval.built_in.entry import BuiltInSplat
-from nw_eval.catalogue import open_scene
 from nw_eval.engine.local import LocalWorkers
 from nw_eval.engine.prepare import SplatBuilders
-from nw_eval.errors import SceneError
-from nw_eval.results.journal import read_journal
-from nw_eval.results.row import rows_digest
-from nw_eval.results.trials import Trial
+from nw_gate.results.journal import read_journal
+from nw_gate.results.row import rows_digest
+from nw_places.entry import BuiltInSplat
+from nw_sim.catalogue import open_scene
 
 NAMES = ("hurdles/one_low_carpet", "hurdles/three_low", "hurdles/two_logs_park")
 ANSWERING = """#!/bin/sh
@@ -179,7 +179,7 @@ def test_their_end_is_not_waited_for_when_nobody_needs_them_any_more(processes):
 
 
 def test_no_process_is_started_where_nothing_is_missing(monkeypatch):
-    monkeypatch.setattr("nw_eval.built_in.entry.BuiltInSplat.path", Path(__file__))
+    monkeypatch.setattr("nw_places.entry.BuiltInSplat.path", Path(__file__))
     with SplatBuilders(scenes(), count=2) as builders:
         builders.wait()
         assert not builders._processes

@@ -8,25 +8,25 @@ import sys
 import numpy as np
 import pytest
 
+from nw_base.errors import PolicyError
+from nw_base.trials import expand
 from nw_eval import api
-from nw_eval.cards.card import Card
-from nw_eval.catalogue import FoundScene
 from nw_eval.engine import session
 from nw_eval.engine.local import LocalProcesses
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.rounds import RunStanding, run_trials
 from nw_eval.engine.workers import InProcess
-from nw_eval.errors import PolicyError
-from nw_eval.policies import instance_bundle, load_bundle
-from nw_eval.request import Request
-from nw_eval.results.journal import Journal, JournalHeader, read_journal
-from nw_eval.results.parquet import read_rows
-from nw_eval.results.provenance import StopInfo, read_run_info
-from nw_eval.results.row import rows_digest
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.results.trials import expand
-from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.suite.model import new_suite
+from nw_gate.results.journal import Journal, JournalHeader, read_journal
+from nw_gate.results.parquet import read_rows
+from nw_gate.results.provenance import StopInfo, read_run_info
+from nw_gate.results.request import Request
+from nw_gate.results.row import rows_digest
+from nw_gate.results.run_folder import RunFolder
+from nw_policies import instance_bundle, load_bundle
+from nw_policies.cards.card import Card
+from nw_sim.catalogue import FoundScene
+from nw_sim.rollout.mcap.reader import LogReader
 
 SCENE = "flat/carpet_room"
 

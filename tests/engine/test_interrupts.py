@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from nw_eval.confinement import child_environment, interrupts_blocked
+from nw_base.confinement import child_environment, interrupts_blocked
 from nw_eval.engine.machine import Interrupts
 
 

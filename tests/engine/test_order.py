@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from nw_base.trials import Trial
 from nw_eval.engine.order import in_order, next_place
-from nw_eval.results.trials import Trial
 
 
 def trials(scenes=5, count=4, suite_digest="a"):

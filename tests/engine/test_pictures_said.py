@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from nw_base.files.shipped import available
 from nw_eval import api
 from nw_eval.engine.provenance import run_info
-from nw_eval.files.shipped import available
 from nw_eval.reporting.tables.run import provenance_table
-from nw_eval.results.run_folder import RunFolder
+from nw_gate.results.run_folder import RunFolder
 
 DISTORTED = """\
 cameras:

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 
 import pytest
 
+from nw_base.trials import expand
 from nw_eval.engine.order import in_order
 from nw_eval.engine.pool import Finished
 from nw_eval.engine.rounds import RunStanding, run_trials
-from nw_eval.results.journal import Journal, JournalHeader, read_journal
-from nw_eval.results.row import rows_digest
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.results.trials import expand
-from nw_eval.rollout.job import TrialJob, TrialResult
 from nw_eval.suite.model import new_suite
+from nw_gate.results.journal import Journal, JournalHeader, read_journal
+from nw_gate.results.row import rows_digest
+from nw_gate.results.run_folder import RunFolder
+from nw_sim.rollout.job import TrialJob, TrialResult
 
 DONE = TrialResult(
     status="ok", outcome="completed", waypoints_reached=1, waypoints_total=1, waypoint_times=(1.0,)

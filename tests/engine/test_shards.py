@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nw_base.errors import UsageError
 from nw_eval.engine.order import in_order, plan_digest, shard_of, shards_of
-from nw_eval.errors import UsageError
-from nw_eval.request import Request, Shard
 from nw_eval.suite import expand, new_suite
+from nw_gate.results.request import Request, Shard
 
 
 def plan(scenes=3, rounds=4, frictions=(), seed=1, lot=None):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from nw_base.files.shipped import available
 from nw_eval import api
-from nw_eval.cards import load_card
-from nw_eval.catalogue import FoundScene
 from nw_eval.engine.provenance import split_for
-from nw_eval.files.shipped import available
-from nw_eval.policies import load_bundle
+from nw_policies import load_bundle
+from nw_policies.cards import load_card
+from nw_sim.catalogue import FoundScene
 
 
 def card(*trained_on):

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from nw_eval.plugins import installed
+from nw_base.plugins import installed
 
 collect_ignore = ["packages"]  # Tests of packages run where these are installed.
 

@@ -101,7 +101,7 @@ def test_the_packages_of_the_page_are_those_of_the_tests():
 
 
 def test_the_table_names_every_entry_point_group():
-    from nw_eval import plugins
+    from nw_base import plugins
 
     groups = {
         plugins.AXES,
@@ -120,7 +120,7 @@ def test_the_table_names_every_entry_point_group():
 
 
 def test_each_kind_of_extension_takes_one_source_file_in_a_package_of_its_own():
-    from nw_eval import plugins
+    from nw_base import plugins
 
     sources = {}
     for package in PACKAGES.iterdir():

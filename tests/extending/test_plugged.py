@@ -5,11 +5,11 @@ from contextlib import redirect_stderr, redirect_stdout
 
 import pytest
 
+import nw_base.plugins
 import nw_eval
-from nw_eval import api
-from nw_eval.cli import main
-from nw_eval.errors import PluginError, SceneError, SuiteError, UsageError
-from nw_eval.plugins import (
+import nw_splat.files
+from nw_base.errors import PluginError, SceneError, SuiteError, UsageError
+from nw_base.plugins import (
     AXES,
     REPORTERS,
     SENSORS,
@@ -18,13 +18,15 @@ from nw_eval.plugins import (
     identity_of,
     known_or_raise,
 )
-from nw_eval.policies.bundle import load_bundle
-from nw_eval.results.provenance import read_run_info
-from nw_eval.scenes.folder import load_folder
-from nw_eval.splat.files import read_splat, write_splat
+from nw_eval import api
+from nw_eval.cli import main
 from nw_eval.suite import json_schema, load_suite, new_suite
-from nw_eval.suite.axes import AXES as BUILT_IN
-from nw_eval.suite.axes import Axis, SweptAxis
+from nw_gate.results.provenance import read_run_info
+from nw_policies.bundle import load_bundle
+from nw_scenes.folder import load_folder
+from nw_sim.axes import AXES as BUILT_IN
+from nw_sim.axes import Axis, SweptAxis
+from nw_splat.files import read_splat, write_splat
 
 GAIN = """
 from nw_eval import Axis
@@ -149,7 +151,7 @@ def test_a_run_meets_it_and_says_whose_it_is_and_is_judged_where_it_is_not_insta
     assert len(set(rows["state_digest"])) == 2
     gain.unlink()
     (gain.parent / "gainer.dist-info" / "entry_points.txt").unlink()
-    nw_eval.plugins.installed.cache_clear()
+    nw_base.plugins.installed.cache_clear()
     assert api.judge(tmp_path / "run").verdict.verdict == "RAN"
     code, said = command("run", "--resume", str(tmp_path / "run"), "--in-process")
     assert code == 2
@@ -214,7 +216,7 @@ def test_a_built_in_name_stays_the_built_in_one(package):
     assert suite.plugins == {}
     package("usurper", SPLAT_FORMATS, {"ply": "usurper:FORMAT"})
     with pytest.warns(PluginWarning, match="'ply' is built in"):
-        assert nw_eval.splat.files.package_format(nw_eval.splat.files.Path("a.ply")) is None
+        assert nw_splat.files.package_format(nw_splat.files.Path("a.ply")) is None
 
 
 @pytest.mark.parametrize(

@@ -12,21 +12,22 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from pydantic import ValidationError
 
-from nw_eval import api, plugins
-from nw_eval.catalogue import get_scene
-from nw_eval.errors import PluginError, SuiteError
-from nw_eval.plugins import ROBOTS, SCORES, TASKS, PluginWarning, identity_of
-from nw_eval.policies import load_bundle
-from nw_eval.results.provenance import read_run_info
-from nw_eval.results.trials import Trial
-from nw_eval.robots import find_robot
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.record import job_from_metadata, trial_metadata
-from nw_eval.rollout.trial import run_trial
+from nw_base import plugins
+from nw_base.errors import PluginError, SuiteError
+from nw_base.plugins import ROBOTS, SCORES, TASKS, PluginWarning, identity_of
+from nw_base.trials import Trial
+from nw_eval import api
 from nw_eval.suite import load_suite
 from nw_eval.suite.model import new_suite
-from nw_eval.tasks import open_task, task_kinds
-from nw_eval.tasks.task import TaskRules
+from nw_gate.results.provenance import read_run_info
+from nw_policies import load_bundle
+from nw_scenes.robots import find_robot
+from nw_sim.catalogue import get_scene
+from nw_sim.rollout.job import TrialJob
+from nw_sim.rollout.record import job_from_metadata, trial_metadata
+from nw_sim.rollout.trial import run_trial
+from nw_sim.tasks import open_task, task_kinds
+from nw_sim.tasks.task import TaskRules
 
 PACKAGES = Path(__file__).parent / "packages"
 REACH = (PACKAGES / "reach" / "reach.py").read_text(encoding="utf-8")

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import nw_eval
-from nw_eval.rollout.job import StageClock
-from nw_eval.suite.axes import AXES
 from nw_eval.testing import (
     FakeClock,
     FakePolicy,
@@ -17,6 +15,8 @@ from nw_eval.testing import (
     moment_of,
     trial_setup,
 )
+from nw_sim.axes import AXES
+from nw_sim.rollout.job import StageClock
 
 
 def test_a_clock_goes_on_by_its_tick_and_as_it_is_told():

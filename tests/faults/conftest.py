@@ -11,19 +11,19 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.catalogue import FoundScene
+from nw_base.protocol import STRICT
+from nw_base.trials import expand
 from nw_eval.engine.local import LocalProcesses
 from nw_eval.engine.plan import Plan, plan_jobs
 from nw_eval.engine.rounds import run_trials
-from nw_eval.policies import load_bundle
-from nw_eval.protocol import STRICT
-from nw_eval.request import Request
-from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.results.trials import expand
-from nw_eval.rollout.confined import start
 from nw_eval.suite.model import new_suite
-from nw_eval.tasks.course import draw_start
+from nw_gate.results.journal import Journal, JournalHeader
+from nw_gate.results.request import Request
+from nw_gate.results.run_folder import RunFolder
+from nw_policies import load_bundle
+from nw_sim.catalogue import FoundScene
+from nw_sim.rollout.confined import start
+from nw_sim.tasks.course import draw_start
 
 SCENE = "flat/carpet_room"
 # Index of delta_yaw among the numbers of `parkour53`: its sign differs from trial to trial.

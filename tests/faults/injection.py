@@ -20,10 +20,13 @@ from pathlib import Path
 
 import nw_eval
 from nw_eval.cli import main
-from nw_eval.results.journal import read_journal
+from nw_gate.results.journal import read_journal
 
-ROOMS = tuple(f"{room}{os.sep}" for room in ("api", "engine", "results", "reporting", "gate"))
-PACKAGE = f"{Path(nw_eval.__file__).parent}{os.sep}"
+ROOMS = tuple(
+    os.path.join(*room.split("/"), "")
+    for room in ("nw_eval/api", "nw_eval/engine", "nw_eval/reporting", "nw_gate")
+)
+HARNESS = f"{Path(nw_eval.__file__).parents[1]}{os.sep}"
 
 ERRORS = {
     "disk": lambda: OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)),
@@ -35,7 +38,7 @@ ERRORS = {
 def place(frame):
     """Return a frame's file within the package, or nothing."""
     name = frame.f_code.co_filename
-    return name.removeprefix(PACKAGE) if name.startswith(PACKAGE) else ""
+    return name.removeprefix(HARNESS) if name.startswith(HARNESS) else ""
 
 
 def names(*frames):

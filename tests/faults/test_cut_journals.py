@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from nw_eval.results.journal import Journal, read_journal
-from nw_eval.results.row import rows_digest
+from nw_gate.results.journal import Journal, read_journal
+from nw_gate.results.row import rows_digest
 
 
 def cuts(data, *, lines=3):

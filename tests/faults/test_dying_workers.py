@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.errors import TrialError
-from nw_eval.results.row import rows_digest
+from nw_base.errors import TrialError
+from nw_gate.results.row import rows_digest
 
 
 def test_a_killed_worker_costs_one_trial_which_is_then_run_again(tiny_run, tmp_path):

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from nw_eval.cli.verbs.replay import replay_line
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.settings import Gate
-from nw_eval.results.row import rows_digest
-from nw_eval.rollout.replaying.takeover import replay
+from nw_gate.absolute import judge
+from nw_gate.results.row import rows_digest
+from nw_gate.settings import Gate
+from nw_sim.rollout.replaying.takeover import replay
 
 CARD = """\
 nw-policy: 1

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api
-from nw_eval.results.journal import read_journal
+from nw_gate.results.journal import read_journal
 
 SUITE = """\
 nw-eval: 1

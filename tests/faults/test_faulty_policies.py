@@ -4,8 +4,8 @@ import numpy as np
 import onnx
 import pytest
 
+from nw_base.errors import PolicyError
 from nw_eval import api
-from nw_eval.errors import PolicyError
 
 
 def by_status(outcome):

@@ -8,10 +8,10 @@ import time
 
 import pytest
 
+from nw_base.errors import PolicyError
 from nw_eval.engine import worker
-from nw_eval.errors import PolicyError
-from nw_eval.rollout.confined import isolated, progress
-from nw_eval.rollout.confined.progress import HANGS_AFTER, Progress
+from nw_sim.rollout.confined import isolated, progress
+from nw_sim.rollout.confined.progress import HANGS_AFTER, Progress
 
 MINUTE, LIMIT = 60.0, 690.0
 SPINS = "while True: pass"

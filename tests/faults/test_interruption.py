@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.results.journal import read_journal
-from nw_eval.results.row import rows_digest
+from nw_gate.results.journal import read_journal
+from nw_gate.results.row import rows_digest
 
 SCRIPT = """
 import pickle, sys
 from pathlib import Path
 from nw_eval.engine.rounds import run_trials
 from nw_eval.engine.local import LocalProcesses
-from nw_eval.results.journal import Journal
+from nw_gate.results.journal import Journal
 
 if __name__ == "__main__":
     run = pickle.loads(Path(sys.argv[1]).read_bytes())

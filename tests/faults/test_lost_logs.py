@@ -6,12 +6,12 @@ from contextlib import contextmanager
 
 import pytest
 
+from nw_base.errors import StoreError
+from nw_base.files.cache import private_dir
 from nw_eval import api
 from nw_eval.api import reports
-from nw_eval.errors import StoreError
-from nw_eval.files.cache import private_dir
-from nw_eval.results.journal import read_journal
-from nw_eval.results.row import MEASURED, rows_digest, to_dict
+from nw_gate.results.journal import read_journal
+from nw_gate.results.row import MEASURED, rows_digest, to_dict
 
 SUITE = """\
 nw-eval: 1

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval.errors import StoreError
-from nw_eval.files import cache
-from nw_eval.files.cache import (
+from nw_base.errors import StoreError
+from nw_base.files import cache
+from nw_base.files.cache import (
     DamagedError,
     atomic_path,
     cache_dir,
@@ -70,7 +70,7 @@ def test_no_bit_of_it_may_change_and_no_end_be_missing(sealed):
 
 def test_a_file_that_rots_between_two_processes_is_seen(sealed):
     code = (
-        "import sys; from pathlib import Path; from nw_eval.files.cache import read_sealed;"
+        "import sys; from pathlib import Path; from nw_base.files.cache import read_sealed;"
         "print(len(read_sealed(Path(sys.argv[1]))))"
     )
 
@@ -196,7 +196,7 @@ def test_a_folder_that_everybody_may_exchange_is_refused(own):
 def test_two_processes_may_write_the_same_file_at_once(own):
     code = (
         "import sys; from pathlib import Path\n"
-        "from nw_eval.files.cache import read_sealed, sealed_path\n"
+        "from nw_base.files.cache import read_sealed, sealed_path\n"
         "file, content = Path(sys.argv[1]), sys.argv[2].encode() * 99999\n"
         "for _ in range(40):\n"
         "    with sealed_path(file) as path: path.write_bytes(content)\n"
@@ -229,8 +229,8 @@ def test_a_variable_that_is_empty_is_as_good_as_unset(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["NW_EVAL_CACHE_GB", "NW_EVAL_KERNELS"])
 def test_other_variables_that_are_empty_are_as_good_as_unset_too(tmp_path, name):
     code = (
-        "from nw_eval.engine.cache import *; from nw_eval.machine_code import *; "
-        "import nw_eval.engine.cache as s, nw_eval.machine_code as k; "
+        "from nw_eval.engine.cache import *; from nw_base.machine_code import *; "
+        "import nw_eval.engine.cache as s, nw_base.machine_code as k; "
         "print(s.limit_bytes(), bool(k.folder_note()))"
     )
     environment = {**os.environ, "NW_EVAL_CACHE": str(tmp_path)}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from nw_eval.files.inside import OutsideError, inside, what_is
+from nw_base.files.inside import OutsideError, inside, what_is
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 
-PROGRAM = [sys.executable, "-m", "nw_eval.files.lifeline", "busy"]
+PROGRAM = [sys.executable, "-m", "nw_base.files.lifeline", "busy"]
 
 
 def started(tmp_path, source):

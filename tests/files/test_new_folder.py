@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from nw_eval.errors import Problem, SceneError, StoreError, UsageError
-from nw_eval.files.cache import new_folder
+from nw_base.errors import Problem, SceneError, StoreError, UsageError
+from nw_base.files.cache import new_folder
 
 
 def tree(folder):

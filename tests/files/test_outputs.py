@@ -17,8 +17,8 @@ from pathlib import Path
 import pytest
 
 import nw_eval
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.files.cache import atomic_path, followed, is_stream, open_own
+from nw_base.errors import StoreError, UsageError
+from nw_base.files.cache import atomic_path, followed, is_stream, open_own
 
 HARNESS = Path(nw_eval.__file__).parent
 
@@ -140,7 +140,7 @@ def test_a_pipe_gets_all_of_it_and_stays_a_pipe(tmp_path):
 
 
 def test_a_pipe_that_nobody_reads_is_said_and_not_waited_for(tmp_path, monkeypatch):
-    monkeypatch.setattr("nw_eval.files.cache._READER_COMES", 0.2)
+    monkeypatch.setattr("nw_base.files.cache._READER_COMES", 0.2)
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(StoreError, match=r"cannot write .*/pipe: no program reads this pipe"):
         write(tmp_path / "pipe")
@@ -238,7 +238,7 @@ def test_what_cannot_be_a_file_is_refused_by_name_and_stays(tmp_path):
 def test_a_new_file_has_the_rights_of_the_umask_and_an_old_one_keeps_its_own(tmp_path):
     code = (
         "import os, sys; os.umask(0o027); from pathlib import Path; "
-        "from nw_eval.files.cache import atomic_path\n"
+        "from nw_base.files.cache import atomic_path\n"
         "for path in sys.argv[1:]:\n    with atomic_path(Path(path)) as t: t.write_text('new')"
     )
     old, new = tmp_path / "old", tmp_path / "new"
@@ -342,8 +342,8 @@ def test_only_a_full_disk_is_answered_by_freeing_it(tmp_path, monkeypatch, numbe
     def fails(*_, **__):
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr("nw_eval.files.cache.NamedTemporaryFile", fails)
-    monkeypatch.setattr("nw_eval.files.cache.TemporaryDirectory", fails)
+    monkeypatch.setattr("nw_base.files.cache.NamedTemporaryFile", fails)
+    monkeypatch.setattr("nw_base.files.cache.TemporaryDirectory", fails)
     with pytest.raises(StoreError) as caught, atomic_path(tmp_path / "report.md"):
         pass
     assert caught.value.fix == fix

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image, UnidentifiedImageError
 
 import nw_eval
-from nw_eval.files.pictures import FORMATS, open_picture
+from nw_base.files.pictures import FORMATS, open_picture
 
 HARNESS = Path(nw_eval.__file__).parent
 FOUND = Path(__file__).parents[2].parent / "shared" / "assets" / "found" / "force" / "eps_photos"

@@ -58,7 +58,7 @@ def watch(here, allowed):
 
 def attempt(target, folder, allowed):
     """Read the input of a folder; return ("accepted" | "refused" | "finding", text)."""
-    from nw_eval.errors import NwEvalError
+    from nw_base.errors import NwEvalError
 
     seen = watch(str(folder), (folder, *allowed))
     try:
@@ -210,7 +210,7 @@ def run(target, *, inputs=0, seed=1, keep=None, first=0, cases=None):
 
 def lend_kernels(cache):
     """Begin a cache with the kernels that the user's has: they are none of what is tested."""
-    from nw_eval.files.cache import private_dir
+    from nw_base.files.cache import private_dir
 
     shutil.copytree(private_dir("kernels"), cache / "kernels")
 

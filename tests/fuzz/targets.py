@@ -18,7 +18,7 @@ from tempfile import gettempdir
 
 import numpy as np
 
-from nw_eval.errors import PolicyError, PrerequisiteError
+from nw_base.errors import PolicyError, PrerequisiteError
 
 CARD = """\
 nw-policy: 1
@@ -177,7 +177,7 @@ def _mesh_files():
 
 
 def _cloud(count=30, degree=1):
-    from nw_eval.splat.gaussians import Gaussians
+    from nw_splat.gaussians import Gaussians
 
     rng = np.random.default_rng(5)
     return Gaussians(
@@ -192,8 +192,8 @@ def _cloud(count=30, degree=1):
 def _splat_files(folder):
     import torch
 
-    from nw_eval.splat.files import write_splat
-    from nw_eval.splat.files.spz import write_spz
+    from nw_splat.files import write_splat
+    from nw_splat.files.spz import write_spz
 
     folder.mkdir(parents=True, exist_ok=True)
     write_splat(folder / "a.ply", _cloud())
@@ -328,21 +328,21 @@ def _bundles(contents, adapter, file):
 
 def _open_bundle(folder, file):
     """Load a bundle with the mutated weights, as `--checkpoint` does, and ask it for an action."""
-    from nw_eval.policies import load_bundle
-    from nw_eval.rollout.confined.vetting import check_bundle
+    from nw_policies import load_bundle
+    from nw_sim.rollout.confined.vetting import check_bundle
 
     check_bundle(load_bundle(folder / "policy.yaml", checkpoint=folder / file))
 
 
 def _inspect(folder):
-    from nw_eval.onboarding.checkpoint import inspect_checkpoint
+    from nw_policies.drafting.checkpoint import inspect_checkpoint
 
     (path,) = folder.iterdir()
     return inspect_checkpoint(path)
 
 
 def _tensors(folder):
-    from nw_eval.policies.safety import read_tensors, tensor_facts
+    from nw_policies.safety import read_tensors, tensor_facts
 
     (path,) = folder.iterdir()
     tensor_facts(path.read_bytes(), str(path))
@@ -351,9 +351,9 @@ def _tensors(folder):
 
 
 def _card(folder):
-    from nw_eval.cards.load import load_card
-    from nw_eval.robots import get_robot
-    from nw_eval.sensors import check_card
+    from nw_policies.cards.load import load_card
+    from nw_scenes.robots import get_robot
+    from nw_sim.sensors import check_card
 
     path = folder / "policy.yaml"
     card = load_card(path)
@@ -389,10 +389,10 @@ def _scene_seeds(folder):
 
 def _scene(folder):
     """Load a place, compile its world, cast a ray and read its splat, as a run would."""
-    from nw_eval.catalogue import get_scene
-    from nw_eval.robots import get_robot
-    from nw_eval.scenes.rays import RayScene
-    from nw_eval.sim import World
+    from nw_scenes.rays import RayScene
+    from nw_scenes.robots import get_robot
+    from nw_sim.catalogue import get_scene
+    from nw_sim.physics import World
 
     scene = get_scene(folder)
     RayScene(scene.mesh()).height(scene.trail[:, :2])
@@ -403,8 +403,8 @@ def _scene(folder):
 
 
 def _published(folder):
-    from nw_eval.catalogue import get_scene
-    from nw_eval.scenes.rays import RayScene
+    from nw_scenes.rays import RayScene
+    from nw_sim.catalogue import get_scene
 
     (path,) = folder.rglob("*.xml")
     scene = get_scene(f"neverwhere:{path if path.parent == folder else path.parent}")
@@ -428,7 +428,7 @@ def _published_seeds(folder):
 
 
 def _read_mesh(folder):
-    from nw_eval.scenes.mesh_file import read_mesh
+    from nw_scenes.mesh_file import read_mesh
 
     (path,) = folder.iterdir()
     read_mesh(path)
@@ -461,7 +461,7 @@ def _elevation_seeds(_):
 
 
 def _read_elevation(folder):
-    from nw_eval.scenes.elevation_file import elevation_mesh, read_elevation
+    from nw_scenes.elevation_file import elevation_mesh, read_elevation
 
     (path,) = folder.iterdir()
     white = 1.0 if path.suffix == ".png" else None
@@ -503,7 +503,7 @@ def _robot_seeds(_):
 
 def _read_robot(folder):
     """Draft a robot.yaml of a model, in this process."""
-    from nw_eval.onboarding.robot_draft import _draft
+    from nw_sim.probe.robot_draft import _draft
 
     (path,) = folder.iterdir()
     _draft(root=str(folder), file=path.name)
@@ -513,7 +513,7 @@ def _robot_log_seeds(_):
     from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
     from mcap_protobuf.writer import Writer
 
-    from nw_eval.robots import get_robot
+    from nw_scenes.robots import get_robot
 
     stream, robot = io.BytesIO(), get_robot("go1")
     with Writer(stream) as writer:
@@ -528,7 +528,7 @@ def _robot_log_seeds(_):
 
 
 def _read_robot_log(folder):
-    from nw_eval.rollout.replaying.robot_log import log_file, read_robot_log
+    from nw_sim.rollout.replaying.robot_log import log_file, read_robot_log
 
     read_robot_log(log_file(folder / "log.mcap"), robot="go1", topics={})
 
@@ -571,7 +571,7 @@ def _camera_seeds(_):
 
 
 def _read_cameras(folder):
-    from nw_eval.twin.calibrate.calibrate import find_source
+    from nw_twin.calibrate.calibrate import find_source
 
     footage = find_source(folder, folder / "work", frames=2, say=lambda _: None)
     placed = (
@@ -582,9 +582,9 @@ def _read_cameras(folder):
 
 def _read_splat(folder):
     """Read a file as a renderer would, down to the arrays of the kernels, without a warning."""
-    from nw_eval.splat.files import read_splat
-    from nw_eval.splat.gaussians import describe
-    from nw_eval.splat.store import memory_store
+    from nw_splat.files import read_splat
+    from nw_splat.gaussians import describe
+    from nw_splat.store import memory_store
 
     (path,) = folder.iterdir()
     with warnings.catch_warnings():
@@ -595,7 +595,7 @@ def _read_splat(folder):
 
 
 def _store_seeds(folder):
-    from nw_eval.splat.store import compile_store
+    from nw_splat.store import compile_store
 
     folder.mkdir(parents=True, exist_ok=True)
     compile_store(_cloud(), folder / "a.nwsplat")
@@ -603,7 +603,7 @@ def _store_seeds(folder):
 
 
 def _store(folder):
-    from nw_eval.splat.store import memory_store, open_store
+    from nw_splat.store import memory_store, open_store
 
     found, good = open_store(folder / "a.nwsplat").layout.arrays(), memory_store(_cloud()).layout
     for name, array in good.arrays().items():
@@ -612,7 +612,7 @@ def _store(folder):
 
 
 def _rows(count=4):
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
 
     for index in range(count):
         yield Row(
@@ -627,7 +627,7 @@ def _rows(count=4):
 
 
 def _check_rows(found):
-    from nw_eval.results.row import to_dict
+    from nw_gate.results.row import to_dict
 
     good = {row.trial_id: to_dict(row) for row in _rows()}
     for row in found:
@@ -636,7 +636,7 @@ def _check_rows(found):
 
 
 def _journal_seeds(folder):
-    from nw_eval.results.journal import Journal, JournalHeader
+    from nw_gate.results.journal import Journal, JournalHeader
 
     header = JournalHeader(
         suite_digest="aa" * 32, policy_digest="bb" * 32, scene_digests={"hurdles/one": "dd" * 32},
@@ -650,7 +650,7 @@ def _journal_seeds(folder):
 
 
 def _journal(folder):
-    from nw_eval.results.journal import read_journal
+    from nw_gate.results.journal import read_journal
 
     _check_rows(read_journal(folder / "journal.jsonl").rows)
 
@@ -687,8 +687,8 @@ def _log_seeds(folder):
 
 
 def _log(folder):
-    from nw_eval.rollout.mcap.reader import LogReader
-    from nw_eval.rollout.replaying.logged import read_logged_trial
+    from nw_sim.rollout.mcap.reader import LogReader
+    from nw_sim.rollout.replaying.logged import read_logged_trial
 
     path = folder / "trial.mcap"
     reader = LogReader(path)
@@ -703,8 +703,8 @@ def _log(folder):
 
 
 def _parquet_seeds(folder):
-    from nw_eval.results.parquet import write_rows
-    from nw_eval.results.row import rows_digest
+    from nw_gate.results.parquet import write_rows
+    from nw_gate.results.row import rows_digest
 
     folder.mkdir(parents=True, exist_ok=True)
     rows = list(_rows())
@@ -713,7 +713,7 @@ def _parquet_seeds(folder):
 
 
 def _parquet(folder):
-    from nw_eval.results.parquet import read_rows
+    from nw_gate.results.parquet import read_rows
 
     _check_rows(read_rows(folder / "trials.parquet")[0])
 
@@ -740,9 +740,9 @@ def _bank_seeds(_folder):
 
 def _bank(folder):
     """Read it as its file would be read, once its sum is right."""
-    from nw_eval.errors import StoreError
-    from nw_eval.results.bank_file import bank_of
-    from nw_eval.results.tables import PlainTable
+    from nw_base.errors import StoreError
+    from nw_gate.results.bank_file import bank_of
+    from nw_gate.results.tables import PlainTable
 
     try:
         manifest, starts = json.loads((folder / "bank.json").read_bytes())
@@ -755,7 +755,7 @@ def _bank(folder):
 
 
 def _wire_seeds(_folder):
-    from nw_eval.policies.remote import encode
+    from nw_policies.remote import encode
 
     hello = {
         "protocol": 2, "policy": "x", "joints": 12, "digest": "ab" * 32,
@@ -785,7 +785,7 @@ class _Server:
 
 def _wire(folder):
     """Hold a conversation with a server that says what the files say; no socket is needed."""
-    from nw_eval.policies import load_bundle, remote
+    from nw_policies import load_bundle, remote
 
     text = CARD.format(adapter="remote", file="x").replace("checkpoint: {file: x}\n", "")
     card = folder / "policy.yaml"

@@ -39,7 +39,7 @@ import json, os, pickle, socket, subprocess, sys, time
 from pathlib import Path
 sys.path.insert(0, {here!r})
 import arena
-from nw_eval.errors import SceneError
+from nw_base.errors import SceneError
 from targets import Target
 
 arena.SECONDS, arena.BYTES = {seconds}, 500_000_000

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from nw_eval.results.row import Row
+from nw_gate.results.row import Row
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

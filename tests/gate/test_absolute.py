@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from nw_eval.errors import StoreError
-from nw_eval.gate.absolute import courses, judge
-from nw_eval.stats.betting import lower_bound, upper_bound
+from nw_base.errors import StoreError
 from nw_eval.suite import Gate
+from nw_gate.absolute import courses, judge
+from nw_gate.stats.betting import lower_bound, upper_bound
 
 if TYPE_CHECKING:
     from collections.abc import Callable

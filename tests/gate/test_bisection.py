@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from nw_eval.api.reports import RunReport
 from nw_eval.api.series import BisectedSeries
 from nw_eval.cli.verbs.bisect import series_page
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.bisection import Decision, bisect
-from nw_eval.gate.settings import Gate
-from nw_eval.gate.verdict import Comparison
-from nw_eval.results.provenance import PolicyInfo, RunInfo, code_info, machine_info
-from nw_eval.stats.interval import Interval
+from nw_gate.absolute import judge
+from nw_gate.bisection import Decision, bisect
+from nw_gate.results.provenance import PolicyInfo, RunInfo, code_info, machine_info
+from nw_gate.settings import Gate
+from nw_gate.stats.interval import Interval
+from nw_gate.verdict import Comparison
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.errors import StoreError
-from nw_eval.gate.cause import ARMS, Apart, cause_of, read_cause_file, write_cause_file
+from nw_base.errors import StoreError
 from nw_eval.reporting.tables.cause import answer_words, cause_table
+from nw_gate.cause import ARMS, Apart, cause_of, read_cause_file, write_cause_file
 
 ALL = Apart(sight=True, rest=True, weights=True)
 

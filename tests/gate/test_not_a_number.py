@@ -16,12 +16,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
-from nw_eval.errors import UsageError
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.scores import with_scores
-from nw_eval.gate.ledger import BaselineEntry, LedgerEntry
-from nw_eval.results.row import COLUMNS, Row
+from nw_base.errors import UsageError
 from nw_eval.suite.model import new_suite, override_gate
+from nw_gate.absolute import judge
+from nw_gate.baseline.scores import with_scores
+from nw_gate.ledger import BaselineEntry, LedgerEntry
+from nw_gate.results.row import COLUMNS, Row
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nw_eval.gate.sweep import curve_of
 from nw_eval.reporting.sweep import cliff_words, parting_words, sweep_table, write_sweep
-from nw_eval.scores import specs_of
-from nw_eval.suite.axes import axis_named
+from nw_gate.scores import specs_of
+from nw_gate.sweep import curve_of
+from nw_sim.axes import axis_named
 
 
 class Row:
@@ -176,8 +176,8 @@ def test_a_curve_that_is_flat_seldom_has_a_cliff(share):
 
 
 def _cliffs(rows, monkey=pytest.MonkeyPatch):
-    from nw_eval.gate import sweep
-    from nw_eval.stats.interval import Estimate, Interval
+    from nw_gate import sweep
+    from nw_gate.stats.interval import Estimate, Interval
 
     quick = Estimate(mean=0.5, interval=Interval(0.0, 1.0), n=1, confidence=0.95)
     with monkey.context() as patch:

@@ -11,16 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.settings import Validity
-from nw_eval.gate.validity import has_left, seconds_outside
-from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.settings import Validity
+from nw_gate.stats.betting import lower_bound, upper_bound
+from nw_gate.validity import has_left, seconds_outside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
 
 LIMITS = Validity(distance=0.5, angle=0.6, alpha=0.9, at_most=0.2)
 GATE = Gate(success_rate=0.6, validity=LIMITS)
@@ -83,7 +83,7 @@ def test_half_a_second_may_be_and_not_a_tenth_more(run_scene: Any) -> None:
 def test_wider_limits_never_make_a_trial_leave(
     far: list[float], limit: float, wider: float
 ) -> None:
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
 
     row = Row(
         trial_id="a-000", suite="s", scene="a", task="gaps", robot="go1", seed_index=0, seed=0,

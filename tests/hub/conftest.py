@@ -27,7 +27,7 @@ def hub(tmp_path, monkeypatch):
     monkeypatch.delenv("HF_TOKEN", raising=False)
     monkeypatch.delenv("HF_HUB_OFFLINE", raising=False)
     monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("nw_eval.hub.fetch._PAUSES", (0.01, 0.01))
+    monkeypatch.setattr("nw_scenes.hub.fetch._PAUSES", (0.01, 0.01))
     yield server
     server.close()
 

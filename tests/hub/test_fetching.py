@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 from hub_content import CARD
 
-from nw_eval import api, catalogue
-from nw_eval.errors import PolicyError, SceneError
-from nw_eval.hub import heard_by
-from nw_eval.hub.fetch import located
-from nw_eval.hub.reference import forget_checks, parse
-from nw_eval.policies import load_bundle
+from nw_base.errors import PolicyError, SceneError
+from nw_eval import api
+from nw_policies import load_bundle
+from nw_scenes.hub import heard_by
+from nw_scenes.hub.fetch import located
+from nw_scenes.hub.reference import forget_checks, parse
+from nw_sim import catalogue
 
 
 def names(folder):

@@ -9,9 +9,9 @@ import time
 import pytest
 from hub_content import BOXES, LARGE_FILE, SCENE
 
+from nw_base.errors import NwEvalError
 from nw_eval import api
-from nw_eval.errors import NwEvalError
-from nw_eval.hub.reference import forget_checks
+from nw_scenes.hub.reference import forget_checks
 
 FILE, LISTING, REVISION = "/resolve/", "/tree/", "/revision/"
 BOMB = gzip.compress(bytes(40 * 2**20))

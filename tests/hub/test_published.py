@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval import api, catalogue
-from nw_eval.errors import SceneError
-from nw_eval.hub import limits
+from nw_base.errors import SceneError
+from nw_eval import api
+from nw_scenes.hub import limits
+from nw_sim import catalogue
 
 NAME = "hurdle_stata_v1"
 REFERENCE = f"neverwhere:{NAME}"

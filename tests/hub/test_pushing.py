@@ -6,8 +6,9 @@ import pytest
 from hub_content import BOXES, SCENE
 from hub_server import LARGE, READER, WRITER
 
-from nw_eval import api, catalogue
-from nw_eval.errors import FetchError, SceneError, UsageError
+from nw_base.errors import FetchError, SceneError, UsageError
+from nw_eval import api
+from nw_sim import catalogue
 
 
 @pytest.fixture

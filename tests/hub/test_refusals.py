@@ -10,9 +10,7 @@ import pytest
 from hub_content import BOXES, SCENE
 from hub_server import READER
 
-from nw_eval import api, catalogue
-from nw_eval.cli import main
-from nw_eval.errors import (
+from nw_base.errors import (
     FetchError,
     PolicyError,
     PrerequisiteError,
@@ -20,9 +18,12 @@ from nw_eval.errors import (
     StoreError,
     UsageError,
 )
-from nw_eval.hub import client, limits
-from nw_eval.hub.reference import forget_checks
+from nw_eval import api
+from nw_eval.cli import main
 from nw_eval.testing import FakeClock
+from nw_scenes.hub import client, limits
+from nw_scenes.hub.reference import forget_checks
+from nw_sim import catalogue
 
 
 def line_of(error):

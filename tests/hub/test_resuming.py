@@ -11,8 +11,8 @@ import time
 import pytest
 from hub_content import BOXES, LARGE_FILE
 
+from nw_base.errors import FetchError
 from nw_eval import api
-from nw_eval.errors import FetchError
 
 REFERENCE = "hub:lab/corridor"
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from nw_base.errors import FetchError, PolicyError, PrerequisiteError, RobotError
 from nw_eval import api
-from nw_eval.cards import load_card
 from nw_eval.cli import main
-from nw_eval.errors import FetchError, PolicyError, PrerequisiteError, RobotError
-from nw_eval.robots import find_robot, get_robot, know_robot
+from nw_policies.cards import load_card
+from nw_scenes.robots import find_robot, get_robot, know_robot
 
 MODEL = """\
 <mujoco model="table">

@@ -12,12 +12,12 @@ import sys
 import pytest
 from hub_server import WRITER
 
+from nw_base.errors import SuiteError
 from nw_eval import api
 from nw_eval.api.baselines import card_reference
 from nw_eval.cli import main
-from nw_eval.errors import SuiteError
-from nw_eval.policies import load_bundle
-from nw_eval.results.provenance import read_run_info
+from nw_gate.results.provenance import read_run_info
+from nw_policies import load_bundle
 
 SUITE = """\
 nw-eval: 1

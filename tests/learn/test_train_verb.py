@@ -3,9 +3,9 @@
 import pytest
 
 from nw_eval import cli
-from nw_eval.learn.config import find_config, load_config
-from nw_eval.learn.teacher.config import TeacherConfig
-from nw_eval.policies import load_bundle
+from nw_learn.config import find_config, load_config
+from nw_learn.teacher.config import TeacherConfig
+from nw_policies import load_bundle
 
 CONFIG = """\
 nw-train: 1
@@ -37,7 +37,7 @@ def test_a_teacher_is_trained_resumed_and_taken_out_as_a_policy(
     config, tmp_path, capsys, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("nw_eval.learn.curve.draw", lambda path, *_, **__: path.touch())
+    monkeypatch.setattr("nw_learn.curve.draw", lambda path, *_, **__: path.touch())
     assert run("train", "teacher", config) == 0
     assert "64 of 64 control steps" in capsys.readouterr().out
     folder = tmp_path / "runs" / "mine"

@@ -7,7 +7,7 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
-from nw_eval.policies.networks.onnx_reading import read_graph
+from nw_policies.networks.onnx_reading import read_graph
 
 
 @pytest.fixture

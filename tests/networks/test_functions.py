@@ -8,8 +8,8 @@ import numba
 import numpy as np
 import pytest
 
-from nw_eval.networks import functions
-from nw_eval.simd.memory import elements, load_group, store_group
+from nw_base.simd.memory import elements, load_group, store_group
+from nw_policies.executor import functions
 
 RNG = np.random.default_rng(0)
 WIDE = np.concatenate([RNG.normal(0, 3, 20_000), RNG.normal(0, 1e-3, 5_000)]).astype(np.float32)

@@ -11,9 +11,9 @@ import pytest
 from onnx import numpy_helper
 from onnx.backend.test.case.node import collect_testcases
 
-from nw_eval.networks import UnsupportedError
-from nw_eval.networks.network import Network
-from nw_eval.networks.plan import plan
+from nw_policies.executor import UnsupportedError
+from nw_policies.executor.network import Network
+from nw_policies.executor.plan import plan
 
 BY_WEIGHTS = {"Add", "Conv", "Gemm", "GRU", "LSTM", "RNN", "MatMul", "Gather", "Split", "Where"}
 BY_INPUTS = {"Softmax", "MaxPool", "AveragePool", "Elu", "Tanh", "Transpose", "Concat", "Clip"}

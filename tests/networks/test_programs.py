@@ -9,17 +9,17 @@ import onnx
 import onnxruntime
 import pytest
 
-from nw_eval.networks import Program, planning
-from nw_eval.networks.network import Network
-from nw_eval.networks.plan import plan
-from nw_eval.networks.program import COPY, ELEMENTS, PRODUCT, SCALED
+from nw_policies.executor import Program, planning
+from nw_policies.executor.network import Network
+from nw_policies.executor.plan import plan
+from nw_policies.executor.program import COPY, ELEMENTS, PRODUCT, SCALED
 
 GUARD = 4096
 
 
 def guarded(program):
     """Run a program in an arena between two guards, and return whether they are as they were."""
-    from nw_eval.networks.kernels import run
+    from nw_policies.executor.kernels import run
 
     arena = np.full(program.arena + 2 * GUARD, 7.0, np.float32)
     inner = arena[GUARD:-GUARD]

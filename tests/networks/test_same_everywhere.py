@@ -12,9 +12,9 @@ DIGESTS = """
 import hashlib
 import numpy as np
 from pathlib import Path
-from nw_eval.networks.network import Network
-from nw_eval.networks.plan import plan
-from nw_eval.policies.networks.onnx_reading import read_graph
+from nw_policies.executor.network import Network
+from nw_policies.executor.plan import plan
+from nw_policies.networks.onnx_reading import read_graph
 
 for path in sorted(Path("policies").glob("*/*.onnx")):
     network = Network(plan(read_graph(path.read_bytes())))

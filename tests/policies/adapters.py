@@ -14,16 +14,16 @@ import numpy as np
 import torch
 from torch import nn
 
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.line import trusting
-from nw_eval.policies.networks.act import Act, ActSizes
-from nw_eval.policies.networks.parkour import (
+from nw_policies import load_bundle, open_policy
+from nw_policies.line import trusting
+from nw_policies.networks.act import Act, ActSizes
+from nw_policies.networks.parkour import (
     DepthEncoder,
     Estimator,
     LucidSimTransformer,
     ParkourActor,
 )
-from nw_eval.sensors import check_card
+from nw_sim.sensors import check_card
 
 HEAD = """\
 nw-policy: 1
@@ -186,7 +186,7 @@ def write(folder: Path, name: str, *, runtime: str = "nw-eval") -> Path:
 
 def perceptron() -> bytes:
     """Return an ONNX file, 53 numbers to 3."""
-    from nw_eval.policies.networks.onnx_graph import Graph
+    from nw_policies.networks.onnx_graph import Graph
 
     graph, rng = Graph(), np.random.default_rng(9)
     matrix = graph.constant(rng.normal(0, 0.2, (53, 3)).astype(np.float32))

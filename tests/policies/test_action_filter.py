@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.cards import Card, JointControl, load_card
-from nw_eval.cards.control import ButterworthFilter, ExponentialFilter
-from nw_eval.errors import PolicyError
-from nw_eval.onboarding.probe.recording import record
-from nw_eval.policies import ActionFilter, load_bundle
-from nw_eval.robots import get_robot
+from nw_base.errors import PolicyError
+from nw_policies import ActionFilter, load_bundle
+from nw_policies.cards import Card, JointControl, load_card
+from nw_policies.cards.control import ButterworthFilter, ExponentialFilter
+from nw_scenes.robots import get_robot
+from nw_sim.probe.recording import record
 
 GO1 = get_robot("go1")
 

@@ -3,10 +3,10 @@ import json
 
 import pytest
 
-from nw_eval.errors import PolicyError
-from nw_eval.files.shipped import available
-from nw_eval.policies import bundle as bundles
-from nw_eval.policies import load_bundle
+from nw_base.errors import PolicyError
+from nw_base.files.shipped import available
+from nw_policies import bundle as bundles
+from nw_policies import load_bundle
 
 CARD = """\
 nw-policy: 1

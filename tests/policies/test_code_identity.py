@@ -2,11 +2,11 @@
 
 import pytest
 
+from nw_base.errors import IncomparableError, PolicyError
 from nw_eval import api
 from nw_eval.cli.verbs.check import forecast_page
-from nw_eval.errors import IncomparableError, PolicyError
-from nw_eval.policies import bundle as code
-from nw_eval.policies import load_bundle
+from nw_policies import bundle as code
+from nw_policies import load_bundle
 
 CARD = """\
 nw-policy: 1

@@ -15,11 +15,11 @@ import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+from nw_base.files.shipped import shipped
 from nw_eval.engine.provenance import policy_info
-from nw_eval.files.shipped import shipped
-from nw_eval.policies import load_bundle
-from nw_eval.policies.computes import computed_digest
-from nw_eval.results.provenance import PolicyInfo
+from nw_gate.results.provenance import PolicyInfo
+from nw_policies import load_bundle
+from nw_policies.computes import computed_digest
 
 if TYPE_CHECKING:
     from collections.abc import Callable

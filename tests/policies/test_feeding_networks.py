@@ -10,11 +10,11 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from nw_eval.errors import PolicyError, TrialError
-from nw_eval.memory import pack
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.serve import serving
-from nw_eval.rollout.confined.vetting import check_bundle
+from nw_base.errors import PolicyError, TrialError
+from nw_base.memory import pack
+from nw_policies import load_bundle, open_policy
+from nw_policies.serve import serving
+from nw_sim.rollout.confined.vetting import check_bundle
 
 # torch recommends torch.export for new files; people have these.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")

@@ -5,7 +5,7 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
-from nw_eval.policies import load_bundle, open_policy
+from nw_policies import load_bundle, open_policy
 
 TEACHER = Path(__file__).parents[3] / "shared" / "teacher" / "teacher.pt"
 

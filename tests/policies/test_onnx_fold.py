@@ -6,9 +6,9 @@ import onnxruntime
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
+from nw_base.errors import PolicyError, UsageError
 from nw_eval import api
-from nw_eval.errors import PolicyError, UsageError
-from nw_eval.policies.folding import fold
+from nw_policies.folding import fold
 
 VALUE = helper.make_tensor_value_info
 THEN, OTHER = (np.full((1, 12), number, np.float32) for number in (1.5, -2.5))

@@ -5,8 +5,8 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.errors import PolicyError, TrialError
-from nw_eval.policies import load_bundle, open_policy
+from nw_base.errors import PolicyError, TrialError
+from nw_policies import load_bundle, open_policy
 
 CARD = """\
 nw-policy: 1

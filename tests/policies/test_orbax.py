@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nw_base.errors import PolicyError, PrerequisiteError
 from nw_eval import api
-from nw_eval.errors import PolicyError, PrerequisiteError
-from nw_eval.onboarding.beside import find_checkpoint
-from nw_eval.onboarding.draft import draft_of
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.folding import fold_orbax
-from nw_eval.policies.safety import read_tensors
+from nw_policies import load_bundle, open_policy
+from nw_policies.drafting.beside import find_checkpoint
+from nw_policies.drafting.draft import draft_of
+from nw_policies.folding import fold_orbax
+from nw_policies.safety import read_tensors
 
 SAVED = Path(__file__).parent / "orbax"
 STEP = SAVED / "000000000500"

@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from nw_eval import api, robots
-from nw_eval.cards import load_card
+from nw_base.errors import PolicyError, UsageError
+from nw_eval import api
 from nw_eval.cli.verbs.policies import card_page, policy_table, probe_page
-from nw_eval.errors import PolicyError, UsageError
-from nw_eval.onboarding.probe.recording import record
-from nw_eval.onboarding.probe.report import probe_here
-from nw_eval.policies import load_bundle
+from nw_policies import load_bundle
+from nw_policies.cards import load_card
+from nw_scenes import robots
+from nw_sim.probe.recording import record
+from nw_sim.probe.report import probe_here
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", REPOSITORY.parent / "shared" / "assets"))

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import torch
 
-from nw_eval.errors import PolicyError
-from nw_eval.onboarding.draft import draft_of, files_beside
-from nw_eval.onboarding.trained import _PASSED_OVER
-from nw_eval.policies import load_bundle, open_policy
+from nw_base.errors import PolicyError
+from nw_policies import load_bundle, open_policy
+from nw_policies.drafting.draft import draft_of, files_beside
+from nw_policies.drafting.trained import _PASSED_OVER
 
 SEEN = np.random.default_rng(1).normal(size=(4, 45)).astype(np.float32) * 2
 

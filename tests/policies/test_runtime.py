@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 import nw_eval
-from nw_eval.errors import PolicyError, TrialError
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.line import line_to, trusting
-from nw_eval.policies.planned import PlannedFile, packed, read_planned
-from nw_eval.policies.planning import plan_policy
-from nw_eval.rollout.confined.access import policy_rules
-from nw_eval.rollout.confined.start import PolicyProcess
-from nw_eval.rollout.confined.vetting import check_bundle, vet_bundle
+from nw_base.errors import PolicyError, TrialError
+from nw_policies import load_bundle, open_policy
+from nw_policies.line import line_to, trusting
+from nw_policies.planned import PlannedFile, packed, read_planned
+from nw_policies.planning import plan_policy
+from nw_sim.rollout.confined.access import policy_rules
+from nw_sim.rollout.confined.start import PolicyProcess
+from nw_sim.rollout.confined.vetting import check_bundle, vet_bundle
 
 POLICIES = Path(nw_eval.__file__).parents[2] / "policies"
 MASKS = {
@@ -192,7 +192,7 @@ def test_an_onnx_policy_needs_neither_onnxruntime_nor_torch(card):
     code = f"""
 import sys
 sys.modules["onnxruntime"] = sys.modules["torch"] = None
-from nw_eval.policies import load_bundle, open_policy
+from nw_policies import load_bundle, open_policy
 open_policy(load_bundle({str(folder)!r})).reset(0)
 """
     subprocess.run([sys.executable, "-c", code], check=True)

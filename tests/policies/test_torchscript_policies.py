@@ -9,16 +9,16 @@ import pytest
 import torch
 from adapters import by_its_own_runtime
 
-from nw_eval.confinement import offered
-from nw_eval.errors import PolicyError, TrialError
-from nw_eval.onboarding.checkpoint import inspect_checkpoint
-from nw_eval.onboarding.draft import write_card_draft
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.line import line_to, trusting
-from nw_eval.robots import get_robot
-from nw_eval.rollout.confined.access import policy_rules
-from nw_eval.rollout.confined.start import PolicyProcess
-from nw_eval.rollout.confined.vetting import check_bundle
+from nw_base.confinement import offered
+from nw_base.errors import PolicyError, TrialError
+from nw_policies import load_bundle, open_policy
+from nw_policies.drafting.checkpoint import inspect_checkpoint
+from nw_policies.drafting.draft import write_card_draft
+from nw_policies.line import line_to, trusting
+from nw_scenes.robots import get_robot
+from nw_sim.rollout.confined.access import policy_rules
+from nw_sim.rollout.confined.start import PolicyProcess
+from nw_sim.rollout.confined.vetting import check_bundle
 
 CARD = """\
 nw-policy: 1

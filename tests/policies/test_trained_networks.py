@@ -19,11 +19,11 @@ import pytest
 import torch
 from adapters import by_its_own_runtime
 
+from nw_base.errors import PolicyError, TrialError
 from nw_eval.api.policies import init_policy
-from nw_eval.errors import PolicyError, TrialError
-from nw_eval.onboarding.draft import draft_of
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.safety import read_tensors, tensor_facts
+from nw_policies import load_bundle, open_policy
+from nw_policies.drafting.draft import draft_of
+from nw_policies.safety import read_tensors, tensor_facts
 
 TRAINED = Path(__file__).parent / "trained"
 NAMES = sorted(path.name for path in TRAINED.iterdir())

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval.errors import PolicyError
-from nw_eval.onboarding.draft import draft_of
-from nw_eval.onboarding.trained import read_statistics, statistics_beside
-from nw_eval.policies import load_bundle, open_policy
+from nw_base.errors import PolicyError
+from nw_policies import load_bundle, open_policy
+from nw_policies.drafting.draft import draft_of
+from nw_policies.drafting.trained import read_statistics, statistics_beside
 
 SAVED = Path(__file__).parent / "vecnormalize"
 MODEL = Path(__file__).parent / "trained" / "sb3" / "best_model.zip"

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from nw_base.confinement import offered
+from nw_base.errors import PolicyError
 from nw_eval import api
-from nw_eval.confinement import offered
-from nw_eval.errors import PolicyError
 
 SUITE = """\
 nw-eval: 1
@@ -32,11 +32,11 @@ control: {action: joint_position_offset, scale: 0.25}
 observations: {body: {sensor: proprio, terms: [joint_pos]}}
 """
 PATCHES = """\
-import nw_eval.rollout.trial, nw_eval.sim
-from nw_eval.tasks.course import CourseProgress
+import nw_sim.rollout.trial, nw_sim.physics
+from nw_sim.tasks.course import CourseProgress
 CourseProgress.reached = property(lambda self: self.total)
 CourseProgress.update = lambda self, position: True
-nw_eval.rollout.trial.run_trial = lambda *_, **__: None
+nw_sim.rollout.trial.run_trial = lambda *_, **__: None
 
 class Mine:
     def __init__(self, bundle): pass
@@ -137,7 +137,7 @@ import numpy as np
 
 class Mine:
     def __init__(self, bundle):
-        assert "nw_eval.sim" not in sys.modules, "the harness is not here"
+        assert "nw_sim.physics" not in sys.modules, "the harness is not here"
         self.gain = bundle.card.options["gain"]
         self.state_ = np.zeros(12)
 

@@ -17,24 +17,24 @@ from pathlib import Path
 
 import numpy as np
 
-from nw_eval.cards import Card
-from nw_eval.cards.observations import BUILT_IN_SENSORS
-from nw_eval.catalogue import get_scene
-from nw_eval.files.shipped import shipped
-from nw_eval.lens import Distortion
-from nw_eval.results.trials import Trial
-from nw_eval.robots import get_robot
-from nw_eval.rollout.job import TrialJob, TrialResult
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.trial import run_trial
-from nw_eval.scores import BUILT_IN
-from nw_eval.sensors import StepContext, build_sensors
-from nw_eval.sensors.sensor import Air
-from nw_eval.sim import World
-from nw_eval.splat.camera import Camera
-from nw_eval.splat.render import open_renderer
-from nw_eval.splat.store import Layout, memory_store, open_store
-from nw_eval.tasks import Course
+from nw_base.files.shipped import shipped
+from nw_base.lens import Distortion
+from nw_base.trials import Trial
+from nw_gate.scores import BUILT_IN
+from nw_policies.cards import Card
+from nw_policies.cards.observations import BUILT_IN_SENSORS
+from nw_scenes.robots import get_robot
+from nw_sim.catalogue import get_scene
+from nw_sim.physics import World
+from nw_sim.rollout.job import TrialJob, TrialResult
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.trial import run_trial
+from nw_sim.sensors import StepContext, build_sensors
+from nw_sim.sensors.sensor import Air
+from nw_sim.tasks import Course
+from nw_splat.camera import Camera
+from nw_splat.render import open_renderer
+from nw_splat.store import Layout, memory_store, open_store
 
 NEEDED = {"proprio": {"layout": "parkour53"}}
 WRAPPED = {
@@ -77,7 +77,7 @@ def view(distortion: Distortion | None = None) -> Camera:
 
 def built_in(name: str) -> Iterator[tuple[str, str]]:
     """Yield a digest of a built-in scene's mesh, its Gaussians, their store, and a picture."""
-    from nw_eval.built_in.bake.generate import generate
+    from nw_places.bake.generate import generate
 
     scene = get_scene(name)
     mesh, gaussians = scene.mesh(), generate(scene.splat.place, None)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.built_in.entries import ENTRIES
+from nw_places.entries import ENTRIES
 
 HERE = Path(__file__).parent
 NO_AVX_512 = "X86_V4 AVX512_ICL AVX512_SPR"

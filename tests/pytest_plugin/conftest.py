@@ -5,8 +5,8 @@ from functools import partial
 
 import pytest
 
+from nw_base.files.shipped import shipped
 from nw_eval import api
-from nw_eval.files.shipped import shipped
 from nw_eval.pytest_plugin.runs import verdict_text
 
 PLUGIN = ("-p", "nw_eval.pytest_plugin")

@@ -13,8 +13,8 @@ import pytest
 from nw_eval import api
 from nw_eval.pytest_plugin.options import SETTINGS
 from nw_eval.pytest_plugin.runs import Runs, locked
-from nw_eval.request import Request
-from nw_eval.results.provenance import write_run_info
+from nw_gate.results.provenance import write_run_info
+from nw_gate.results.request import Request
 
 FLAT, HURDLE, LOGS = "flat/carpet_room", "hurdles/one_low_carpet", "hurdles/two_logs_park"
 

@@ -11,7 +11,7 @@ from nw_eval import api
 from nw_eval.api import baselines_saved
 from nw_eval.engine import session
 from nw_eval.reporting.junit import junit_xml
-from nw_eval.rollout import trial
+from nw_sim.rollout import trial
 
 FLAT, HURDLE, LOGS = "flat/carpet_room", "hurdles/one_low_carpet", "hurdles/two_logs_park"
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from nw_eval.rays.tree import Tree
+from nw_scenes.ray_tree.tree import Tree
 
 MASKS = {
     "AVX2 and FMA": {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx,+avx2,+fma,+f16c"},

@@ -4,11 +4,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.gate.verdict import Comparison, SceneDrop
-from nw_eval.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
-from nw_eval.results.row import Row
-from nw_eval.stats.bank.curve import CurvePoint
-from nw_eval.stats.interval import Interval
+from nw_gate.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
+from nw_gate.results.row import Row
+from nw_gate.stats.bank.curve import CurvePoint
+from nw_gate.stats.interval import Interval
+from nw_gate.verdict import Comparison, SceneDrop
 
 if TYPE_CHECKING:
     from collections.abc import Callable

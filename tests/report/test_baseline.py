@@ -11,21 +11,21 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rich.console import Console
 
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.combine import combined
-from nw_eval.gate.verdict import Comparison, Recheck, SceneDrop
 from nw_eval.reporting.console import draw, print_summary
 from nw_eval.reporting.markdown import render_markdown
 from nw_eval.reporting.tables.scenes import scenes_table
 from nw_eval.reporting.tables.trials import parting, worst_table
-from nw_eval.results.bank import Start
-from nw_eval.stats.interval import Interval
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.baseline.combine import combined
+from nw_gate.results.bank import Start
+from nw_gate.stats.interval import Interval
+from nw_gate.verdict import Comparison, Recheck, SceneDrop
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.gate.verdict import Verdict
+    from nw_gate.verdict import Verdict
 
     Make = Callable[..., Any]
 

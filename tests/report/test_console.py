@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING, get_args
 
 from rich.console import Console
 
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.verdict import EXIT_CODES, Word
 from nw_eval.reporting.console import _COLOURS, print_summary
 from nw_eval.reporting.headline import headline
 from nw_eval.reporting.tables.trials import worst_table
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.verdict import EXIT_CODES, Word
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
 
 
 BAR = Gate(success_rate=0.75)

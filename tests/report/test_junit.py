@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from junitparser import JUnitXml
 
-from nw_eval.errors import Problem, SuiteError, UsageError
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.combine import without_bank
+from nw_base.errors import Problem, SuiteError, UsageError
 from nw_eval.reporting.junit import junit_of_error, junit_xml
 from nw_eval.reporting.scene_states import suite_lines
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.baseline.combine import without_bank
 
 if TYPE_CHECKING:
-    from nw_eval.gate.verdict import Verdict
+    from nw_gate.verdict import Verdict
 
 BAR = Gate(success_rate=0.75)
 FOLDER = Path("reports/r")

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.settings import Validity
 from nw_eval.reporting.headline import headline
 from nw_eval.reporting.html.page import render_html
 from nw_eval.reporting.junit import junit_xml
 from nw_eval.reporting.markdown import render_markdown
 from nw_eval.reporting.scene_states import scene_states
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.settings import Validity
 
 if TYPE_CHECKING:
-    from nw_eval.gate.verdict import Verdict
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
+    from nw_gate.verdict import Verdict
 
 FOLDER = Path("reports/r")
 FAR: dict[str, Any] = {

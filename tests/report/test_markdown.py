@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from nw_eval.digest import digest_of
-from nw_eval.errors import StoreError
-from nw_eval.gate.absolute import judge
+from nw_base.digest import digest_of
+from nw_base.errors import StoreError
 from nw_eval.reporting.markdown import render_markdown, write_report
 from nw_eval.reporting.tables import tasks_table
-from nw_eval.results.provenance import PolicyInfo
-from nw_eval.stats.betting import lower_bound, upper_bound
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.results.provenance import PolicyInfo
+from nw_gate.stats.betting import lower_bound, upper_bound
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
 
 FOLDER = Path("reports/run one")
 BAR = Gate(success_rate=0.75)

@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from rich.console import Console
 
-from nw_eval.gate.baseline.combine import judge_run
 from nw_eval.reporting.console import print_summary
 from nw_eval.reporting.github import comment_page, run_annotations, summary_page
 from nw_eval.reporting.html.page import render_html
 from nw_eval.reporting.html.runs import ListedRun, render_index
 from nw_eval.reporting.junit import junit_xml
 from nw_eval.reporting.markdown import render_markdown
-from nw_eval.results.provenance import RunInfo, SceneInfo
 from nw_eval.suite import Gate
+from nw_gate.baseline.combine import judge_run
+from nw_gate.results.provenance import RunInfo, SceneInfo
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.gate.verdict import Verdict
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
+    from nw_gate.verdict import Verdict
 
 PART = "1 of the suite's 2 scenes"
 FOLDER = Path("reports/r")

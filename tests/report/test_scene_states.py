@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.combine import combined, without_bank
-from nw_eval.gate.verdict import Comparison, SceneDrop
 from nw_eval.reporting.scene_states import scene_states, worst_first
-from nw_eval.stats.interval import Interval
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.baseline.combine import combined, without_bank
+from nw_gate.stats.interval import Interval
+from nw_gate.verdict import Comparison, SceneDrop
 
 BAR = Gate(success_rate=0.75)
 

@@ -9,18 +9,18 @@ from matplotlib import colormaps
 from PIL import Image
 
 from nw_eval.cli.verbs.compare import comparison_text
-from nw_eval.gate.side_by_side import (
+from nw_eval.reporting.pictures import draw_comparison
+from nw_eval.reporting.side_by_side import comparison_page
+from nw_gate.side_by_side import (
     ComparedPolicy,
     ComparedScene,
     ComparedTask,
     PolicyComparison,
     SceneParting,
 )
-from nw_eval.reporting.pictures import draw_comparison
-from nw_eval.reporting.side_by_side import comparison_page
-from nw_eval.stats.betting import Ranks
-from nw_eval.stats.hazard import differences
-from nw_eval.stats.interval import Estimate, Interval
+from nw_gate.stats.betting import Ranks
+from nw_gate.stats.hazard import differences
+from nw_gate.stats.interval import Estimate, Interval
 
 
 def policy(label, mean, best, worst):

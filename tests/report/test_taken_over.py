@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.combine import judge_run
 from nw_eval.reporting.console import print_summary
 from nw_eval.reporting.markdown import render_markdown
 from nw_eval.reporting.tables.run import taken_over, throughput_table
-from nw_eval.results.provenance import CacheInfo
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.baseline.combine import judge_run
+from nw_gate.results.provenance import CacheInfo
 
 BAR = Gate(success_rate=0.5)
 

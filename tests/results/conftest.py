@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo, code_info, machine_info
-from nw_eval.results.row import Row
+from nw_gate.results.provenance import PolicyInfo, RunInfo, SceneInfo, code_info, machine_info
+from nw_gate.results.row import Row
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,7 +11,7 @@ import sys
 from itertools import zip_longest
 from pathlib import Path
 
-from nw_eval.results.parquet import SCHEMA
+from nw_gate.results.parquet import SCHEMA
 
 RECORD = Path(__file__).with_name("row_schema.jsonl")
 

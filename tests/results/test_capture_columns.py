@@ -9,10 +9,10 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_eval.results.evidence import row_leaf, row_leaves
-from nw_eval.results.journal import Journal, JournalHeader, read_journal
-from nw_eval.results.parquet import read_rows, write_rows
-from nw_eval.results.row import Row, from_dict, rows_digest, texts_of, to_dict
+from nw_gate.results.evidence import row_leaf, row_leaves
+from nw_gate.results.journal import Journal, JournalHeader, read_journal
+from nw_gate.results.parquet import read_rows, write_rows
+from nw_gate.results.row import Row, from_dict, rows_digest, texts_of, to_dict
 
 if TYPE_CHECKING:
     from collections.abc import Callable

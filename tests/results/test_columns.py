@@ -12,9 +12,9 @@ from typing import Annotated
 
 import pytest
 
-from nw_eval.results.column import Column, columns_of
-from nw_eval.results.parquet import SCHEMA
-from nw_eval.results.row import COLUMNS, MEASURED, OF_THE_PLAN, Row
+from nw_gate.results.column import Column, columns_of
+from nw_gate.results.parquet import SCHEMA
+from nw_gate.results.row import COLUMNS, MEASURED, OF_THE_PLAN, Row
 
 
 def _record():
@@ -90,6 +90,6 @@ def test_a_column_that_came_later_is_in_no_digest_of_an_older_row() -> None:
 
 
 def test_the_columns_are_known_without_arrow() -> None:
-    code = "import sys, nw_eval.results.row; print('pyarrow' in sys.modules)"
+    code = "import sys, nw_gate.results.row; print('pyarrow' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import nw_eval
-from nw_eval.results.provenance import machine_info, usable_cores
+from nw_gate.results.provenance import machine_info, usable_cores
 
 V1, V1_JOINT = "4:memory:/job\n3:cpu:/job/step\n", "3:cpu,cpuacct:/job/step\n"
 
@@ -76,7 +76,7 @@ def test_where_there_are_no_control_groups_the_affinity_counts(tmp_path):
 def test_a_process_that_may_run_on_one_core_counts_one():
     code = (
         "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); "
-        "from nw_eval.results.provenance import machine_info, usable_cores; "
+        "from nw_gate.results.provenance import machine_info, usable_cores; "
         "from nw_eval.engine.machine import worker_count; "
         "print(usable_cores(), machine_info().cores, worker_count(None, 9))"
     )

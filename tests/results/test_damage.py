@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.errors import StoreError
-from nw_eval.results.journal import Journal, JournalHeader, read_journal
-from nw_eval.results.parquet import read_rows, write_rows
-from nw_eval.results.provenance import (
+from nw_base.errors import StoreError
+from nw_gate.results.journal import Journal, JournalHeader, read_journal
+from nw_gate.results.parquet import read_rows, write_rows
+from nw_gate.results.provenance import (
     PolicyInfo,
     RunInfo,
     SceneInfo,
@@ -20,13 +20,13 @@ from nw_eval.results.provenance import (
     read_run_info,
     write_run_info,
 )
-from nw_eval.results.row import rows_digest
+from nw_gate.results.row import rows_digest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
 
 TRIES = 500
 

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.results.journal import Journal, JournalHeader, has_begun, read_journal
-from nw_eval.results.seal import seal
+from nw_base.errors import IncomparableError, StoreError
+from nw_gate.results.journal import Journal, JournalHeader, has_begun, read_journal
+from nw_gate.results.seal import seal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
 
 HEADER = JournalHeader(
     suite_digest="aa" * 32,
@@ -332,7 +332,7 @@ def test_appending_after_the_end_is_refused(path: Path, make_row: Callable[..., 
 WRITER = """
 import sys
 from pathlib import Path
-from nw_eval.results.journal import Journal, JournalHeader, read_journal
+from nw_gate.results.journal import Journal, JournalHeader, read_journal
 path = Path(sys.argv[1])
 header = JournalHeader(suite_digest="aa", policy_digest="bb", scene_digests={})
 row = read_journal(path).rows[0]

@@ -4,9 +4,9 @@ import json
 
 import pytest
 
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.results.labels import check_labels, ci_labels, links_of, typed_labels
-from nw_eval.results.provenance import read_run_info, write_run_info
+from nw_base.errors import StoreError, UsageError
+from nw_gate.results.labels import check_labels, ci_labels, links_of, typed_labels
+from nw_gate.results.provenance import read_run_info, write_run_info
 
 SHA, MERGE = "a1" * 20, "b2" * 20
 GITHUB = {

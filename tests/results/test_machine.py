@@ -10,21 +10,21 @@ from pathlib import Path
 import pytest
 
 import nw_eval
-from nw_eval.results import provenance
-from nw_eval.results.provenance import JUDGING, code_info, rows_code_digest
+from nw_gate.results import provenance
+from nw_gate.results.provenance import JUDGING, code_info, rows_code_digest
 
-PACKAGE = Path(nw_eval.__file__).parent
+HARNESS = Path(nw_eval.__file__).parents[1]
 
 
 @pytest.fixture
 def digests(tmp_path, monkeypatch):
     """Return a function of a file: the digests of rows and of all code once it has one more line.
 
-    The digests are those of a copy of the package.
+    The digests are those of a copy of the packages.
     """
-    copy = tmp_path / "nw_eval"
-    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__", "*.npz", "assets"))
-    monkeypatch.setattr(provenance, "_PACKAGE", copy)
+    copy = tmp_path / "harness"
+    shutil.copytree(HARNESS, copy, ignore=shutil.ignore_patterns("__pycache__", "*.npz", "assets"))
+    monkeypatch.setattr(provenance, "_ROOT", copy)
 
     def with_a_line(name=None):
         if name is not None:
@@ -41,7 +41,11 @@ def digests(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     "name",
-    ["reporting/headline.py", "gate/absolute.py", "cli/__init__.py", "api/__init__.py", "words.py"],
+    [
+        *("nw_eval/reporting/headline.py", "nw_eval/cli/__init__.py", "nw_eval/api/__init__.py"),
+        *("nw_gate/absolute.py", "nw_gate/results/bank.py", "nw_base/words.py"),
+        *("nw_twin/place.py", "nw_scenes/hub/fetch.py"),
+    ],
 )
 def test_a_report_may_be_worded_anew_on_the_same_class_of_machine(digests, name):
     rows, code = digests()
@@ -51,8 +55,9 @@ def test_a_report_may_be_worded_anew_on_the_same_class_of_machine(digests, name)
 @pytest.mark.parametrize(
     "name",
     [
-        *("sim/world.py", "rollout/episode.py", "engine/rounds.py", "protocol.py"),
-        *("robots/go1/robot.yaml", "robots/go2/robot.xml"),
+        *("nw_sim/physics/world.py", "nw_sim/rollout/episode.py", "nw_eval/engine/rounds.py"),
+        *("nw_base/protocol.py", "nw_base/trials.py", "nw_gate/scores/effort.py"),
+        *("nw_scenes/robots/go1/robot.yaml", "nw_scenes/robots/go2/robot.xml"),
     ],
 )
 def test_whatever_makes_rows_makes_another_class_of_machine(digests, name):
@@ -61,20 +66,25 @@ def test_whatever_makes_rows_makes_another_class_of_machine(digests, name):
 
 _LOADED = """
 import sys
-import nw_eval.engine.session, nw_eval.engine.worker, nw_eval.rollout.trial
-import nw_eval.rollout.observed, nw_eval.engine.workers
-print(*sorted({name.split(".")[1] for name in sys.modules if name.startswith("nw_eval.")}))
+import nw_eval.engine.session, nw_eval.engine.worker, nw_sim.rollout.trial
+import nw_sim.rollout.observed, nw_eval.engine.workers
+print(*sorted({"/".join(name.split(".")[:2]) for name in sys.modules if name.startswith("nw_")}))
 """
 
 
 def test_only_rooms_count_for_nothing_that_name_things_keep_rows_or_judge_them():
-    rooms = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or path.is_dir()}
-    assert rooms >= JUDGING, "a room that is no more"
+    rooms = {
+        f"{path.parent.name}/{path.stem}"
+        for path in HARNESS.glob("*/*")
+        if path.suffix == ".py" or path.is_dir()
+    }
+    assert rooms | {path.name for path in HARNESS.iterdir()} >= JUDGING, "a room that is no more"
     done = subprocess.run(
         [sys.executable, "-c", _LOADED], capture_output=True, text=True, check=True
     )
     # What makes rows imports of them no more than how results are kept, and how things are called,
     # those of a hub too.
     assert JUDGING & set(done.stdout.split()) <= {
-        "hub", "results", "request", "words", "errors", "clean", "plural", "amounts"
-    }  # fmt: skip
+        *("nw_base/clean", "nw_base/errors", "nw_base/plural", "nw_base/public", "nw_base/words"),
+        *("nw_gate/results", "nw_gate/settings", "nw_scenes/hub"),
+    }

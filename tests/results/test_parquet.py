@@ -14,12 +14,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_eval.errors import StoreError
-from nw_eval.results import parquet
-from nw_eval.results.parquet import SCHEMA, array_of, read_rows, write_rows
-from nw_eval.results.row import Row, rows_digest, to_dict
-from nw_eval.results.sealed import sealed
-from nw_eval.words import FAULTS, OUTCOMES
+from nw_base.errors import StoreError
+from nw_base.words import FAULTS, OUTCOMES
+from nw_gate.results import parquet
+from nw_gate.results.parquet import SCHEMA, array_of, read_rows, write_rows
+from nw_gate.results.row import Row, rows_digest, to_dict
+from nw_gate.results.sealed import sealed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -79,8 +79,8 @@ def test_pandas_is_not_imported_to_write_rows(tmp_path: Path, make_row: Callable
     code = """
 import json, sys
 from pathlib import Path
-from nw_eval.results.parquet import write_rows
-from nw_eval.results.row import from_dict
+from nw_gate.results.parquet import write_rows
+from nw_gate.results.row import from_dict
 write_rows(Path(sys.argv[1]), [from_dict(json.loads(sys.argv[2]))], {})
 sys.exit("pandas" in sys.modules)
 """
@@ -189,7 +189,7 @@ def test_a_file_of_more_rows_than_any_run_has_is_not_unpacked(
 ) -> None:
     path = tmp_path / "t.parquet"
     write_rows(path, [make_row(trial_id=f"t{k}") for k in range(5)], {})
-    monkeypatch.setattr("nw_eval.results.parquet._MOST_ROWS", 4)
+    monkeypatch.setattr("nw_gate.results.parquet._MOST_ROWS", 4)
     monkeypatch.setattr(pq.ParquetFile, "read", None)
     with pytest.raises(StoreError, match="is damaged: 5 rows of"):
         read_rows(path)

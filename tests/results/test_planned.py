@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.errors import StoreError
-from nw_eval.results.ended import of_plan
-from nw_eval.results.trials import Trial
+from nw_base.errors import StoreError
+from nw_base.trials import Trial
+from nw_gate.results.ended import of_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
 
 TRIALS = [
     Trial(

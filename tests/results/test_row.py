@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_eval.results import row as row_module
-from nw_eval.results.evidence import row_leaf, row_leaves
-from nw_eval.results.row import (
+from nw_gate.results import row as row_module
+from nw_gate.results.evidence import row_leaf, row_leaves
+from nw_gate.results.row import (
     COLUMNS,
     MEASURED,
     Row,

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.results.provenance import (
+from nw_base.errors import StoreError, UsageError
+from nw_gate.results.provenance import (
     PolicyInfo,
     RunInfo,
     SceneInfo,
@@ -16,7 +16,7 @@ from nw_eval.results.provenance import (
     read_run_info,
     write_run_info,
 )
-from nw_eval.results.run_folder import create_run_folder, open_run_folder
+from nw_gate.results.run_folder import create_run_folder, open_run_folder
 
 if TYPE_CHECKING:
     from pathlib import Path

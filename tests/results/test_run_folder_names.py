@@ -2,8 +2,8 @@
 
 import pytest
 
-from nw_eval.errors import StoreError
-from nw_eval.results.run_folder import RunFolder
+from nw_base.errors import StoreError
+from nw_gate.results.run_folder import RunFolder
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.results.seal import seal, unseal
+from nw_gate.results.seal import seal, unseal
 
 VALUES = st.dictionaries(st.text(max_size=5), st.integers() | st.text(max_size=9), min_size=1)
 

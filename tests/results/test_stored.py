@@ -12,12 +12,12 @@ from typing import Any
 
 import pytest
 
-from nw_eval.results import stored
-from nw_eval.results.evidence import row_leaf
-from nw_eval.results.journal import Journal, JournalHeader, later, read_journal
-from nw_eval.results.parquet import read_rows, write_rows
-from nw_eval.results.row import Row, rows_digest, texts_of, to_dict
-from nw_eval.results.stored import RowStore, StoredRow, StoredRows
+from nw_gate.results import stored
+from nw_gate.results.evidence import row_leaf
+from nw_gate.results.journal import Journal, JournalHeader, later, read_journal
+from nw_gate.results.parquet import read_rows, write_rows
+from nw_gate.results.row import Row, rows_digest, texts_of, to_dict
+from nw_gate.results.stored import RowStore, StoredRow, StoredRows
 
 HEADER = JournalHeader(suite_digest="5" * 64, policy_digest="9" * 64, scene_digests={})
 COUNT = 700
@@ -127,8 +127,8 @@ def test_rows_in_several_groups_of_a_file_are_read_in_order(
     make_row: Callable[..., Row], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rows = [make_row(trial_id=f"t{k:04d}") for k in range(COUNT)]
-    monkeypatch.setattr("nw_eval.results.parquet._GROUP", 300)
-    monkeypatch.setattr("nw_eval.results.parquet._MANY_GROUP", 256)
+    monkeypatch.setattr("nw_gate.results.parquet._GROUP", 300)
+    monkeypatch.setattr("nw_gate.results.parquet._MANY_GROUP", 256)
     path = tmp_path / "trials.parquet"
     write_rows(path, reversed(rows), {"rows_digest": rows_digest(rows)})
     assert rows_digest(read_rows(path)[0]) == rows_digest(rows)

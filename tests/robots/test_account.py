@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from nw_eval.errors import RobotError
-from nw_eval.onboarding.robot_draft import draft_robot
-from nw_eval.robots.account import PASSED, Account
-from nw_eval.robots.derived import spec_of
-from nw_eval.robots.folder import KNOWN, read_folder
-from nw_eval.scenes.mesh import merge
-from nw_eval.scenes.scene import Scene
-from nw_eval.sim import World
-from nw_eval.sim.model import add_geometry
+from nw_base.errors import RobotError
+from nw_scenes.mesh import merge
+from nw_scenes.robots.account import PASSED, Account
+from nw_scenes.robots.derived import spec_of
+from nw_scenes.robots.folder import KNOWN, read_folder
+from nw_scenes.scene import Scene
+from nw_sim.physics import World
+from nw_sim.physics.model import add_geometry
+from nw_sim.probe.robot_draft import draft_robot
 
 FLAT = Scene(
     name="tests/flat",

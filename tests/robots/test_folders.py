@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 import trimesh
 
+from nw_base.errors import RobotError, UsageError
+from nw_base.plugins import installed
+from nw_base.words import ROBOTS
 from nw_eval import api
-from nw_eval.errors import RobotError, UsageError
-from nw_eval.plugins import installed
-from nw_eval.robots import BUILT_IN, find_robot, get_robot, know_robot, robot_names
-from nw_eval.robots import folder as limits
-from nw_eval.scenes.mesh import merge
-from nw_eval.scenes.scene import HeightField, Scene
-from nw_eval.sim import World
 from nw_eval.suite import load_suite
-from nw_eval.tasks import Limits
-from nw_eval.words import ROBOTS
+from nw_scenes.mesh import merge
+from nw_scenes.robots import BUILT_IN, find_robot, get_robot, know_robot, robot_names
+from nw_scenes.robots import folder as limits
+from nw_scenes.scene import HeightField, Scene
+from nw_sim.physics import World
+from nw_sim.tasks import Limits
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[3] / "shared" / "assets"))
 
@@ -482,7 +482,7 @@ def package(tmp_path, monkeypatch):
     (tmp_path / "my_robots.py").write_text(
         "from dataclasses import replace\n"
         "from pathlib import Path\n"
-        "from nw_eval.robots import get_robot\n"
+        "from nw_scenes.robots import get_robot\n"
         "def tiny():\n    return replace(get_robot('go1'), name='tiny', kp=(7.0,) * 12)\n"
         "def wrong():\n    return get_robot('go1')\n"
         "def broken():\n    raise ValueError('no figures')\n"

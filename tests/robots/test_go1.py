@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.errors import UsageError
-from nw_eval.robots import get_robot
-from nw_eval.robots.spec import COLLISION_GROUP, VISUAL_GROUP
+from nw_base.errors import UsageError
+from nw_scenes.robots import get_robot
+from nw_scenes.robots.spec import COLLISION_GROUP, VISUAL_GROUP
 
 GO1 = get_robot("go1")
 

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.robots import get_robot
+from nw_scenes.robots import get_robot
 
 GO2 = get_robot("go2")
 

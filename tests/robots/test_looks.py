@@ -11,20 +11,20 @@ import pytest
 import trimesh
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
+from nw_base.files.cache import sealed_path
 from nw_eval import api
 from nw_eval.engine.listener import NullListener
-from nw_eval.files.cache import sealed_path
-from nw_eval.robots import Triangles, find_robot, get_robot
-from nw_eval.robots.looks import MOST_FACES, kept_thinned, shares, thinned
-from nw_eval.rollout.mcap.drawn import robot_clouds, robot_update
-from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.replaying.third_person import Spectator
-from nw_eval.scenes.mesh import TriangleMesh, merge
-from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.scene import Scene
-from nw_eval.sim import World
 from nw_eval.view.drawing import triangles_of
 from nw_eval.viewing.recording.content import archetypes
+from nw_scenes.mesh import TriangleMesh, merge
+from nw_scenes.rays import RayScene
+from nw_scenes.robots import Triangles, find_robot, get_robot
+from nw_scenes.robots.looks import MOST_FACES, kept_thinned, shares, thinned
+from nw_scenes.scene import Scene
+from nw_sim.physics import World
+from nw_sim.rollout.mcap.drawn import robot_clouds, robot_update
+from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.replaying.third_person import Spectator
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[3] / "shared" / "assets"))
 FLAT = Scene(

@@ -6,20 +6,20 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.cards import load_card
-from nw_eval.cards.control import CameraMounting
-from nw_eval.cards.joint_control import mounted_robot
-from nw_eval.errors import PolicyError, RobotError
-from nw_eval.robots import find_robot
-from nw_eval.robots.spec import remounted
-from nw_eval.rollout.mcap.images import calibration_message
-from nw_eval.rollout.mcap.steps import BodyForms
-from nw_eval.scenes.mesh import merge, quad_mesh
-from nw_eval.scenes.scene import Scene
-from nw_eval.sensors import build_sensors
-from nw_eval.sensors.build import check_card
-from nw_eval.sim import World
+from nw_base.errors import PolicyError, RobotError
 from nw_eval.testing import moment_of
+from nw_policies.cards import load_card
+from nw_policies.cards.control import CameraMounting
+from nw_policies.cards.joint_control import mounted_robot
+from nw_scenes.mesh import merge, quad_mesh
+from nw_scenes.robots import find_robot
+from nw_scenes.robots.spec import remounted
+from nw_scenes.scene import Scene
+from nw_sim.physics import World
+from nw_sim.rollout.mcap.images import calibration_message
+from nw_sim.rollout.mcap.steps import BodyForms
+from nw_sim.sensors import build_sensors
+from nw_sim.sensors.build import check_card
 
 # A slab whose neck turns a head; the mast is fixed.
 MJCF = """

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval import robots
-from nw_eval.robots import BUILT_IN, find_robot, get_robot
+from nw_scenes import robots
+from nw_scenes.robots import BUILT_IN, find_robot, get_robot
 
 BEFORE = json.loads(Path(__file__).with_name("shipped_specs.json").read_text(encoding="utf-8"))
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from nw_base.errors import RobotError, UsageError
 from nw_eval import api, cli
 from nw_eval.cli.verbs.robots import check_page
-from nw_eval.errors import RobotError, UsageError
-from nw_eval.robots import find_robot, get_robot
-from nw_eval.robots.standing import LevelGround, standing_pose
+from nw_scenes.robots import find_robot, get_robot
+from nw_scenes.robots.standing import LevelGround, standing_pose
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[3] / "shared" / "assets"))
 EXAMPLES = Path(__file__).parents[2] / "robots" / "examples"

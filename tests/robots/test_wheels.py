@@ -6,16 +6,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.cards import JointControl, actuator_values, load_card, motors_follow
-from nw_eval.errors import PolicyError, RobotError
-from nw_eval.robots import find_robot
-from nw_eval.rollout.perturbed import TrialSetup
-from nw_eval.scenes.mesh import merge
-from nw_eval.scenes.scene import Scene
-from nw_eval.sensors import build_sensors
-from nw_eval.sensors.build import check_card
-from nw_eval.sim import World
+from nw_base.errors import PolicyError, RobotError
 from nw_eval.testing import moment_of
+from nw_policies.cards import JointControl, actuator_values, load_card, motors_follow
+from nw_scenes.mesh import merge
+from nw_scenes.robots import find_robot
+from nw_scenes.scene import Scene
+from nw_sim.physics import World
+from nw_sim.rollout.perturbed import TrialSetup
+from nw_sim.sensors import build_sensors
+from nw_sim.sensors.build import check_card
 
 # A cart whose rear wheels carry it and whose front ones swing on legs; wheels are meshes.
 WHEEL = """

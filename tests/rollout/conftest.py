@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval.catalogue import get_scene
-from nw_eval.results.trials import Trial
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.trial import run_trial
-from nw_eval.sim import World
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.splat.store import compile_store
+from nw_base.trials import Trial
+from nw_sim.catalogue import get_scene
+from nw_sim.physics import World
+from nw_sim.rollout.job import TrialJob
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.trial import run_trial
+from nw_splat.gaussians import Gaussians
+from nw_splat.store import compile_store
 
 SCENE = "flat/carpet_room"
 

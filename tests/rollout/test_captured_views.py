@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from nw_eval.rollout.episode import CapturedViews
-from nw_eval.rollout.job import StageClock
-from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.replaying.logged import read_logged_trial
-from nw_eval.rollout.replaying.policy_switch import run_on
-from nw_eval.rollout.trial import open_trial, run_trial
-from nw_eval.scenes.scene import CaptureCameras, Nearness
+from nw_scenes.scene import CaptureCameras, Nearness
+from nw_sim.rollout.episode import CapturedViews
+from nw_sim.rollout.job import StageClock
+from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.replaying.logged import read_logged_trial
+from nw_sim.rollout.replaying.policy_switch import run_on
+from nw_sim.rollout.trial import open_trial, run_trial
 
 
 def views(*images):

@@ -8,12 +8,12 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.onboarding.probe.recording import record
-from nw_eval.policies import load_bundle
-from nw_eval.rollout.fault import PolicyFailedError
-from nw_eval.rollout.job import StageClock
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.trial import open_trial
+from nw_policies import load_bundle
+from nw_sim.probe.recording import record
+from nw_sim.rollout.fault import PolicyFailedError
+from nw_sim.rollout.job import StageClock
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.trial import open_trial
 
 SCENE = "flat/carpet_room"
 CARD = """\

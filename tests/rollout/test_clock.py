@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from nw_eval.rollout.job import StageClock
 from nw_eval.testing import FakeClock
+from nw_sim.rollout.job import StageClock
 
 
 def test_an_inner_stage_stops_the_outer_one():

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.catalogue import open_scene
-from nw_eval.results.trials import Trial
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.trial import run_trial
+from nw_base.trials import Trial
+from nw_sim.catalogue import open_scene
+from nw_sim.rollout.job import TrialJob
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.trial import run_trial
 
 ASSETS = Path(
     os.environ.get("NW_EVAL_ASSETS", Path(__file__).resolve().parents[3] / "shared" / "assets")

@@ -18,15 +18,15 @@ from mcap.records import Chunk, DataEnd, Footer, Header, Metadata
 from mcap.writer import MCAP0_MAGIC, Writer
 from PIL import Image
 
+from nw_base.errors import StoreError, UsageError
 from nw_eval.cli import main
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.rollout.mcap.file import McapFile
-from nw_eval.rollout.mcap.images import image_message
-from nw_eval.rollout.mcap.messages import SimState
-from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.record import TRIAL, VERDICT, trial_metadata
-from nw_eval.rollout.replaying.logged import read_logged_trial
-from nw_eval.rollout.replaying.takeover import replay
+from nw_sim.rollout.mcap.file import McapFile
+from nw_sim.rollout.mcap.images import image_message
+from nw_sim.rollout.mcap.messages import SimState
+from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.record import TRIAL, VERDICT, trial_metadata
+from nw_sim.rollout.replaying.logged import read_logged_trial
+from nw_sim.rollout.replaying.takeover import replay
 
 TRIES = 500
 
@@ -170,7 +170,7 @@ def test_a_chunk_that_lies_about_its_size_is_not_unpacked(tmp_path, record, word
 
 
 def test_a_chunk_of_millions_of_messages_is_given_up(tmp_path, monkeypatch):
-    monkeypatch.setattr("nw_eval.rollout.mcap.reader._MOST_RECORDS", 1000)
+    monkeypatch.setattr("nw_sim.rollout.mcap.reader._MOST_RECORDS", 1000)
     nothing = b"\x07" + bytes(8)  # A record without content, of a kind that chunks do not have.
     write(tmp_path / "many.mcap", chunk(nothing * 1001, compression=""))
     with pytest.raises(StoreError, match="more in it than it can have"):
@@ -181,7 +181,7 @@ def test_a_chunk_of_millions_of_messages_is_given_up(tmp_path, monkeypatch):
 
 
 def test_texts_are_bounded_before_they_are_read(tmp_path, monkeypatch):
-    monkeypatch.setattr("nw_eval.rollout.mcap.reader._MOST_TEXTS", 2**20)
+    monkeypatch.setattr("nw_sim.rollout.mcap.reader._MOST_TEXTS", 2**20)
     texts = {str(number): "" for number in range(50_000)}
     write(tmp_path / "texts.mcap", *[Metadata(name="a", metadata=texts)] * 2)
     with pytest.raises(StoreError, match="over 1 MiB of texts"):

@@ -4,7 +4,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from nw_eval.rollout.episode import ChainDigest
+from nw_sim.rollout.episode import ChainDigest
 
 
 def test_a_digest_saved_in_the_middle_continues_to_the_same_end():

@@ -2,10 +2,10 @@
 
 import pytest
 
-from nw_eval.errors import TrialError
-from nw_eval.rollout.episode import Observer
-from nw_eval.rollout.job import StageClock
-from nw_eval.rollout.trial import open_trial
+from nw_base.errors import TrialError
+from nw_sim.rollout.episode import Observer
+from nw_sim.rollout.job import StageClock
+from nw_sim.rollout.trial import open_trial
 
 
 class Notes(Observer):

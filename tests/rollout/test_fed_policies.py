@@ -13,15 +13,15 @@ import torch
 from onnx.utils import Extractor
 from torch import nn
 
+from nw_base.errors import PolicyError
 from nw_eval.cli.verbs.policies import card_page, probe_page
-from nw_eval.errors import PolicyError
-from nw_eval.onboarding.probe.report import probe_here
-from nw_eval.onboarding.probe.summary import card_summary
-from nw_eval.policies import load_bundle
-from nw_eval.rollout.confined.vetting import check_bundle, vet_bundle
-from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.replaying.takeover import replay
-from nw_eval.rollout.trial import run_trial
+from nw_policies import load_bundle
+from nw_sim.probe.report import probe_here
+from nw_sim.probe.summary import card_summary
+from nw_sim.rollout.confined.vetting import check_bundle, vet_bundle
+from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.replaying.takeover import replay
+from nw_sim.rollout.trial import run_trial
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", REPOSITORY.parent / "shared" / "assets"))

@@ -6,17 +6,17 @@ from multiprocessing import active_children
 import pytest
 import torch
 
-from nw_eval.errors import CrashError, PolicyError, SceneError
-from nw_eval.policies import load_bundle
-from nw_eval.rollout.confined import vetting
-from nw_eval.rollout.confined.isolated import call_isolated
+from nw_base.errors import CrashError, PolicyError, SceneError
+from nw_policies import load_bundle
+from nw_sim.rollout.confined import vetting
+from nw_sim.rollout.confined.isolated import call_isolated
 
 # Functions travel to another process by name, so they must live in a module that it can import.
 MODULE = "isolated_functions"
 SOURCE = """\
 import os, time
-from nw_eval.confinement import processor_time
-from nw_eval.errors import SceneError
+from nw_base.confinement import processor_time
+from nw_base.errors import SceneError
 
 def pid(): return os.getpid()
 def dies(): os._exit(7)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from nw_eval.robots import get_robot
-from nw_eval.rollout.mcap.images import SeenRow, SeenRows
-from nw_eval.rollout.mcap.messages import Saved
-from nw_eval.rollout.mcap.steps import Call, StepNote
-from nw_eval.rollout.mcap.trial_log import TrialLog
-from nw_eval.scenes.mesh import box_mesh
+from nw_scenes.mesh import box_mesh
+from nw_scenes.robots import get_robot
+from nw_sim.rollout.mcap.images import SeenRow, SeenRows
+from nw_sim.rollout.mcap.messages import Saved
+from nw_sim.rollout.mcap.steps import Call, StepNote
+from nw_sim.rollout.mcap.trial_log import TrialLog
 
 STEPS = 400
 # Recorded from the code of before, which made every message by itself. A message that changes on

@@ -12,9 +12,9 @@ from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
 from tests.sensors.prop_scene import write_scene
 
-from nw_eval.robots import get_robot
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.trial import run_trial
+from nw_scenes.robots import get_robot
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.trial import run_trial
 
 STEPS = 100  # 2 s at 50 Hz
 

@@ -11,11 +11,11 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
-from nw_eval.rollout import library
-from nw_eval.rollout.mcap import file as file_module
-from nw_eval.rollout.mcap.batch import filled
-from nw_eval.rollout.mcap.file import CHUNK_BYTES, McapFile
-from nw_eval.rollout.mcap.steps import odom_form
+from nw_sim.rollout import library
+from nw_sim.rollout.mcap import file as file_module
+from nw_sim.rollout.mcap.batch import filled
+from nw_sim.rollout.mcap.file import CHUNK_BYTES, McapFile
+from nw_sim.rollout.mcap.steps import odom_form
 
 STEP = 20_000_000  # ns
 

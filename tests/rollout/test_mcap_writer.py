@@ -13,10 +13,10 @@ from mcap.reader import SeekingReader
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
-from nw_eval.rollout.mcap.batch import BLANK_TIME, Form, filled, long_times, merged, record, records
-from nw_eval.rollout.mcap.file import CHUNK_BYTES, McapWriter
-from nw_eval.rollout.mcap.images import observation_form, values_of
-from nw_eval.rollout.mcap.messages import (
+from nw_sim.rollout.mcap.batch import BLANK_TIME, Form, filled, long_times, merged, record, records
+from nw_sim.rollout.mcap.file import CHUNK_BYTES, McapWriter
+from nw_sim.rollout.mcap.images import observation_form, values_of
+from nw_sim.rollout.mcap.messages import (
     Observation,
     PolicyStep,
     Saved,
@@ -25,7 +25,7 @@ from nw_eval.rollout.mcap.messages import (
     sim_state,
     stamp,
 )
-from nw_eval.rollout.mcap.steps import (
+from nw_sim.rollout.mcap.steps import (
     BodyForms,
     joints_form,
     mounted_poses,

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from nw_eval.cards import Card
-from nw_eval.errors import UsageError
-from nw_eval.robots import get_robot
-from nw_eval.robots.spec import remounted
-from nw_eval.rollout.job import StageClock
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.perturbed import EVERY, Pushes, TrialSetup, perturbed, unfelt
-from nw_eval.rollout.trial import open_trial, run_trial
-from nw_eval.sensors.sensor import FOG, Air
-from nw_eval.splat.image import Image
-from nw_eval.suite.axes import AXES, Perturb
+from nw_base.errors import UsageError
+from nw_policies.cards import Card
+from nw_scenes.robots import get_robot
+from nw_scenes.robots.spec import remounted
+from nw_sim.axes import AXES, Perturb
+from nw_sim.rollout.job import StageClock
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.perturbed import EVERY, Pushes, TrialSetup, perturbed, unfelt
+from nw_sim.rollout.trial import open_trial, run_trial
+from nw_sim.sensors.sensor import FOG, Air
+from nw_splat.image import Image
 
 PUBLISHED = "neverwhere-2026"
 """Under it every cell has the same starts, so that bits can be compared."""

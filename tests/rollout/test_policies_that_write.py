@@ -17,20 +17,20 @@ from mcap.reader import make_reader
 from onnx import TensorProto, helper
 from torch import nn
 
-from nw_eval.cards.networks import ADAPTERS, NetworkAdapter
-from nw_eval.policies import instance_bundle, load_bundle
-from nw_eval.policies.mlp import MlpPolicy
-from nw_eval.policies.networks.act import Act, ActSizes
-from nw_eval.policies.networks.parkour import (
+from nw_policies import instance_bundle, load_bundle
+from nw_policies.cards.networks import ADAPTERS, NetworkAdapter
+from nw_policies.mlp import MlpPolicy
+from nw_policies.networks.act import Act, ActSizes
+from nw_policies.networks.parkour import (
     DepthEncoder,
     Estimator,
     LucidSimTransformer,
     ParkourActor,
 )
-from nw_eval.policies.opening import ZeroPolicy
-from nw_eval.policies.published import ActNetwork, LucidSimPolicy, StudentPolicy
-from nw_eval.policies.serve import serving
-from nw_eval.rollout.trial import run_trial
+from nw_policies.opening import ZeroPolicy
+from nw_policies.published import ActNetwork, LucidSimPolicy, StudentPolicy
+from nw_policies.serve import serving
+from nw_sim.rollout.trial import run_trial
 
 # torch recommends torch.export for new files; people have these.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval.errors import PolicyError, ServerError, UsageError
-from nw_eval.policies.opening import ZeroPolicy
-from nw_eval.results.trials import Trial
-from nw_eval.rollout.job import TrialJob, TrialResult, policy_fault
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.record import verdict_metadata
-from nw_eval.rollout.trial import run_trial
-from nw_eval.scores.own import OwnScore, own_text
-from nw_eval.tasks.course import Course
+from nw_base.errors import PolicyError, ServerError, UsageError
+from nw_base.trials import Trial
 from nw_eval.testing import FakePolicy, GlidingWorld
+from nw_gate.scores.own import OwnScore, own_text
+from nw_policies.opening import ZeroPolicy
+from nw_sim.rollout.job import TrialJob, TrialResult, policy_fault
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.record import verdict_metadata
+from nw_sim.rollout.trial import run_trial
+from nw_sim.tasks.course import Course
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[3] / "shared" / "assets"))
 RUNAWAY = ASSETS / "policies" / "chenci-go2"
@@ -158,7 +158,7 @@ def test_code_that_fails_as_it_is_made_is_the_policys_and_a_lost_file_is_not(
     ids=["exit", "nan"],
 )
 def test_a_check_of_a_policy_that_fails_is_a_card_error_of_one_line(act, said):
-    from nw_eval.onboarding.probe.report import probe_here
+    from nw_sim.probe.report import probe_here
 
     policy = FakePolicy(lambda step: act() if step > 4 else np.zeros(12))
     with pytest.raises(PolicyError, match=r"card 'fake': ") as caught:
@@ -168,7 +168,7 @@ def test_a_check_of_a_policy_that_fails_is_a_card_error_of_one_line(act, said):
 
 
 def test_a_log_says_that_the_policy_failed(acting, tmp_path):
-    from nw_eval.rollout.mcap.reader import LogReader
+    from nw_sim.rollout.mcap.reader import LogReader
 
     path = tmp_path / "trial.mcap"
     result = acting(lambda: throw(ValueError("no gait")), mcap=path)
@@ -234,8 +234,8 @@ def test_a_walking_policy_that_runs_away_under_a_carpet_fails_in_the_same_step_e
         "raise GeneratorExit",
         "raise BaseException('odd')",
         "raise __import__('asyncio').CancelledError",
-        "raise __import__('nw_eval.errors').errors.CodeError('mine')",
-        "raise __import__('nw_eval.rollout.fault').rollout.fault.PolicyFailedError('its')",
+        "raise __import__('nw_base.errors').errors.CodeError('mine')",
+        "raise __import__('nw_sim.rollout.fault').rollout.fault.PolicyFailedError('its')",
     ],
 )
 @pytest.mark.parametrize("place", ["def odd(torques):\n    {}\n", "{}\ndef odd(torques): pass\n"])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from nw_eval.rollout.job import StageClock
-from nw_eval.rollout.replaying.takeover import replay
-from nw_eval.rollout.trial import open_trial, run_trial
+from nw_sim.rollout.job import StageClock
+from nw_sim.rollout.replaying.takeover import replay
+from nw_sim.rollout.trial import open_trial, run_trial
 
 
 def decisions(job, library, count):

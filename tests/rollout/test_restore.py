@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import pytest
 
+from nw_base.errors import PolicyError, StoreError, UsageError
 from nw_eval.cli.verbs.replay import replay_line
-from nw_eval.errors import PolicyError, StoreError, UsageError
-from nw_eval.rollout.job import StageClock
-from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.replaying.logged import read_logged_trial
-from nw_eval.rollout.replaying.takeover import replay, run_on
-from nw_eval.rollout.trial import open_trial, run_trial
+from nw_sim.rollout.job import StageClock
+from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.replaying.logged import read_logged_trial
+from nw_sim.rollout.replaying.takeover import replay, run_on
+from nw_sim.rollout.trial import open_trial, run_trial
 
 
 @pytest.fixture(params=["walks", "sees"])
@@ -81,7 +81,7 @@ def test_a_start_between_two_states_takes_the_earlier_one_and_not_the_end(record
 def test_a_replay_says_what_differs(recorded, library, monkeypatch):
     path, _ = recorded
     monkeypatch.setattr(
-        "nw_eval.rollout.replaying.takeover.open_trial",
+        "nw_sim.rollout.replaying.takeover.open_trial",
         lambda job, *rest: open_trial(
             replace(job, trial=replace(job.trial, index=job.trial.index + 1)), *rest
         ),

@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.cards.observations import ProprioObservation
-from nw_eval.policies import load_bundle
-from nw_eval.robots import get_robot
-from nw_eval.rollout.episode import Episode
-from nw_eval.rollout.job import StageClock
-from nw_eval.rollout.mcap.drawn import cloud_points
-from nw_eval.rollout.mcap.images import observation_digest
-from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.mcap.topics import TOPICS
-from nw_eval.rollout.observed import MANY, element_names
-from nw_eval.rollout.trial import open_trial, run_trial
-from nw_eval.scores.own import Expectation, expectation_text
-from nw_eval.sensors.drawing.pictures import PALETTE
 from nw_eval.viewing.shown import layout_json, shown_by_card, shown_in_log
+from nw_gate.scores.own import Expectation, expectation_text
+from nw_policies import load_bundle
+from nw_policies.cards.observations import ProprioObservation
+from nw_scenes.robots import get_robot
+from nw_sim.rollout.episode import Episode
+from nw_sim.rollout.job import StageClock
+from nw_sim.rollout.mcap.drawn import cloud_points
+from nw_sim.rollout.mcap.images import observation_digest
+from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.mcap.topics import TOPICS
+from nw_sim.rollout.observed import MANY, element_names
+from nw_sim.rollout.trial import open_trial, run_trial
+from nw_sim.sensors.drawing.pictures import PALETTE
 
 CARD = """\
 nw-policy: 1

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.results.trials import Trial
-from nw_eval.tasks.course import draw_start
+from nw_base.protocol import NEVERWHERE_2026, STRICT
+from nw_base.trials import Trial
+from nw_sim.tasks.course import draw_start
 
 # Measured on the published evaluation (MuJoCo 3.1.6), seeds 10000 and 10001: the spawn offsets of
 # scenes with one to four waypoints.

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
+from nw_base.errors import PolicyError
 from nw_eval import api, cli
-from nw_eval.catalogue import get_scene
-from nw_eval.errors import PolicyError
-from nw_eval.policies import load_bundle
-from nw_eval.policies.serve import serving
-from nw_eval.rollout.record import TRIAL, VERDICT, trial_metadata
-from nw_eval.rollout.replaying.takeover import replay
+from nw_policies import load_bundle
+from nw_policies.serve import serving
+from nw_sim.catalogue import get_scene
+from nw_sim.rollout.record import TRIAL, VERDICT, trial_metadata
+from nw_sim.rollout.replaying.takeover import replay
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "hostile"))
 from torchscript import CRAFTED

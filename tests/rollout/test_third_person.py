@@ -7,22 +7,22 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
+from nw_base.errors import UsageError
+from nw_base.trials import Trial
 from nw_eval import api
-from nw_eval.catalogue import get_scene
-from nw_eval.errors import UsageError
-from nw_eval.policies import load_bundle
-from nw_eval.results.trials import Trial
-from nw_eval.robots import get_robot
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.replaying import film
-from nw_eval.rollout.replaying.logged import read_logged_trial
-from nw_eval.rollout.replaying.third_person import ContactShadow, Spectator
-from nw_eval.rollout.trial import run_trial
-from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors.drawing.pictures import draw_sheet
-from nw_eval.sim import World
-from nw_eval.splat.camera import Pixels
-from nw_eval.splat.image import Image
+from nw_policies import load_bundle
+from nw_scenes.rays import RayScene
+from nw_scenes.robots import get_robot
+from nw_sim.catalogue import get_scene
+from nw_sim.physics import World
+from nw_sim.rollout.job import TrialJob
+from nw_sim.rollout.replaying import film
+from nw_sim.rollout.replaying.logged import read_logged_trial
+from nw_sim.rollout.replaying.third_person import ContactShadow, Spectator
+from nw_sim.rollout.trial import run_trial
+from nw_sim.sensors.drawing.pictures import draw_sheet
+from nw_splat.camera import Pixels
+from nw_splat.image import Image
 
 SCENE = """\
 nw-scene: 1

@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 import pytest
 
-from nw_eval.errors import TrialError
-from nw_eval.rollout.trial import run_trial
+from nw_base.errors import TrialError
 from nw_eval.testing import FakePolicy, GlidingWorld
+from nw_sim.rollout.trial import run_trial
 
 
 def test_a_trial_is_the_same_bits_whatever_ran_before_it(make_job, library):
@@ -99,7 +99,7 @@ def test_a_fault_of_our_own_is_a_crash_that_says_where(run_faked):
 
 
 def test_an_error_leaves_a_log_that_says_so(run_faked, tmp_path):
-    from nw_eval.rollout.mcap.reader import LogReader
+    from nw_sim.rollout.mcap.reader import LogReader
 
     path = tmp_path / "error.mcap"
     result = run_faked(world=BROKEN, mcap=path)
@@ -112,7 +112,7 @@ def test_an_error_leaves_a_log_that_says_so(run_faked, tmp_path):
 
 def test_a_trial_imports_neither_torch_nor_tables_nor_plots():
     code = (
-        "import sys, nw_eval.engine, nw_eval.rollout.trial, nw_eval.rollout.mcap.trial_log;"
+        "import sys, nw_eval.engine, nw_sim.rollout.trial, nw_sim.rollout.mcap.trial_log;"
         "print([m for m in ('torch', 'pandas', 'pyarrow', 'matplotlib') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

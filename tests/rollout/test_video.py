@@ -5,13 +5,13 @@ import sys
 import numpy as np
 import pytest
 
+from nw_base.errors import PrerequisiteError, StoreError, UsageError
 from nw_eval import api
-from nw_eval.errors import PrerequisiteError, StoreError, UsageError
-from nw_eval.rollout.record import attachments
-from nw_eval.rollout.replaying import film as filming
-from nw_eval.rollout.replaying.film import FRAME, VIEW, Film, Words, composed
-from nw_eval.rollout.replaying.takeover import replay, take_over
-from nw_eval.rollout.trial import run_trial
+from nw_sim.rollout.record import attachments
+from nw_sim.rollout.replaying import film as filming
+from nw_sim.rollout.replaying.film import FRAME, VIEW, Film, Words, composed
+from nw_sim.rollout.replaying.takeover import replay, take_over
+from nw_sim.rollout.trial import run_trial
 
 av = pytest.importorskip("av")
 

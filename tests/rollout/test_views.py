@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from nw_eval.cards import Card
-from nw_eval.cards.observations import DepthObservation, SemanticsObservation
-from nw_eval.cards.observations import SplatRgbObservation as Photo
-from nw_eval.cards.wrappers import Wrapper
-from nw_eval.robots import get_robot
-from nw_eval.rollout.observed import View, views_of
-from nw_eval.sensors.splat_rgb import arrange
-from nw_eval.sensors.wrappers import Chain, Shot, Spec, make_wrappers
+from nw_policies.cards import Card
+from nw_policies.cards.observations import DepthObservation, SemanticsObservation
+from nw_policies.cards.observations import SplatRgbObservation as Photo
+from nw_policies.cards.wrappers import Wrapper
+from nw_scenes.robots import get_robot
+from nw_sim.rollout.observed import View, views_of
+from nw_sim.sensors.splat_rgb import arrange
+from nw_sim.sensors.wrappers import Chain, Shot, Spec, make_wrappers
 
 SIZE = {"width": 10, "height": 8}
 

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nw_eval.catalogue import get_scene
-from nw_eval.errors import SceneError
-from nw_eval.scenes import limits
-from nw_eval.scenes.capture_file import read_captures, write_captures
-from nw_eval.scenes.folder import folder_files
-from nw_eval.scenes.scene import CaptureCameras
+from nw_base.errors import SceneError
+from nw_scenes import limits
+from nw_scenes.capture_file import read_captures, write_captures
+from nw_scenes.folder import folder_files
+from nw_scenes.scene import CaptureCameras
+from nw_sim.catalogue import get_scene
 
 SCENE = """\
 nw-scene: 1

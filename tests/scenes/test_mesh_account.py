@@ -6,8 +6,8 @@ import struct
 import numpy as np
 import pytest
 
-from nw_eval.errors import SceneError
-from nw_eval.scenes.mesh_file import inspect_mesh, read_mesh, read_painted
+from nw_base.errors import SceneError
+from nw_scenes.mesh_file import inspect_mesh, read_mesh, read_painted
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
 

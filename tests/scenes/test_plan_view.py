@@ -3,9 +3,9 @@
 import numpy as np
 from PIL import Image
 
-from nw_eval.catalogue import get_scene
 from nw_eval.cli.verbs.scenes import scene_page
-from nw_eval.scenes.overview import draw_plan, figures
+from nw_scenes.overview import draw_plan, figures
+from nw_sim.catalogue import get_scene
 
 
 def test_the_figures_name_every_waypoint_and_the_digest():

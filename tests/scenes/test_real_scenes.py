@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from nw_base.errors import FetchError, SceneError
 from nw_eval import cli
-from nw_eval.catalogue import get_scene
-from nw_eval.errors import FetchError, SceneError
-from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.real import REAL_SCANS, fetched_scan
+from nw_scenes.folder import load_folder
+from nw_scenes.real import REAL_SCANS, fetched_scan
+from nw_sim.catalogue import get_scene
 
 STAIRS = Path(__file__).parents[3] / "shared/assets/photographs/stairs/real_stairs_125cm.png"
 

@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from nw_base.errors import SceneError
 from nw_eval.api import check_scenes
-from nw_eval.catalogue import get_scene, names
 from nw_eval.cli.verbs.scenes import findings_text
-from nw_eval.errors import SceneError
-from nw_eval.scenes.limits import checked_name
+from nw_scenes.limits import checked_name
+from nw_sim.catalogue import get_scene, names
 
 SCENE = {
     "nw-scene": 1,
@@ -128,7 +128,7 @@ def test_a_reference_longer_than_a_file_name_is_no_scene():
 
 
 def test_a_long_trail_is_compared_with_the_legs_near_a_point_only_and_all_the_same():
-    from nw_eval.scenes.grid import _nearest_heights, trail_heights
+    from nw_scenes.grid import _nearest_heights, trail_heights
 
     random = np.random.default_rng(4)
     trail = np.cumsum(random.normal(size=(120, 3)), axis=0)

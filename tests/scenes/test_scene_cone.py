@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nw_eval.scenes.mesh import cone_mesh
+from nw_scenes.mesh import cone_mesh
 
 
 def test_a_cone_has_the_published_size_and_stands_on_the_floor():

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.catalogue import get_scene, names
-from nw_eval.scenes.digest import digest
-from nw_eval.scenes.scene import Spawn
+from nw_scenes.digest import digest
+from nw_scenes.scene import Spawn
+from nw_sim.catalogue import get_scene, names
 
 
 def test_digests_of_scenes_differ_from_each_other():
@@ -17,7 +17,7 @@ def test_digests_of_scenes_differ_from_each_other():
 
 
 def test_a_digest_is_the_same_in_another_process():
-    code = "from nw_eval.catalogue import get_scene; print(get_scene('hurdles/three_low').digest)"
+    code = "from nw_sim.catalogue import get_scene; print(get_scene('hurdles/three_low').digest)"
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from nw_eval.catalogue import get_scene
-from nw_eval.errors import SceneError
-from nw_eval.scenes.folder import folder_files, inspect_folder
-from nw_eval.splat.files import write_splat
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.splat.store import open_store
+from nw_base.errors import SceneError
+from nw_scenes.folder import folder_files, inspect_folder
+from nw_sim.catalogue import get_scene
+from nw_splat.files import write_splat
+from nw_splat.gaussians import Gaussians
+from nw_splat.store import open_store
 
 SCENE = """\
 nw-scene: 1

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from nw_eval.catalogue import get_scene
-from nw_eval.errors import SceneError
-from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.files import write_splat
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.splat.store import open_store
+from nw_base.errors import SceneError
+from nw_scenes.rays import RayScene
+from nw_sim.catalogue import get_scene
+from nw_splat.files import write_splat
+from nw_splat.gaussians import Gaussians
+from nw_splat.store import open_store
 
 _SCENE = """\
 nw-scene: 1

@@ -6,12 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from nw_eval.built_in.bake.materials import is_known
-from nw_eval.built_in.places.crowns import crown_mesh
-from nw_eval.built_in.places.parts import Crown
-from nw_eval.catalogue import _BY_NAME, get_scene, names
-from nw_eval.scenes.mesh import FACE_KINDS, box_mesh, rotation_matrix
-from nw_eval.scenes.rays import RayScene
+from nw_places.bake.materials import is_known
+from nw_places.places.crowns import crown_mesh
+from nw_places.places.parts import Crown
+from nw_scenes.mesh import FACE_KINDS, box_mesh, rotation_matrix
+from nw_scenes.rays import RayScene
+from nw_sim.catalogue import _BY_NAME, get_scene, names
 
 
 @pytest.fixture(params=names())

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
-from nw_eval.scenes.rays import RayScene
+from nw_scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
+from nw_scenes.rays import RayScene
 
 _number = st.floats(-2.0, 2.0)
 _size = st.floats(0.05, 1.0)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from nw_eval import api, cli
-from nw_eval.catalogue import get_scene
+from nw_sim.catalogue import get_scene
 
 
 def read(kind: Any) -> dict[str, Any]:

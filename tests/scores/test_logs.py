@@ -15,16 +15,16 @@ import pytest
 from mcap_ros2.writer import Writer
 
 import nw_eval
+from nw_base.errors import StoreError, UsageError
+from nw_base.trials import Trial
 from nw_eval import cli
-from nw_eval.catalogue import get_scene
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.policies import load_bundle
-from nw_eval.results.trials import Trial
-from nw_eval.robots import get_robot
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.record import attachments
-from nw_eval.rollout.trial import run_trial
-from nw_eval.scores import BUILT_IN
+from nw_gate.scores import BUILT_IN
+from nw_policies import load_bundle
+from nw_scenes.robots import get_robot
+from nw_sim.catalogue import get_scene
+from nw_sim.rollout.job import TrialJob
+from nw_sim.rollout.record import attachments
+from nw_sim.rollout.trial import run_trial
 
 GO1 = get_robot("go1")
 HEADER = "std_msgs/Header header\n"

@@ -11,13 +11,13 @@ import pytest
 from pydantic import ValidationError
 
 import nw_eval
+from nw_base.errors import CodeError, UsageError
 from nw_eval import cli
 from nw_eval.cli.verbs.check import forecast_page
-from nw_eval.errors import CodeError, UsageError
-from nw_eval.scores import Figures, ScoreSpec, Stretch, TrialEnd, score_class
-from nw_eval.scores.own import Expectation, OwnScore, expectation_text, own_text
 from nw_eval.suite.model import new_suite
-from nw_eval.tasks.course import Course
+from nw_gate.scores import Figures, ScoreSpec, Stretch, TrialEnd, score_class
+from nw_gate.scores.own import Expectation, OwnScore, expectation_text, own_text
+from nw_sim.tasks.course import Course
 
 SUITE: dict[str, Any] = {
     "nw-eval": 1,

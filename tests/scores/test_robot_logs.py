@@ -26,10 +26,10 @@ from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer
 
 import nw_eval
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.robots import get_robot
-from nw_eval.rollout.replaying.log_clock import common, stretches
-from nw_eval.rollout.replaying.log_messages import (
+from nw_base.errors import StoreError, UsageError
+from nw_scenes.robots import get_robot
+from nw_sim.rollout.replaying.log_clock import common, stretches
+from nw_sim.rollout.replaying.log_messages import (
     FIELDS,
     NOTED,
     USED,

@@ -13,16 +13,16 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from nw_eval.catalogue import get_scene
-from nw_eval.policies import load_bundle
-from nw_eval.results.trials import Trial
-from nw_eval.robots import get_robot
-from nw_eval.rollout.job import StageClock, TrialJob
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.scored import ScoreMeter
-from nw_eval.rollout.trial import open_trial, run_trial
-from nw_eval.scores import BUILT_IN, ScoreSpec, TrialEnd
-from nw_eval.sim import World
+from nw_base.trials import Trial
+from nw_gate.scores import BUILT_IN, ScoreSpec, TrialEnd
+from nw_policies import load_bundle
+from nw_scenes.robots import get_robot
+from nw_sim.catalogue import get_scene
+from nw_sim.physics import World
+from nw_sim.rollout.job import StageClock, TrialJob
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.scored import ScoreMeter
+from nw_sim.rollout.trial import open_trial, run_trial
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "scores.md"
 SCENE = "hurdles/one_low_carpet"

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from nw_eval.cards import Card
-from nw_eval.robots import get_robot
-from nw_eval.scenes import Box, Scene
-from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
-from nw_eval.sensors import StepContext
-from nw_eval.sim import World
-from nw_eval.tasks import Course
+from nw_policies.cards import Card
+from nw_scenes import Box, Scene
+from nw_scenes.mesh import box_mesh, merge, quad_mesh
+from nw_scenes.robots import get_robot
+from nw_sim.physics import World
+from nw_sim.sensors import StepContext
+from nw_sim.tasks import Course
 
 
 def make_place(*boxes, trail=((2.0, 0.0, 0.0), (4.0, 0.0, 0.0))):

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nw_eval.splat.files.ply import write_threedgs_ply
-from nw_eval.splat.gaussians import SH0, Gaussians
+from nw_splat.files.ply import write_threedgs_ply
+from nw_splat.gaussians import SH0, Gaussians
 
 SCENE = """\
 nw-scene: 1

@@ -6,11 +6,11 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.errors import PolicyError
-from nw_eval.policies import load_bundle
-from nw_eval.robots import get_robot
-from nw_eval.rollout.confined.vetting import check_bundle
-from nw_eval.sensors import check_card
+from nw_base.errors import PolicyError
+from nw_policies import load_bundle
+from nw_scenes.robots import get_robot
+from nw_sim.rollout.confined.vetting import check_bundle
+from nw_sim.sensors import check_card
 
 CARD = """\
 nw-policy: 1

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval.cards import JointControl, actuator_values
-from nw_eval.policies import ActionDelay, load_bundle, open_policy
-from nw_eval.robots import get_robot
-from nw_eval.sensors import StepContext, build_sensors
-from nw_eval.sim import Actuators, World
-from nw_eval.tasks import Course, TaskRules
+from nw_policies import ActionDelay, load_bundle, open_policy
+from nw_policies.cards import JointControl, actuator_values
+from nw_scenes.robots import get_robot
+from nw_sim.physics import Actuators, World
+from nw_sim.sensors import StepContext, build_sensors
+from nw_sim.tasks import Course, TaskRules
 
 ASSETS = Path(__file__).parents[3] / "shared" / "assets" / "policies"
 

@@ -6,10 +6,10 @@ import sys
 import numpy as np
 import pytest
 
-from nw_eval.sensors.drawing import overlay
-from nw_eval.splat.camera import Camera, Pixels, look_at
-from nw_eval.splat.image import Image, composite
-from nw_eval.splat.kernels import insert
+from nw_sim.sensors.drawing import overlay
+from nw_splat.camera import Camera, Pixels, look_at
+from nw_splat.image import Image, composite
+from nw_splat.kernels import insert
 
 
 def picture(height, width, *, seed=0):
@@ -155,13 +155,13 @@ def test_after_warming_up_nothing_that_draws_objects_compiles():
     program = """\
 from dataclasses import replace
 import numpy as np
-from nw_eval.sensors.drawing import overlay
-from nw_eval.scenes.mesh import cone_mesh
-from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.camera import Camera, Pixels, look_at
-from nw_eval.splat.image import Image
-from nw_eval.splat.kernels import insert
-from nw_eval.warmup import warmup
+from nw_sim.sensors.drawing import overlay
+from nw_scenes.mesh import cone_mesh
+from nw_scenes.rays import RayScene
+from nw_splat.camera import Camera, Pixels, look_at
+from nw_splat.image import Image
+from nw_splat.kernels import insert
+from nw_sim.warmup import warmup
 
 warmup(kernels=("ray",))
 kernels = [each for each in vars(insert).values() if hasattr(each, "signatures")]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from nw_eval.sensors import build_sensors
-from nw_eval.sensors.build import check_card
+from nw_sim.sensors import build_sensors
+from nw_sim.sensors.build import check_card
 
 STEPS = 120
 DT = 0.02

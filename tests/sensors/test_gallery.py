@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 from PIL import Image as PillowImage
 
+from nw_base.errors import SceneError, StoreError
 from nw_eval.cli.verbs.sensors import seen_text
-from nw_eval.errors import SceneError, StoreError
-from nw_eval.policies import load_bundle
-from nw_eval.sensors import gallery
-from nw_eval.sensors.drawing.pictures import (
+from nw_policies import load_bundle
+from nw_sim.sensors import gallery
+from nw_sim.sensors.drawing.pictures import (
     arrow,
     coloured,
     enlarged,
     picture_of,
     points_from_behind,
 )
-from nw_eval.splat.camera import Pixels
-from nw_eval.splat.image import Image
+from nw_splat.camera import Pixels
+from nw_splat.image import Image
 
 BARS = (((2.0, 0.0, 0.11), (0.1, 1.0, 0.11)),)
 

@@ -4,13 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.cards.terms import EARLIER_OUTPUTS
-from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.robots import get_robot
-from nw_eval.sensors import StepContext, build_sensors
-from nw_eval.sim import World
-from nw_eval.sim import model as sim_model
-from nw_eval.tasks import Course
+from nw_base.protocol import NEVERWHERE_2026, STRICT
+from nw_policies.cards.terms import EARLIER_OUTPUTS
+from nw_scenes.robots import get_robot
+from nw_sim.physics import World
+from nw_sim.physics import model as sim_model
+from nw_sim.sensors import StepContext, build_sensors
+from nw_sim.tasks import Course
 
 AT = (-0.01592, -0.06659, 0.17)
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors import build_sensors
-from nw_eval.sensors.drawing.overlay import Cones, cone_mask, light_around, ray_directions
-from nw_eval.splat.camera import Camera, Pixels
-from nw_eval.splat.image import Image
+from nw_scenes.rays import RayScene
+from nw_sim.sensors import build_sensors
+from nw_sim.sensors.drawing.overlay import Cones, cone_mask, light_around, ray_directions
+from nw_splat.camera import Camera, Pixels
+from nw_splat.image import Image
 
 SIZE = {"width": 160, "height": 90}
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from nw_eval.scenes.mesh import cone_mesh
-from nw_eval.sensors.drawing.overlay import Cones, draw, ray_directions
-from nw_eval.splat.camera import Camera, Pixels, look_at
+from nw_scenes.mesh import cone_mesh
+from nw_sim.sensors.drawing.overlay import Cones, draw, ray_directions
+from nw_splat.camera import Camera, Pixels, look_at
 
 WAYPOINTS = np.array([[0.6, 0.02, 0.0], [1.1, -0.1, 0.0]])
 WIDTH = 64

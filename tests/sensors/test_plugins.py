@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from nw_eval.cards import JointControl, load_card
-from nw_eval.cards.wrappers import BUILT_IN_WRAPPERS
-from nw_eval.errors import PolicyError
-from nw_eval.plugins import SENSORS, WRAPPERS, PluginWarning, installed, usable
-from nw_eval.rollout.episode import Actions
-from nw_eval.sensors import StepContext, build_sensors, check_card
-from nw_eval.tasks import Course
+from nw_base.errors import PolicyError
+from nw_base.plugins import SENSORS, WRAPPERS, PluginWarning, installed, usable
+from nw_policies.cards import JointControl, load_card
+from nw_policies.cards.wrappers import BUILT_IN_WRAPPERS
+from nw_sim.rollout.episode import Actions
+from nw_sim.sensors import StepContext, build_sensors, check_card
+from nw_sim.tasks import Course
 
 GOOD = """
 import numpy as np

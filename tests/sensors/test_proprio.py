@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from nw_eval.errors import PolicyError
-from nw_eval.sensors import build_sensors
+from nw_base.errors import PolicyError
+from nw_sim.sensors import build_sensors
 
 NOW = {"sensor": "proprio", "layout": "parkour53"}
 

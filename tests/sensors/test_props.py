@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 from tests.sensors.prop_scene import DOOR, SCENE, write_scene
 
-from nw_eval.errors import SceneError
-from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.robots import find_robot
-from nw_eval.scenes.check import check_scene
-from nw_eval.scenes.folder import folder_files, load_folder
-from nw_eval.scenes.rays import RayScene
-from nw_eval.sensors import build_sensors
-from nw_eval.sensors.drawing.overlay import Overlay, ray_directions
-from nw_eval.sensors.drawing.pictures import CLASSES
-from nw_eval.sensors.drawing.props import PropPictures, joined
-from nw_eval.sensors.heights import ground_under
-from nw_eval.sensors.ray_sensors import Surroundings
-from nw_eval.sim import World
-from nw_eval.splat.camera import Camera, Pixels, look_at
-from nw_eval.splat.render import open_renderer
-from nw_eval.splat.store import open_store
+from nw_base.errors import SceneError
+from nw_base.protocol import NEVERWHERE_2026, STRICT
+from nw_scenes.check import check_scene
+from nw_scenes.folder import folder_files, load_folder
+from nw_scenes.rays import RayScene
+from nw_scenes.robots import find_robot
+from nw_sim.physics import World
+from nw_sim.sensors import build_sensors
+from nw_sim.sensors.drawing.overlay import Overlay, ray_directions
+from nw_sim.sensors.drawing.pictures import CLASSES
+from nw_sim.sensors.drawing.props import PropPictures, joined
+from nw_sim.sensors.heights import ground_under
+from nw_sim.sensors.ray_sensors import Surroundings
+from nw_splat.camera import Camera, Pixels, look_at
+from nw_splat.render import open_renderer
+from nw_splat.store import open_store
 
 EYE = np.array([0.0, 0.2, 0.3])
 BLUE, BROWN = (0.2, 0.35, 0.7), (0.62, 0.45, 0.25)

@@ -5,13 +5,13 @@ from collections import deque
 import numpy as np
 import pytest
 
-from nw_eval.policies import ActionDelay
-from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.robots import get_robot
-from nw_eval.sensors import build_sensors
-from nw_eval.sensors.heights import PIXELS_PER_METRE
-from nw_eval.sensors.proprio import spoilt_frames
-from nw_eval.sim import World
+from nw_base.protocol import NEVERWHERE_2026, STRICT
+from nw_policies import ActionDelay
+from nw_scenes.robots import get_robot
+from nw_sim.physics import World
+from nw_sim.sensors import build_sensors
+from nw_sim.sensors.heights import PIXELS_PER_METRE
+from nw_sim.sensors.proprio import spoilt_frames
 
 NOW = {"sensor": "proprio", "layout": "parkour53"}
 PAST = NOW | {"history": {"steps": 10, "current": False, "zero": ["6:8"]}}

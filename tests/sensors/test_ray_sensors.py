@@ -4,13 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.robots import get_robot
-from nw_eval.robots.spec import VISUAL_GROUP
-from nw_eval.scenes.mesh import cone_mesh
-from nw_eval.sensors import build_sensors
-from nw_eval.sensors.drawing.pictures import CLASSES, PALETTE
-from nw_eval.sensors.ray_sensors import rotation
-from nw_eval.sim import World
+from nw_scenes.mesh import cone_mesh
+from nw_scenes.robots import get_robot
+from nw_scenes.robots.spec import VISUAL_GROUP
+from nw_sim.physics import World
+from nw_sim.sensors import build_sensors
+from nw_sim.sensors.drawing.pictures import CLASSES, PALETTE
+from nw_sim.sensors.ray_sensors import rotation
 
 BOXES = (((1.3, 0.3, 0.15), (0.15, 0.4, 0.15)), ((2.2, -0.5, 0.6), (0.2, 0.2, 0.6)))
 SMALL = {"width": 48, "height": 27}

@@ -3,9 +3,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nw_eval.memory import pack
-from nw_eval.sensors import build_sensors
-from nw_eval.sensors.build import Sampled
+from nw_base.memory import pack
+from nw_sim.sensors import build_sensors
+from nw_sim.sensors.build import Sampled
 
 
 class Steps:

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.robots import get_robot
-from nw_eval.sensors import build_sensors
-from nw_eval.sensors.heights import grid
-from nw_eval.sim import World
+from nw_base.protocol import NEVERWHERE_2026, STRICT
+from nw_scenes.robots import get_robot
+from nw_sim.physics import World
+from nw_sim.sensors import build_sensors
+from nw_sim.sensors.heights import grid
 
 DOTS = {"dots": {"sensor": "scandots"}}
 

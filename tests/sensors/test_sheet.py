@@ -7,7 +7,7 @@ import pytest
 from PIL import Image as PillowImage
 from PIL import ImageFont
 
-from nw_eval.sensors.drawing.pictures import Cell, draw_sheet, text_strip, wrapped
+from nw_sim.sensors.drawing.pictures import Cell, draw_sheet, text_strip, wrapped
 
 LONG = "two concrete ramps, 15 and 17 degrees, under the lamps of a car park at night"
 

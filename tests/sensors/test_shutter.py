@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from tests.sensors.prop_scene import write_scene
 
-from nw_eval.cards import mounted_robot
-from nw_eval.robots import get_robot
-from nw_eval.scenes.folder import load_folder
-from nw_eval.sensors import build_sensors
-from nw_eval.sensors.shutter import Shutter, moved
-from nw_eval.sim import World
-from nw_eval.splat.camera import Camera, Pixels
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.splat.image import Image, exposed
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import memory_store
+from nw_policies.cards import mounted_robot
+from nw_scenes.folder import load_folder
+from nw_scenes.robots import get_robot
+from nw_sim.physics import World
+from nw_sim.sensors import build_sensors
+from nw_sim.sensors.shutter import Shutter, moved
+from nw_splat.camera import Camera, Pixels
+from nw_splat.gaussians import Gaussians
+from nw_splat.image import Image, exposed
+from nw_splat.render import CpuRenderer
+from nw_splat.store import memory_store
 
 WALL = 2.0  # m ahead of the camera
 FOCAL, WIDTH, HEIGHT = 60.0, 96, 48

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from nw_base.errors import UsageError
 from nw_eval.engine.prepare import check_splats
-from nw_eval.errors import UsageError
-from nw_eval.robots import get_robot
-from nw_eval.sensors import build_sensors
-from nw_eval.sim import World
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import memory_store
+from nw_scenes.robots import get_robot
+from nw_sim.physics import World
+from nw_sim.sensors import build_sensors
+from nw_splat.gaussians import Gaussians
+from nw_splat.render import CpuRenderer
+from nw_splat.store import memory_store
 
 HALF = 2.0  # m from the middle of the room to its walls
 DEPTH = {"sensor": "depth", "width": 80, "height": 60, "source": "splat"}

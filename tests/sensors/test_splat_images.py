@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.errors import PolicyError
-from nw_eval.robots import get_robot
-from nw_eval.sensors import build_sensors
-from nw_eval.sensors.splat_rgb import arrange, average_blocks
-from nw_eval.splat.camera import Pixels
-from nw_eval.splat.image import Image
+from nw_base.errors import PolicyError
+from nw_scenes.robots import get_robot
+from nw_sim.sensors import build_sensors
+from nw_sim.sensors.splat_rgb import arrange, average_blocks
+from nw_splat.camera import Pixels
+from nw_splat.image import Image
 
 IMAGE = {"sensor": "splat_rgb", "width": 32, "height": 18}
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from nw_eval.cards.joint_control import mounted_robot
-from nw_eval.cards.observations import DepthObservation
-from nw_eval.errors import PolicyError
-from nw_eval.robots import get_robot
-from nw_eval.sensors import build_sensors
-from nw_eval.sensors.build import check_card
-from nw_eval.sim import World
+from nw_base.errors import PolicyError
+from nw_policies.cards.joint_control import mounted_robot
+from nw_policies.cards.observations import DepthObservation
+from nw_scenes.robots import get_robot
+from nw_sim.physics import World
+from nw_sim.sensors import build_sensors
+from nw_sim.sensors.build import check_card
 
 FOCAL = 424.0  # D435: 848 columns over 90 degrees
 VIEW = {"width": 848, "height": 24, "fx": FOCAL, "fy": FOCAL, "cx": 424.0, "cy": 12.0}

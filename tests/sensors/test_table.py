@@ -6,11 +6,11 @@ from typing import get_args
 import pytest
 from pydantic import TypeAdapter
 
-from nw_eval.cards.load import json_schema
-from nw_eval.cards.observations import BUILT_IN_SENSORS, BuiltInObservation
-from nw_eval.cards.wrappers import BUILT_IN_WRAPPERS, BuiltInWrapper, Wrapper
-from nw_eval.sensors import check_card
-from nw_eval.sensors.wrappers import Chain, Spec, make_wrappers
+from nw_policies.cards.load import json_schema
+from nw_policies.cards.observations import BUILT_IN_SENSORS, BuiltInObservation
+from nw_policies.cards.wrappers import BUILT_IN_WRAPPERS, BuiltInWrapper, Wrapper
+from nw_sim.sensors import check_card
+from nw_sim.sensors.wrappers import Chain, Spec, make_wrappers
 
 NEEDED = {"proprio": {"layout": "parkour53"}}
 NEEDED_BY_WRAPPERS = {

@@ -12,13 +12,13 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 from ruamel.yaml import YAML
 
-from nw_eval.onboarding.probe.recording import ThisBundle
-from nw_eval.policies import load_bundle
-from nw_eval.results.trials import Trial
-from nw_eval.rollout.confined.vetting import check_bundle
-from nw_eval.rollout.job import StageClock, TrialJob
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.trial import open_trial
+from nw_base.trials import Trial
+from nw_policies import load_bundle
+from nw_sim.probe.recording import ThisBundle
+from nw_sim.rollout.confined.vetting import check_bundle
+from nw_sim.rollout.job import StageClock, TrialJob
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.trial import open_trial
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "policies/examples/walk-these-ways-go1/policy.yaml"
 SCENE = "flat/carpet_room"

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from nw_eval.cards.wrappers import Wrapper
-from nw_eval.errors import PolicyError
-from nw_eval.sensors import build_sensors, check_card
-from nw_eval.sensors.wrappers import Chain, Spec, make_wrappers
+from nw_base.errors import PolicyError
+from nw_policies.cards.wrappers import Wrapper
+from nw_sim.sensors import build_sensors, check_card
+from nw_sim.sensors.wrappers import Chain, Spec, make_wrappers
 
 COLOUR = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
 DEPTH = {"sensor": "depth", "width": 16, "height": 9}

@@ -81,8 +81,8 @@ def test_the_worked_example_works_as_it_is_written(tmp_path, shell):
 
 
 def test_the_page_names_every_built_in_wrapper_and_sensor():
-    from nw_eval.cards.observations import BUILT_IN_SENSORS
-    from nw_eval.cards.wrappers import BUILT_IN_WRAPPERS
+    from nw_policies.cards.observations import BUILT_IN_SENSORS
+    from nw_policies.cards.wrappers import BUILT_IN_WRAPPERS
 
     page = (PAGE.parents[2] / "reference" / "sensors.md").read_text(encoding="utf-8")
     for name in (*BUILT_IN_WRAPPERS, *BUILT_IN_SENSORS):

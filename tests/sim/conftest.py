@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from nw_eval.robots import get_robot
-from nw_eval.scenes.mesh import TriangleMesh
-from nw_eval.scenes.scene import Box, Scene
+from nw_scenes.mesh import TriangleMesh
+from nw_scenes.robots import get_robot
+from nw_scenes.scene import Box, Scene
 
 NO_MESH = TriangleMesh(
     vertices=np.zeros((0, 3)),

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.robots.spec import VISUAL_GROUP
-from nw_eval.sim import World
+from nw_scenes.robots.spec import VISUAL_GROUP
+from nw_sim.physics import World
 
 
 @pytest.fixture(scope="module")

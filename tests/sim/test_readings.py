@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 import nw_eval
-from nw_eval.robots import RobotSpec
-from nw_eval.robots.spec import CameraMount
-from nw_eval.sim import Actuators, World
-from nw_eval.tasks.course import CourseProgress, Limits, Termination
+from nw_scenes.robots import RobotSpec
+from nw_scenes.robots.spec import CameraMount
+from nw_sim.physics import Actuators, World
+from nw_sim.tasks.course import CourseProgress, Limits, Termination
 
-PACKAGE = Path(nw_eval.__file__).parent
+HARNESS = Path(nw_eval.__file__).parents[1]
 
 # What makes specifications that `sim` compiles, of terrain and of robots, and sees no world that
 # runs.
 BEFORE_PHYSICS = {
-    "scenes/attach.py",
-    "scenes/narrowphase/install.py",
-    "robots/compiled.py",
-    "robots/derived.py",
-    "robots/looks.py",
-    "robots/standing.py",
+    "nw_scenes/attach.py",
+    "nw_scenes/narrowphase/install.py",
+    "nw_scenes/robots/compiled.py",
+    "nw_scenes/robots/derived.py",
+    "nw_scenes/robots/looks.py",
+    "nw_scenes/robots/standing.py",
 }
 
 # A pelvis on two feet, which are so close that they press against each other. A tail swings by
@@ -117,7 +117,7 @@ def leaks(source):
     """Return how a module imports MuJoCo or reads a world's inside."""
     tree = ast.parse(source)
     modules = {
-        m for m in imported(tree) if m.split(".")[0] == "mujoco" or m == "nw_eval.sim.binding"
+        m for m in imported(tree) if m.split(".")[0] == "mujoco" or m == "nw_sim.physics.binding"
     }
     return sorted({*modules, *attributes(tree)})
 
@@ -125,8 +125,8 @@ def leaks(source):
 def test_only_sim_reads_model_and_data_or_imports_mujoco():
     outside = [
         (name, found)
-        for file in sorted(PACKAGE.rglob("*.py"))
-        if not (name := file.relative_to(PACKAGE).as_posix()).startswith("sim/")
+        for file in sorted(HARNESS.rglob("*.py"))
+        if not (name := file.relative_to(HARNESS).as_posix()).startswith("nw_sim/physics/")
         and name not in BEFORE_PHYSICS
         and (found := leaks(file.read_text("utf-8")))
     ]
@@ -143,7 +143,7 @@ def test_what_sim_knows_of_mujoco_has_no_public_name_on_a_world(go1, flat):
     [
         ("import mujoco.batch", ["mujoco.batch"]),
         ("def f():\n    from mujoco import MjData", ["mujoco"]),
-        ("from nw_eval.sim.binding import mujoco", ["nw_eval.sim.binding"]),
+        ("from nw_sim.physics.binding import mujoco", ["nw_sim.physics.binding"]),
         ("x = trial.world._data.qpos", ["trial.world._data"]),
         ("class A:\n    def f(self):\n        return self._data", []),
     ],

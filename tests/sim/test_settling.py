@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nw_eval.sim import World
+from nw_sim.physics import World
 
 GRAVITY, KP, FOOT_RADIUS, SEGMENT = 9.806, 20.0, 0.02, 0.213
 REST = np.array([0.1, 0.8, -1.5, 0.1, 1.0, -1.5])  # front and rear left leg: hip, thigh, calf

@@ -9,16 +9,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.sim import World
-from nw_eval.sim.forces import ContactForces
+from nw_sim.physics import World
+from nw_sim.physics.forces import ContactForces
 
 SCRIPT = """\
 import hashlib, numpy as np
-from nw_eval.protocol import NEVERWHERE_2026
-from nw_eval.robots import get_robot
-from nw_eval.scenes import Scene
-from nw_eval.scenes.mesh import quad_mesh
-from nw_eval.sim import World
+from nw_base.protocol import NEVERWHERE_2026
+from nw_scenes.robots import get_robot
+from nw_scenes import Scene
+from nw_scenes.mesh import quad_mesh
+from nw_sim.physics import World
 scene = Scene(name="t/t", task="gaps", title="", solids=(), trail=np.zeros((1, 3)), splat=None,
               static_mesh=quad_mesh((0, 0, 0), (1, 0, 0), (0, 1, 0), "ground"))
 digest, robot = hashlib.sha256(), get_robot("go1")

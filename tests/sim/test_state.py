@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from nw_eval.errors import TrialError
-from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.sim import World
+from nw_base.errors import TrialError
+from nw_base.protocol import NEVERWHERE_2026, STRICT
+from nw_sim.physics import World
 
 
 @pytest.fixture

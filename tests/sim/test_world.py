@@ -7,11 +7,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.errors import TrialError, UsageError
-from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.robots.spec import VISUAL_GROUP
-from nw_eval.sim import Actuators, World
-from nw_eval.sim.forces import ContactForces
+from nw_base.errors import TrialError, UsageError
+from nw_base.protocol import NEVERWHERE_2026, STRICT
+from nw_scenes.robots.spec import VISUAL_GROUP
+from nw_sim.physics import Actuators, World
+from nw_sim.physics.forces import ContactForces
 
 WEIGHT = 12.985904 * 9.806
 

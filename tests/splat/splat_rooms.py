@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.gaussians import Gaussians
+from nw_splat.camera import Camera, look_at
+from nw_splat.gaussians import Gaussians
 
 EYES = (
     ((-7, -7, 0.3), 0.8),

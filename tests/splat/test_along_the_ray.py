@@ -9,12 +9,12 @@ import torch
 from splat_reference import render
 from splat_rooms import cloud, eye_camera, psnr, room
 
-from nw_eval.errors import UsageError
-from nw_eval.splat import render as render_module
-from nw_eval.splat.camera import Camera, Pixels, look_at
-from nw_eval.splat.gaussians import concatenate
-from nw_eval.splat.render import SAMPLED_EPS2D, CpuRenderer, open_renderer
-from nw_eval.splat.store import memory_store
+from nw_base.errors import UsageError
+from nw_splat import render as render_module
+from nw_splat.camera import Camera, Pixels, look_at
+from nw_splat.gaussians import concatenate
+from nw_splat.render import SAMPLED_EPS2D, CpuRenderer, open_renderer
+from nw_splat.store import memory_store
 
 PUBLISHED = Pixels(stride=16, block=2, offset=7)
 

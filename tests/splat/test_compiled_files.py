@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from splat_rooms import cloud
 
-from nw_eval.errors import SceneError
-from nw_eval.files.cache import read_sealed, sealed_path
-from nw_eval.splat.files import read_splat
-from nw_eval.splat.portrait import framing_camera
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import compile_store, memory_store
+from nw_base.errors import SceneError
+from nw_base.files.cache import read_sealed, sealed_path
+from nw_splat.files import read_splat
+from nw_splat.portrait import framing_camera
+from nw_splat.render import CpuRenderer
+from nw_splat.store import compile_store, memory_store
 
 
 @pytest.mark.parametrize("degree", [0, 3])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from nw_eval.errors import UsageError
-from nw_eval.splat.image import CameraModel, Image, composite, paste
+from nw_base.errors import UsageError
+from nw_splat.image import CameraModel, Image, composite, paste
 
 WHITE, RED = (1.0, 1.0, 1.0), np.float32([1, 0, 0])
 

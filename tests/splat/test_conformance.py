@@ -10,10 +10,10 @@ import torch
 from splat_reference import render
 from splat_rooms import cloud, eye_camera, psnr, room
 
-from nw_eval.splat.files import read_splat
-from nw_eval.splat.portrait import framing_camera
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import memory_store
+from nw_splat.files import read_splat
+from nw_splat.portrait import framing_camera
+from nw_splat.render import CpuRenderer
+from nw_splat.store import memory_store
 
 _FLIP = 4.5e-3
 """A splat at alpha = 1/255 exactly may be in or out by rounding: 1/255, and a little."""

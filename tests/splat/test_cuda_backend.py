@@ -9,10 +9,10 @@ import torch
 from splat_reference import basis
 from splat_rooms import cloud, eye_camera, psnr, room
 
-from nw_eval.errors import PrerequisiteError, UsageError
-from nw_eval.splat.camera import Pixels
-from nw_eval.splat.render import CpuRenderer, open_renderer
-from nw_eval.splat.store import memory_store, unpack
+from nw_base.errors import PrerequisiteError, UsageError
+from nw_splat.camera import Pixels
+from nw_splat.render import CpuRenderer, open_renderer
+from nw_splat.store import memory_store, unpack
 
 
 @pytest.fixture

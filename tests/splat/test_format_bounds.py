@@ -7,10 +7,10 @@ import struct
 import numpy as np
 import pytest
 
-from nw_eval.errors import SceneError
-from nw_eval.splat.files import read_splat, write_splat
-from nw_eval.splat.gaussians import MOST, Gaussians, check_count
-from nw_eval.splat.store import compile_store
+from nw_base.errors import SceneError
+from nw_splat.files import read_splat, write_splat
+from nw_splat.gaussians import MOST, Gaussians, check_count
+from nw_splat.store import compile_store
 
 
 def test_a_bomb_of_a_thousand_times_its_size_is_refused_before_it_goes_off(tmp_path):
@@ -45,7 +45,7 @@ def test_gaussians_without_an_orientation_are_read_and_not_drawn(tmp_path):
     gaussians = read_splat(tmp_path / "a.ply")
     assert len(gaussians) == 20
     compile_store(gaussians, tmp_path / "a.nwsplat")
-    from nw_eval.splat.store import open_store
+    from nw_splat.store import open_store
 
     assert open_store(tmp_path / "a.nwsplat").count == 15
 

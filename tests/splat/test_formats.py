@@ -14,15 +14,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from splat_rooms import cloud
 
-from nw_eval.errors import SceneError, UsageError
-from nw_eval.files.ply import Ply
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.files import read_splat, write_splat
-from nw_eval.splat.files.ply import read_threedgs_ply
-from nw_eval.splat.files.spz import write_spz
-from nw_eval.splat.gaussians import harmonics, rotate_harmonics, transformed
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import memory_store
+from nw_base.errors import SceneError, UsageError
+from nw_base.files.ply import Ply
+from nw_splat.camera import Camera, look_at
+from nw_splat.files import read_splat, write_splat
+from nw_splat.files.ply import read_threedgs_ply
+from nw_splat.files.spz import write_spz
+from nw_splat.gaussians import harmonics, rotate_harmonics, transformed
+from nw_splat.render import CpuRenderer
+from nw_splat.store import memory_store
 
 FIXTURES = Path(__file__).parent / "fixtures"
 

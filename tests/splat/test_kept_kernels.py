@@ -15,8 +15,8 @@ import pytest
 
 PROGRAM = """\
 import os, resource
-from nw_eval import machine_code as kept
-from nw_eval.machine_code import kernel
+from nw_base import machine_code as kept
+from nw_base.machine_code import kernel
 
 if "LIMITED" in os.environ:
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))

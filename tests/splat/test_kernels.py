@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from splat_rooms import cloud, eye_camera, room
 
-from nw_eval.machine_code import kernel
-from nw_eval.simd import memory
-from nw_eval.simd.lanes import broadcast
-from nw_eval.splat.camera import Pixels, view_vector
-from nw_eval.splat.kernels import cull, draw, math8, project
-from nw_eval.splat.kernels.blend import (
+from nw_base.machine_code import kernel
+from nw_base.simd import memory
+from nw_base.simd.lanes import broadcast
+from nw_splat.camera import Pixels, view_vector
+from nw_splat.kernels import cull, draw, math8, project
+from nw_splat.kernels.blend import (
     CHANNELS,
     CURVE,
     LINE,
@@ -24,8 +24,8 @@ from nw_eval.splat.kernels.blend import (
     blend,
     clear,
 )
-from nw_eval.splat.kernels.project import RECORD
-from nw_eval.splat.store import memory_store, unpack
+from nw_splat.kernels.project import RECORD
+from nw_splat.store import memory_store, unpack
 
 EPS2D = np.float32(0.3)
 WIDTH, HEIGHT = 64, 40

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from splat_rooms import eye_camera, psnr, room
 
-from nw_eval.errors import UsageError
-from nw_eval.lens import Intrinsics
-from nw_eval.splat.camera import Camera, Pixels
-from nw_eval.splat.render import CpuRenderer, open_renderer
-from nw_eval.splat.store import memory_store
+from nw_base.errors import UsageError
+from nw_base.lens import Intrinsics
+from nw_splat.camera import Camera, Pixels
+from nw_splat.render import CpuRenderer, open_renderer
+from nw_splat.store import memory_store
 
 BARREL = ("radial_tangential", (-0.25, 0.08, 1e-3, -2e-3, -0.01), 150.0)
 FISHEYE = ("fisheye", (-0.0046, 0.0397, -0.0374, 0.0062), 150.0)  # 125 degrees across

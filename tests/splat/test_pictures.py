@@ -12,14 +12,14 @@ import pytest
 from PIL import Image as Picture
 from splat_rooms import cloud
 
+from nw_base.errors import SceneError, UsageError
 from nw_eval.cli.verbs.splat import splat_page
-from nw_eval.errors import SceneError, UsageError
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.gaussians import concatenate, describe
-from nw_eval.splat.portrait import framing_camera, orbit, save_gif, save_png
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import memory_store
-from nw_eval.warmup import warmup
+from nw_sim.warmup import warmup
+from nw_splat.camera import Camera, look_at
+from nw_splat.gaussians import concatenate, describe
+from nw_splat.portrait import framing_camera, orbit, save_gif, save_png
+from nw_splat.render import CpuRenderer
+from nw_splat.store import memory_store
 
 
 def test_a_description_counts_what_is_there():
@@ -112,13 +112,13 @@ def test_after_warming_up_no_camera_compiles_anything():
     program = """\
 from dataclasses import replace
 import numpy as np
-from nw_eval.lens import Distortion
-from nw_eval.splat.camera import Camera, Pixels
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.kernels.draw import draw
-from nw_eval.warmup import warmup
+from nw_base.lens import Distortion
+from nw_splat.camera import Camera, Pixels
+from nw_splat.render import CpuRenderer
+from nw_splat.kernels.draw import draw
+from nw_sim.warmup import warmup
 from splat_rooms import room
-from nw_eval.splat.store import memory_store
+from nw_splat.store import memory_store
 
 warmup()
 kinds = len(draw.signatures)
@@ -152,7 +152,7 @@ def test_the_first_install_compiles_with_the_packages_that_it_has_by_then():
     modules = [name for name, of in packages_distributions().items() if late & set(of)]
     assert {"mujoco", "pandas"} <= set(modules)
     program = f"import sys; sys.modules.update(dict.fromkeys({modules}))\n"
-    program += "import nw_eval.warmup, nw_eval.splat.render"
+    program += "import nw_sim.warmup, nw_splat.render"
     subprocess.run([sys.executable, "-c", program], check=True)
 
 

@@ -10,9 +10,9 @@ import hashlib
 import numpy as np
 import pytest
 
-from nw_eval.splat.camera import Camera, Pixels
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import BOUNDS, CHUNK, GROUP, Layout, Store
+from nw_splat.camera import Camera, Pixels
+from nw_splat.render import CpuRenderer
+from nw_splat.store import BOUNDS, CHUNK, GROUP, Layout, Store
 
 CHUNKS = 24
 RECORDED = {

@@ -8,13 +8,13 @@ import zipfile
 import numpy as np
 import pytest
 
+from nw_base.errors import SceneError
 from nw_eval.api import splat_convert, splat_info
 from nw_eval.cli.verbs.splat import splat_page, written_line
-from nw_eval.errors import SceneError
-from nw_eval.scenes.mesh_file import read_mesh
-from nw_eval.splat.files import compiled_store, read_splat, write_splat
-from nw_eval.splat.gaussians import Gaussians, describe, drawable
-from nw_eval.splat.store import memory_store, open_store
+from nw_scenes.mesh_file import read_mesh
+from nw_splat.files import compiled_store, read_splat, write_splat
+from nw_splat.gaussians import Gaussians, describe, drawable
+from nw_splat.store import memory_store, open_store
 
 COLUMNS = [
     *("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),

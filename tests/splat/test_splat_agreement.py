@@ -20,13 +20,13 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from splat_rooms import cloud
 
-from nw_eval.errors import SceneError
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.files import compiled_store, files_of_splat, read_splat, write_splat
-from nw_eval.splat.files.spz import write_spz
-from nw_eval.splat.gaussians import concatenate, transformed
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import compile_store, memory_store, open_store, unpack
+from nw_base.errors import SceneError
+from nw_splat.camera import Camera, look_at
+from nw_splat.files import compiled_store, files_of_splat, read_splat, write_splat
+from nw_splat.files.spz import write_spz
+from nw_splat.gaussians import concatenate, transformed
+from nw_splat.render import CpuRenderer
+from nw_splat.store import compile_store, memory_store, open_store, unpack
 
 WRITTEN = Path(__file__).parent / "fixtures" / "written"
 # File, what it says that it was trained for, and how coarse its harmonics are.
@@ -303,7 +303,7 @@ def reference(gaussians, camera, *, antialiased):
     Footprint J W S W' J' + 0.3 I; antialiased multiplies opacity by
     sqrt(max(0, det before / det after)); alpha is at most 0.999, at least 1/255.
     """
-    from nw_eval.splat.gaussians import harmonics
+    from nw_splat.gaussians import harmonics
 
     held = unpack(memory_store(gaussians).layout)
     T = camera.T_camera_world

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from splat_rooms import cloud, eye_camera, room
 
-from nw_eval.errors import SceneError
-from nw_eval.files.cache import read_sealed, sealed_path
-from nw_eval.splat.files import compiled_store, write_splat
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import compile_store, memory_store, open_store, unpack
+from nw_base.errors import SceneError
+from nw_base.files.cache import read_sealed, sealed_path
+from nw_splat.files import compiled_store, write_splat
+from nw_splat.gaussians import Gaussians
+from nw_splat.render import CpuRenderer
+from nw_splat.store import compile_store, memory_store, open_store, unpack
 
 
 @pytest.fixture
@@ -196,16 +196,14 @@ def test_shapes_that_do_not_agree_name_the_field():
 
 
 def test_importing_the_package_loads_neither_numba_nor_torch():
-    modules = (
-        "nw_eval.splat.files, nw_eval.splat.image, nw_eval.splat.portrait, nw_eval.splat.warmup"
-    )
+    modules = "nw_splat.files, nw_splat.image, nw_splat.portrait, nw_splat.warmup"
     code = f"import sys, {modules}; print({{'numba', 'torch', 'PIL'}} & set(sys.modules))"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "set()"
 
 
 def test_the_kernel_cache_is_named_after_every_kernel_source(tmp_path):
-    from nw_eval import machine_code as jit
+    from nw_base import machine_code as jit
 
     (tmp_path / "a.py").write_text("x = 1")
     before = jit.hash_sources(tmp_path)
@@ -216,8 +214,8 @@ def test_the_kernel_cache_is_named_after_every_kernel_source(tmp_path):
 
 
 def test_the_layout_and_the_kernels_agree_on_its_sizes():
-    from nw_eval.splat import store as layout
-    from nw_eval.splat.kernels import cull, project
+    from nw_splat import store as layout
+    from nw_splat.kernels import cull, project
 
     kernels = (project.CHUNK, project.GROUP, project.GEOMETRY, cull.BOUNDS)
     assert kernels == (layout.CHUNK, layout.GROUP, layout.GEOMETRY, layout.BOUNDS)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from nw_eval.lens import Intrinsics
-from nw_eval.splat.camera import Camera, Pixels, look_at
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import memory_store
+from nw_base.lens import Intrinsics
+from nw_splat.camera import Camera, Pixels, look_at
+from nw_splat.gaussians import Gaussians
+from nw_splat.render import CpuRenderer
+from nw_splat.store import memory_store
 
 WIDTH, HEIGHT = 80, 48
 FISHEYE = {"model": "fisheye", "coefficients": (-0.0046, 0.0397, -0.0374, 0.0062)}

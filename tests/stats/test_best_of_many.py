@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nw_eval.stats.power import SceneCounts, luck_of_the_best, shares_at
+from nw_gate.stats.power import SceneCounts, luck_of_the_best, shares_at
 
 
 def scenes(reached: list[int], count: int = 16) -> list[SceneCounts]:

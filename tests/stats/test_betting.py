@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from nw_eval.stats.betting import evidence_above, lower_bound, trials_to_certify, upper_bound
+from nw_gate.stats.betting import evidence_above, lower_bound, trials_to_certify, upper_bound
 
 unit = st.floats(0.0, 1.0)
 groups = st.lists(arrays(np.float64, st.integers(1, 12), elements=unit), min_size=1, max_size=5)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.stats.interval import wilson
+from nw_gate.stats.interval import wilson
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from nw_eval.stats.bootstrap import mean_of_scenes
+from nw_gate.stats.bootstrap import mean_of_scenes
 
 unit = st.floats(0.0, 1.0)
 groups = st.lists(arrays(np.float64, st.integers(1, 12), elements=unit), min_size=1, max_size=5)

@@ -9,14 +9,14 @@ from math import comb
 import numpy as np
 import pytest
 
-from nw_eval.stats.hazard import (
+from nw_gate.stats.hazard import (
     differences,
     differences_over,
     first_partings,
     hazards,
     holm,
 )
-from nw_eval.stats.interval import fisher, newcombe
+from nw_gate.stats.interval import fisher, newcombe
 
 # Newcombe (1998), Table II, method 10; and statsmodels 0.15.0, confint_proportions_2indep(newcomb).
 NEWCOMBE = [

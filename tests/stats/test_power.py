@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nw_eval.stats.betting import evidence_above
-from nw_eval.stats.power import SceneCounts, chances_at, ends, shares_after, shares_at
+from nw_gate.stats.betting import evidence_above
+from nw_gate.stats.power import SceneCounts, chances_at, ends, shares_after, shares_at
 
 # The hurdles suite as it was measured, ten trials in each of 16 scenes: the waypoints of a scene,
 # and how many trials ended after 0, 1, ... of them. Scene means .525, .9, 3 x .933, 3 x .95,
@@ -124,7 +124,7 @@ def test_the_chance_to_be_decided_comes_true_as_often_as_it_says(
 ) -> None:
     # Policies of any success about the bar. Of those that one run of ten trials in each scene does
     # not decide, as many are decided by twice and by four times the trials as was said beforehand.
-    monkeypatch.setattr("nw_eval.stats.power.RUNS", 400)
+    monkeypatch.setattr("nw_gate.stats.power.RUNS", 400)
     rng = np.random.default_rng(20261)
     courses, bar = seen(HURDLES), 0.75
     said: list[float] = []

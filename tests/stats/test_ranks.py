@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nw_eval.stats.betting import Ranks, possible_ranks
-from nw_eval.stats.hazard import holm
+from nw_gate.stats.betting import Ranks, possible_ranks
+from nw_gate.stats.hazard import holm
 
 
 def flat(success, scenes=4, starts=10):

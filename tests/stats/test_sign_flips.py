@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.stats.interval import leans_above
+from nw_gate.stats.interval import leans_above
 
 
 def by_hand(differences):

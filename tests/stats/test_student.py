@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from nw_eval.stats.interval import t_quantile
+from nw_gate.stats.interval import t_quantile
 
 # scipy 1.17.1, stats.t.ppf of .5 + confidence / 2.
 QUANTILES = {

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.catalogue import match_scenes, names
-from nw_eval.files.shipped import available, shipped
-from nw_eval.scenes.real import REAL, scan_of
-from nw_eval.stats.betting import trials_to_certify
+from nw_base.files.shipped import available, shipped
 from nw_eval.suite import draft_suite, load_suite, tier_problems
-from nw_eval.suite.rendering import DRAFTED, PUBLISHED
+from nw_gate.stats.betting import trials_to_certify
+from nw_scenes.real import REAL, scan_of
+from nw_sim.catalogue import match_scenes, names
+from nw_sim.rendering import DRAFTED, PUBLISHED
 
 
 @pytest.mark.parametrize("path", sorted(shipped("suites").glob("*.yaml")), ids=lambda p: p.stem)

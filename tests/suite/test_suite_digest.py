@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from nw_eval.results.trials import _USUAL, digest_of_trials
+from nw_base.trials import _USUAL, digest_of_trials
 from nw_eval.suite import Suite, load_suite, new_suite
 from nw_eval.suite.model import Source
-from nw_eval.suite.rendering import PUBLISHED
-from nw_eval.tasks import COURSE
+from nw_sim.rendering import PUBLISHED
+from nw_sim.tasks import COURSE
 
 BASE: dict[str, Any] = {
     "nw-eval": 1,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from nw_eval.errors import SuiteError, UsageError
+from nw_base.errors import SuiteError, UsageError
 from nw_eval.suite import find_suite, load_suite
 
 if TYPE_CHECKING:

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from nw_eval.errors import UsageError
-from nw_eval.request import Request
+from nw_base.errors import UsageError
 from nw_eval.suite import Suite, draft_suite, load_suite, override, tier_problems
+from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -3,8 +3,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from nw_eval.robots import BUILT_IN
 from nw_eval.suite import json_schema
+from nw_scenes.robots import BUILT_IN
 
 
 def settings() -> dict[str, Any]:

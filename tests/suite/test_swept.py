@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.errors import UsageError
-from nw_eval.suite.axes import SweptAxis
+from nw_base.errors import UsageError
+from nw_sim.axes import SweptAxis
 
 
 @pytest.mark.parametrize(

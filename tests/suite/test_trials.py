@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.errors import UsageError
-from nw_eval.request import Request
-from nw_eval.results.ended import wanted
-from nw_eval.results.provenance import StopInfo
+from nw_base.errors import UsageError
 from nw_eval.suite import Trial, expand, new_suite, override
+from nw_gate.results.ended import wanted
+from nw_gate.results.provenance import StopInfo
+from nw_gate.results.request import Request
 
 BASE: dict[str, Any] = {
     "nw-eval": 1,

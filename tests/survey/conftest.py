@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval.scenes import Plane, Scene
-from nw_eval.scenes.mesh import TriangleMesh
-from nw_eval.scenes.scene import CaptureCameras
-from nw_eval.scenes.terrain import build_terrain
+from nw_scenes import Plane, Scene
+from nw_scenes.mesh import TriangleMesh
+from nw_scenes.scene import CaptureCameras
+from nw_scenes.terrain import build_terrain
 
 sys.path.insert(0, str(Path(__file__).parent))
 

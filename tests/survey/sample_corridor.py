@@ -20,8 +20,8 @@ class FilledSplat:
         self.path, self.means = path, means
 
     def store(self, _progress=None):
-        from nw_eval.splat.gaussians import Gaussians
-        from nw_eval.splat.store import compile_store
+        from nw_splat.gaussians import Gaussians
+        from nw_splat.store import compile_store
 
         count = len(self.means)
         gaussians = Gaussians(

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from nw_eval.api import list_scenes
-from nw_eval.catalogue import get_scene
-from nw_eval.robots import find_robot, get_robot
-from nw_eval.scenes.mesh import merge
-from nw_eval.scenes.scene import Box, Scene
-from nw_eval.survey.course import stance_of
-from nw_eval.survey.legs import demands_of, fit_of, legs_of
+from nw_scenes.mesh import merge
+from nw_scenes.robots import find_robot, get_robot
+from nw_scenes.scene import Box, Scene
+from nw_sim.catalogue import get_scene
+from nw_sim.survey.course import stance_of
+from nw_sim.survey.legs import demands_of, fit_of, legs_of
 
 # Two legs with a hip, a knee and a foot; without a policy it tips over.
 LEG = """

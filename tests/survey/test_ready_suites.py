@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from sample_corridor import corridor
 
+from nw_base.errors import UsageError
 from nw_eval import api, cli
-from nw_eval.catalogue import from_folder
-from nw_eval.errors import UsageError
 from nw_eval.suite import load_suite
+from nw_sim.catalogue import from_folder
 
 SCENE = """\
 nw-scene: 1

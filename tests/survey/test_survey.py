@@ -10,8 +10,8 @@ import pytest
 import trimesh
 from sample_corridor import box, corridor, floor_with_hole, gaussians_on
 
-from nw_eval.catalogue import get_scene, inspect_scene, names
-from nw_eval.survey import footing_lines, survey_scene
+from nw_sim.catalogue import get_scene, inspect_scene, names
+from nw_sim.survey import footing_lines, survey_scene
 
 
 def found(scene):

@@ -13,11 +13,11 @@ from PIL import Image
 from sample_corridor import box
 
 from nw_eval import api, cli
-from nw_eval.built_in.entries import has_variants
-from nw_eval.catalogue import get_scene, names
-from nw_eval.robots import get_robot
-from nw_eval.scenes.scene import Spawn
-from nw_eval.survey.course import course_findings, stance_of, start_finding, waypoints_at_start
+from nw_places.entries import has_variants
+from nw_scenes.robots import get_robot
+from nw_scenes.scene import Spawn
+from nw_sim.catalogue import get_scene, names
+from nw_sim.survey.course import course_findings, stance_of, start_finding, waypoints_at_start
 
 OPEN = trimesh.util.concatenate(
     [box((-1.5, -1, -0.2), (5.5, 1, 0)), box((1.5, -1, -0.1), (2.5, 1, 0.1))]

@@ -10,15 +10,15 @@ TRAPPED = """
 import sys
 sys.path.insert(0, sys.argv[1])
 import numpy as np
-from nw_eval.scenes import attach
+from nw_scenes import attach
 attach.use_own_collisions = lambda: None  # MuJoCo's own collisions of height fields.
 from sample_corridor import TRAIL, START, corridor
-from nw_eval.scenes import Plane, Scene
-from nw_eval.scenes.mesh import TriangleMesh
-from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.terrain import build_terrain
-from nw_eval.survey.ground import drop_feet
-from nw_eval.survey.ground import survey_ground
+from nw_scenes import Plane, Scene
+from nw_scenes.mesh import TriangleMesh
+from nw_scenes.rays import RayScene
+from nw_scenes.terrain import build_terrain
+from nw_sim.survey.ground import drop_feet
+from nw_sim.survey.ground import survey_ground
 shape = corridor()
 mesh = TriangleMesh(vertices=np.array(shape.vertices), faces=np.array(shape.faces, dtype=np.int32),
                     kinds=np.zeros(len(shape.faces), dtype=np.uint8))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from nw_eval.catalogue import get_scene
-from nw_eval.results.trials import Trial
-from nw_eval.robots import get_robot
+from nw_base.trials import Trial
 from nw_eval.suite.model import new_suite
-from nw_eval.tasks import TaskRules, fault_of, open_task
+from nw_scenes.robots import get_robot
+from nw_sim.catalogue import get_scene
+from nw_sim.tasks import TaskRules, fault_of, open_task
 
 SETTINGS = {
     "nw-eval": 1,

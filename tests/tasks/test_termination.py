@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nw_eval.catalogue import get_scene
-from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.sim import World
-from nw_eval.tasks.course import CourseProgress, Termination, distance_to_polyline
+from nw_base.protocol import NEVERWHERE_2026, STRICT
+from nw_sim.catalogue import get_scene
+from nw_sim.physics import World
+from nw_sim.tasks.course import CourseProgress, Termination, distance_to_polyline
 
 PROTOCOLS = (STRICT, NEVERWHERE_2026)
 TRAIL = np.array([(2.0, 0.0, 0.3), (4.0, 0.0, 0.0)])

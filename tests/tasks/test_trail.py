@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from nw_eval.errors import SceneError
-from nw_eval.protocol import NEVERWHERE_2026, STRICT
-from nw_eval.tasks.course import CourseProgress
+from nw_base.errors import SceneError
+from nw_base.protocol import NEVERWHERE_2026, STRICT
+from nw_sim.tasks.course import CourseProgress
 
 PROTOCOLS = (STRICT, NEVERWHERE_2026)
 NEAR, FAR = (0.0, 0.0), (5.0, 5.0)

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.gaussians import SH0, Gaussians
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import memory_store
-from nw_eval.twin.gaussians.images import Photo
-from nw_eval.twin.gaussians.initial import gaussians_at
-from nw_eval.twin.gaussians.rasteriser import Rasteriser
+from nw_splat.camera import Camera, look_at
+from nw_splat.gaussians import SH0, Gaussians
+from nw_splat.render import CpuRenderer
+from nw_splat.store import memory_store
+from nw_twin.gaussians.images import Photo
+from nw_twin.gaussians.initial import gaussians_at
+from nw_twin.gaussians.rasteriser import Rasteriser
 
 _SIDE, _TILE = 26, 0.32
 """Tiles along each side of the floor, and metres of one."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from nw_eval.splat.camera import Camera, look_at
+from nw_splat.camera import Camera, look_at
 
 TEXEL = 0.01
 """Metres of one texel of a patch."""

@@ -7,13 +7,13 @@ import pytest
 from small_capture import beginning, photos
 from test_trainer import BUSY
 
-from nw_eval.errors import StoreError
-from nw_eval.files.cache import sealed_path
-from nw_eval.memory import pack
-from nw_eval.splat.gaussians import ARRAYS, concatenate
-from nw_eval.twin.gaussians import trainer as training
-from nw_eval.twin.gaussians.initial import gaussians_at
-from nw_eval.twin.gaussians.trainer import Trainer, resume_training, save_training
+from nw_base.errors import StoreError
+from nw_base.files.cache import sealed_path
+from nw_base.memory import pack
+from nw_splat.gaussians import ARRAYS, concatenate
+from nw_twin.gaussians import trainer as training
+from nw_twin.gaussians.initial import gaussians_at
+from nw_twin.gaussians.trainer import Trainer, resume_training, save_training
 
 
 @pytest.mark.parametrize("strategy", ["default", "mcmc"])
@@ -93,7 +93,7 @@ def test_a_training_of_another_version_is_begun_anew(saved, monkeypatch):
     ],
 )
 def test_arrays_that_do_not_belong_together_are_refused(saved, monkeypatch, name, array):
-    from nw_eval.twin.gaussians import trainer as checkpoint
+    from nw_twin.gaussians import trainer as checkpoint
 
     def tampered(arrays):
         changed = {key: value for key, value in arrays.items() if key != name}

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from splat_rooms import cloud
 
-from nw_eval.splat.camera import Camera
-from nw_eval.splat.gaussians import ARRAYS, Gaussians
-from nw_eval.twin.gaussians.config import Default, Mcmc
-from nw_eval.twin.gaussians.density import (
+from nw_splat.camera import Camera
+from nw_splat.gaussians import ARRAYS, Gaussians
+from nw_twin.gaussians.config import Default, Mcmc
+from nw_twin.gaussians.density import (
     DefaultDensity,
     McmcDensity,
     Population,
@@ -18,8 +18,8 @@ from nw_eval.twin.gaussians.density import (
     relocated,
     split,
 )
-from nw_eval.twin.gaussians.images import Gradients, Photo
-from nw_eval.twin.gaussians.kernels.rows import perturb
+from nw_twin.gaussians.images import Gradients, Photo
+from nw_twin.gaussians.kernels.rows import perturb
 
 CAMERA = Camera.from_fovy(width=200, height=100, fovy=1.0, T_world_camera=np.eye(4))
 SMALL, LARGE = math.log(0.05), math.log(0.5)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from small_capture import PLACE, beginning, photos
 
-from nw_eval.twin.gaussians.loss import view_figures
-from nw_eval.twin.gaussians.rasteriser import Rasteriser
+from nw_twin.gaussians.loss import view_figures
+from nw_twin.gaussians.rasteriser import Rasteriser
 
 
 def test_the_place_itself_is_shown_as_well_as_a_byte_can_say():

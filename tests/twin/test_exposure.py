@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from nw_eval.twin.gaussians.loss import Exposures
+from nw_twin.gaussians.loss import Exposures
 
 
 def test_the_gradient_of_a_map_is_torchs():

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from nw_eval.errors import SceneError
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.gaussians import SH0
-from nw_eval.twin.gaussians.images import Photo, extent_of
-from nw_eval.twin.gaussians.initial import SKY_AWAY, gaussians_at, with_sky
+from nw_base.errors import SceneError
+from nw_splat.camera import Camera, look_at
+from nw_splat.gaussians import SH0
+from nw_twin.gaussians.images import Photo, extent_of
+from nw_twin.gaussians.initial import SKY_AWAY, gaussians_at, with_sky
 
 
 def test_sizes_are_the_distances_to_the_three_nearest():

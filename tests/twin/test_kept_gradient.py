@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-import nw_eval.splat.kernels as renderer
-import nw_eval.twin.gaussians.kernels as training
-from nw_eval.machine_code import hash_sources
-from nw_eval.twin.gaussians.kernels.blend import blend_back
+import nw_splat.kernels as renderer
+import nw_twin.gaussians.kernels as training
+from nw_base.machine_code import hash_sources
+from nw_twin.gaussians.kernels.blend import blend_back
 
 
 def test_a_change_in_the_renderers_vector_layer_compiles_the_gradient_anew():

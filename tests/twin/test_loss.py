@@ -6,8 +6,8 @@ import torch
 import twin_reference as reference
 from skimage.metrics import structural_similarity
 
-from nw_eval.twin.gaussians.loss import depth_loss, photo_loss, psnr
-from nw_eval.twin.gaussians.rasteriser import Threads
+from nw_twin.gaussians.loss import depth_loss, photo_loss, psnr
+from nw_twin.gaussians.rasteriser import Threads
 
 
 def _pictures(width, height, seed=0):

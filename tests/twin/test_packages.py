@@ -2,8 +2,8 @@
 
 import pytest
 
-from nw_eval.errors import PrerequisiteError
-from nw_eval.twin import packages
+from nw_base.errors import PrerequisiteError
+from nw_twin import packages
 
 
 def test_open3d_starts_on_a_system_without_libusb():

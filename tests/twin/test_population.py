@@ -5,11 +5,11 @@ import pytest
 import torch
 from splat_rooms import cloud
 
-from nw_eval.splat.gaussians import ARRAYS
-from nw_eval.twin.gaussians.config import Rates
-from nw_eval.twin.gaussians.density import EPSILON, Population
-from nw_eval.twin.gaussians.images import Gradients
-from nw_eval.twin.gaussians.rasteriser import Threads
+from nw_splat.gaussians import ARRAYS
+from nw_twin.gaussians.config import Rates
+from nw_twin.gaussians.density import EPSILON, Population
+from nw_twin.gaussians.images import Gradients
+from nw_twin.gaussians.rasteriser import Threads
 
 
 def _gradients(gaussians, seed):

@@ -8,12 +8,12 @@ import torch
 import twin_reference as reference
 from splat_rooms import cloud, eye_camera, psnr, room
 
-from nw_eval.errors import UsageError
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import memory_store
-from nw_eval.twin.gaussians.images import Images
-from nw_eval.twin.gaussians.rasteriser import Rasteriser, Threads
+from nw_base.errors import UsageError
+from nw_splat.camera import Camera, look_at
+from nw_splat.render import CpuRenderer
+from nw_splat.store import memory_store
+from nw_twin.gaussians.images import Images
+from nw_twin.gaussians.rasteriser import Rasteriser, Threads
 
 
 def _camera(width=97, height=61, *, scale=1.0):

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from small_capture import PLACE, beginning, photos
 
-from nw_eval.errors import SceneError, UsageError
-from nw_eval.splat.camera import Camera
-from nw_eval.splat.gaussians import ARRAYS
-from nw_eval.twin.gaussians.config import Default, Mcmc, Rates, TrainConfig, falling
-from nw_eval.twin.gaussians.images import Photo, extent_of
-from nw_eval.twin.gaussians.loss import psnr
-from nw_eval.twin.gaussians.rasteriser import Rasteriser
-from nw_eval.twin.gaussians.trainer import Trainer
+from nw_base.errors import SceneError, UsageError
+from nw_splat.camera import Camera
+from nw_splat.gaussians import ARRAYS
+from nw_twin.gaussians.config import Default, Mcmc, Rates, TrainConfig, falling
+from nw_twin.gaussians.images import Photo, extent_of
+from nw_twin.gaussians.loss import psnr
+from nw_twin.gaussians.rasteriser import Rasteriser
+from nw_twin.gaussians.trainer import Trainer
 
 BUSY = TrainConfig(
     iterations=60,

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nw_eval.errors import UsageError
+from nw_base.errors import UsageError
 from nw_eval.testing import FakeClock
 from nw_eval.view import live_page
 from nw_eval.view.live_page import open_live

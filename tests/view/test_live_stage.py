@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 import nw_eval
-from nw_eval.errors import UsageError
-from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.gaussians import SH0
+from nw_base.errors import UsageError
 from nw_eval.suite import load_suite
-from nw_eval.suite.axes import AXES, Perturb
 from nw_eval.view.live_page import save_played
 from nw_eval.view.live_stage import open_stage, painted
+from nw_scenes.folder import load_folder
+from nw_scenes.rays import RayScene
+from nw_sim.axes import AXES, Perturb
+from nw_splat.gaussians import SH0
 
 PLACE = "hurdles/one_low_carpet"
 

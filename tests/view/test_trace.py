@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import nw_eval
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.results.moment_link import PORT, MomentLink, read_link
-from nw_eval.rollout.mcap.reader import LogReader
+from nw_base.errors import StoreError, UsageError
 from nw_eval.view.drawing import aim_along
 from nw_eval.view.sources import open_shelf
 from nw_eval.view.trace import APART, parting, read_trace
+from nw_gate.results.moment_link import PORT, MomentLink, read_link
+from nw_sim.rollout.mcap.reader import LogReader
 
 SUITE = """\
 nw-eval: 1

@@ -10,8 +10,8 @@ import urllib.request
 import pytest
 
 from nw_eval import cli
-from nw_eval.results.moment_link import PORT
 from nw_eval.viewing.browser import free_port
+from nw_gate.results.moment_link import PORT
 
 pytest.importorskip("viser")
 

@@ -87,7 +87,7 @@ from nw_eval.api.sweeping import SweptSuite, sweep
 from nw_eval.api.trial_plans import BarPlan, ShardPlan, TrialPlan, plan_shards, plan_trials
 from nw_eval.api.verifying import VerifiedRun, verify
 from nw_eval.api.watching import WatchedCheckpoint, WatchedTraining, watch
-from nw_eval.request import Request
+from nw_gate.results.request import Request
 
 
 def _see_to_mujoco() -> None:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 from nw_eval.api.renamed import keywords_were
 
 if TYPE_CHECKING:
-    from nw_eval.errors import NwEvalError
-    from nw_eval.policies import Bundle
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.replaying.reports import AttributionReport
+    from nw_base.errors import NwEvalError
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
+    from nw_gate.results.run_folder import RunFolder
+    from nw_policies import Bundle
+    from nw_sim.rollout.replaying.reports import AttributionReport
 
 AT_MOST = 10
 """Trials that are looked at unless more are asked for: each takes as long as some ten others."""
@@ -99,13 +99,13 @@ def attribute(
         IncomparableError: the baseline's policy is not the one that is there.
         PolicyError: the policy cannot be used.
     """
+    from nw_base.errors import UsageError
     from nw_eval.engine.machine import worker_count
-    from nw_eval.errors import UsageError
     from nw_eval.reporting.tables.trials import worst_trials
-    from nw_eval.results.evidence_check import present_logs
-    from nw_eval.robots import find_robot, know_robot
-    from nw_eval.rollout.confined.vetting import vet_bundle
-    from nw_eval.rollout.replaying.apart import attribute_apart
+    from nw_gate.results.evidence_check import present_logs
+    from nw_scenes.robots import find_robot, know_robot
+    from nw_sim.rollout.confined.vetting import vet_bundle
+    from nw_sim.rollout.replaying.apart import attribute_apart
 
     if trials < 1:
         raise UsageError(f"--trials {trials} is too low", fix="give at least 1 trial")
@@ -153,7 +153,7 @@ def attribute(
 
 
 def _attributed(row: Row, log: Path, what: AttributionReport | NwEvalError) -> AttributedTrial:
-    from nw_eval.errors import NwEvalError
+    from nw_base.errors import NwEvalError
 
     report, fault = (None, str(what)) if isinstance(what, NwEvalError) else (what, "")
     if report is not None and report.trial != row.trial_id:
@@ -163,8 +163,8 @@ def _attributed(row: Row, log: Path, what: AttributionReport | NwEvalError) -> A
 
 def _read(run: Path) -> tuple[RunFolder, RunInfo, Sequence[Row]]:
     from nw_eval.api.saved_run import saved_rows
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import open_run_folder
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.run_folder import open_run_folder
 
     folder = open_run_folder(run)
     info = read_run_info(folder.run_json)
@@ -172,7 +172,7 @@ def _read(run: Path) -> tuple[RunFolder, RunInfo, Sequence[Row]]:
 
 
 def _tries(rows: Sequence[Row]) -> int:
-    from nw_eval.rollout.replaying.takeover import most_tries
+    from nw_sim.rollout.replaying.takeover import most_tries
 
     return max(most_tries(row.steps) for row in rows)
 
@@ -202,9 +202,9 @@ def baseline_bundle(
         IncomparableError: the baseline's policy is not the one that is there.
         PolicyError: the policy cannot be loaded.
     """
-    from nw_eval.errors import IncomparableError, PolicyError, UsageError
-    from nw_eval.policies import find_card, load_bundle
-    from nw_eval.results.bank_file import find_bank, read_bank
+    from nw_base.errors import IncomparableError, PolicyError, UsageError
+    from nw_gate.results.bank_file import find_bank, read_bank
+    from nw_policies import find_card, load_bundle
 
     try:
         bank = read_bank(find_bank(baseline, suite=str(info.suite.get("name", ""))))

@@ -7,16 +7,16 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import IncomparableError, TrialError
-from nw_eval.plural import plural
-from nw_eval.request import Request
+from nw_base.errors import IncomparableError, TrialError
+from nw_base.plural import plural
+from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
-    from nw_eval.results.bank import Against
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
-    from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import Suite
+    from nw_gate.results.bank import Against
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
+    from nw_gate.results.run_folder import RunFolder
 
 NO_BASELINE = "none"
 """What is asked for where a suite names a baseline and none is wanted."""
@@ -40,7 +40,7 @@ def wanted_bank(request: Request, suite: Suite, *, own_policy: bool) -> Against 
         StoreError: it is damaged.
         IncomparableError: it is none, or of another version.
     """
-    from nw_eval.results.bank_file import find_bank
+    from nw_gate.results.bank_file import find_bank
 
     reference = request.baseline
     if reference is None and own_policy:
@@ -82,9 +82,9 @@ def _beside(against: Against, folder: RunFolder, info: RunInfo) -> Against:
         StoreError: they are damaged.
         TrialError: one is an error.
     """
-    from nw_eval.files.inside import what_is
-    from nw_eval.results.bank import ControlArm
-    from nw_eval.results.provenance import read_run_info
+    from nw_base.files.inside import what_is
+    from nw_gate.results.bank import ControlArm
+    from nw_gate.results.provenance import read_run_info
 
     nested, known = folder.baseline, info.baseline
     if known is None or known.checked != "control" or what_is(nested.run_json) != "file":
@@ -177,7 +177,7 @@ def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) 
     Raises:
         IncomparableError: it has fewer.
     """
-    from nw_eval.gate.baseline.match import saving
+    from nw_gate.baseline.match import saving
 
     name, starts = against.info.name, against.bank.manifest.starts
     if rounds > starts:
@@ -191,9 +191,9 @@ def check_rounds(against: Against, rounds: int, suite: Suite, request: Request) 
 
 
 def _opened(path: Path) -> Against:
-    from nw_eval.results.bank import Against
-    from nw_eval.results.bank_file import read_bank
-    from nw_eval.results.provenance import BaselineInfo
+    from nw_gate.results.bank import Against
+    from nw_gate.results.bank_file import read_bank
+    from nw_gate.results.provenance import BaselineInfo
 
     bank, content = read_bank(path), path.read_bytes()
     info = BaselineInfo(name=bank.manifest.name, path=str(path.resolve()), sha256=_digest(content))

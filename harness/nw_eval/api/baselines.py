@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.errors import IncomparableError, NwEvalError, PolicyError
+from nw_base.errors import IncomparableError, NwEvalError, PolicyError
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
-    from nw_eval.results.bank import (
+    from nw_gate.results.bank import (
         BankKey,
         BankPolicy,
         BaselineChange,
@@ -51,7 +51,7 @@ class ShownBaseline:
 
 def list_baselines() -> tuple[ListedBaseline, ...]:
     """Return the project's banks, those of `reports/baselines`, and then the shipped ones."""
-    from nw_eval.results.bank_file import bank_files
+    from nw_gate.results.bank_file import bank_files
 
     with ThreadPoolExecutor(_READERS) as readers:
         return tuple(readers.map(_listed, bank_files()))
@@ -69,7 +69,7 @@ def show_baseline(baseline: str | Path, *, suite: str | None = None) -> ShownBas
         StoreError: it is damaged.
         IncomparableError: it is no baseline that anything can be compared with.
     """
-    from nw_eval.results.bank_file import find_any, read_bank
+    from nw_gate.results.bank_file import find_any, read_bank
 
     file = find_any(baseline, suite=suite)
     return ShownBaseline(file=file, bank=read_bank(file))
@@ -88,15 +88,15 @@ def diff_baselines(
     Raises:
         UsageError, StoreError, IncomparableError: as `show_baseline`.
     """
-    from nw_eval.results.bank import bank_change
+    from nw_gate.results.bank import bank_change
 
     banks = [show_baseline(each, suite=suite).bank for each in (then, now)]
     return bank_change(*banks)
 
 
 def _listed(file: Path) -> ListedBaseline:
-    from nw_eval.results.bank import bank_mean
-    from nw_eval.results.bank_file import read_bank
+    from nw_gate.results.bank import bank_mean
+    from nw_gate.results.bank_file import read_bank
 
     suite, name = file.parent.name, file.stem
     try:
@@ -121,7 +121,7 @@ class Here:
     @property
     def work(self) -> Path:
         """Where its trials are kept: one folder for each key, policy and class of machine."""
-        from nw_eval.digest import digest_of
+        from nw_base.digest import digest_of
         from nw_eval.engine.provenance import journal_header
 
         header = journal_header(self.plan)
@@ -131,7 +131,7 @@ class Here:
 
     def is_in(self, bank: BaselineResults, starts: int) -> bool:
         """Whether a baseline has all of it, so that nothing need be run."""
-        from nw_eval.results.bank import key_changes, policy_changes
+        from nw_gate.results.bank import key_changes, policy_changes
 
         return (
             bank.manifest.starts == starts
@@ -146,8 +146,8 @@ class Here:
         Raises:
             UsageError: it is none.
         """
-        from nw_eval.request import Request
         from nw_eval.suite import expand, override
+        from nw_gate.results.request import Request
 
         suite = override(self.plan.suite, Request(trials=starts))
         trials = expand(suite, self.plan.scenes)
@@ -167,9 +167,9 @@ def here(suite: str | Path, *, policy: str | None, **changes: Any) -> Here:
     """
     from nw_eval.api.plans import plan as plan_of
     from nw_eval.engine.provenance import run_info
-    from nw_eval.results.bank import BankPolicy, key_of, machine_of
-    from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import load_suite
+    from nw_gate.results.bank import BankPolicy, key_of, machine_of
+    from nw_gate.results.run_folder import RunFolder
 
     read = load_suite(suite)
     # Without a baseline: a baseline is a run like any other, of all its starts.
@@ -201,8 +201,8 @@ def card_reference(card: str) -> str:
     Returns:
         Empty for a card that lies elsewhere.
     """
-    from nw_eval.files.shipped import shipped
-    from nw_eval.hub.reference import origin_of
+    from nw_base.files.shipped import shipped
+    from nw_scenes.hub.reference import origin_of
 
     folder = Path(card).parent
     fetched = origin_of(folder) if card else None
@@ -261,8 +261,8 @@ def check_baseline(
         StoreError: the baseline is damaged.
         IncomparableError: it is no baseline that anything can be compared with.
     """
-    from nw_eval.results.bank import key_changes, machine_changes, policy_changes
     from nw_eval.suite import load_suite
+    from nw_gate.results.bank import key_changes, machine_changes, policy_changes
 
     named = None if suite is None else load_suite(suite).name
     shown = show_baseline(baseline, suite=named)

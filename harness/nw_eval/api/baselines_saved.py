@@ -13,16 +13,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from nw_base.errors import IncomparableError, StoreError, TrialError, UsageError
+from nw_base.plural import plural
 from nw_eval.api.renamed import keywords_were
-from nw_eval.errors import IncomparableError, StoreError, TrialError, UsageError
-from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api.baselines import Here
     from nw_eval.engine.listener import Listener
-    from nw_eval.results.bank import BaselineChange, BaselineResults
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
+    from nw_gate.results.bank import BaselineChange, BaselineResults
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
 
 STARTS = 60
 """M where it is unknown: three times the default `gate.rounds`, so a run draws a third at most."""
@@ -91,8 +91,8 @@ def save_baseline(
         IncomparableError: the run makes no baseline.
     """
     from nw_eval.api.baselines import card_reference, here
-    from nw_eval.results.bank_file import bank_of_run
     from nw_eval.suite import load_suite
+    from nw_gate.results.bank_file import bank_of_run
 
     if trials is not None and trials < 1:
         raise UsageError(f"--trials {trials} is too low", fix="give at least 1")
@@ -148,7 +148,7 @@ def _check_seen(rows: Sequence[Row], run: RunInfo) -> None:
         IncomparableError: more of its trials left the captured volume than the suite allows.
     """
     from nw_eval.api.saved_run import saved_suite
-    from nw_eval.gate.validity import over_the_cap, that_left
+    from nw_gate.validity import over_the_cap, that_left
 
     gate = saved_suite(run).gate
     if capped := over_the_cap(rows, that_left(rows, gate), gate):
@@ -163,7 +163,7 @@ def _file(root: Path | None, suite: str, name: str) -> Path:
     Raises:
         UsageError: its name is none.
     """
-    from nw_eval.results.bank_file import BANKS, SUFFIX, fault_of_name
+    from nw_gate.results.bank_file import BANKS, SUFFIX, fault_of_name
 
     if fault := fault_of_name(name):
         raise UsageError(f"a baseline's name: {fault}", fix="give another with --name")
@@ -176,7 +176,7 @@ def _earlier(file: Path, *, renew: bool) -> BaselineResults | None:
     Raises:
         StoreError, IncomparableError: it cannot be read, and is not to be replaced.
     """
-    from nw_eval.results.bank_file import read_bank
+    from nw_gate.results.bank_file import read_bank
 
     try:
         return read_bank(file) if file.exists() else None
@@ -190,9 +190,9 @@ def _written(
     file: Path, earlier: BaselineResults | None, found: BaselineResults, *, renew: bool
 ) -> SavedBaseline:
     """Write a baseline unless it would silently become another one."""
-    from nw_eval.files.cache import followed
-    from nw_eval.results.bank import bank_change
-    from nw_eval.results.bank_file import with_panel, write_bank
+    from nw_base.files.cache import followed
+    from nw_gate.results.bank import bank_change
+    from nw_gate.results.bank_file import with_panel, write_bank
 
     if earlier is None:
         write_bank(followed(file), found)
@@ -223,10 +223,10 @@ def _new_results(
     """
     from nw_eval.engine import session
     from nw_eval.engine.listener import NullListener
-    from nw_eval.results.ended import read_trials
-    from nw_eval.results.journal import has_begun
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import RunFolder
+    from nw_gate.results.ended import read_trials
+    from nw_gate.results.journal import has_begun
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.run_folder import RunFolder
 
     listener = listener or NullListener()
     listener.message(_ahead(place, workers=workers))
@@ -286,8 +286,8 @@ def _kept(place: Here) -> int:
     Raises:
         StoreError: its journal cannot be read.
     """
-    from nw_eval.results.journal import has_begun, read_journal
-    from nw_eval.results.run_folder import RunFolder
+    from nw_gate.results.journal import has_begun, read_journal
+    from nw_gate.results.run_folder import RunFolder
 
     journal = RunFolder(path=place.work).journal
     if not has_begun(journal):
@@ -305,8 +305,8 @@ def _finished_results(folder: Path, suite: str) -> tuple[RunInfo, tuple[Row, ...
         StoreError: it is damaged.
     """
     from nw_eval.api.saved_run import check_whole, saved_rows
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import open_run_folder
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.run_folder import open_run_folder
 
     opened = open_run_folder(folder)
     run = check_whole(read_run_info(opened.run_json))

@@ -8,17 +8,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from nw_base.errors import IncomparableError, PolicyError, TrialError
+from nw_base.plural import plural
 from nw_eval.api.renamed import keywords_were
-from nw_eval.errors import IncomparableError, PolicyError, TrialError
-from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nw_eval.api.baselines import Here
     from nw_eval.engine.listener import Listener
-    from nw_eval.results.bank import BaselineResults
-    from nw_eval.results.row import Row
+    from nw_gate.results.bank import BaselineResults
+    from nw_gate.results.row import Row
 
 SHARE = "10%"
 """Of a baseline's starts, where nothing else is asked for."""
@@ -129,7 +129,7 @@ def _check(bank: BaselineResults, place: Here) -> None:
     Raises:
         IncomparableError: suite, scenes, simulator or policy are others.
     """
-    from nw_eval.results.bank import key_changes, policy_changes
+    from nw_gate.results.bank import key_changes, policy_changes
 
     changes = (
         *key_changes(bank.manifest.key, place.key),
@@ -148,8 +148,8 @@ def _run(
 ) -> tuple[tuple[Row, ...], bool]:
     """Run some trials of a baseline in a folder of their own; return rows, and if it was cut."""
     from nw_eval.engine import session
-    from nw_eval.results.journal import read_journal
-    from nw_eval.results.provenance import read_run_info
+    from nw_gate.results.journal import read_journal
+    from nw_gate.results.provenance import read_run_info
 
     chosen = set(names)
     trials = tuple(trial for trial in place.plan.trials if trial.id in chosen)
@@ -173,7 +173,7 @@ def _run(
 
 def _is_here(reference: str) -> bool:
     """Whether a policy's card is where a reference says."""
-    from nw_eval.policies import find_card
+    from nw_policies import find_card
 
     try:
         find_card(reference)
@@ -186,6 +186,6 @@ def _differing(
     rows: Sequence[Row], bank: BaselineResults, machine: dict[str, str]
 ) -> tuple[str, ...]:
     """Return what differs from the results that a run on a class of machine is compared with."""
-    from nw_eval.gate.baseline.match import differences
+    from nw_gate.baseline.match import differences
 
     return differences(rows, bank.panel_of(machine) or bank.panels[0])

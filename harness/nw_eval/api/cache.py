@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import UsageError
+from nw_base.errors import UsageError
 
 if TYPE_CHECKING:
     from nw_eval.engine.cache import CacheEntry, Kept, TrialStore

@@ -16,19 +16,19 @@ from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.errors import PolicyError, StoreError, UsageError
+from nw_base.errors import PolicyError, StoreError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from nw_eval.cards import Card
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
-    from nw_eval.gate.cause import Apart, Arm, Cause
-    from nw_eval.policies import Bundle
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
     from nw_eval.suite import Suite
+    from nw_gate.cause import Apart, Arm, Cause
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
+    from nw_policies import Bundle
+    from nw_policies.cards import Card
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,12 +83,12 @@ def find_cause(
     from nw_eval.api.continuing import continued
     from nw_eval.api.saved_run import check_whole
     from nw_eval.engine.machine import check_workers
-    from nw_eval.gate.cause import ARMS, write_cause_file
     from nw_eval.reporting.markdown import write_cause
-    from nw_eval.request import Request
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import open_run_folder
-    from nw_eval.rollout.confined.start import prepare
+    from nw_gate.cause import ARMS, write_cause_file
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.request import Request
+    from nw_gate.results.run_folder import open_run_folder
+    from nw_sim.rollout.confined.start import prepare
 
     check_workers(workers)
     if trials is not None and trials < 1:
@@ -139,7 +139,7 @@ def _same(arm: Arm, apart: Apart) -> Arm:
 
 
 def _caused(rows: Mapping[Arm, Sequence[Row]], apart: Apart, *, old: str, new: str) -> Cause:
-    from nw_eval.gate.cause import cause_of
+    from nw_gate.cause import cause_of
 
     try:
         return cause_of(rows, apart, old=old, new=new)
@@ -172,7 +172,7 @@ def _rounds(info: RunInfo, suite: Suite, trials: int | None) -> int:
 
 def _plain(suite: Suite, rounds: int) -> Suite:
     """Return a suite that judges nothing, with so many trials of each scene."""
-    from nw_eval.gate.settings import Gate
+    from nw_gate.settings import Gate
 
     changes = {"gate": Gate.model_validate({}), "record": "none", "trials": rounds}
     return suite.model_copy(update=changes)
@@ -248,7 +248,7 @@ def apart(old: Bundle, new: Bundle) -> Apart:
     Raises:
         PolicyError: they cannot be taken apart, or their sensors cannot be swapped.
     """
-    from nw_eval.gate.cause import Apart
+    from nw_gate.cause import Apart
 
     for bundle in (old, new):
         if bundle.instance is not None or bundle.card.adapter == "remote":
@@ -295,7 +295,7 @@ def write_crossed(folder: Path, control: Bundle, sight: Bundle, *, name: str) ->
     Raises:
         StoreError: it cannot be written.
     """
-    from nw_eval.cards.load import CARD_FILE
+    from nw_policies.cards.load import CARD_FILE
 
     card, other = _values_of(control.card), _values_of(sight.card)
     seen = _sight(control.card)

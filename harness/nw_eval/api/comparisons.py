@@ -11,13 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import UsageError
+from nw_base.errors import UsageError
 
 if TYPE_CHECKING:
-    from nw_eval.gate.side_by_side import Entrant, PolicyComparison
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
-    from nw_eval.stats.agreement import Agreement
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
+    from nw_gate.side_by_side import Entrant, PolicyComparison
+    from nw_gate.stats.agreement import Agreement
 
 
 def compare(
@@ -44,12 +44,12 @@ def compare(
         IncomparableError: they differ in suite, scenes, starts or simulator; each field is named.
         StoreError: rows are damaged, or a page cannot be written.
     """
-    from nw_eval.gate.side_by_side import side_by_side
+    from nw_gate.side_by_side import side_by_side
 
     check_share(confidence)
     found = side_by_side(entrants(runs), confidence)
     if out is not None:
-        from nw_eval.files.cache import followed
+        from nw_base.files.cache import followed
         from nw_eval.reporting.markdown import write_report
         from nw_eval.reporting.side_by_side import comparison_page
 
@@ -77,7 +77,7 @@ def entrants(sources: Sequence[str | Path]) -> list[Entrant]:
     Raises:
         UsageError, IncomparableError, StoreError: as `compare`.
     """
-    from nw_eval.gate.side_by_side import entrant_of_run
+    from nw_gate.side_by_side import entrant_of_run
 
     runs = {str(source): _run(Path(source)) for source in sources}
     infos = [run[0] for run in runs.values() if run is not None]
@@ -90,8 +90,8 @@ def entrants(sources: Sequence[str | Path]) -> list[Entrant]:
 def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
     """Return a run's provenance and rows; None for what is no run's folder."""
     from nw_eval.api.saved_run import saved_rows
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import open_run_folder
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.run_folder import open_run_folder
 
     try:
         folder = open_run_folder(path)
@@ -105,9 +105,9 @@ def _run(path: Path) -> tuple[RunInfo, Sequence[Row]] | None:
 
 def _bank(source: str, runs: Sequence[RunInfo]) -> Entrant:
     """Return a baseline, on the class of machine of the first run if it has been there."""
-    from nw_eval.gate.side_by_side import entrant_of_bank
-    from nw_eval.results.bank import machine_of
-    from nw_eval.results.bank_file import find_bank, read_bank
+    from nw_gate.results.bank import machine_of
+    from nw_gate.results.bank_file import find_bank, read_bank
+    from nw_gate.side_by_side import entrant_of_bank
 
     if not runs and "/" not in source and not source.endswith(".parquet"):
         raise UsageError(
@@ -150,10 +150,10 @@ def sim2real(
         IncomparableError: the runs differ in suite, scenes or simulator; each field is named.
         StoreError: rows are damaged.
     """
-    from nw_eval.gate.side_by_side import measured, score_of
-    from nw_eval.results.real import read_real_results
-    from nw_eval.stats.agreement import agreement
-    from nw_eval.stats.interval import Interval
+    from nw_gate.results.real import read_real_results
+    from nw_gate.side_by_side import measured, score_of
+    from nw_gate.stats.agreement import agreement
+    from nw_gate.stats.interval import Interval
 
     check_share(confidence)
     if not runs:

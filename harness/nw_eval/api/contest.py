@@ -17,31 +17,31 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from nw_base.errors import IncomparableError, PolicyError, TrialError
+from nw_base.files.inside import what_is
+from nw_base.plural import plural
+from nw_base.protocol import PROTOCOLS
 from nw_eval.api.banks import control_rows
 from nw_eval.api.plans import rechecks
 from nw_eval.engine.machine import worker_count
 from nw_eval.engine.rounds import RunStanding
-from nw_eval.errors import IncomparableError, PolicyError, TrialError
-from nw_eval.files.inside import what_is
-from nw_eval.gate.absolute import word_of_bar
-from nw_eval.gate.baseline.judge import setup_of
-from nw_eval.gate.baseline.match import contradictions, is_baseline, recheck, renewing
-from nw_eval.plural import plural
-from nw_eval.protocol import PROTOCOLS
-from nw_eval.results.bank import ControlArm, machine_of, trajectory
-from nw_eval.results.provenance import StopInfo, read_run_info
+from nw_gate.absolute import word_of_bar
+from nw_gate.baseline.judge import setup_of
+from nw_gate.baseline.match import contradictions, is_baseline, recheck, renewing
+from nw_gate.results.bank import ControlArm, machine_of, trajectory
+from nw_gate.results.provenance import StopInfo, read_run_info
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
-    from nw_eval.gate.baseline.finding import Finding
-    from nw_eval.gate.baseline.judge import ComparisonSetup
-    from nw_eval.gate.verdict import Word
-    from nw_eval.policies import Bundle
-    from nw_eval.results.bank import Against, Stratum
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
-    from nw_eval.results.run_folder import RunFolder
+    from nw_gate.baseline.finding import Finding
+    from nw_gate.baseline.judge import ComparisonSetup
+    from nw_gate.results.bank import Against, Stratum
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
+    from nw_gate.results.run_folder import RunFolder
+    from nw_gate.verdict import Word
+    from nw_policies import Bundle
 
 
 class Contest:
@@ -411,8 +411,8 @@ def _bundle(plan: Plan, against: Against, run: RunInfo) -> Bundle:
     Raises:
         IncomparableError: it is not there, cannot be used, or is another one.
     """
-    from nw_eval.policies import find_card, load_bundle
-    from nw_eval.rollout.confined.vetting import vet_bundle
+    from nw_policies import find_card, load_bundle
+    from nw_sim.rollout.confined.vetting import vet_bundle
 
     own = against.bank.manifest.policy
     reference = plan.request.baseline_policy or own.card or own.name

@@ -7,15 +7,15 @@ from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_base.errors import IncomparableError
 from nw_eval.api.saved_run import saved_suite
-from nw_eval.errors import IncomparableError
 
 if TYPE_CHECKING:
     from nw_eval.engine.plan import Plan
-    from nw_eval.request import Request
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import Suite
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.request import Request
+    from nw_gate.results.run_folder import RunFolder
 
 
 def continued(run: Path, request: Request) -> Plan:
@@ -32,10 +32,10 @@ def continued(run: Path, request: Request) -> Plan:
     """
     from nw_eval.api.banks import resumed_bank
     from nw_eval.api.plans import plan_of
-    from nw_eval.results.journal import has_begun
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import open_run_folder
     from nw_eval.suite import draft_of, draft_suite
+    from nw_gate.results.journal import has_begun
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.run_folder import open_run_folder
 
     folder = open_run_folder(run)
     info = read_run_info(folder.run_json)
@@ -105,7 +105,7 @@ def _check_gate(run: Path, begun: Suite, now: Suite) -> None:
 def _as_drawn(plan: Plan, folder: RunFolder, info: RunInfo) -> Plan:
     """Return a plan that meets the starts that its run was begun with."""
     from nw_eval.api.plans import rechecked
-    from nw_eval.results.journal import has_begun, read_journal
+    from nw_gate.results.journal import has_begun, read_journal
 
     if not plan.is_baseline:
         return plan

@@ -16,9 +16,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from nw_eval import __version__
-from nw_eval.errors import NwEvalError, StoreError
-from nw_eval.words import KERNELS
+from nw_base import __version__
+from nw_base.errors import NwEvalError, StoreError
+from nw_base.words import KERNELS
 
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
@@ -83,7 +83,7 @@ class Checkup:
 
 def check_up() -> Checkup:
     """Look at this machine. No simulator, no torch and no driver of a GPU is loaded."""
-    from nw_eval.confinement import offered
+    from nw_base.confinement import offered
 
     fence = offered()
     unmet = dict(_unmet())
@@ -167,7 +167,7 @@ def _is_met(need: Requirement) -> bool:
 
 def _processor() -> dict[str, str | int]:
     from nw_eval.engine.machine import cpu_kind
-    from nw_eval.results.provenance import machine_info, processors
+    from nw_gate.results.provenance import machine_info, processors
 
     machine, (affinity, installed) = machine_info(), processors()
     return {
@@ -196,7 +196,7 @@ def _memory() -> dict[str, int | None]:
 
 def _cache() -> tuple[dict[str, str | int], list[str]]:
     """Return place, size and free space of the cache, and why it cannot be used."""
-    from nw_eval.files.cache import cache_dir
+    from nw_base.files.cache import cache_dir
 
     try:
         folder = cache_dir()
@@ -217,21 +217,25 @@ def _compiled() -> tuple[str, ...]:
     """Return what `warmup.warm_kernels` does, without a second for importing numba."""
     from llvmlite import binding
 
-    from nw_eval.files.cache import cache_dir
+    from nw_base.files.cache import cache_dir
 
     versions = (platform.python_version(), *map(metadata.version, ("numba", "llvmlite", "numpy")))
-    package, folder = Path(__file__).parents[1], cache_dir() / "kernels"
+    packages, folder = Path(__file__).parents[2], cache_dir() / "kernels"
 
     def is_compiled(kind: str, sources: Path) -> bool:
         digest = hashlib.sha256(" ".join(versions).encode())
-        vectors = sorted((package / "simd").glob("*.py"))
+        vectors = sorted((packages / "nw_base" / "simd").glob("*.py"))
         for path in (*sorted(sources.glob("*.py")), *vectors):
             digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
         known = f"{digest.hexdigest()[:16]}.{binding.get_host_cpu_name()}.compiled"
         return (folder / f"{sources.parent.name}-{kind}.{known}").is_file()
 
-    own = {"networks": package / "networks", "rays": package / "rays"}
-    return tuple(k for k in KERNELS if is_compiled(k, own.get(k, package / "splat" / "kernels")))
+    pictures = packages / "nw_splat" / "kernels"
+    own = {
+        "networks": packages / "nw_policies" / "executor",
+        "rays": packages / "nw_scenes" / "ray_tree",
+    }
+    return tuple(kind for kind in KERNELS if is_compiled(kind, own.get(kind, pictures)))
 
 
 def _gpus() -> Iterator[str]:

@@ -29,12 +29,12 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from pydantic import ValidationError
 
+from nw_base.confinement import Rules
+from nw_base.digest import digest_of
+from nw_base.errors import NwEvalError, StoreError
+from nw_base.files.cache import DamagedError, private_dir, read_sealed, sealed_path
+from nw_base.plural import plural
 from nw_eval.api.evidence_log import ReadClip, ReadLog, ReadLogs, read_logs
-from nw_eval.confinement import Rules
-from nw_eval.digest import digest_of
-from nw_eval.errors import NwEvalError, StoreError
-from nw_eval.files.cache import DamagedError, private_dir, read_sealed, sealed_path
-from nw_eval.plural import plural
 from nw_eval.reporting.html.evidence import (
     CLIP_BYTES,
     PICTURE_BYTES,
@@ -46,15 +46,15 @@ from nw_eval.reporting.html.evidence import (
 )
 from nw_eval.reporting.tables.table import WORST
 from nw_eval.reporting.tables.trials import worst_trials
-from nw_eval.results.evidence import log_sha256
-from nw_eval.results.evidence_check import present_logs
-from nw_eval.results.provenance import code_info
-from nw_eval.results.row import Row
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.rollout.confined.isolated import call_isolated
+from nw_gate.results.evidence import log_sha256
+from nw_gate.results.evidence_check import present_logs
+from nw_gate.results.provenance import code_info
+from nw_gate.results.row import Row
+from nw_gate.results.run_folder import RunFolder
+from nw_sim.rollout.confined.isolated import call_isolated
 
 if TYPE_CHECKING:
-    from nw_eval.results.provenance import RunInfo
+    from nw_gate.results.provenance import RunInfo
 
 _MOST_READ = 256 * 2**20
 """Bytes of all logs that are read; those of 160 trials have 70 to 110 MB."""

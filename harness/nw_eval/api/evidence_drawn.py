@@ -18,19 +18,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from nw_base.digest import digest_of
+from nw_base.errors import NwEvalError
 from nw_eval.api.evidence import KeptEvidence, WantedLog
 from nw_eval.api.evidence_log import PERIOD, SECONDS, Box, ReadClip, box_round, clip_of, sized
-from nw_eval.digest import digest_of
-from nw_eval.errors import NwEvalError
 from nw_eval.reporting.html.evidence import Film, LogEvidence, PlacePicture, PlaceView
-from nw_eval.results.provenance import code_info
+from nw_gate.results.provenance import code_info
 
 if TYPE_CHECKING:
-    from nw_eval.results.row import Row
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.library import Library
-    from nw_eval.rollout.mcap.reader import LogReader
-    from nw_eval.scenes import Scene
+    from nw_gate.results.row import Row
+    from nw_gate.results.run_folder import RunFolder
+    from nw_scenes import Scene
+    from nw_sim.rollout.library import Library
+    from nw_sim.rollout.mcap.reader import LogReader
 
 MOST_FILMS = 3
 """Trials that are shown from outside; each takes three seconds of processor time."""
@@ -110,7 +110,7 @@ def with_drawn(
     filmed = [each for each in evidence.clips if each.trial_id in logs][:MOST_FILMS]
     if not evidence.places and not filmed:
         return evidence  # Without the simulator, which knows scenes.
-    from nw_eval.rollout.replaying.logged import read_logged_trial
+    from nw_sim.rollout.replaying.logged import read_logged_trial
 
     known = {row.trial_id: row for row in rows}
     try:
@@ -163,8 +163,8 @@ def _scenes(
     is_own: bool,
 ) -> dict[str, tuple[str, Scene]]:
     """Return scenes that may be opened, with what opens them, by their names in the run."""
-    from nw_eval.catalogue import is_built_in, open_scene
-    from nw_eval.rollout.replaying.logged import read_logged_trial
+    from nw_sim.catalogue import is_built_in, open_scene
+    from nw_sim.rollout.replaying.logged import read_logged_trial
 
     names = {place.scene for place in evidence.places}
     found: dict[str, tuple[str, Scene]] = {}
@@ -185,7 +185,7 @@ def _scenes(
 
 def _is_ready(scene: Scene, rows: Sequence[Row], name: str) -> bool:
     """Whether a scene can be drawn without a splat being made first, which may take minutes."""
-    from nw_eval.built_in.entry import BuiltInSplat
+    from nw_places.entry import BuiltInSplat
 
     if isinstance(scene.splat, BuiltInSplat):
         return scene.splat.path.is_file()
@@ -245,9 +245,9 @@ def _drawn_apart(
     scenes: Mapping[str, tuple[str, Scene]],
     also: Sequence[Path],
 ) -> _Drawn:
-    from nw_eval.errors import StoreError
-    from nw_eval.rollout.confined.access import drawing_rules
-    from nw_eval.rollout.confined.isolated import call_isolated
+    from nw_base.errors import StoreError
+    from nw_sim.rollout.confined.access import drawing_rules
+    from nw_sim.rollout.confined.isolated import call_isolated
 
     used = {scenes[log.scene] for log in wanted} | {(top.reference, top.scene) for top in tops}
     for _, scene in used:
@@ -289,7 +289,7 @@ def _picture(data: bytes, box: Box) -> PlacePicture:
 
 def _draw(*, logs: Sequence[str], tops: Sequence[tuple[str, Sequence[float]]]) -> str:
     """Return JSON of `_Drawn`; in a confined process."""
-    from nw_eval.rollout.library import Library
+    from nw_sim.rollout.library import Library
 
     library = Library()
     drawn = _Drawn(
@@ -310,10 +310,10 @@ def _film_of(path: Path, library: Library) -> ReadClip | None:
     """Return the last seconds of a trial from behind the robot's shoulder; None without states."""
     from PIL import Image
 
-    from nw_eval.robots import know_robot
-    from nw_eval.rollout.replaying.logged import read_logged_trial
-    from nw_eval.rollout.replaying.policy_switch import open_replayed
-    from nw_eval.rollout.replaying.third_person import Spectator
+    from nw_scenes.robots import know_robot
+    from nw_sim.rollout.replaying.logged import read_logged_trial
+    from nw_sim.rollout.replaying.policy_switch import open_replayed
+    from nw_sim.rollout.replaying.third_person import Spectator
 
     logged = read_logged_trial(path)
     know_robot(logged.job.robot, logged.job.robot_folder)
@@ -365,11 +365,11 @@ def _from_above(scene: Scene, box: Sequence[float]) -> bytes:
     """Return a WebP of a scene from straight above; empty if it has no room."""
     from PIL import Image
 
-    from nw_eval.scenes.rays import RayScene
-    from nw_eval.sensors.drawing.overlay import MeshPicture
-    from nw_eval.splat.camera import Camera
-    from nw_eval.splat.render import open_renderer
-    from nw_eval.splat.store import open_store
+    from nw_scenes.rays import RayScene
+    from nw_sim.sensors.drawing.overlay import MeshPicture
+    from nw_splat.camera import Camera
+    from nw_splat.render import open_renderer
+    from nw_splat.store import open_store
 
     west, south, east, north = box
     scale = _TOP_SIDE / max(east - west, north - south)

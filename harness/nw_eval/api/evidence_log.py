@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from nw_eval.clean import clean
-from nw_eval.rollout.mcap.reader import MOST_MESSAGE, LoggedMessage, logged
+from nw_base.clean import clean
+from nw_sim.rollout.mcap.reader import MOST_MESSAGE, LoggedMessage, logged
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -310,7 +310,7 @@ def _thinned(messages: deque[LoggedMessage]) -> list[LoggedMessage]:
 def _photo(data: bytes) -> Image:
     from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
-    from nw_eval.files.pictures import open_picture
+    from nw_base.files.pictures import open_picture
 
     message = CompressedImage.FromString(data)
     with open_picture(BytesIO(message.data), ("JPEG", "PNG")) as picture:

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from nw_eval.hub import FetchListener
-    from nw_eval.hub.reference import Fetched
+    from nw_scenes.hub import FetchListener
+    from nw_scenes.hub.reference import Fetched
 
 _BESIDE = ("README.md", "LICENSE", "LICENSE.md", "LICENSE.txt", "NOTICE")
 """What is pushed of a scene's folder besides the files that the scene is made of."""
@@ -46,7 +46,7 @@ def fetch_scene(
         PrerequisiteError: the extra `hub` is not installed.
         StoreError: it cannot be kept.
     """
-    from nw_eval import catalogue
+    from nw_sim import catalogue
 
     with _heard(listener):
         return catalogue.fetch_scene(reference, file=file)
@@ -65,9 +65,9 @@ def fetch_policy(reference: str, *, listener: FetchListener | None = None) -> Fe
         PolicyError: there is no such policy, or it has no card; or not for this user.
         FetchError, PrerequisiteError, StoreError: as `fetch_scene`.
     """
-    from nw_eval.hub.fetch import fetch
-    from nw_eval.hub.reference import parse
-    from nw_eval.policies.bundle import card_of_fetched
+    from nw_policies.bundle import card_of_fetched
+    from nw_scenes.hub.fetch import fetch
+    from nw_scenes.hub.reference import parse
 
     with _heard(listener):
         fetched = fetch(parse(reference, "policy"))
@@ -88,9 +88,9 @@ def fetch_robot(reference: str, *, listener: FetchListener | None = None) -> Fet
         FetchError, StoreError: as `fetch_scene`.
         PrerequisiteError: the extra `hub`, or `robots`, is not installed.
     """
-    from nw_eval.hub.fetch import fetch
-    from nw_eval.hub.reference import parse
-    from nw_eval.robots import find_robot
+    from nw_scenes.hub.fetch import fetch
+    from nw_scenes.hub.reference import parse
+    from nw_scenes.robots import find_robot
 
     with _heard(listener):
         fetched = fetch(parse(reference, "robot"))
@@ -114,11 +114,11 @@ def push_scene(folder: Path, to: str, *, private: bool = False) -> PushedScene:
         FetchError: the hub cannot be reached or fails; nothing was changed.
         PrerequisiteError: the extra `hub` is not installed.
     """
-    from nw_eval.catalogue import inspect_scene
-    from nw_eval.errors import SceneError
-    from nw_eval.hub.client import push
-    from nw_eval.hub.reference import parse
-    from nw_eval.scenes.folder import folder_files, load_folder
+    from nw_base.errors import SceneError
+    from nw_scenes.folder import folder_files, load_folder
+    from nw_scenes.hub.client import push
+    from nw_scenes.hub.reference import parse
+    from nw_sim.catalogue import inspect_scene
 
     reference = parse(to, "scene")
     found = folder_files(folder)
@@ -147,7 +147,7 @@ def _is_own_file(path: Path) -> bool:
 
 @contextmanager
 def _heard(listener: FetchListener | None) -> Generator[None]:
-    from nw_eval.hub import heard_by
+    from nw_scenes.hub import heard_by
 
     if listener is None:  # Whoever listens already.
         yield

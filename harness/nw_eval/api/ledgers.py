@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
-    from nw_eval.gate.ledger_report import LedgerReport
+    from nw_gate.ledger_report import LedgerReport
 
 
 def record_verdict(judged: RunReport, ledger: str | Path) -> Path:
@@ -25,7 +25,7 @@ def record_verdict(judged: RunReport, ledger: str | Path) -> Path:
         StoreError: the ledger is damaged, or cannot be written.
     """
     from nw_eval.api.saved_run import check_whole
-    from nw_eval.gate.ledger import append_verdict
+    from nw_gate.ledger import append_verdict
 
     check_whole(judged.info)
 
@@ -42,7 +42,7 @@ def check_ledger(ledger: str | Path) -> None:
     Raises:
         UsageError: it cannot be written, or is damaged.
     """
-    from nw_eval.gate import ledger as ledgers
+    from nw_gate import ledger as ledgers
 
     ledgers.check_ledger(Path(ledger))
 
@@ -58,8 +58,8 @@ def read_ledger(file: str | Path, *, head: str | None = None) -> LedgerReport:
     Raises:
         StoreError: it is missing or damaged, or its end was cut off.
     """
-    from nw_eval.gate import ledger
-    from nw_eval.gate.ledger_report import ledger_report
+    from nw_gate import ledger
+    from nw_gate.ledger_report import ledger_report
 
     contents = ledger.read_ledger(Path(file), head=head)
     return ledger_report(contents.entries, dropped=contents.dropped, head=contents.last_sum)

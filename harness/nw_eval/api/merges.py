@@ -9,15 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.plural import plural
+from nw_base.errors import IncomparableError, StoreError
+from nw_base.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
-    from nw_eval.results.bank import Against
-    from nw_eval.results.merge import MergedArm, MergeSource
-    from nw_eval.results.row import Row
     from nw_eval.suite import Trial
+    from nw_gate.results.bank import Against
+    from nw_gate.results.merge import MergedArm, MergeSource
+    from nw_gate.results.row import Row
 
 
 def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None = None) -> RunReport:
@@ -44,9 +44,9 @@ def merge(runs: Sequence[str | Path], *, out: str | Path, baseline: str | None =
     from nw_eval.api.banks import judging_bank
     from nw_eval.api.reports import judged_rows, written
     from nw_eval.api.saved_run import saved_suite
-    from nw_eval.results.ended import RunRows, wanted
-    from nw_eval.results.merge import MergedArm, joined, merged_info, write_merged
-    from nw_eval.results.run_folder import RunFolder
+    from nw_gate.results.ended import RunRows, wanted
+    from nw_gate.results.merge import MergedArm, joined, merged_info, write_merged
+    from nw_gate.results.run_folder import RunFolder
 
     folder = RunFolder(path=Path(out).resolve())
     sources, plan, remarks = _read(runs)
@@ -69,11 +69,11 @@ def _read(
     """Return what is merged, the trials of the whole plan in order, and remarks."""
     from nw_eval.api.saved_run import saved_suite, whole_plan
     from nw_eval.engine.order import in_order, plan_digest
-    from nw_eval.request import Shard
-    from nw_eval.results.ended import read_trials, wanted
-    from nw_eval.results.merge import MergeSource, check_parts
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import open_run_folder
+    from nw_gate.results.ended import read_trials, wanted
+    from nw_gate.results.merge import MergeSource, check_parts
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.request import Shard
+    from nw_gate.results.run_folder import open_run_folder
 
     folders = [open_run_folder(Path(run)) for run in runs]
     opened = [MergeSource(folder=each, info=read_run_info(each.run_json)) for each in folders]
@@ -111,11 +111,11 @@ def _beside(sources: Sequence[MergeSource], ordered: Sequence[Trial]) -> MergedA
         StoreError: a part lacks trials of its control, or they are damaged.
         TrialError: one is an error.
     """
+    from nw_base.files.inside import what_is
     from nw_eval.api.banks import control_rows
-    from nw_eval.files.inside import what_is
-    from nw_eval.request import Shard
-    from nw_eval.results.merge import MergedArm, MergeSource, check_beside, joined, merged_info
-    from nw_eval.results.provenance import StopInfo, read_run_info
+    from nw_gate.results.merge import MergedArm, MergeSource, check_beside, joined, merged_info
+    from nw_gate.results.provenance import StopInfo, read_run_info
+    from nw_gate.results.request import Shard
 
     known = sources[0].info.baseline
     is_control = known is not None and known.checked == "control"

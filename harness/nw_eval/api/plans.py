@@ -10,25 +10,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nw_base.clean import clean
+from nw_base.errors import NwEvalError, Problem, SuiteError, UsageError, nearest
 from nw_eval.api.banks import check_rounds, wanted_bank
-from nw_eval.clean import clean
-from nw_eval.errors import NwEvalError, Problem, SuiteError, UsageError, nearest
-from nw_eval.request import Request
+from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nw_eval.catalogue import FoundScene
+    from nw_base.trials import DrawnStart
+    from nw_base.words import Arm, Collision
     from nw_eval.engine.plan import Forecast, Plan
-    from nw_eval.policies import Bundle
-    from nw_eval.results.bank import Against, Stratum
-    from nw_eval.results.provenance import PolicyInfo
-    from nw_eval.results.trials import DrawnStart
-    from nw_eval.robots import FoundRobot
-    from nw_eval.scenes import Scene
-    from nw_eval.scenes.finding import SceneFinding
     from nw_eval.suite import Draft, Suite, Trial
-    from nw_eval.words import Arm, Collision
+    from nw_gate.results.bank import Against, Stratum
+    from nw_gate.results.provenance import PolicyInfo
+    from nw_policies import Bundle
+    from nw_scenes import Scene
+    from nw_scenes.finding import SceneFinding
+    from nw_scenes.robots import FoundRobot
+    from nw_sim.catalogue import FoundScene
 
 
 def plan(request: Request | Suite | str | Path | None, **changes: Any) -> Plan:
@@ -160,7 +160,7 @@ def plan_of(
 
 def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> None:
     """Tell where a suite's task does not fit its policy or its episode, if both could be read."""
-    from nw_eval.tasks import TaskRules, fault_of
+    from nw_sim.tasks import TaskRules, fault_of
 
     if suite is None or bundle is None:
         return
@@ -182,7 +182,7 @@ def _check_task(suite: Suite | None, bundle: Bundle | None, faults: Faults) -> N
 
 def _check_pictures(suite: Suite | None, request: Request, faults: Faults) -> None:
     """Tell where the backend cannot draw what a suite asks for."""
-    from nw_eval.suite.rendering import PUBLISHED
+    from nw_sim.rendering import PUBLISHED
 
     if suite is None or request.render != "cuda" or suite.render == PUBLISHED:
         return
@@ -200,7 +200,7 @@ def _check_pictures(suite: Suite | None, request: Request, faults: Faults) -> No
 
 def _vet_scores(suite: Suite, faults: Faults, *, allow_code: bool) -> None:
     """Tell which functions of a suite cannot be read, or may not run."""
-    from nw_eval.errors import CodeError
+    from nw_base.errors import CodeError
 
     try:
         suite.measured_by()
@@ -222,9 +222,9 @@ def _try_axes(trials: Sequence[Trial], suite: Suite, bundle: Bundle) -> None:
         PluginError: one of a package cannot.
         UsageError: a camera cannot see so wide an angle.
     """
-    from nw_eval.cards import mounted_robot
-    from nw_eval.robots import get_robot
-    from nw_eval.rollout.perturbed import TrialSetup, perturbed
+    from nw_policies.cards import mounted_robot
+    from nw_scenes.robots import get_robot
+    from nw_sim.rollout.perturbed import TrialSetup, perturbed
 
     robot = mounted_robot(get_robot(suite.robot), bundle.card)
     for cell, trial in {trial.perturbation: trial for trial in trials}.items():
@@ -283,9 +283,9 @@ def rechecked(plan: Plan, seed: int, *, all_rounds: bool = False) -> Plan:
     from nw_eval.engine.order import draw
     from nw_eval.engine.plan import DrawnOrder
     from nw_eval.engine.provenance import policy_info
-    from nw_eval.gate.baseline.match import draw_rounds
-    from nw_eval.results.provenance import candidate_in, recheck_key, rounds_key
     from nw_eval.suite import expand, override
+    from nw_gate.baseline.match import draw_rounds
+    from nw_gate.results.provenance import candidate_in, recheck_key, rounds_key
 
     assert plan.against is not None, "a baseline policy's plan has a baseline"
     count, against = rechecks(plan.request), plan.against
@@ -333,8 +333,8 @@ def _strata(suite: Suite, scenes: Sequence[Scene]) -> list[Stratum]:
 
 def _on_panel(request: Request, suite: Suite, policy: PolicyInfo, against: Against | None) -> Suite:
     """Return a suite with the seed of the seed set in use, and the trials that may run."""
-    from nw_eval.gate.baseline.match import fresh_seed
     from nw_eval.suite import override
+    from nw_gate.baseline.match import fresh_seed
 
     seed = fresh_seed(policy, suite.model_dump(by_alias=True)) if request.panel == "fresh" else None
     rounds = suite.gate.rounds if against is not None and request.trials is None else None
@@ -353,7 +353,7 @@ def _drawn(
     Raises:
         IncomparableError: the baseline has fewer starts than are drawn of each scene on average.
     """
-    from nw_eval.gate.baseline.match import draw_fresh, draw_trials
+    from nw_gate.baseline.match import draw_fresh, draw_trials
 
     if against is None:
         return None
@@ -372,9 +372,9 @@ def _matched(plan: Plan, against: Against) -> Plan:
         IncomparableError: the baseline does not fit it, or is too low for any regression.
     """
     from nw_eval.engine.provenance import run_info
-    from nw_eval.gate.baseline.finding import check_level
-    from nw_eval.gate.baseline.judge import setup_of
-    from nw_eval.results.run_folder import RunFolder
+    from nw_gate.baseline.finding import check_level
+    from nw_gate.baseline.judge import setup_of
+    from nw_gate.results.run_folder import RunFolder
 
     folder = RunFolder(path=Path(plan.suite.name))
     run = run_info(plan, folder, workers=None, in_process=False, command=())
@@ -411,7 +411,7 @@ def chosen_scenes(
     found: Sequence[FoundScene], globs: Sequence[str] | None, suite: Suite
 ) -> tuple[FoundScene, ...]:
     """Return the scenes that match a glob; all of them if there are no globs to match."""
-    from nw_eval.catalogue import is_meant
+    from nw_sim.catalogue import is_meant
 
     if globs is None:
         return tuple(found)
@@ -470,10 +470,10 @@ def open_scenes(
         faults: where to tell what is wrong.
         collision: how meshes collide, whatever the suite says of it.
     """
-    from nw_eval import catalogue
-    from nw_eval.errors import SceneError
+    from nw_base.errors import SceneError
     from nw_eval.suite import tier_problems
-    from nw_eval.survey.course import start_finding
+    from nw_sim import catalogue
+    from nw_sim.survey.course import start_finding
 
     found: dict[tuple[str, Collision], FoundScene] = {}
     failed: list[str] = []
@@ -498,15 +498,15 @@ def open_scenes(
 
 
 def _refused(scene: str, finding: SceneFinding) -> NwEvalError:
-    from nw_eval.errors import SceneError
+    from nw_base.errors import SceneError
 
     return SceneError(f"scene {clean(scene, at_most=100)}: {finding.message}", fix=finding.fix)
 
 
 def _robot_of(draft: Draft, faults: Faults, request: Request) -> FoundRobot | None:
     """Return the robot of a request or else of the suite; None if there is none."""
-    from nw_eval.errors import RobotError, UsageError
-    from nw_eval.robots import find_robot
+    from nw_base.errors import RobotError, UsageError
+    from nw_scenes.robots import find_robot
 
     own = draft.text("robot")
     try:
@@ -542,9 +542,9 @@ def open_policy(
         card: where the policy lies, if that is known.
         may_fail: as for `vet_bundle`.
     """
-    from nw_eval.cards.load import UNKNOWN_ROBOT
-    from nw_eval.errors import PolicyError
-    from nw_eval.policies import find_card, load_bundle
+    from nw_base.errors import PolicyError
+    from nw_policies import find_card, load_bundle
+    from nw_policies.cards.load import UNKNOWN_ROBOT
 
     own = draft.text("policy")
     named = request.policy if card is None else str(card)
@@ -580,8 +580,8 @@ def _is_own_policy(draft: Draft, request: Request) -> bool:
         draft: the suite.
         request: what is asked for.
     """
-    from nw_eval.errors import PolicyError
-    from nw_eval.policies import find_card
+    from nw_base.errors import PolicyError
+    from nw_policies import find_card
 
     own, named = draft.text("policy"), request.policy
     if named is None:
@@ -613,8 +613,8 @@ def _vet_policy(
         robot: that the suite runs; None = its own fault is told already.
         may_fail: as for `vet_bundle`.
     """
-    from nw_eval.protocol import PROTOCOLS, STRICT
-    from nw_eval.rollout.confined.vetting import vet_bundle
+    from nw_base.protocol import PROTOCOLS, STRICT
+    from nw_sim.rollout.confined.vetting import vet_bundle
 
     try:
         return vet_bundle(

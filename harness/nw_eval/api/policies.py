@@ -9,12 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import CrashError, PolicyError, UsageError
+from nw_base.errors import CrashError, PolicyError, UsageError
 
 if TYPE_CHECKING:
-    from nw_eval.cards.load import ListedPolicy
-    from nw_eval.onboarding.probe.report import ProbeReport
-    from nw_eval.onboarding.probe.summary import CardSummary
+    from nw_policies.cards.load import ListedPolicy
+    from nw_sim.probe.report import ProbeReport
+    from nw_sim.probe.summary import CardSummary
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +48,7 @@ class ServedPolicy:
 
 def list_policies() -> tuple[ListedPolicy, ...]:
     """Return the shipped bundles, those of the project, and the example cards, by name."""
-    from nw_eval.cards.load import list_cards
+    from nw_policies.cards.load import list_cards
 
     return list_cards()
 
@@ -72,8 +72,8 @@ def show_policy(
         RobotError: the folder cannot be used, or is of another robot.
         PolicyError: there is no such card, or it has problems; `checkpoint` cannot be used.
     """
-    from nw_eval.onboarding.probe.summary import card_summary
-    from nw_eval.policies import find_card
+    from nw_policies import find_card
+    from nw_sim.probe.summary import card_summary
 
     card = find_card(policy)
     _know(robot, card)
@@ -89,9 +89,9 @@ def _know(robot: str | None, card: Path) -> None:
     """
     if robot is None:
         return
-    from nw_eval.errors import RobotError
-    from nw_eval.files.yaml_file import YamlProblems, read_yaml
-    from nw_eval.robots import find_robot
+    from nw_base.errors import RobotError
+    from nw_base.files.yaml_file import YamlProblems, read_yaml
+    from nw_scenes.robots import find_robot
 
     name = find_robot(robot).spec.name
     try:
@@ -129,9 +129,9 @@ def check_policy(
         RobotError: the robot's folder cannot be used, or is of another robot.
         SceneError: there is no such scene.
     """
-    from nw_eval.catalogue import brought, parse_reference
-    from nw_eval.onboarding.probe.report import FLAT, probe_policy
-    from nw_eval.policies import find_card, load_bundle
+    from nw_policies import find_card, load_bundle
+    from nw_sim.catalogue import brought, parse_reference
+    from nw_sim.probe.report import FLAT, probe_policy
 
     if robot is not None:
         _know(robot, find_card(policy))
@@ -164,16 +164,16 @@ def init_policy(
         RobotError, FetchError, PrerequisiteError: the robot cannot be used, or fetched.
         StoreError: the card cannot be written.
     """
-    from nw_eval.cards.load import CARD_FILE
-    from nw_eval.files.cache import atomic_path, followed
-    from nw_eval.files.inside import what_is
-    from nw_eval.onboarding.beside import files_beside_checkpoint, find_checkpoint
-    from nw_eval.onboarding.draft import draft_of, files_beside
-    from nw_eval.onboarding.notation import lines_to_check, plain
-    from nw_eval.onboarding.trained import statistics_beside
-    from nw_eval.robots import find_robot
-    from nw_eval.rollout.confined.access import inspecting_rules
-    from nw_eval.rollout.confined.isolated import call_isolated
+    from nw_base.files.cache import atomic_path, followed
+    from nw_base.files.inside import what_is
+    from nw_policies.cards.load import CARD_FILE
+    from nw_policies.drafting.beside import files_beside_checkpoint, find_checkpoint
+    from nw_policies.drafting.draft import draft_of, files_beside
+    from nw_policies.drafting.notation import lines_to_check, plain
+    from nw_policies.drafting.trained import statistics_beside
+    from nw_scenes.robots import find_robot
+    from nw_sim.rollout.confined.access import inspecting_rules
+    from nw_sim.rollout.confined.isolated import call_isolated
 
     found = find_robot(robot)
     others: tuple[str, ...] = ()
@@ -216,9 +216,9 @@ def init_policy(
 
 def _taken(checkpoint: Path, widths: Sequence[int]) -> int:
     """Return which of some widths a TorchScript file takes, asked in a process; 0 if none."""
-    from nw_eval.onboarding.draft import width_taken
-    from nw_eval.rollout.confined.access import inspecting_rules
-    from nw_eval.rollout.confined.isolated import call_isolated
+    from nw_policies.drafting.draft import width_taken
+    from nw_sim.rollout.confined.access import inspecting_rules
+    from nw_sim.rollout.confined.isolated import call_isolated
 
     try:
         taken = call_isolated(
@@ -247,12 +247,12 @@ def fold_policy(checkpoint: Path, *, out: Path) -> FoldedGraph:
         UsageError: `out` exists already, or is no file's path.
         StoreError: `out` cannot be written.
     """
-    from nw_eval.files.cache import followed
-    from nw_eval.files.inside import what_is
-    from nw_eval.policies.folding import fold, fold_orbax
-    from nw_eval.rollout.confined.access import folding_rules
-    from nw_eval.rollout.confined.isolated import call_isolated
-    from nw_eval.rollout.replaying.apart import fetch, scratch_folder
+    from nw_base.files.cache import followed
+    from nw_base.files.inside import what_is
+    from nw_policies.folding import fold, fold_orbax
+    from nw_sim.rollout.confined.access import folding_rules
+    from nw_sim.rollout.confined.isolated import call_isolated
+    from nw_sim.rollout.replaying.apart import fetch, scratch_folder
 
     if what_is(followed(out)) == "file":
         raise UsageError(f"{out} exists already", fix="move it away, or name another with --out")
@@ -294,15 +294,15 @@ def serve_policy(
         UsageError: the address is taken or is not this machine's.
         PrerequisiteError: websockets is not installed.
     """
-    from nw_eval.confinement import child_environment
+    from nw_base.confinement import child_environment
 
     # Before anything is imported that starts threads, which would stay outside of the fence.
     with child_environment() if confined and not allow_code else nullcontext():
-        from nw_eval.policies import load_bundle
-        from nw_eval.policies.serve import serving
-        from nw_eval.rollout.confined.access import fence_in_server
-        from nw_eval.rollout.confined.vetting import vet_bundle
-        from nw_eval.sensors import check_card
+        from nw_policies import load_bundle
+        from nw_policies.serve import serving
+        from nw_sim.rollout.confined.access import fence_in_server
+        from nw_sim.rollout.confined.vetting import vet_bundle
+        from nw_sim.sensors import check_card
 
         bundle = load_bundle(policy, checkpoint=checkpoint)
         if bundle.files and not allow_code:

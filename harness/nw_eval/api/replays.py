@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nw_eval.rollout.replaying.reports import ReplayReport, TakeoverReport
-    from nw_eval.rollout.replaying.rescored import LogScores
     from nw_eval.viewing.recording.track import WrittenRecording
+    from nw_sim.rollout.replaying.reports import ReplayReport, TakeoverReport
+    from nw_sim.rollout.replaying.rescored import LogScores
 
 
 def replay(
@@ -42,7 +42,7 @@ def replay(
         PolicyError: the policy is missing or not the recorded one.
         SceneError: the scene is missing.
     """
-    from nw_eval.rollout.replaying.apart import replay_apart
+    from nw_sim.rollout.replaying.apart import replay_apart
 
     log = _found(log)
     _check_video(video)
@@ -92,7 +92,7 @@ def take_over(
         SceneError: the scene is missing.
         TrialError: the policy fails while it looks on.
     """
-    from nw_eval.rollout.replaying.apart import take_over_apart
+    from nw_sim.rollout.replaying.apart import take_over_apart
 
     log = _found(log)
     _check_video(video)
@@ -134,8 +134,8 @@ def log_scores(
         StoreError: the log cannot be read.
         SceneError: the scene of the trial is missing.
     """
-    from nw_eval.errors import UsageError
-    from nw_eval.rollout.replaying.rescored import scores_of_log
+    from nw_base.errors import UsageError
+    from nw_sim.rollout.replaying.rescored import scores_of_log
 
     chosen: dict[str, str] = {}
     for each in topics:
@@ -161,9 +161,9 @@ def foxglove_layout(log: Path, out: Path | None = None) -> dict[str, Any]:
         UsageError: there is no such log.
         StoreError: the log cannot be read, or the layout not written.
     """
-    from nw_eval.files.cache import atomic_path, followed
-    from nw_eval.rollout.mcap.reader import LogReader
+    from nw_base.files.cache import atomic_path, followed
     from nw_eval.viewing.shown import layout, layout_json, shown_in_log
+    from nw_sim.rollout.mcap.reader import LogReader
 
     log = _found(log)
     shown = shown_in_log(LogReader(log))
@@ -213,8 +213,8 @@ def rerun_recording(log: Path, out: Path) -> WrittenRecording:
 
 def _check_video(video: Path | None) -> None:
     """Refuse a video that cannot be made, before anything runs."""
-    from nw_eval.errors import UsageError
-    from nw_eval.rollout.replaying.film import video_library
+    from nw_base.errors import UsageError
+    from nw_sim.rollout.replaying.film import video_library
 
     if video is None:
         return
@@ -229,8 +229,8 @@ def _found(log: Path) -> Path:
     Raises:
         UsageError: there is none.
     """
-    from nw_eval.errors import UsageError
-    from nw_eval.results.log_links import taken_over_log
+    from nw_base.errors import UsageError
+    from nw_gate.results.log_links import taken_over_log
 
     found = taken_over_log(log)
     if not found.is_file():

@@ -8,21 +8,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.clean import clean
-from nw_eval.errors import IncomparableError, NwEvalError, StoreError
+from nw_base.clean import clean
+from nw_base.errors import IncomparableError, NwEvalError, StoreError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from nw_eval.api.evidence import KeptEvidence
-    from nw_eval.gate.verdict import ScoreFinding, Verdict
     from nw_eval.reporting.html.evidence import LogEvidence
-    from nw_eval.results.bank import Against, Start
-    from nw_eval.results.ended import RunRows
-    from nw_eval.results.provenance import BaselineInfo, RunInfo
-    from nw_eval.results.row import Row
-    from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import Suite
+    from nw_gate.results.bank import Against, Start
+    from nw_gate.results.ended import RunRows
+    from nw_gate.results.provenance import BaselineInfo, RunInfo
+    from nw_gate.results.row import Row
+    from nw_gate.results.run_folder import RunFolder
+    from nw_gate.verdict import ScoreFinding, Verdict
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +107,7 @@ def report(run: str | Path, *, out: Path | None = None) -> RunReport:
     Raises:
         StoreError: there is no such run, its rows are damaged, or the report cannot be written.
     """
-    from nw_eval.results.run_folder import RunFolder
+    from nw_gate.results.run_folder import RunFolder
 
     judged = as_begun(run)
     return written(judged, RunFolder(path=judged.folder).report_md if out is None else out)
@@ -120,10 +120,10 @@ def prepare_pages() -> None:
     """
     with suppress(Exception):
         from nw_eval.api import evidence
-        from nw_eval.gate.baseline import combine
         from nw_eval.reporting import markdown
         from nw_eval.reporting.html.environment import compile_templates
-        from nw_eval.results import parquet
+        from nw_gate.baseline import combine
+        from nw_gate.results import parquet
 
         _ = evidence, combine, markdown, parquet
         compile_templates()
@@ -140,7 +140,7 @@ def report_here(run: Path, *, how: Callable[[Path], RunReport] | None = None) ->
         StoreError: as `report`.
     """
     from nw_eval.api.evidence import KeptEvidence
-    from nw_eval.results.run_folder import RunFolder
+    from nw_gate.results.run_folder import RunFolder
 
     judged = (how or as_begun)(run)
     kept = KeptEvidence.of_run(judged.info)
@@ -161,9 +161,9 @@ def as_begun(run: str | Path) -> RunReport:
     """
     from nw_eval.api.banks import kept_bank
     from nw_eval.api.saved_run import saved_suite
-    from nw_eval.gate.baseline.combine import without_bank
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import open_run_folder
+    from nw_gate.baseline.combine import without_bank
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.run_folder import open_run_folder
 
     folder = open_run_folder(Path(run))
     info = read_run_info(folder.run_json)
@@ -187,11 +187,11 @@ def as_published(run: Path) -> RunReport:
     """
     from nw_eval.api.banks import kept_bank
     from nw_eval.api.saved_run import saved_suite, saved_trials
-    from nw_eval.gate.baseline.combine import without_bank
-    from nw_eval.results.evidence_check import check_files
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import check_plain, find_run_folder
-    from nw_eval.scenes import limits
+    from nw_gate.baseline.combine import without_bank
+    from nw_gate.results.evidence_check import check_files
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.run_folder import check_plain, find_run_folder
+    from nw_scenes import limits
 
     folder = find_run_folder(run)
     check_plain(folder)
@@ -246,9 +246,9 @@ def judge(
     """
     from nw_eval.api.banks import judging_bank
     from nw_eval.api.saved_run import check_whole, saved_suite
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import open_run_folder
     from nw_eval.suite.model import override_gate
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.run_folder import open_run_folder
 
     folder = open_run_folder(Path(run))
     info = check_whole(read_run_info(folder.run_json))
@@ -269,7 +269,7 @@ def _judged(
     from concurrent.futures import ThreadPoolExecutor
 
     from nw_eval.api.saved_run import saved_trials, spare_trials
-    from nw_eval.results.ended import read_trials
+    from nw_gate.results.ended import read_trials
 
     # A process of its own reads the baseline, which takes as long as the rows do.
     with ThreadPoolExecutor(max_workers=1) as beside:
@@ -287,8 +287,8 @@ def judged_rows(
     Raises:
         IncomparableError, StoreError: as `judge`.
     """
-    from nw_eval.gate.baseline.combine import judge_run
-    from nw_eval.results.evidence_check import lost_logs
+    from nw_gate.baseline.combine import judge_run
+    from nw_gate.results.evidence_check import lost_logs
 
     verdict = judge_run(found.rows, info, suite.gate, against)
     remarks = (*found.remarks, *lost_logs(found.rows))
@@ -318,12 +318,12 @@ def written(judged: RunReport, out: Path, *, kept: KeptEvidence | None = None) -
     Raises:
         StoreError: they cannot be written.
     """
+    from nw_base.files.cache import followed, is_stream
     from nw_eval.api.evidence import gather_evidence
-    from nw_eval.files.cache import followed, is_stream
-    from nw_eval.gate.cause import read_cause_file
     from nw_eval.reporting.html.page import render_html
     from nw_eval.reporting.markdown import render_markdown, write_report
-    from nw_eval.results.run_folder import RunFolder
+    from nw_gate.cause import read_cause_file
+    from nw_gate.results.run_folder import RunFolder
 
     page, html = _pages(out)
     facts = (judged.info, judged.rows, judged.verdict, judged.typed_folder)
@@ -355,7 +355,7 @@ def _drawn(
     """Return evidence with pictures that no log has."""
     from nw_eval.api.evidence import KeptEvidence
     from nw_eval.api.evidence_drawn import with_drawn
-    from nw_eval.results.evidence_check import present_logs
+    from nw_gate.results.evidence_check import present_logs
 
     return with_drawn(
         evidence,
@@ -382,11 +382,11 @@ def write_anew(judged: RunReport, path: Path, *, logs: bool, draws: bool) -> Non
         StoreError: the page cannot be written, or cause.json is damaged.
     """
     from nw_eval.api.evidence import gather_evidence
-    from nw_eval.gate.cause import read_cause_file
     from nw_eval.reporting.html.evidence import LogEvidence
     from nw_eval.reporting.html.page import render_html
     from nw_eval.reporting.markdown import write_report
-    from nw_eval.results.run_folder import RunFolder
+    from nw_gate.cause import read_cause_file
+    from nw_gate.results.run_folder import RunFolder
 
     folder = RunFolder(path=judged.folder)
     absent = (

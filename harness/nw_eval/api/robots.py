@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from nw_eval.onboarding.robot_check import CheckedRobot, RobotSummary
+    from nw_sim.probe.robot_check import CheckedRobot, RobotSummary
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,10 +44,10 @@ class RobotDraft:
 
 def list_robots() -> tuple[ListedRobot, ...]:
     """Return the built-in robots, those in `robots/` of the working directory, and of packages."""
-    from nw_eval.errors import NwEvalError
-    from nw_eval.onboarding.robot_check import place_of
-    from nw_eval.robots import find_robot, robot_names
-    from nw_eval.robots.standing import LevelGround
+    from nw_base.errors import NwEvalError
+    from nw_scenes.robots import find_robot, robot_names
+    from nw_scenes.robots.standing import LevelGround
+    from nw_sim.probe.robot_check import place_of
 
     found: list[ListedRobot] = []
     for name in robot_names():
@@ -83,8 +83,8 @@ def show_robot(robot: str) -> RobotSummary:
         UsageError: there is no such robot.
         RobotError: its folder or package cannot be used.
     """
-    from nw_eval.onboarding.robot_check import summary_of
-    from nw_eval.robots import find_robot
+    from nw_scenes.robots import find_robot
+    from nw_sim.probe.robot_check import summary_of
 
     return summary_of(find_robot(robot))
 
@@ -103,12 +103,12 @@ def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
         UsageError: there is no such model; there is a robot.yaml, or `out`, already.
         StoreError: it cannot be written.
     """
-    from nw_eval.errors import UsageError
-    from nw_eval.files.cache import atomic_path, check_place, followed
-    from nw_eval.files.inside import what_is
-    from nw_eval.onboarding.notation import lines_to_check
-    from nw_eval.onboarding.robot_draft import draft_robot
-    from nw_eval.robots.folder import ROBOT_FILE
+    from nw_base.errors import UsageError
+    from nw_base.files.cache import atomic_path, check_place, followed
+    from nw_base.files.inside import what_is
+    from nw_policies.drafting.notation import lines_to_check
+    from nw_scenes.robots.folder import ROBOT_FILE
+    from nw_sim.probe.robot_draft import draft_robot
 
     if out is not None and os.path.lexists(out):
         raise UsageError(f"{out} exists already", fix="move it away, or name another with --out")
@@ -131,8 +131,8 @@ def init_robot(model: Path, *, out: Path | None = None) -> RobotDraft:
 
 def _copy(root: Path, files: tuple[str, ...], out: Path) -> None:
     """Copy files of a folder into a new one, which appears by one rename."""
-    from nw_eval.files.cache import new_folder
-    from nw_eval.files.inside import inside
+    from nw_base.files.cache import new_folder
+    from nw_base.files.inside import inside
 
     with new_folder(out) as folder:
         for name in files:
@@ -153,8 +153,8 @@ def check_robot(robot: str, *, out: Path | None = None) -> CheckedRobot:
         RobotError: its folder cannot be used.
         StoreError: the picture cannot be written.
     """
-    from nw_eval.files.cache import atomic_path, followed
-    from nw_eval.onboarding import robot_check
+    from nw_base.files.cache import atomic_path, followed
+    from nw_policies.drafting import robot_check
 
     if out is not None:
         followed(out)  # What can never be written is said before anything is simulated.

@@ -9,26 +9,26 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, get_args
 
+from nw_base.errors import UsageError, nearest
+from nw_base.files.traceback_file import TracebackIn
+from nw_base.plural import plural
+from nw_base.words import Engine
 from nw_eval.api.plans import plan
 from nw_eval.api.reports import RunReport, prepare_pages, report_here
-from nw_eval.errors import UsageError, nearest
-from nw_eval.files.traceback_file import TracebackIn
-from nw_eval.plural import plural
-from nw_eval.request import Request
-from nw_eval.rollout.confined.start import prepare
-from nw_eval.words import Engine
+from nw_gate.results.request import Request
+from nw_sim.rollout.confined.start import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from nw_eval.cards import Card
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
-    from nw_eval.policies import Bundle
-    from nw_eval.policies.policy import Observation
-    from nw_eval.results.provenance import ShardInfo
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.scenes.finding import SceneFinding
+    from nw_gate.results.provenance import ShardInfo
+    from nw_gate.results.run_folder import RunFolder
+    from nw_policies import Bundle
+    from nw_policies.cards import Card
+    from nw_policies.policy import Observation
+    from nw_scenes.finding import SceneFinding
 
 
 def run(
@@ -143,9 +143,9 @@ def roll_out(
     from nw_eval.engine import session
     from nw_eval.engine.listener import NullListener
     from nw_eval.engine.order import unforeseen_seed
-    from nw_eval.gate.baseline.combine import unjudged
-    from nw_eval.results.labels import ci_labels, usable
-    from nw_eval.results.provenance import read_run_info
+    from nw_gate.baseline.combine import unjudged
+    from nw_gate.results.labels import ci_labels, usable
+    from nw_gate.results.provenance import read_run_info
 
     named = usable({**ci_labels(os.environ), **(labels or {})})
     told, command = listener or NullListener(), tuple(sys.argv)
@@ -198,8 +198,8 @@ def roll_out(
 def _ahead(plan: Plan) -> Iterator[str]:
     """Yield what is said before a run begins."""
     from nw_eval.engine.plan import obstacles_of
-    from nw_eval.robots import find_robot
-    from nw_eval.rollout.perturbed import unfelt
+    from nw_scenes.robots import find_robot
+    from nw_sim.rollout.perturbed import unfelt
 
     if plan.shard is not None and plan.shard.count > 1:
         yield _part(plan, plan.shard)
@@ -219,8 +219,8 @@ def _trail_faults(plan: Plan) -> Iterator[tuple[str, SceneFinding]]:
 
     The built-in ones are right.
     """
-    from nw_eval.catalogue import is_built_in
-    from nw_eval.survey.course import course_findings
+    from nw_sim.catalogue import is_built_in
+    from nw_sim.survey.course import course_findings
 
     for place in plan.found:
         if not is_built_in(place.reference):
@@ -233,9 +233,9 @@ def _beyond_legs(plan: Plan) -> Iterator[str]:
 
     Built-in scenes are made for the built-in robots.
     """
-    from nw_eval.catalogue import is_built_in
-    from nw_eval.robots import BUILT_IN, get_robot
-    from nw_eval.survey.legs import fit_of, legs_of
+    from nw_scenes.robots import BUILT_IN, get_robot
+    from nw_sim.catalogue import is_built_in
+    from nw_sim.survey.legs import fit_of, legs_of
 
     is_ours = plan.suite.robot in BUILT_IN
     places = [each for each in plan.found if not (is_ours and is_built_in(each.reference))]
@@ -419,10 +419,10 @@ def _bundle(
     policy: object, suite: str | Path, card: Card | Mapping[str, Any], version: str
 ) -> Bundle:
     """Return an object with its card, completed from the suite and the object."""
-    from nw_eval.cards.load import card_of
-    from nw_eval.policies import instance_bundle
-    from nw_eval.robots import find_robot
     from nw_eval.suite import load_suite
+    from nw_policies import instance_bundle
+    from nw_policies.cards.load import card_of
+    from nw_scenes.robots import find_robot
 
     if isinstance(card, Mapping):
         own = load_suite(suite)

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.request import Shard
+from nw_base.errors import StoreError, UsageError
+from nw_gate.results.request import Shard
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.results.trials import SceneLike
+    from nw_base.trials import SceneLike
     from nw_eval.suite import Suite, Trial
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
+    from nw_gate.results.run_folder import RunFolder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ def saved_trials(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
         StoreError: run.json contradicts itself about them.
     """
     from nw_eval.engine.order import shard_of
-    from nw_eval.results.ended import wanted
+    from nw_gate.results.ended import wanted
 
     trials = whole_plan(info, suite)
     if info.shard is not None:
@@ -97,7 +97,7 @@ def saved_rows(folder: RunFolder, info: RunInfo) -> tuple[Row, ...]:
     Raises:
         StoreError: they, or run.json, are damaged.
     """
-    from nw_eval.results.ended import read_trials
+    from nw_gate.results.ended import read_trials
 
     return read_trials(folder, info, saved_trials(info, saved_suite(info))).rows
 
@@ -123,9 +123,9 @@ def whole_plan(info: RunInfo, suite: Suite) -> tuple[Trial, ...]:
         StoreError: run.json contradicts itself about them.
         IncomparableError: an older nw-eval drew them in another way.
     """
-    from nw_eval.gate.baseline.match import drawn_order
-    from nw_eval.results.trials import MAX_TRIALS
+    from nw_base.trials import MAX_TRIALS
     from nw_eval.suite import expand
+    from nw_gate.baseline.match import drawn_order
 
     scenes = _saved_scenes(info)
     order = None
@@ -156,7 +156,7 @@ def check_whole(info: RunInfo) -> RunInfo:
 
 
 def _damaged(info: RunInfo, fault: str) -> StoreError:
-    from nw_eval.clean import clean
+    from nw_base.clean import clean
 
     return StoreError(
         f"run.json of {clean(info.id, at_most=100)} is damaged: {clean(fault, at_most=300)}",
@@ -181,9 +181,9 @@ def read_rows(run: str | Path) -> pd.DataFrame:
     """
     import pandas as pd
 
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.row import Row, to_dict
-    from nw_eval.results.run_folder import open_run_folder
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.row import Row, to_dict
+    from nw_gate.results.run_folder import open_run_folder
 
     folder = open_run_folder(Path(run))
     found = saved_rows(folder, read_run_info(folder.run_json))

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 from nw_eval.api.renamed import keywords_were
 
 if TYPE_CHECKING:
-    from nw_eval.built_in.splits import Split
     from nw_eval.engine.listener import Listener
-    from nw_eval.scenes.finding import SceneFinding
-    from nw_eval.scenes.overview import SceneFigures
-    from nw_eval.survey import Survey
-    from nw_eval.survey.legs import Fit
+    from nw_places.splits import Split
+    from nw_scenes.finding import SceneFinding
+    from nw_scenes.overview import SceneFigures
+    from nw_sim.survey import Survey
+    from nw_sim.survey.legs import Fit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class CheckedScene:
     @property
     def has_errors(self) -> bool:
         """Whether results of this scene would mean nothing."""
-        from nw_eval.scenes.finding import has_errors
+        from nw_scenes.finding import has_errors
 
         return has_errors(self.findings)
 
@@ -75,13 +75,13 @@ def list_scenes(
         SceneError: a pattern matches nothing.
         UsageError: there is no such robot.
     """
-    from nw_eval.built_in.splits import split_of
-    from nw_eval.catalogue import match_scenes
-    from nw_eval.robots import get_robot
+    from nw_places.splits import split_of
+    from nw_scenes.robots import get_robot
+    from nw_sim.catalogue import match_scenes
 
     fit = None
     if robot is not None:
-        from nw_eval.survey.legs import fit_of, legs_of
+        from nw_sim.survey.legs import fit_of, legs_of
 
         fit = partial(fit_of, legs=legs_of(get_robot(robot)))
 
@@ -108,8 +108,8 @@ def show_scene(reference: str, *, out: Path | None = None) -> SceneFigures:
         SceneError: there is no such scene, or it cannot be read.
         StoreError: the picture cannot be written.
     """
-    from nw_eval.catalogue import get_scene
-    from nw_eval.scenes.overview import draw_plan, figures
+    from nw_scenes.overview import draw_plan, figures
+    from nw_sim.catalogue import get_scene
 
     scene = get_scene(reference)
     if out is not None:
@@ -139,10 +139,10 @@ def check_scenes(
             policy is named and no suite.
         StoreError: the suite cannot be written.
     """
-    from nw_eval.catalogue import inspect_scene
-    from nw_eval.errors import UsageError
-    from nw_eval.files.cache import followed
-    from nw_eval.files.inside import what_is
+    from nw_base.errors import UsageError
+    from nw_base.files.cache import followed
+    from nw_base.files.inside import what_is
+    from nw_sim.catalogue import inspect_scene
 
     if not references:
         raise UsageError("no scene to check", fix="name one, or its folder")
@@ -163,8 +163,8 @@ def check_scenes(
 
 def _write_suite(path: Path, references: Sequence[str], robot: str, policy: str | None) -> None:
     """Write a suite of scenes; paths in it start from its own folder."""
-    from nw_eval.catalogue import from_folder
     from nw_eval.suite.load import robot_from, write_ready_suite
+    from nw_sim.catalogue import from_folder
 
     here, robot = policy, robot_from(path.parent, robot)
     if policy is not None and "/" in policy and Path(policy).exists():
@@ -188,11 +188,11 @@ def render_scenes(
         SceneError: no such scene.
         StoreError: the picture cannot be written.
     """
-    from nw_eval.catalogue import match_scenes
+    from nw_base.files.cache import followed
     from nw_eval.engine.listener import NullListener
     from nw_eval.engine.prepare import build_splats
-    from nw_eval.files.cache import followed
-    from nw_eval.rollout.replaying.film import write_scene_sheet
+    from nw_sim.catalogue import match_scenes
+    from nw_sim.rollout.replaying.film import write_scene_sheet
 
     followed(out)  # What can never be written is said before anything is drawn.
     found = match_scenes(tuple(patterns) or ("*",))
@@ -207,10 +207,10 @@ def warmup(scenes: Sequence[str] = (), *, listener: Listener | None = None) -> W
     Raises:
         SceneError: a pattern matches nothing, or a splat cannot be made.
     """
-    from nw_eval.catalogue import match_scenes
     from nw_eval.engine.listener import NullListener
     from nw_eval.engine.prepare import build_splats
-    from nw_eval.warmup import warmup as compile_kernels
+    from nw_sim.catalogue import match_scenes
+    from nw_sim.warmup import warmup as compile_kernels
 
     seconds = compile_kernels()
     found = match_scenes(tuple(scenes)) if scenes else ()

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from nw_eval.words import Described
+from nw_base.words import Described
 
 
 def schema(kind: Described, *, out: Path | None = None) -> dict[str, Any]:
@@ -19,7 +19,7 @@ def schema(kind: Described, *, out: Path | None = None) -> dict[str, Any]:
     Raises:
         StoreError: it cannot be written.
     """
-    from nw_eval.files.cache import atomic_path, followed
+    from nw_base.files.cache import atomic_path, followed
 
     described = _schema(kind)
     if out is not None:
@@ -34,9 +34,9 @@ def _schema(kind: Described) -> dict[str, Any]:
 
         return of_suite()
     if kind == "policy":
-        from nw_eval.cards.load import json_schema as of_card
+        from nw_policies.cards.load import json_schema as of_card
 
         return of_card()
-    from nw_eval.scenes.folder import json_schema as of_scene
+    from nw_scenes.folder import json_schema as of_scene
 
     return of_scene(kind)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from nw_eval.sensors.gallery import SeenCard
+    from nw_sim.sensors.gallery import SeenCard
 
 Listed = Literal["sensor", "wrapper"]
 
@@ -27,9 +27,9 @@ def list_sensors() -> tuple[ListedSensor, ...]:
 
     A plug-in that cannot be imported is told of in a `PluginWarning`, and left out.
     """
-    from nw_eval.cards.observations import BUILT_IN_SENSORS
-    from nw_eval.cards.wrappers import BUILT_IN_WRAPPERS
-    from nw_eval.plugins import SENSORS, WRAPPERS, usable
+    from nw_base.plugins import SENSORS, WRAPPERS, usable
+    from nw_policies.cards.observations import BUILT_IN_SENSORS
+    from nw_policies.cards.wrappers import BUILT_IN_WRAPPERS
 
     found: list[ListedSensor] = []
     kinds: tuple[tuple[Listed, str, tuple[str, ...]], ...] = (
@@ -62,9 +62,9 @@ def draw_sensors(
         PolicyError: the policy cannot be used.
         StoreError: the picture cannot be written.
     """
-    from nw_eval.catalogue import get_scene
-    from nw_eval.policies import load_bundle
-    from nw_eval.sensors.gallery import SeenCard, draw_card, draw_gallery
+    from nw_policies import load_bundle
+    from nw_sim.catalogue import get_scene
+    from nw_sim.sensors.gallery import SeenCard, draw_card, draw_gallery
 
     place = get_scene(scene)
     if policy is None:

@@ -14,9 +14,9 @@ from nw_eval.api.renamed import keywords_were
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
     from nw_eval.engine.listener import Listener
-    from nw_eval.gate.bisection import Bisection, Decision
-    from nw_eval.gate.settings import Gate
-    from nw_eval.request import Request
+    from nw_gate.bisection import Bisection, Decision
+    from nw_gate.results.request import Request
+    from nw_gate.settings import Gate
 
 _REPORTS = Path("reports")
 
@@ -99,9 +99,9 @@ def bisect(
         TrialError: a trial came to no result.
         StoreError: results cannot be written.
     """
-    from nw_eval.gate import bisection
-    from nw_eval.request import Request
     from nw_eval.suite import load_suite
+    from nw_gate import bisection
+    from nw_gate.results.request import Request
 
     series = tuple(str(one) for one in (*_of_folders(checkpoints, good, bad), bad))
     read = load_suite(suite)
@@ -145,8 +145,8 @@ class _InterruptedSeriesError(Exception):
 
 def _is_bank(good: str | Path, suite: str) -> bool:
     """Whether a name or path means a baseline, and no checkpoint."""
-    from nw_eval.errors import UsageError
-    from nw_eval.results.bank_file import find_bank
+    from nw_base.errors import UsageError
+    from nw_gate.results.bank_file import find_bank
 
     try:
         return find_bank(good, suite=suite).suffix == ".parquet"
@@ -162,9 +162,9 @@ def _of_folders(
     Raises:
         UsageError: a folder is neither a policy's nor one with checkpoints.
     """
+    from nw_base.errors import UsageError
     from nw_eval.api.watching import checkpoints_in
-    from nw_eval.cards.load import CARD_FILE
-    from nw_eval.errors import UsageError
+    from nw_policies.cards.load import CARD_FILE
 
     series: list[str | Path] = []
     for each in checkpoints:
@@ -192,7 +192,7 @@ def _check_place(checkpoint: str | Path) -> None:
         UsageError: there is no such file.
         PolicyError: there is no such bundle.
     """
-    from nw_eval.policies import find_card
+    from nw_policies import find_card
 
     if not Path(checkpoint).is_file():
         find_card(str(checkpoint))
@@ -213,8 +213,8 @@ def _bank_of(
     Raises:
         IncomparableError: there is a baseline of its name, of something else.
     """
+    from nw_base.errors import IncomparableError
     from nw_eval.api.baselines_saved import save_baseline
-    from nw_eval.errors import IncomparableError
 
     if _is_bank(good, suite):
         return str(good)
@@ -247,8 +247,8 @@ def _judged(request: Request, folder: Path, means: _Means) -> RunReport:
     from nw_eval.api.continuing import continued
     from nw_eval.api.plans import plan_of
     from nw_eval.api.runs import judged, roll_out
-    from nw_eval.results.journal import has_begun
     from nw_eval.suite import draft_of, load_suite
+    from nw_gate.results.journal import has_begun
 
     assert request.suite is not None, "a series is of a suite"
     begun = has_begun(folder / "journal.jsonl")
@@ -288,7 +288,7 @@ def _finding(run: RunReport) -> Decision:
         TrialError: trials have no result, or another one than the cache says.
         _InterruptedSeriesError: a signal ended it.
     """
-    from nw_eval.errors import IncomparableError, TrialError
+    from nw_base.errors import IncomparableError, TrialError
 
     verdict = run.verdict
     if run.interrupted and verdict.verdict == "INFRASTRUCTURE":

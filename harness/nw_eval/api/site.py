@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from nw_eval.clean import clean
-from nw_eval.errors import IncomparableError, NwEvalError, StoreError, UsageError
-from nw_eval.files.cache import (
+from nw_base.clean import clean
+from nw_base.errors import IncomparableError, NwEvalError, StoreError, UsageError
+from nw_base.files.cache import (
     DamagedError,
     atomic_path,
     followed,
@@ -28,15 +28,15 @@ from nw_eval.files.cache import (
     read_sealed,
     sealed_path,
 )
-from nw_eval.files.inside import regular
+from nw_base.files.inside import regular
 
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
-    from nw_eval.gate.side_by_side import Entrant, PolicyComparison
     from nw_eval.reporting.html.board import BoardSection
     from nw_eval.reporting.html.runs import ListedRun
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.scenes.scene import Scene
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.side_by_side import Entrant, PolicyComparison
+    from nw_scenes.scene import Scene
 
 PAGE, RUNS_PAGE, MARK, REPORTS, BADGE = "index.html", "runs.html", "site.json", "runs", "badge"
 _WIDTH = 320
@@ -128,7 +128,7 @@ def _folders(runs: Sequence[str | Path], what: str) -> tuple[list[Path], tuple[P
     Raises:
         UsageError: one does not exist, or none is a run's folder.
     """
-    from nw_eval.results.run_folder import find_run_folder
+    from nw_gate.results.run_folder import find_run_folder
 
     folders: dict[Path, None] = {}
     skipped: list[Path] = []
@@ -358,8 +358,8 @@ def _sections(
 ) -> list[BoardSection]:
     """Return runs that compare with one another, each in a section; some may be left out."""
     from nw_eval.api.reports import fault_of
-    from nw_eval.gate.side_by_side import entrant_of_run
     from nw_eval.reporting.html.board import BoardRun, BoardSection
+    from nw_gate.side_by_side import entrant_of_run
 
     groups: list[_Group] = []
     stopped: list[tuple[RunReport, Entrant]] = []
@@ -408,7 +408,7 @@ def _join(
     groups: list[_Group], run: RunReport, entrant: Entrant, *, is_stopped: bool = False
 ) -> None:
     """Put a run to those that it compares with, or into a group of its own."""
-    from nw_eval.gate.side_by_side import check_alike
+    from nw_gate.side_by_side import check_alike
 
     note = ""
     for group in groups:
@@ -437,7 +437,7 @@ def _compared(
 ) -> list[tuple[list[tuple[RunReport, Entrant]], PolicyComparison]]:
     """Return runs with their comparison: each alone where they have none together."""
     from nw_eval.api.reports import fault_of
-    from nw_eval.gate.side_by_side import compared
+    from nw_gate.side_by_side import compared
 
     try:
         return [(group, compared([entrant for _, entrant in group], confidence))]
@@ -477,7 +477,7 @@ class _Pictures:
 
 
 def _picture(name: str, digest: str) -> bytes | None:
-    from nw_eval.catalogue import get_scene, is_built_in
+    from nw_sim.catalogue import get_scene, is_built_in
 
     if not is_built_in(name):  # Nothing that an untrusted run names is opened or fetched.
         return None
@@ -504,7 +504,7 @@ def _drawn(scene: Scene) -> bytes:
     import numpy as np
     from PIL import Image
 
-    from nw_eval.rollout.replaying.film import scene_views
+    from nw_sim.rollout.replaying.film import scene_views
 
     content = BytesIO()
     views = scene_views(scene, width=_WIDTH)
@@ -514,7 +514,7 @@ def _drawn(scene: Scene) -> bytes:
 
 def _kept(name: str, digest: str) -> Path | None:
     """Return where the picture of a scene is kept for the next page; None without a cache."""
-    from nw_eval.results.provenance import code_info
+    from nw_gate.results.provenance import code_info
 
     drawn_by = f"{code_info().digest} {_WIDTH} {_QUALITY} {name} {digest}"
     try:

@@ -7,12 +7,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import SceneError, UsageError, nearest
-from nw_eval.files.inside import what_is
+from nw_base.errors import SceneError, UsageError, nearest
+from nw_base.files.inside import what_is
 
 if TYPE_CHECKING:
-    from nw_eval.splat.gaussians import Gaussians, SplatFigures
-    from nw_eval.words import Backend, Projection, UpAxis
+    from nw_base.words import Backend, Projection, UpAxis
+    from nw_splat.gaussians import Gaussians, SplatFigures
 
 _EYE_HEIGHT = 0.3
 """Metres above the ground at which a quadruped's camera looks at a scene."""
@@ -37,7 +37,7 @@ def splat_info(source: str | Path) -> SplatFigures:
     Raises:
         SceneError: it cannot be read.
     """
-    from nw_eval.splat.gaussians import describe
+    from nw_splat.gaussians import describe
 
     return describe(_gaussians(source))
 
@@ -53,7 +53,7 @@ def splat_convert(source: str | Path, out: Path) -> WrittenSplat:
         SceneError: they cannot be read, or do not fit the new format.
         UsageError: a format that cannot be written.
     """
-    from nw_eval.splat.files import left_out, write_splat
+    from nw_splat.files import left_out, write_splat
 
     gaussians = _gaussians(source)
     size = write_splat(out, gaussians)
@@ -101,9 +101,9 @@ def splat_render(
         PrerequisiteError: the renderer, or what writes MP4, is not installed.
         StoreError: the picture cannot be written.
     """
-    from nw_eval import catalogue
-    from nw_eval.scenes.overview import circuit
-    from nw_eval.splat import portrait
+    from nw_scenes.overview import circuit
+    from nw_sim import catalogue
+    from nw_splat import portrait
 
     suffix = out.suffix.lower()
     if suffix not in portrait.SUFFIXES:
@@ -137,9 +137,9 @@ def splat_render(
 
 def _gaussians(source: str | Path) -> Gaussians:
     """Return the Gaussians of a file, in its own frame, or of a built-in scene, in the world's."""
-    from nw_eval import catalogue
-    from nw_eval.splat.files import read_splat
-    from nw_eval.splat.gaussians import transformed
+    from nw_sim import catalogue
+    from nw_splat.files import read_splat
+    from nw_splat.gaussians import transformed
 
     name = str(source)
     if catalogue.is_built_in(name):

@@ -8,7 +8,7 @@ from itertools import takewhile
 from pathlib import Path
 from textwrap import shorten
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class ListedSuite:
 
 def list_suites() -> tuple[ListedSuite, ...]:
     """Return the shipped suites and those of the project in the working directory, by name."""
-    from nw_eval.files.shipped import available
+    from nw_base.files.shipped import available
 
     return tuple(_listed(name, path) for name, path in available("suites").items())
 
@@ -65,8 +65,8 @@ def show_suite(suite: str | Path) -> ShownSuite:
         SuiteError: what is wrong with the file and its scenes, all of it.
     """
     from nw_eval.api.plans import Faults, open_scenes
-    from nw_eval.catalogue import open_scene, references
     from nw_eval.suite import draft_suite
+    from nw_sim.catalogue import open_scene, references
 
     draft = draft_suite(suite)
     faults = Faults(draft)
@@ -88,9 +88,9 @@ def show_suite(suite: str | Path) -> ShownSuite:
 
 
 def _listed(name: str, path: Path) -> ListedSuite:
-    from nw_eval.catalogue import is_built_in, open_scene, references
-    from nw_eval.errors import NwEvalError
+    from nw_base.errors import NwEvalError
     from nw_eval.suite import load_suite
+    from nw_sim.catalogue import is_built_in, open_scene, references
 
     try:
         suite = load_suite(str(path))

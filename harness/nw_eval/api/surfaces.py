@@ -15,11 +15,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from nw_eval.clean import clean
-from nw_eval.errors import NwEvalError, UsageError, nearest
-from nw_eval.plugins import REPORTERS as GROUP
-from nw_eval.plugins import installed, load, warn_if_built_in
-from nw_eval.words import Tracker
+from nw_base.clean import clean
+from nw_base.errors import NwEvalError, UsageError, nearest
+from nw_base.plugins import REPORTERS as GROUP
+from nw_base.plugins import installed, load, warn_if_built_in
+from nw_base.words import Tracker
 
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
@@ -134,7 +134,7 @@ def check_surfaces(where: Surfaces) -> Surfaces:
         PrerequisiteError: its extra is not installed.
         PluginError: the package that has it is broken.
     """
-    from nw_eval.files.cache import followed
+    from nw_base.files.cache import followed
     from nw_eval.reporting.trackers.tracked import check_trackers
 
     check_trackers(where.track)
@@ -209,8 +209,8 @@ def _writer(
     """Return what lets a reporter write; its file appears whole or not at all."""
 
     def call() -> None:
-        from nw_eval.files.cache import atomic_path, followed
-        from nw_eval.results.run_folder import RunFolder
+        from nw_base.files.cache import atomic_path, followed
+        from nw_gate.results.run_folder import RunFolder
 
         if reporter.target != "file" or target is None:
             write(target)

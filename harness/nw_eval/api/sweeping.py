@@ -8,20 +8,20 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_base.errors import StoreError, UsageError
+from nw_base.files.cache import made_place
 from nw_eval.api.plans import plan
 from nw_eval.api.renamed import keywords_were
 from nw_eval.api.reports import judge
 from nw_eval.api.runs import roll_out
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.files.cache import made_place
-from nw_eval.request import Request
-from nw_eval.rollout.confined.start import prepare
+from nw_gate.results.request import Request
+from nw_sim.rollout.confined.start import prepare
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
-    from nw_eval.gate.sweep import AxisCurve
-    from nw_eval.suite.axes import SweptAxis
+    from nw_gate.sweep import AxisCurve
+    from nw_sim.axes import SweptAxis
 
 _MOST_FOLDERS = 1000
 
@@ -77,9 +77,9 @@ def sweep(
     """
     from nw_eval.api.comparisons import check_share
     from nw_eval.engine.machine import check_workers
-    from nw_eval.gate.sweep import curve_of
     from nw_eval.reporting.sweep import write_sweep
-    from nw_eval.suite.axes import axis_named
+    from nw_gate.sweep import curve_of
+    from nw_sim.axes import axis_named
 
     check_workers(workers)
     check_share(confidence)
@@ -122,7 +122,7 @@ def sweep(
 
 
 def _axes(words: Sequence[str]) -> list[SweptAxis]:
-    from nw_eval.suite.axes import SweptAxis
+    from nw_sim.axes import SweptAxis
 
     swept = [SweptAxis.of(each) for each in words]
     if not swept:

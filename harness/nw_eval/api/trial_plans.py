@@ -6,18 +6,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from nw_base.errors import IncomparableError, UsageError
 from nw_eval.api.renamed import keywords_were
-from nw_eval.errors import IncomparableError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from nw_eval.engine.plan import Forecast, Plan
-    from nw_eval.gate.baseline.power_forecast import Outset
-    from nw_eval.gate.baseline.scores import ScoreForecast
-    from nw_eval.request import Request
-    from nw_eval.stats.bank.curve import CurvePoint, Progress
     from nw_eval.suite import Suite
+    from nw_gate.baseline.power_forecast import Outset
+    from nw_gate.baseline.scores import ScoreForecast
+    from nw_gate.results.request import Request
+    from nw_gate.stats.bank.curve import CurvePoint, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +113,7 @@ def plan_trials(
     resolved = plan(suite, baseline=NO_BASELINE)  # The baseline is here what is asked about.
     gate = resolved.suite.gate
     if run is None and detect is None and (baseline or gate.baseline) in {None, NO_BASELINE}:
-        from nw_eval.results.bank_file import bank_files
+        from nw_gate.results.bank_file import bank_files
 
         asked_for = baseline == NO_BASELINE
         if gate.success_rate is not None and (asked_for or not bank_files(resolved.suite.name)):
@@ -154,8 +154,8 @@ def plan_trials(
 
 def _of_scores(resolved: Plan, reference: str | None) -> tuple[ScoreForecast, ...]:
     """Return what the gate makes of each score that it compares with a baseline."""
-    from nw_eval.gate.baseline.scores import forecast_scores
-    from nw_eval.results.bank_file import read_bank
+    from nw_gate.baseline.scores import forecast_scores
+    from nw_gate.results.bank_file import read_bank
 
     bank = read_bank(_bank_file(resolved.suite, reference))
     return forecast_scores(bank, resolved.suite.measured, resolved.suite.gate)
@@ -166,8 +166,8 @@ def _of_bar(resolved: Plan, bar: float) -> BarPlan:
     import numpy as np
 
     from nw_eval.engine.plan import obstacles_of
-    from nw_eval.gate.absolute import trials_to_pass
-    from nw_eval.stats.power import SceneCounts, shares_at
+    from nw_gate.absolute import trials_to_pass
+    from nw_gate.stats.power import SceneCounts, shares_at
 
     suite = resolved.suite
     gate, cells = suite.gate, len(suite.perturb.cells)
@@ -216,8 +216,8 @@ def _draw(planned: TrialPlan, png: Path) -> None:
 
 def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
     """Return what a baseline is, in words, and what is known with it."""
-    from nw_eval.gate.baseline.power_forecast import outset_of_bank
-    from nw_eval.results.bank_file import read_bank
+    from nw_gate.baseline.power_forecast import outset_of_bank
+    from nw_gate.results.bank_file import read_bank
 
     suite = resolved.suite
     bank = read_bank(_bank_file(suite, reference))
@@ -229,7 +229,7 @@ def _of_bank(resolved: Plan, reference: str | None) -> tuple[str, Outset]:
 
 def _bank_file(suite: Suite, reference: str | None) -> Path:
     from nw_eval.api.banks import NO_BASELINE
-    from nw_eval.results.bank_file import find_bank
+    from nw_gate.results.bank_file import find_bank
 
     if reference is None or reference == NO_BASELINE:
         return _only_bank(suite.name)
@@ -242,7 +242,7 @@ def _only_bank(suite: str) -> Path:
     Raises:
         UsageError: it has none, or several.
     """
-    from nw_eval.results.bank_file import bank_files
+    from nw_gate.results.bank_file import bank_files
 
     files = bank_files(suite)
     if len(files) == 1:
@@ -258,9 +258,9 @@ def _of_run(resolved: Plan, folder: Path) -> tuple[str, Outset]:
     """Return what a run is, in words, and what is known with it."""
     from nw_eval.api.baselines_saved import STARTS
     from nw_eval.api.saved_run import check_whole, saved_rows
-    from nw_eval.gate.baseline.power_forecast import outset_of_rows
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import open_run_folder
+    from nw_gate.baseline.power_forecast import outset_of_rows
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.run_folder import open_run_folder
 
     opened = open_run_folder(folder)
     info = check_whole(read_run_info(opened.run_json))
@@ -324,7 +324,7 @@ def plan_shards(
     from nw_eval.engine.machine import check_workers
     from nw_eval.engine.order import shards_of
     from nw_eval.engine.plan import forecast
-    from nw_eval.request import Request
+    from nw_gate.results.request import Request
 
     check_workers(workers)
     whole = plan(Request.of(request, **changes, shard=None))

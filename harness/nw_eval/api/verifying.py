@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from nw_base.errors import StoreError, UsageError
 from nw_eval.api.renamed import keywords_were
-from nw_eval.errors import StoreError, UsageError
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
-    from nw_eval.results.evidence_check import CheckedFiles
-    from nw_eval.rollout.replaying.reports import Repeats
+    from nw_gate.results.evidence_check import CheckedFiles
+    from nw_sim.rollout.replaying.reports import Repeats
 
 SAMPLE = "5%"
 """Of the trials with a result that run again, where nothing else is asked for."""
@@ -94,10 +94,10 @@ def verify(
     from nw_eval.api.saved_run import saved_suite, saved_trials
     from nw_eval.engine.machine import check_workers
     from nw_eval.engine.order import check_sample, unforeseen_seed
-    from nw_eval.request import Request
-    from nw_eval.results.evidence_check import check_files
-    from nw_eval.results.provenance import read_run_info
-    from nw_eval.results.run_folder import RunFolder, open_run_folder
+    from nw_gate.results.evidence_check import check_files
+    from nw_gate.results.provenance import read_run_info
+    from nw_gate.results.request import Request
+    from nw_gate.results.run_folder import RunFolder, open_run_folder
 
     check_workers(workers)
     sample = str(trials)
@@ -128,7 +128,7 @@ def verify(
 
 
 def _of_another_root(files: CheckedFiles, root: str) -> CheckedFiles:
-    from nw_eval.results.evidence_check import Discrepancy
+    from nw_gate.results.evidence_check import Discrepancy
 
     about = f"merkle_root is {files.root[:12] or 'missing'}, not {root[:12]}"
     finding = Discrepancy(what="changed", file="run.json", about=about)

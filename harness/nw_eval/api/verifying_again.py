@@ -18,28 +18,28 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
-from nw_eval.clean import clean
-from nw_eval.confinement import Rules
+from nw_base.clean import clean
+from nw_base.confinement import Rules
+from nw_base.errors import IncomparableError, NwEvalError, PolicyError, UsageError
 from nw_eval.engine.order import draw
-from nw_eval.errors import IncomparableError, NwEvalError, PolicyError, UsageError
-from nw_eval.results.evidence import log_sha256
-from nw_eval.results.evidence_check import log_path
-from nw_eval.results.journal import JournalHeader, read_journal
-from nw_eval.results.provenance import read_run_info
-from nw_eval.results.row import COLUMNS, MEASURED
-from nw_eval.rollout.confined.isolated import call_isolated
-from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.record import VERDICT
-from nw_eval.rollout.replaying.logged import recorded_rate
-from nw_eval.rollout.replaying.reports import Difference, Kind, RepeatedTrial, Repeats
+from nw_gate.results.evidence import log_sha256
+from nw_gate.results.evidence_check import log_path
+from nw_gate.results.journal import JournalHeader, read_journal
+from nw_gate.results.provenance import read_run_info
+from nw_gate.results.row import COLUMNS, MEASURED
+from nw_sim.rollout.confined.isolated import call_isolated
+from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.record import VERDICT
+from nw_sim.rollout.replaying.logged import recorded_rate
+from nw_sim.rollout.replaying.reports import Difference, Kind, RepeatedTrial, Repeats
 
 if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
-    from nw_eval.request import Request
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
-    from nw_eval.results.run_folder import RunFolder
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.request import Request
+    from nw_gate.results.row import Row
+    from nw_gate.results.run_folder import RunFolder
 
 
 def run_again(

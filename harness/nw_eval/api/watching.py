@@ -16,16 +16,16 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from nw_base.errors import IncomparableError, PolicyError, StoreError, UsageError
+from nw_base.files.cache import made_place
+from nw_base.files.inside import regular
 from nw_eval.api.renamed import keywords_were
-from nw_eval.errors import IncomparableError, PolicyError, StoreError, UsageError
-from nw_eval.files.cache import made_place
-from nw_eval.files.inside import regular
 
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
     from nw_eval.api.surfaces import Surfaces
     from nw_eval.engine.listener import Listener
-    from nw_eval.request import Request
+    from nw_gate.results.request import Request
 
 SUFFIXES = (".jit", ".msgpack", ".onnx", ".pt", ".pt2", ".pth", ".safetensors", ".zip")
 """How the names of checkpoints end."""
@@ -107,7 +107,7 @@ class WatchedTraining:
     @property
     def exit_code(self) -> int:
         """That of the newest checkpoint's verdict, 2 if it has none; 130 if interrupted."""
-        from nw_eval.gate.verdict import EXIT_CODES
+        from nw_gate.verdict import EXIT_CODES
 
         if self.interrupted:
             return 130
@@ -170,7 +170,7 @@ def watch(
         StoreError: results cannot be written.
     """
     from nw_eval.api.surfaces import Surfaces
-    from nw_eval.request import Request
+    from nw_gate.results.request import Request
 
     folder = Path(folder)
     if not folder.is_dir():
@@ -291,8 +291,8 @@ class _Watch:
 
     def __post_init__(self) -> None:
         from nw_eval.api.surfaces import check_surfaces
-        from nw_eval.policies import find_card
         from nw_eval.suite import load_suite
+        from nw_policies import find_card
 
         check_surfaces(self.where)
         assert self.request.suite is not None, "a watch is of a suite"
@@ -373,7 +373,7 @@ class _Watch:
 
     def _copied(self, found: _Found) -> tuple[Path, str]:
         """Copy a checkpoint: a training may replace or remove it while trials run."""
-        from nw_eval.files.cache import atomic_path
+        from nw_base.files.cache import atomic_path
 
         try:
             content = regular(found.path).read_bytes()
@@ -393,9 +393,9 @@ class _Watch:
         from nw_eval.api.plans import plan
         from nw_eval.api.reports import as_begun, judge
         from nw_eval.api.runs import judged, roll_out
-        from nw_eval.results.journal import has_begun
-        from nw_eval.results.labels import fitting
-        from nw_eval.rollout.confined.start import prepare
+        from nw_gate.results.journal import has_begun
+        from nw_gate.results.labels import fitting
+        from nw_sim.rollout.confined.start import prepare
 
         begun = has_begun(folder / "journal.jsonl")
         request = replace(self.request, checkpoint=checkpoint, baseline="none")
@@ -486,7 +486,7 @@ class _Watch:
         Raises:
             StoreError: one cannot be written.
         """
-        from nw_eval.files.cache import atomic_path
+        from nw_base.files.cache import atomic_path
         from nw_eval.reporting.html.runs import render_training
 
         ordered, best = list(self._ordered()), self._best()
@@ -510,9 +510,9 @@ def _obstacles(request: Request) -> tuple[str, ...]:
 
     What is wrong with the suite or its scenes, the first run tells.
     """
+    from nw_base.errors import NwEvalError
     from nw_eval.api.plans import Faults, chosen_scenes, open_scenes
     from nw_eval.engine.plan import obstacles_among_equals
-    from nw_eval.errors import NwEvalError
     from nw_eval.suite import draft_suite
     from nw_eval.suite.model import override
 
@@ -543,7 +543,7 @@ def _read_state(path: Path) -> _State | None:
     """
     from pydantic import TypeAdapter
 
-    from nw_eval.files.inside import bounded_bytes
+    from nw_base.files.inside import bounded_bytes
 
     if not path.exists():
         return None
@@ -559,7 +559,7 @@ def _write_table(path: Path, checkpoints: Sequence[WatchedCheckpoint]) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from nw_eval.files.cache import atomic_path
+    from nw_base.files.cache import atomic_path
 
     number, count = pa.float64(), pa.int64()
     types = {

@@ -27,6 +27,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NoReturn, TextIO
 
+from nw_base.errors import NwEvalError, StoreError, not_installed
 from nw_eval.cli.terminal.fetching import fetches_shown
 from nw_eval.cli.terminal.interruption import (
     INTERRUPTED,
@@ -35,7 +36,6 @@ from nw_eval.cli.terminal.interruption import (
     nothing_left_to_interrupt,
 )
 from nw_eval.cli.terminal.last_words import tell, unforeseen
-from nw_eval.errors import NwEvalError, StoreError, not_installed
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs

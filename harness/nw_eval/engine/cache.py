@@ -33,16 +33,16 @@ from tempfile import mkdtemp
 from time import time
 from typing import TYPE_CHECKING, Any, Self, cast
 
-from nw_eval.digest import digest_of
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.files.cache import cache_dir, private_dir
-from nw_eval.results.row import Row, from_dict, to_dict
-from nw_eval.results.seal import seal, unseal
+from nw_base.digest import digest_of
+from nw_base.errors import StoreError, UsageError
+from nw_base.files.cache import cache_dir, private_dir
+from nw_gate.results.row import Row, from_dict, to_dict
+from nw_gate.results.seal import seal, unseal
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from nw_eval.rollout.job import TrialJob
+    from nw_sim.rollout.job import TrialJob
 
 LIMIT_GB = 5.0
 """Size that the cache may have, in GB, where `NW_EVAL_CACHE_GB` says nothing."""

@@ -18,27 +18,27 @@ from math import floor
 from random import Random, SystemRandom
 from typing import TYPE_CHECKING
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
+from nw_base.errors import StoreError
+from nw_base.plugins import code_named
+from nw_base.plural import plural
 from nw_eval.engine.cache import NO_ENTRY, CacheEntry, Conditions, TrialStore, limit_bytes, system
 from nw_eval.engine.provenance import journal_header
 from nw_eval.engine.rows import taken_over
-from nw_eval.errors import StoreError
-from nw_eval.plugins import code_named
-from nw_eval.plural import plural
-from nw_eval.results.ended import of_plan
-from nw_eval.results.provenance import CacheInfo
+from nw_gate.results.ended import of_plan
+from nw_gate.results.provenance import CacheInfo
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Sequence
     from pathlib import Path
 
+    from nw_base.words import Arm
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
-    from nw_eval.policies import Bundle
-    from nw_eval.results.row import Row
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.job import TrialJob
-    from nw_eval.words import Arm
+    from nw_gate.results.row import Row
+    from nw_gate.results.run_folder import RunFolder
+    from nw_policies import Bundle
+    from nw_sim.rollout.job import TrialJob
 
 SHARE = 0.02
 """Of the results that could be reused, how many run all the same; at least one does."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
 
 
 class Listener(Protocol):

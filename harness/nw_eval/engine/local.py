@@ -12,24 +12,24 @@ from functools import partial
 from multiprocessing.connection import wait
 from typing import TYPE_CHECKING, Self
 
+from nw_base.errors import PrerequisiteError, TrialError
 from nw_eval.engine import worker
 from nw_eval.engine.machine import WorkerOutput, can_be_listed, restrained
 from nw_eval.engine.order import next_place
 from nw_eval.engine.pool import Finished, QueuedWorkers
 from nw_eval.engine.prepare import needs_splats
 from nw_eval.engine.worker import UnstartedError, WorkerProcess, WorkerStart
-from nw_eval.errors import PrerequisiteError, TrialError
-from nw_eval.policies import load_bundle
-from nw_eval.robots import know_robot
-from nw_eval.rollout.confined.access import policy_rules, running_rules
-from nw_eval.rollout.job import kernels_of
+from nw_policies import load_bundle
+from nw_scenes.robots import know_robot
+from nw_sim.rollout.confined.access import policy_rules, running_rules
+from nw_sim.rollout.job import kernels_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from nw_eval.engine.prepare import SplatBuilders
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.job import TrialJob, TrialResult
+    from nw_gate.results.run_folder import RunFolder
+    from nw_sim.rollout.job import TrialJob, TrialResult
 
     Run = Callable[[TrialJob], TrialResult]
 

@@ -28,17 +28,17 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Self
 
-from nw_eval.clean import clean
-from nw_eval.errors import UsageError
-from nw_eval.files.cache import open_own
-from nw_eval.results.provenance import usable_cores
-from nw_eval.rollout.confined.progress import descendants, stat_of, text_of
+from nw_base.clean import clean
+from nw_base.errors import UsageError
+from nw_base.files.cache import open_own
+from nw_gate.results.provenance import usable_cores
+from nw_sim.rollout.confined.progress import descendants, stat_of, text_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from types import FrameType, TracebackType
 
-    from nw_eval.confinement import Rules
+    from nw_base.confinement import Rules
 
 # What else, on one and the same processor, makes a library take other kernels: numba's own
 # settings, torch, MKL and oneDNN under it, OpenBLAS and SIMD under NumPy, the C library's sin.

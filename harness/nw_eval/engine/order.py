@@ -16,15 +16,15 @@ from itertools import takewhile
 from math import ceil
 from typing import TYPE_CHECKING
 
-from nw_eval.errors import UsageError
-from nw_eval.plural import plural
-from nw_eval.request import Shard
-from nw_eval.results.provenance import ShardInfo
+from nw_base.errors import UsageError
+from nw_base.plural import plural
+from nw_gate.results.provenance import ShardInfo
+from nw_gate.results.request import Shard
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Container, Iterable, Sequence
 
-    from nw_eval.results.trials import Trial
+    from nw_base.trials import Trial
 
 _NEAR = 16
 """Trials of a drawn order among which a worker may choose."""

@@ -10,32 +10,32 @@ from dataclasses import dataclass
 from math import ceil
 from typing import TYPE_CHECKING
 
+from nw_base.plugins import SPLAT_FORMATS, code_named, identity_of, key_of
+from nw_base.plural import plural
 from nw_eval.engine.machine import worker_count
 from nw_eval.engine.order import in_order
 from nw_eval.engine.prepare import needs_splats
 from nw_eval.engine.provenance import engine_of
-from nw_eval.plugins import SPLAT_FORMATS, code_named, identity_of, key_of
-from nw_eval.plural import plural
-from nw_eval.results.bank import machine_in
-from nw_eval.rollout.job import TrialJob, kernels_of
-from nw_eval.rollout.record import attachments
 from nw_eval.suite import suite_yaml
+from nw_gate.results.bank import machine_in
+from nw_sim.rollout.job import TrialJob, kernels_of
+from nw_sim.rollout.record import attachments
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
     from pathlib import Path
 
-    from nw_eval.catalogue import FoundScene
-    from nw_eval.policies import Bundle
-    from nw_eval.request import Request
-    from nw_eval.results.bank import Against
-    from nw_eval.results.column import Settings
-    from nw_eval.results.provenance import ShardInfo
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.results.trials import DrawnStart, Trial
-    from nw_eval.scenes import Scene
+    from nw_base.trials import DrawnStart, Trial
+    from nw_base.words import Arm, Backend, Kernels, PanelKind
     from nw_eval.suite.model import Suite
-    from nw_eval.words import Arm, Backend, Kernels, PanelKind
+    from nw_gate.results.bank import Against
+    from nw_gate.results.column import Settings
+    from nw_gate.results.provenance import ShardInfo
+    from nw_gate.results.request import Request
+    from nw_gate.results.run_folder import RunFolder
+    from nw_policies import Bundle
+    from nw_scenes import Scene
+    from nw_sim.catalogue import FoundScene
 
 # Wall seconds for each simulated second, and on top for the first compilation of kernels: many
 # times what a trial takes on a slow core with a large camera, so that only what never ends is hung.
@@ -108,8 +108,8 @@ class Plan:
 
         Functions of the suite are among them: `scores.NAME: file.py:function sha256`.
         """
-        from nw_eval.scenes.folder import FileSplat
-        from nw_eval.splat.files import package_format
+        from nw_scenes.folder import FileSplat
+        from nw_splat.files import package_format
 
         of_suite = {
             key: f"{said} {code_named(key)}".strip() for key, said in self.suite.plugins.items()
@@ -297,7 +297,7 @@ def obstacles_of(plan: Plan) -> tuple[str, ...]:
     Args:
         plan: what would be run.
     """
-    from nw_eval.gate.baseline.power_forecast import bar_obstacles
+    from nw_gate.baseline.power_forecast import bar_obstacles
 
     suite, against = plan.suite, plan.against
     if suite.gate.success_rate is None and against is None:
@@ -323,7 +323,7 @@ def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
 
     On another one its policy runs beside the candidate, and is measured, too.
     """
-    from nw_eval.gate.baseline.scores import lacks_score
+    from nw_gate.baseline.scores import lacks_score
 
     bank = against.bank
     engine = engine_of(plan.render, plan.suite.plugins, plan.bundle.card)
@@ -339,7 +339,7 @@ def _scores_it_lacks(plan: Plan, against: Against) -> tuple[str, ...]:
 
 def _warnings(plan: Plan) -> tuple[str, ...]:
     """Return that the bar is above what the baseline's own policy scores, if it is."""
-    from nw_eval.results.bank import bank_mean
+    from nw_gate.results.bank import bank_mean
 
     bar, against = plan.suite.gate.success_rate, plan.against
     if bar is None or against is None or (mean := bank_mean(against.bank)) >= bar:
@@ -353,7 +353,7 @@ def _warnings(plan: Plan) -> tuple[str, ...]:
 
 def _against_the_bank(plan: Plan, against: Against) -> list[str]:
     """Return that the trials of a plan are too few to exclude max_drop, if they are."""
-    from nw_eval.gate.baseline.power_forecast import trials_to_pass_baseline
+    from nw_gate.baseline.power_forecast import trials_to_pass_baseline
 
     suite, manifest, panel = plan.suite, against.bank.manifest, against.bank.panels[0]
     fresh = plan.drawn_from is None
@@ -386,8 +386,8 @@ def obstacles_among_equals(
         scenes: that are run, by name.
         left_out: scenes of the suite that are not, by name.
     """
-    from nw_eval.gate.baseline.match import draw_trials
-    from nw_eval.gate.baseline.power_forecast import (
+    from nw_gate.baseline.match import draw_trials
+    from nw_gate.baseline.power_forecast import (
         bar_obstacles,
         perfect_panel,
         trials_to_pass_baseline,
@@ -425,7 +425,7 @@ def obstacles_among_equals(
 def _whole_order(plan: Plan, against: Against) -> list[DrawnStart]:
     """Return the order of a plan with as many trials as there can be."""
     from nw_eval.engine.provenance import policy_info
-    from nw_eval.gate.baseline.match import draw_fresh, draw_trials
+    from nw_gate.baseline.match import draw_fresh, draw_trials
 
     suite, most = plan.suite, against.bank.manifest.starts
     strata = [(scene.name, cell) for scene in plan.scenes for cell in suite.perturb.cells]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from nw_eval.rollout.job import TrialJob, TrialResult
+    from nw_sim.rollout.job import TrialJob, TrialResult
 
 
 @dataclass(frozen=True, kw_only=True)

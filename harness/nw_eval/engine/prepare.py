@@ -26,21 +26,21 @@ from select import select
 from time import perf_counter
 from typing import IO, TYPE_CHECKING, Self
 
-from nw_eval.built_in.entry import BuiltInSplat
-from nw_eval.confinement.family import environment_of_child
+from nw_base.confinement.family import environment_of_child
+from nw_base.errors import NwEvalError, UsageError
+from nw_base.words import KERNELS
 from nw_eval.engine.listener import Listener, NullListener
-from nw_eval.errors import NwEvalError, UsageError
-from nw_eval.rollout.confined.progress import Progress
-from nw_eval.rollout.confined.start import has_kernels, renew
-from nw_eval.scenes.scene import HeightField, Triangles
-from nw_eval.words import KERNELS
+from nw_places.entry import BuiltInSplat
+from nw_scenes.scene import HeightField, Triangles
+from nw_sim.rollout.confined.progress import Progress
+from nw_sim.rollout.confined.start import has_kernels, renew
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Generator, Iterable
 
-    from nw_eval.cards import Card
-    from nw_eval.scenes import Scene
-    from nw_eval.words import Backend, Kernels, Record
+    from nw_base.words import Backend, Kernels, Record
+    from nw_policies.cards import Card
+    from nw_scenes import Scene
 
 _WORTH_SAYING = 3.0  # s
 _LOOK = 1.0  # s between two looks at a process that builds
@@ -90,7 +90,7 @@ def open_backend(
     """
     if is_fenced and render == "cpu" and has_kernels(kernels) and not surfaces:
         return
-    from nw_eval.warmup import kernel_note, warmup
+    from nw_sim.warmup import kernel_note, warmup
 
     with beside or nullcontext():
         seconds = warmup(render, surfaces=surfaces, kernels=kernels)
@@ -110,7 +110,7 @@ def ready_scans(scenes: Iterable[Scene], listener: Listener) -> None:
     """
     if not any(isinstance(s, HeightField | Triangles) for scene in scenes for s in scene.solids):
         return
-    from nw_eval.scenes.narrowphase.install import use_own_collisions
+    from nw_scenes.narrowphase.install import use_own_collisions
 
     began = perf_counter()
     use_own_collisions()
@@ -366,7 +366,7 @@ def serve() -> None:
 
     Ctrl-C is the parent's business.
     """
-    from nw_eval.catalogue import open_scene
+    from nw_sim.catalogue import open_scene
 
     def say(_stage: str, share: float) -> None:
         sys.stdout.write(f"{share}\n")

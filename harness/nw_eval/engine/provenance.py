@@ -9,21 +9,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from nw_eval.built_in.entries import parted
-from nw_eval.built_in.splits import split_of
-from nw_eval.cards import mounted_robot
-from nw_eval.cards.card import LEFT_OUT
-from nw_eval.catalogue import is_built_in, is_meant
-from nw_eval.confinement import Fence, offered
+from nw_base.confinement import Fence, offered
+from nw_base.plugins import code_named, version_named
+from nw_base.plural import plural
+from nw_base.words import Backend
 from nw_eval.engine.machine import cpu_kind
-from nw_eval.networks import IDENTITY
-from nw_eval.plugins import code_named, version_named
-from nw_eval.plural import plural
-from nw_eval.policies.bundle import senses_by_code
-from nw_eval.policies.planned import depends_on
-from nw_eval.rays import IDENTITY as RAYS
-from nw_eval.results.journal import JournalHeader
-from nw_eval.results.provenance import (
+from nw_gate.results.journal import JournalHeader
+from nw_gate.results.provenance import (
     FetchedInfo,
     PolicyInfo,
     RunInfo,
@@ -34,22 +26,30 @@ from nw_eval.results.provenance import (
     rows_code_digest,
     usable_cores,
 )
-from nw_eval.robots import get_robot
-from nw_eval.rollout.confined.access import why_off
-from nw_eval.scenes.folder import FileSplat
-from nw_eval.scenes.neverwhere import reference_path
-from nw_eval.suite.rendering import PUBLISHED
-from nw_eval.tasks import declared_by
-from nw_eval.words import Backend
+from nw_places.entries import parted
+from nw_places.splits import split_of
+from nw_policies.bundle import senses_by_code
+from nw_policies.cards import mounted_robot
+from nw_policies.cards.card import LEFT_OUT
+from nw_policies.executor import IDENTITY
+from nw_policies.planned import depends_on
+from nw_scenes.folder import FileSplat
+from nw_scenes.neverwhere import reference_path
+from nw_scenes.ray_tree import IDENTITY as RAYS
+from nw_scenes.robots import get_robot
+from nw_sim.catalogue import is_built_in, is_meant
+from nw_sim.rendering import PUBLISHED
+from nw_sim.rollout.confined.access import why_off
+from nw_sim.tasks import declared_by
 
 if TYPE_CHECKING:
-    from nw_eval.cards import Card
-    from nw_eval.catalogue import FoundScene
     from nw_eval.engine.plan import Plan
-    from nw_eval.policies import Bundle
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.scenes.scene import Scene
-    from nw_eval.suite.rendering import Rendering
+    from nw_gate.results.run_folder import RunFolder
+    from nw_policies import Bundle
+    from nw_policies.cards import Card
+    from nw_scenes.scene import Scene
+    from nw_sim.catalogue import FoundScene
+    from nw_sim.rendering import Rendering
 
 _CHANGING_BITS = ("mujoco", "numpy", "onnxruntime", "torch", "numba")
 """Libraries whose versions make bits differ between runs of the same trials."""
@@ -228,7 +228,7 @@ def _marks(scene: Scene) -> dict[str, Any]:
     """Return what a scene's splat file says of its training, or scene.yaml does."""
     if not isinstance(scene.splat, FileSplat):
         return {}
-    from nw_eval.splat.store import open_store
+    from nw_splat.store import open_store
 
     store = open_store(scene.splat_store())
     return {"rasterize_mode": store.rasterize_mode, "projection": store.projection}
@@ -236,7 +236,7 @@ def _marks(scene: Scene) -> dict[str, Any]:
 
 def _fetched(path: Path) -> FetchedInfo | None:
     """Return what a policy, a scene or a robot was fetched as, if it was."""
-    from nw_eval.hub.reference import origin_of
+    from nw_scenes.hub.reference import origin_of
 
     origin = origin_of(path)
     if origin is None:

@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 from warnings import catch_warnings, simplefilter
 
-from nw_eval.clean import clean
-from nw_eval.errors import PrerequisiteError, TrialError, UsageError
-from nw_eval.results.provenance import usable_cores
+from nw_base.clean import clean
+from nw_base.errors import PrerequisiteError, TrialError, UsageError
+from nw_gate.results.provenance import usable_cores
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping

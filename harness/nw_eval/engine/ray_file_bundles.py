@@ -16,16 +16,16 @@ from pathlib import Path, PurePosixPath
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING
 
-from nw_eval.catalogue import scene_files
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.files.cache import atomic_path, cache_dir, private_dir
-from nw_eval.files.inside import inside
+from nw_base.errors import StoreError, UsageError
+from nw_base.files.cache import atomic_path, cache_dir, private_dir
+from nw_base.files.inside import inside
+from nw_sim.catalogue import scene_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 
     from nw_eval.engine.plan import Plan
-    from nw_eval.policies import Bundle
+    from nw_policies import Bundle
 
     Fetch = Callable[[str], Iterable[bytes]]
     """Returns the pieces of the file of a sha256."""

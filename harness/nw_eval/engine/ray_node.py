@@ -23,25 +23,25 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from nw_eval import __version__
+from nw_base import __version__
+from nw_base.words import BLIND, KERNELS
 from nw_eval.engine import ray_file_bundles
 from nw_eval.engine.local import LocalProcesses
 from nw_eval.engine.worker import clock
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.trial import run_trial
-from nw_eval.words import BLIND, KERNELS
+from nw_gate.results.run_folder import RunFolder
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.trial import run_trial
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from nw_eval.cards import Card
+    from nw_base.words import Backend, Collision
     from nw_eval.engine.pool import Finished
     from nw_eval.engine.ray_file_bundles import FileBundle
-    from nw_eval.policies import Bundle
-    from nw_eval.rollout.job import TrialJob, TrialResult
-    from nw_eval.scenes import Scene
-    from nw_eval.words import Backend, Collision
+    from nw_policies import Bundle
+    from nw_policies.cards import Card
+    from nw_scenes import Scene
+    from nw_sim.rollout.job import TrialJob, TrialResult
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,9 +99,9 @@ def make_ready(spec: JobSpec, pieces: Mapping[str, Sequence[Any]]) -> None:
     """
     import ray
 
-    from nw_eval.catalogue import open_scene
     from nw_eval.engine.listener import NullListener
     from nw_eval.engine.prepare import build_splats, open_backend, ready_scans
+    from nw_sim.catalogue import open_scene
 
     def fetch(sha256: str) -> Iterator[bytes]:
         for piece in pieces.get(sha256, ()):

@@ -23,17 +23,17 @@ from secrets import token_hex
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
+from nw_base.errors import NwEvalError, PrerequisiteError, StoreError, TrialError, UsageError
+from nw_base.files.cache import atomic_path
 from nw_eval.engine import ray_node as there
 from nw_eval.engine.machine import WorkerOutput
 from nw_eval.engine.order import next_place
 from nw_eval.engine.pool import Finished, QueuedWorkers
 from nw_eval.engine.ray_file_bundles import Outgoing
 from nw_eval.engine.ray_node import Answer, JobSpec, NodeAgent
-from nw_eval.errors import NwEvalError, PrerequisiteError, StoreError, TrialError, UsageError
-from nw_eval.files.cache import atomic_path
-from nw_eval.policies.bundle import senses_by_code
-from nw_eval.rollout.job import TrialResult
+from nw_policies.bundle import senses_by_code
+from nw_sim.rollout.job import TrialResult
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from nw_eval.engine.listener import Listener
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.ray_connection import Joined
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.job import TrialJob
+    from nw_gate.results.run_folder import RunFolder
+    from nw_sim.rollout.job import TrialJob
 
 POLL = 0.1  # s between two looks at whether somebody asked to stop
 # Seconds beyond a trial's limit after which its node, which would have said `hung`, is silent.

@@ -15,26 +15,26 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
+from nw_base.errors import StoreError
+from nw_base.plural import plural
 from nw_eval.engine.known import NothingKnown
 from nw_eval.engine.listener import Listener, NullListener
 from nw_eval.engine.machine import Interrupts, worker_count
 from nw_eval.engine.rows import make_row
-from nw_eval.errors import StoreError
-from nw_eval.plural import plural
-from nw_eval.rollout.job import as_outcome, policy_fault
+from nw_sim.rollout.job import as_outcome, policy_fault
 
 if TYPE_CHECKING:
     import signal
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
+    from nw_base.words import Arm
     from nw_eval.engine.known import KnownTrials
     from nw_eval.engine.pool import Finished, StartWorkers, Workers
-    from nw_eval.results.journal import Journal
-    from nw_eval.results.row import Row
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.job import TrialJob, TrialResult
-    from nw_eval.words import Arm
+    from nw_gate.results.journal import Journal
+    from nw_gate.results.row import Row
+    from nw_gate.results.run_folder import RunFolder
+    from nw_sim.rollout.job import TrialJob, TrialResult
 
     Enough = Callable[[Mapping[int, Row]], "RunStanding"]
 

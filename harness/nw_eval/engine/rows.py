@@ -6,14 +6,14 @@ import platform
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from nw_eval.results.evidence import log_sha256
-from nw_eval.results.row import Row
-from nw_eval.rollout.job import policy_fault
+from nw_gate.results.evidence import log_sha256
+from nw_gate.results.row import Row
+from nw_sim.rollout.job import policy_fault
 
 if TYPE_CHECKING:
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.job import TrialJob, TrialResult
-    from nw_eval.words import Arm
+    from nw_base.words import Arm
+    from nw_gate.results.run_folder import RunFolder
+    from nw_sim.rollout.job import TrialJob, TrialResult
 
 
 def make_row(

@@ -8,6 +8,9 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Self
 
+from nw_base.errors import UsageError
+from nw_base.files.cache import atomic_path, made_place
+from nw_base.files.traceback_file import TracebackIn
 from nw_eval.engine.cache import told_of_cache
 from nw_eval.engine.known import known_trials
 from nw_eval.engine.listener import Listener, NullListener
@@ -24,31 +27,28 @@ from nw_eval.engine.prepare import (
 from nw_eval.engine.provenance import journal_header, now, run_info
 from nw_eval.engine.rounds import run_trials
 from nw_eval.engine.workers import worker_pool
-from nw_eval.errors import UsageError
-from nw_eval.files.cache import atomic_path, made_place
-from nw_eval.files.traceback_file import TracebackIn
-from nw_eval.policies.bundle import senses_by_code
-from nw_eval.results.ended import of_plan, wanted, write_trials
-from nw_eval.results.journal import Journal, has_begun
-from nw_eval.results.log_links import drop_links, link_logs
-from nw_eval.results.provenance import CacheInfo, StopInfo, read_run_info, write_run_info
-from nw_eval.results.run_folder import (
+from nw_gate.results.ended import of_plan, wanted, write_trials
+from nw_gate.results.journal import Journal, has_begun
+from nw_gate.results.log_links import drop_links, link_logs
+from nw_gate.results.provenance import CacheInfo, StopInfo, read_run_info, write_run_info
+from nw_gate.results.run_folder import (
     RunFolder,
     check_folders,
     create_run_folder,
     open_run_folder,
 )
-from nw_eval.robots import get_robot
-from nw_eval.rollout.confined.access import why_off
+from nw_policies.bundle import senses_by_code
+from nw_scenes.robots import get_robot
+from nw_sim.rollout.confined.access import why_off
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from nw_eval.engine.pool import StartWorkers, Workers
     from nw_eval.engine.rounds import Enough, RunStanding
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
-    from nw_eval.scenes import Scene
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
+    from nw_scenes import Scene
 
     Prelude = Callable[[RunFolder, RunInfo], RunInfo]
 

@@ -24,19 +24,19 @@ from typing import TYPE_CHECKING, NoReturn
 
 from pydantic import TypeAdapter, ValidationError
 
-from nw_eval.clean import clean
-from nw_eval.confinement import Rules, confine, kill_group
+from nw_base.clean import clean
+from nw_base.confinement import Rules, confine, kill_group
+from nw_base.plural import in_words
 from nw_eval.engine.machine import Resident, kill, left_by
-from nw_eval.plural import in_words
-from nw_eval.policies.line import use_line
-from nw_eval.rollout.confined.progress import HANGS_AFTER, Progress, descendants
-from nw_eval.rollout.confined.start import parts_of, start_pair
-from nw_eval.rollout.job import StageClock, TrialJob, TrialResult
+from nw_policies.line import use_line
+from nw_sim.rollout.confined.progress import HANGS_AFTER, Progress, descendants
+from nw_sim.rollout.confined.start import parts_of, start_pair
+from nw_sim.rollout.job import StageClock, TrialJob, TrialResult
 
 if TYPE_CHECKING:
-    from nw_eval.rollout.library import Library
-    from nw_eval.scenes import Scene
-    from nw_eval.words import Kernels
+    from nw_base.words import Kernels
+    from nw_scenes import Scene
+    from nw_sim.rollout.library import Library
 
 # What a worker says as soon as it has a job: from here on its end is the job's.
 _TAKEN = b"taken"
@@ -354,7 +354,7 @@ def start(settings: WorkerStart, output: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if kernels := (*settings.renders, *settings.rules.kernels):
         with suppress(Exception):  # The trial that wants them says what is wrong.
-            from nw_eval.warmup import warmup
+            from nw_sim.warmup import warmup
 
             warmup(kernels=kernels)
     global _awaits_splats  # noqa: PLW0603 - as a process is started, so it stays.
@@ -366,8 +366,8 @@ def start(settings: WorkerStart, output: Connection) -> None:
 def run_job(job: TrialJob) -> TrialResult:
     """Run one trial with this process's cache of scenes and policies."""
     # Here and not above: a worker that is only being started needs none of it.
-    from nw_eval.rollout.library import Library
-    from nw_eval.rollout.trial import run_trial
+    from nw_sim.rollout.library import Library
+    from nw_sim.rollout.trial import run_trial
 
     global _library  # noqa: PLW0603 - one cache a process is the point.
     if _library is None:
@@ -395,7 +395,7 @@ def clock() -> StageClock:
 
 def _await_splat(scene: Scene) -> None:
     """Return once a scene's splat is in the cache, which this process may only read."""
-    from nw_eval.built_in.entry import BuiltInSplat
+    from nw_places.entry import BuiltInSplat
 
     splat = scene.splat
     if not isinstance(splat, BuiltInSplat) or splat.path.is_file():

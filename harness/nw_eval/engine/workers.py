@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from nw_eval.engine.pool import Finished, QueuedWorkers
+from nw_gate.results.provenance import PACKAGES
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Sequence
@@ -25,9 +26,9 @@ if TYPE_CHECKING:
     from nw_eval.engine.pool import StartWorkers
     from nw_eval.engine.prepare import SplatBuilders
     from nw_eval.engine.ray_connection import Joined
-    from nw_eval.policies import Bundle
-    from nw_eval.results.run_folder import RunFolder
-    from nw_eval.rollout.job import TrialJob
+    from nw_gate.results.run_folder import RunFolder
+    from nw_policies import Bundle
+    from nw_sim.rollout.job import TrialJob
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,14 +137,14 @@ class InProcessWorkers(QueuedWorkers):
     """
 
     def __init__(self, bundle: Bundle) -> None:
-        from nw_eval.rollout.library import Library  # It knows the simulator.
+        from nw_sim.rollout.library import Library  # It knows the simulator.
 
         super().__init__()
         self._bundle = bundle
         self._library = Library(known=(bundle,))
 
     def __enter__(self) -> Self:
-        from nw_eval.policies.line import trusting
+        from nw_policies.line import trusting
 
         self._cleanup.enter_context(_one_thread())
         self._cleanup.enter_context(trusting())
@@ -157,7 +158,7 @@ class InProcessWorkers(QueuedWorkers):
         Raises:
             KeyboardInterrupt: Ctrl-C, where the first one is not handled.
         """
-        from nw_eval.rollout.trial import run_trial
+        from nw_sim.rollout.trial import run_trial
 
         while self._queue:
             job = self._queue.popleft()
@@ -198,5 +199,9 @@ def _forgotten_afterwards(folder: Path) -> Generator[None]:
             file = Path(getattr(sys.modules[name], "__file__", None) or "")
             is_own = file.suffix == ".py" and file.is_relative_to(root)
             # A card may lie above an environment: what is installed there is none of its code.
-            if is_own and "site-packages" not in file.parts and not name.startswith("nw_eval."):
+            if (
+                is_own
+                and "site-packages" not in file.parts
+                and name.partition(".")[0] not in PACKAGES
+            ):
                 del sys.modules[name]

@@ -174,7 +174,7 @@ def is_suite(path: Path, config: pytest.Config) -> bool:
 
 
 def _has_key(path: Path) -> bool:
-    from nw_eval.files.inside import regular
+    from nw_base.files.inside import regular
 
     try:
         with regular(path).open("rb") as file:

@@ -21,15 +21,15 @@ from uuid import uuid4
 
 import pytest
 
-from nw_eval.clean import clean
-from nw_eval.errors import NwEvalError, StoreError
+from nw_base.clean import clean
+from nw_base.errors import NwEvalError, StoreError
 from nw_eval.pytest_plugin.options import SETTINGS
 
 if TYPE_CHECKING:
     from nw_eval.api import Request, RunReport
     from nw_eval.reporting.scene_states import SceneState
     from nw_eval.reporting.tables.table import Table
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
 
 
 _SESSION = "nw_eval_session"
@@ -127,7 +127,7 @@ class Runs:
         """Processes for trials: this worker's share of the cores, where it is one of several."""
         if self._settings.workers is not None or not self._sharing:
             return self._settings.workers
-        from nw_eval.results.provenance import usable_cores
+        from nw_gate.results.provenance import usable_cores
 
         return max(1, usable_cores() // self._sharing)
 
@@ -294,7 +294,7 @@ def verdict_text(judged: RunReport) -> str:
 
 def scene_text(judged: RunReport, state: SceneState) -> str:
     """Return what became of one scene, the verdict, and the scene's lines of its tables."""
-    from nw_eval.clean import clean
+    from nw_base.clean import clean
     from nw_eval.reporting.tables.scenes import scenes_table
 
     verdict = replace(judged.verdict, per_scene=(state.score,))

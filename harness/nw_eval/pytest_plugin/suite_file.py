@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.errors import NwEvalError
-from nw_eval.plural import plural
+from nw_base.errors import NwEvalError
+from nw_base.plural import plural
 from nw_eval.pytest_plugin.options import SETTINGS
 from nw_eval.pytest_plugin.runs import runs_of
 
@@ -144,7 +144,7 @@ class SceneItem(SuiteItem):
 
     def setup(self) -> None:
         """Run the suite if it has not run; a scene without all of its results is an error."""
-        from nw_eval.clean import clean
+        from nw_base.clean import clean
         from nw_eval.pytest_plugin.runs import scene_properties, scene_text
         from nw_eval.reporting.scene_states import scene_states
 

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_eval.clean import clean
-from nw_eval.gate.verdict import Verdict, Word
-from nw_eval.plural import plural
+from nw_base.clean import clean
+from nw_base.plural import plural
 from nw_eval.reporting.headline import blind_spot, headline
 from nw_eval.reporting.tables import all_tables
 from nw_eval.reporting.tables.run import taken_over
 from nw_eval.reporting.tables.table import Table
-from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import Row
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import Row
+from nw_gate.verdict import Verdict, Word
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -17,16 +17,16 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
-from nw_eval.clean import clean
-from nw_eval.errors import NwEvalError, Problem, StoreError
-from nw_eval.gate.verdict import Verdict
+from nw_base.clean import clean
+from nw_base.errors import NwEvalError, Problem, StoreError
 from nw_eval.reporting.headline import headline
 from nw_eval.reporting.markdown import render_page
 from nw_eval.reporting.scene_states import SceneState, SuiteLines, scene_states, worst_first
 from nw_eval.reporting.tables import all_tables
 from nw_eval.reporting.tables.table import Table
-from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import Row
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import Row
+from nw_gate.verdict import Verdict
 
 MOST = 8
 """Annotations of a run. GitHub shows ten of a kind and step, and drops others without a word."""

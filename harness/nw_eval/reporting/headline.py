@@ -6,11 +6,11 @@ can tell, and what a comparison with a baseline can.
 
 from __future__ import annotations
 
-from nw_eval.gate.baseline.power_forecast import in_a_sentence
-from nw_eval.gate.verdict import Comparison, Recheck, Verdict, percent_sure
-from nw_eval.plural import plural
-from nw_eval.protocol import PROTOCOLS, STRICT
-from nw_eval.results.provenance import RunInfo
+from nw_base.plural import plural
+from nw_base.protocol import PROTOCOLS, STRICT
+from nw_gate.baseline.power_forecast import in_a_sentence
+from nw_gate.results.provenance import RunInfo
+from nw_gate.verdict import Comparison, Recheck, Verdict, percent_sure
 
 
 def headline(verdict: Verdict, run: RunInfo) -> str:

@@ -17,15 +17,15 @@ from pathlib import Path
 from junitparser import Attr, Error, Failure, IntAttr, JUnitXml, Skipped, TestCase, TestSuite
 from junitparser.junitparser import FinalResult, Properties, Property
 
-from nw_eval.clean import clean
-from nw_eval.errors import NwEvalError
-from nw_eval.gate.verdict import Comparison, Verdict, Word
+from nw_base.clean import clean
+from nw_base.errors import NwEvalError
 from nw_eval.reporting.headline import blind_spot, headline
 from nw_eval.reporting.scene_states import SceneState, State, SuiteLines, scene_states
 from nw_eval.reporting.tables.table import judged
 from nw_eval.reporting.tables.trials import replay_command, worst_trials
-from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import Row
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import Row
+from nw_gate.verdict import Comparison, Verdict, Word
 
 _MESSAGE = 1000  # characters of a message; a body has a line for each reason
 _REPLAYED = 3  # trials of a scene whose replay a failure names

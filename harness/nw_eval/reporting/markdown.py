@@ -9,16 +9,16 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from nw_eval.clean import clean
-from nw_eval.files.cache import atomic_path
-from nw_eval.gate.cause import Cause
-from nw_eval.gate.verdict import Verdict
+from nw_base.clean import clean
+from nw_base.files.cache import atomic_path
 from nw_eval.reporting.headline import blind_spot, headline, how_sure
 from nw_eval.reporting.tables import NO_RIVALS, Rivals, all_tables
 from nw_eval.reporting.tables.cause import cause_table
 from nw_eval.reporting.tables.table import Table
-from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import Row
+from nw_gate.cause import Cause
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import Row
+from nw_gate.verdict import Verdict
 
 _LONGEST = 4000  # characters of a line or a cell
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nw_eval.clean import clean
-from nw_eval.files.cache import atomic_path, followed
-from nw_eval.gate.side_by_side import PolicyComparison
-from nw_eval.gate.sweep import AxisCurve
-from nw_eval.plural import plural
+from nw_base.clean import clean
+from nw_base.files.cache import atomic_path, followed
+from nw_base.plural import plural
 from nw_eval.reporting.side_by_side import ranks_text
-from nw_eval.stats.bank.curve import CurvePoint
-from nw_eval.stats.bank.evidence import Margins
-from nw_eval.suite.axes import axis_named
+from nw_gate.side_by_side import PolicyComparison
+from nw_gate.stats.bank.curve import CurvePoint
+from nw_gate.stats.bank.evidence import Margins
+from nw_gate.sweep import AxisCurve
+from nw_sim.axes import axis_named
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,10 +16,10 @@ from typing import Literal
 
 import numpy as np
 
-from nw_eval.gate.verdict import SceneDrop, SceneScore, Verdict
-from nw_eval.plural import plural
-from nw_eval.results.provenance import RunInfo
+from nw_base.plural import plural
 from nw_eval.suite.load import folder_names
+from nw_gate.results.provenance import RunInfo
+from nw_gate.verdict import SceneDrop, SceneScore, Verdict
 
 State = Literal[
     "failed", "error", "unjudged", "unseen", "weak", "undecided", "informational", "fine"
@@ -201,7 +201,7 @@ def suite_lines(run: RunInfo, root: Path) -> SuiteLines | None:
         run: the run.
         root: the folder that paths are shown from: a repository's.
     """
-    from nw_eval.files.yaml_file import YamlProblems, read_yaml
+    from nw_base.files.yaml_file import YamlProblems, read_yaml
 
     name = Path(run.suite_file)
     path = (Path(run.suite_folder) / name.name if run.suite_folder else name).resolve()

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.side_by_side import ComparedPolicy, PolicyComparison, SceneParting
-from nw_eval.plural import plural
+from nw_base.plural import plural
 from nw_eval.reporting.markdown import escaped, markdown_table
 from nw_eval.reporting.tables.table import Table, span
-from nw_eval.stats.hazard import Hazard
+from nw_gate.side_by_side import ComparedPolicy, PolicyComparison, SceneParting
+from nw_gate.stats.hazard import Hazard
 
 _MOST = 12
 """Suspect waypoints that a table names."""

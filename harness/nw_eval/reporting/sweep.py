@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from nw_eval.files.cache import atomic_path
-from nw_eval.gate.sweep import AxisCurve, Cliff, Point, chance, needed_to_part
-from nw_eval.plural import plural
+from nw_base.files.cache import atomic_path
+from nw_base.plural import plural
 from nw_eval.reporting.markdown import escaped, markdown_table, write_report
 from nw_eval.reporting.pictures import axis_label, draw_sweep
 from nw_eval.reporting.tables.table import Table, span
+from nw_gate.sweep import AxisCurve, Cliff, Point, chance, needed_to_part
 
 
 def write_sweep(axes: Sequence[Sequence[AxisCurve]], suite: str, out: Path) -> None:

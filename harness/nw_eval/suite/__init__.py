@@ -6,8 +6,7 @@ and a seed of its own that nothing else can move.
 
 from __future__ import annotations
 
-from nw_eval.gate.settings import Gate
-from nw_eval.results.trials import Trial, expand
+from nw_base.trials import Trial, expand
 from nw_eval.suite.load import (
     Draft,
     draft_of,
@@ -18,6 +17,7 @@ from nw_eval.suite.load import (
     tier_problems,
 )
 from nw_eval.suite.model import Suite, json_schema, new_suite, override, with_robot
+from nw_gate.settings import Gate
 
 __all__ = [
     "Draft",

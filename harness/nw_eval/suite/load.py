@@ -20,13 +20,13 @@ from typing import Any, cast
 from pydantic import ValidationError
 from ruamel.yaml import YAML
 
-from nw_eval.errors import Problem, SuiteError, UsageError, nearest
-from nw_eval.files.cache import atomic_path, followed
-from nw_eval.files.inside import regular, what_is
-from nw_eval.files.shipped import available
-from nw_eval.files.yaml_file import YamlProblems, read_yaml, validation_problems
+from nw_base.errors import Problem, SuiteError, UsageError, nearest
+from nw_base.files.cache import atomic_path, followed
+from nw_base.files.inside import regular, what_is
+from nw_base.files.shipped import available
+from nw_base.files.yaml_file import YamlProblems, read_yaml, validation_problems
 from nw_eval.suite.model import Source, Suite, new_suite
-from nw_eval.suite.rendering import DRAFTED
+from nw_sim.rendering import DRAFTED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -310,7 +310,7 @@ def write_ready_suite(
         StoreError: it cannot be written.
     """
     # What makes rows imports this file, and counts no statistics among its code.
-    from nw_eval.stats.betting import trials_to_certify
+    from nw_gate.stats.betting import trials_to_certify
 
     gate = {"success_rate": 0.75, "confidence": 0.95}
     cells = prod(len(values) for values in perturb.values())

@@ -23,11 +23,10 @@ from pydantic import (
     model_validator,
 )
 
-from nw_eval.digest import digest_of
-from nw_eval.errors import NwEvalError, Problem, UsageError
-from nw_eval.gate.settings import Gate, Grown, Strict, declared
-from nw_eval.plugins import AXES as GROUP
-from nw_eval.plugins import (
+from nw_base.digest import digest_of
+from nw_base.errors import NwEvalError, Problem, UsageError
+from nw_base.plugins import AXES as GROUP
+from nw_base.plugins import (
     SCORES,
     TASKS,
     key_of,
@@ -35,12 +34,13 @@ from nw_eval.plugins import (
     version_of,
     warn_if_built_in,
 )
-from nw_eval.protocol import protocol_named
-from nw_eval.request import Request
-from nw_eval.results.trials import digest_of_trials
-from nw_eval.scores import BUILT_IN as SCORE_CLASSES
-from nw_eval.scores import ScoreSpec, specs_of
-from nw_eval.scores.own import (
+from nw_base.protocol import protocol_named
+from nw_base.trials import digest_of_trials
+from nw_base.words import Protocol, Record
+from nw_gate.results.request import Request
+from nw_gate.scores import BUILT_IN as SCORE_CLASSES
+from nw_gate.scores import ScoreSpec, specs_of
+from nw_gate.scores.own import (
     EXPECT,
     Expectation,
     OwnScore,
@@ -49,11 +49,11 @@ from nw_eval.scores.own import (
     own_text,
     source_digest,
 )
-from nw_eval.suite.axes import AXES, Perturb, each_once
-from nw_eval.suite.rendering import PUBLISHED, Rendering
-from nw_eval.tasks import BUILT_IN as TASK_CLASSES
-from nw_eval.tasks import COURSE, AnyTask, declared_by, declared_by_kind
-from nw_eval.words import Protocol, Record
+from nw_gate.settings import Gate, Grown, Strict, declared
+from nw_sim.axes import AXES, Perturb, each_once
+from nw_sim.rendering import PUBLISHED, Rendering
+from nw_sim.tasks import BUILT_IN as TASK_CLASSES
+from nw_sim.tasks import COURSE, AnyTask, declared_by, declared_by_kind
 
 MAX_CELLS = 10_000
 """Most cells that a perturbation grid may have: a longer one is a slip of the pen."""

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards import Card, mounted_robot
-from nw_eval.catalogue import get_scene
-from nw_eval.policies import Bundle
-from nw_eval.policies.bundle import instance_bundle
-from nw_eval.results.trials import Trial
-from nw_eval.robots import get_robot
-from nw_eval.rollout.perturbed import TrialSetup
-from nw_eval.sensors import StepContext
-from nw_eval.sim import World
-from nw_eval.tasks import Course
+from nw_base.trials import Trial
+from nw_policies import Bundle
+from nw_policies.bundle import instance_bundle
+from nw_policies.cards import Card, mounted_robot
+from nw_scenes.robots import get_robot
+from nw_sim.catalogue import get_scene
+from nw_sim.physics import World
+from nw_sim.rollout.perturbed import TrialSetup
+from nw_sim.sensors import StepContext
+from nw_sim.tasks import Course
 
 Array = NDArray[np.float64]
 

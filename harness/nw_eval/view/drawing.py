@@ -14,10 +14,10 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.clean import clean
-from nw_eval.scenes.mesh import CONE_HEIGHT, cone_mesh, rotation_matrix
+from nw_base.clean import clean
 from nw_eval.view.trace import Trace, parting
 from nw_eval.viewing.browser import HOST, SplatPoints, stop, viser_server
+from nw_scenes.mesh import CONE_HEIGHT, cone_mesh, rotation_matrix
 
 STEP = 0.02
 """Seconds of a control step."""

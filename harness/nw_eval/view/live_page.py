@@ -19,15 +19,8 @@ import numpy as np
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from numpy.typing import NDArray
 
-from nw_eval.errors import NwEvalError, StoreError, UsageError
-from nw_eval.files.inside import what_is
-from nw_eval.rollout.mcap.drawn import place_update, props_update, robot_update
-from nw_eval.rollout.observed import View, views_of
-from nw_eval.scenes.prop import prop_body
-from nw_eval.scenes.saving import write_place
-from nw_eval.sensors.drawing.pictures import picture_of
-from nw_eval.splat.files import read_splat
-from nw_eval.suite.axes import AXES, axis_named
+from nw_base.errors import NwEvalError, StoreError, UsageError
+from nw_base.files.inside import what_is
 from nw_eval.suite.load import write_ready_suite
 from nw_eval.view.drawing import (
     ServedPage,
@@ -41,9 +34,16 @@ from nw_eval.view.drawing import (
 )
 from nw_eval.view.live_stage import COLOUR, Stage, open_stage
 from nw_eval.viewing.browser import SplatPoints, splat_points
+from nw_scenes.prop import prop_body
+from nw_scenes.saving import write_place
+from nw_sim.axes import AXES, axis_named
+from nw_sim.rollout.mcap.drawn import place_update, props_update, robot_update
+from nw_sim.rollout.observed import View, views_of
+from nw_sim.sensors.drawing.pictures import picture_of
+from nw_splat.files import read_splat
 
 if TYPE_CHECKING:
-    from nw_eval.scenes.scene import Scene
+    from nw_scenes.scene import Scene
 
 
 @contextmanager

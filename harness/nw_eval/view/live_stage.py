@@ -22,29 +22,29 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.errors import NwEvalError
-from nw_eval.policies.line import line_to
-from nw_eval.rollout.confined.access import policy_rules
-from nw_eval.rollout.confined.start import PolicyProcess
-from nw_eval.rollout.episode import carry_over
-from nw_eval.rollout.job import StageClock
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.perturbed import unfelt
-from nw_eval.rollout.trial import OpenTrial, open_trial
-from nw_eval.scenes.mesh import box_mesh, merge, rotation_matrix
-from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.scene import Box, Progress, Scene, SplatSource
-from nw_eval.splat.files import read_splat
-from nw_eval.splat.gaussians import ARRAYS, SH0, Gaussians, quaternions, transformed
-from nw_eval.splat.store import FORMAT, compile_store
-from nw_eval.suite.axes import axis_named, usable_axes
+from nw_base.errors import NwEvalError
+from nw_policies.line import line_to
+from nw_scenes.mesh import box_mesh, merge, rotation_matrix
+from nw_scenes.rays import RayScene
+from nw_scenes.scene import Box, Progress, Scene, SplatSource
+from nw_sim.axes import axis_named, usable_axes
+from nw_sim.rollout.confined.access import policy_rules
+from nw_sim.rollout.confined.start import PolicyProcess
+from nw_sim.rollout.episode import carry_over
+from nw_sim.rollout.job import StageClock
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.perturbed import unfelt
+from nw_sim.rollout.trial import OpenTrial, open_trial
+from nw_splat.files import read_splat
+from nw_splat.gaussians import ARRAYS, SH0, Gaussians, quaternions, transformed
+from nw_splat.store import FORMAT, compile_store
 
 if TYPE_CHECKING:
-    from nw_eval.policies import Bundle
-    from nw_eval.rollout.job import TrialJob
-    from nw_eval.scenes.mesh import TriangleMesh
-    from nw_eval.sim import World
-    from nw_eval.words import Collision, Outcome
+    from nw_base.words import Collision, Outcome
+    from nw_policies import Bundle
+    from nw_scenes.mesh import TriangleMesh
+    from nw_sim.physics import World
+    from nw_sim.rollout.job import TrialJob
 
 
 def open_stage(
@@ -57,10 +57,10 @@ def open_stage(
     """
     from nw_eval.api.plans import plan
     from nw_eval.engine.plan import plan_jobs
-    from nw_eval.policies import load_bundle
-    from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import new_suite
-    from nw_eval.suite.rendering import DRAFTED
+    from nw_gate.results.run_folder import RunFolder
+    from nw_policies import load_bundle
+    from nw_sim.rendering import DRAFTED
 
     robot = load_bundle(policy, checkpoint=checkpoint).card.robot
     suite = new_suite(
@@ -264,9 +264,9 @@ class ChangedScene:
 
     from nw_eval.api.plans import plan
     from nw_eval.engine.plan import plan_jobs
-    from nw_eval.policies import load_bundle
-    from nw_eval.results.run_folder import RunFolder
     from nw_eval.suite import new_suite
+    from nw_gate.results.run_folder import RunFolder
+    from nw_policies import load_bundle
 
     scene: Scene
     folder: Path

@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from nw_eval.catalogue import is_built_in
-from nw_eval.errors import NwEvalError, UsageError
-from nw_eval.files.inside import what_is
-from nw_eval.results.log_links import taken_over_log
-from nw_eval.results.run_folder import RunFolder, open_run_folder
-from nw_eval.scenes.folder import SCENE_FILE
+from nw_base.errors import NwEvalError, UsageError
+from nw_base.files.inside import what_is
 from nw_eval.view.trace import Trace, read_trace
 from nw_eval.viewing.browser import SplatPoints
+from nw_gate.results.log_links import taken_over_log
+from nw_gate.results.run_folder import RunFolder, open_run_folder
+from nw_scenes.folder import SCENE_FILE
+from nw_sim.catalogue import is_built_in
 
 Kind = Literal["log", "scene", "policy"]
 
@@ -77,7 +77,7 @@ def _kind(source: str) -> Kind:
 
 
 def _is_policy(source: str) -> bool:
-    from nw_eval.policies import load_bundle
+    from nw_policies import load_bundle
 
     if what_is(Path(source)) != "nothing":
         return True  # Its loading says what is wrong with it.

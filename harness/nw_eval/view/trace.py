@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.cards.load import CARD_FILE, parse_card
-from nw_eval.cards.observations import CameraObservation
-from nw_eval.clean import clean
-from nw_eval.errors import PolicyError, StoreError
-from nw_eval.robots import get_robot, know_robot
-from nw_eval.rollout.replaying.logged import LoggedTrial, read_logged_trial
+from nw_base.clean import clean
+from nw_base.errors import PolicyError, StoreError
+from nw_policies.cards.load import CARD_FILE, parse_card
+from nw_policies.cards.observations import CameraObservation
+from nw_scenes.robots import get_robot, know_robot
+from nw_sim.rollout.replaying.logged import LoggedTrial, read_logged_trial
 
 F64 = NDArray[np.float64]
 

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from nw_eval.clean import clean
-from nw_eval.errors import NwEvalError
-from nw_eval.results.moment_link import read_link
+from nw_base.clean import clean
+from nw_base.errors import NwEvalError
 from nw_eval.view.drawing import STEP, ServedPage, TrialDrawing, aim_along, enlarged, plain
 from nw_eval.view.sources import Shelf
 from nw_eval.view.trace import Series, Trace, parting
+from nw_gate.results.moment_link import read_link
 
 _TICK = 0.04
 """Seconds between two poses that are sent while it plays."""

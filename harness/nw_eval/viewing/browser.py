@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.clean import clean
-from nw_eval.errors import PrerequisiteError, UsageError
-from nw_eval.splat.gaussians import SH0, Gaussians
+from nw_base.clean import clean
+from nw_base.errors import PrerequisiteError, UsageError
+from nw_splat.gaussians import SH0, Gaussians
 
 HOST = "127.0.0.1"
 """The page listens at this machine's own address only."""

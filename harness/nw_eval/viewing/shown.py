@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import TYPE_CHECKING, Any
 
-from nw_eval.cards.wrappers import Flatten, PluginWrap
-from nw_eval.errors import StoreError
-from nw_eval.rollout.observed import (
+from nw_base.errors import StoreError
+from nw_policies.cards.wrappers import Flatten, PluginWrap
+from nw_sim.rollout.observed import (
     LOG_TOPIC,
     action_names,
     element_names,
@@ -28,9 +28,9 @@ from nw_eval.rollout.observed import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nw_eval.cards import Card
-    from nw_eval.robots import RobotSpec
-    from nw_eval.rollout.mcap.reader import LogReader
+    from nw_policies.cards import Card
+    from nw_scenes.robots import RobotSpec
+    from nw_sim.rollout.mcap.reader import LogReader
 
 _MOST_PICTURES = 3
 _LEG, _MOST_LINES = 3, 6

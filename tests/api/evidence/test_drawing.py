@@ -10,8 +10,8 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from PIL import Image
 
 from nw_eval.api.evidence_log import LatestPictures, box_round, clip_of, picture_from_above, sized
-from nw_eval.rollout.mcap.images import image_message
-from nw_eval.rollout.mcap.reader import LoggedMessage
+from nw_sim.rollout.mcap.images import image_message
+from nw_sim.rollout.mcap.reader import LoggedMessage
 
 
 def square(x, y, side, z):

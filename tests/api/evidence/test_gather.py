@@ -21,8 +21,8 @@ from nw_eval import api
 from nw_eval.api import evidence as evidence_module
 from nw_eval.api.evidence import gather_evidence
 from nw_eval.api.evidence_log import ReadLogs, read_logs
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.rollout.mcap.reader import LogReader
+from nw_gate.results.run_folder import RunFolder
+from nw_sim.rollout.mcap.reader import LogReader
 
 
 def gathered(run):

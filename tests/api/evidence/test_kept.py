@@ -15,9 +15,9 @@ from nw_eval.api import evidence
 from nw_eval.api.evidence import KeptEvidence, WantedLog, gather_evidence
 from nw_eval.api.evidence_drawn import with_drawn
 from nw_eval.api.reports import as_begun, written
-from nw_eval.results.evidence_check import present_logs
-from nw_eval.results.provenance import CacheInfo
-from nw_eval.results.run_folder import RunFolder
+from nw_gate.results.evidence_check import present_logs
+from nw_gate.results.provenance import CacheInfo
+from nw_gate.results.run_folder import RunFolder
 
 ROOM = {"picture": 40_000, "clip": 125_000}
 

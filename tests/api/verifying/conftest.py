@@ -7,9 +7,11 @@ from hashlib import sha256
 
 import pytest
 
-from nw_eval.results.ended import write_trials
-from nw_eval.results.journal import Journal, JournalHeader, read_journal
-from nw_eval.results.provenance import (
+from nw_base.trials import Trial
+from nw_eval.suite import new_suite
+from nw_gate.results.ended import write_trials
+from nw_gate.results.journal import Journal, JournalHeader, read_journal
+from nw_gate.results.provenance import (
     PolicyInfo,
     RunInfo,
     SceneInfo,
@@ -18,10 +20,8 @@ from nw_eval.results.provenance import (
     read_run_info,
     write_run_info,
 )
-from nw_eval.results.row import Row
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.results.trials import Trial
-from nw_eval.suite import new_suite
+from nw_gate.results.row import Row
+from nw_gate.results.run_folder import RunFolder
 
 SUITE = new_suite(
     {

@@ -13,10 +13,10 @@ from mcap.writer import CompressionType, Writer
 from nw_eval import api
 from nw_eval.api.verifying_again import partings, partings_apart
 from nw_eval.cli import main
-from nw_eval.results.ended import write_trials
-from nw_eval.results.journal import Journal, read_journal
-from nw_eval.results.provenance import read_run_info, write_run_info
-from nw_eval.results.run_folder import RunFolder
+from nw_gate.results.ended import write_trials
+from nw_gate.results.journal import Journal, read_journal
+from nw_gate.results.provenance import read_run_info, write_run_info
+from nw_gate.results.run_folder import RunFolder
 
 SUITE = """\
 nw-eval: 1

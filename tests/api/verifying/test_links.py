@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import pytest
 
+from nw_base.errors import StoreError, UsageError
 from nw_eval import api
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.results.log_links import drop_links, link_logs, taken_over_log
-from nw_eval.results.run_folder import RunFolder, check_plain
 from nw_eval.view.sources import open_shelf
+from nw_gate.results.log_links import drop_links, link_logs, taken_over_log
+from nw_gate.results.run_folder import RunFolder, check_plain
 
 TAKEN = "hurdles-one-001"
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import pytest
 
+from nw_base.errors import StoreError, UsageError
 from nw_eval import api
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.results import evidence_check
-from nw_eval.results.parquet import read_rows, write_rows
-from nw_eval.results.stored import stored
+from nw_gate.results import evidence_check
+from nw_gate.results.parquet import read_rows, write_rows
+from nw_gate.results.stored import stored
 
 SUCCESS = {"success": 1.0, "completed": True, "waypoints_reached": 4, "outcome": "completed"}
 

@@ -2,8 +2,8 @@
 
 import pytest
 
+from nw_base.errors import UsageError
 from nw_eval.engine.order import check_sample, draw, unforeseen_seed
-from nw_eval.errors import UsageError
 
 TRIALS = [f"hurdles-one-{index:03d}" for index in range(100)]
 

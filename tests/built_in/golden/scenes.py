@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-import nw_eval.built_in
-from nw_eval.built_in.entry import GENERATOR_VERSION
-from nw_eval.catalogue import get_scene, names
-from nw_eval.scenes.digest import digest
+import nw_places
+from nw_places.entry import GENERATOR_VERSION
+from nw_scenes.digest import digest
+from nw_sim.catalogue import get_scene, names
 
 RECORD = Path(__file__).with_name("scenes.json")
 
@@ -28,7 +28,7 @@ _GENERATOR = ("bake/*.py", "places/crowns.py")
 
 def source() -> str:
     """Return the hex digest of the code that turns places into Gaussians."""
-    root = Path(nw_eval.built_in.__file__).parent
+    root = Path(nw_places.__file__).parent
     files = (file for pattern in _GENERATOR for file in root.glob(pattern))
     return _digest_of_code(file.read_text() for file in files)
 

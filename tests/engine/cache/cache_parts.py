@@ -3,13 +3,13 @@
 from collections import deque
 from dataclasses import dataclass, replace
 
+from nw_base.trials import expand
 from nw_eval.engine.cache import Conditions
 from nw_eval.engine.order import in_order
 from nw_eval.engine.pool import Finished
 from nw_eval.engine.rows import make_row
-from nw_eval.results.trials import expand
-from nw_eval.rollout.job import TrialJob, TrialResult
 from nw_eval.suite.model import new_suite
+from nw_sim.rollout.job import TrialJob, TrialResult
 
 DONE = TrialResult(
     status="ok",

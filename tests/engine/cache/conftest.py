@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from nw_eval.engine.cache import TrialStore
-from nw_eval.results.run_folder import RunFolder
+from nw_gate.results.run_folder import RunFolder
 
 sys.path.insert(0, str(Path(__file__).parent))
 

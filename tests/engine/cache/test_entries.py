@@ -11,9 +11,9 @@ from cache_parts import DONE, conditions_of, finish, jobs_of, row_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from nw_base.errors import UsageError
 from nw_eval.engine.cache import NO_ENTRY, TrialStore, limit_bytes, read_entry, told_of_cache
-from nw_eval.errors import UsageError
-from nw_eval.results.seal import seal
+from nw_gate.results.seal import seal
 
 HERE = conditions_of()
 

@@ -8,12 +8,12 @@ from cache_parts import conditions_of, jobs_of
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nw_base.trials import Trial
 from nw_eval.engine import cache
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.results.trials import Trial
-from nw_eval.rollout.job import TrialJob
-from nw_eval.suite.rendering import Rendering
-from nw_eval.tasks import TaskSettings
+from nw_gate.results.run_folder import RunFolder
+from nw_sim.rendering import Rendering
+from nw_sim.rollout.job import TrialJob
+from nw_sim.tasks import TaskSettings
 
 
 class Other(TaskSettings):

@@ -9,10 +9,10 @@ from cache_parts import DONE, Office, conditions_of, jobs_of, row_of
 from nw_eval.engine import machine
 from nw_eval.engine.known import KnownTrials
 from nw_eval.engine.rounds import RunStanding, run_trials
-from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.row import rows_digest
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.rollout.job import TrialResult
+from nw_gate.results.journal import Journal, JournalHeader
+from nw_gate.results.row import rows_digest
+from nw_gate.results.run_folder import RunFolder
+from nw_sim.rollout.job import TrialResult
 
 HERE = conditions_of()
 FELL = replace(DONE, outcome="fell", waypoints_reached=0, waypoint_times=())

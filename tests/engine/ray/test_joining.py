@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
+from nw_base.errors import PrerequisiteError, UsageError
 from nw_eval import api
-from nw_eval.errors import PrerequisiteError, UsageError
 
 
 def test_without_ray_the_extra_is_named(tiny, tmp_path, monkeypatch):

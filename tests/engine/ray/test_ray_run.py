@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from nw_eval import api
-from nw_eval.results.bank_file import bank_of_run, write_bank
-from nw_eval.results.journal import read_journal
-from nw_eval.results.provenance import read_run_info
-from nw_eval.results.row import rows_digest
+from nw_gate.results.bank_file import bank_of_run, write_bank
+from nw_gate.results.journal import read_journal
+from nw_gate.results.provenance import read_run_info
+from nw_gate.results.row import rows_digest
 
 pytest.importorskip("ray", reason="the extra `ray` is not installed")
 

@@ -5,16 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.catalogue import FoundScene
+from nw_base.errors import StoreError, UsageError
 from nw_eval.engine import ray_file_bundles
 from nw_eval.engine.plan import Plan
 from nw_eval.engine.ray_file_bundles import Outgoing
 from nw_eval.engine.ray_node import LibraryHere
 from nw_eval.engine.ray_workers import _differences
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.policies import load_bundle
-from nw_eval.request import Request
 from nw_eval.suite.model import new_suite
+from nw_gate.results.request import Request
+from nw_policies import load_bundle
+from nw_sim.catalogue import FoundScene
 
 SHIPPED = Path(__file__).parents[3] / "policies"
 

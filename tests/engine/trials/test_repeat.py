@@ -2,11 +2,11 @@
 
 import pytest
 
+from nw_base.trials import Trial
 from nw_eval.engine.rounds import is_open, settled
 from nw_eval.engine.rows import make_row
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.results.trials import Trial
-from nw_eval.rollout.job import TrialJob, TrialResult
+from nw_gate.results.run_folder import RunFolder
+from nw_sim.rollout.job import TrialJob, TrialResult
 
 RAISED = TrialResult(
     status="error",

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from nw_base.trials import Trial
 from nw_eval.engine.rows import make_row
-from nw_eval.results.run_folder import RunFolder
-from nw_eval.results.trials import Trial
-from nw_eval.rollout.job import StageSeconds, TrialJob, TrialResult
-from nw_eval.rollout.record import job_from_metadata, trial_metadata, verdict_metadata
-from nw_eval.suite.rendering import Rendering
+from nw_gate.results.run_folder import RunFolder
+from nw_sim.rendering import Rendering
+from nw_sim.rollout.job import StageSeconds, TrialJob, TrialResult
+from nw_sim.rollout.record import job_from_metadata, trial_metadata, verdict_metadata
 
 
 @pytest.fixture

@@ -6,9 +6,9 @@ import time
 
 from case import send
 
-from nw_eval.results.evidence_check import look_at_logs
-from nw_eval.results.row import rows_digest
-from nw_eval.results.run_folder import RunFolder
+from nw_gate.results.evidence_check import look_at_logs
+from nw_gate.results.row import rows_digest
+from nw_gate.results.run_folder import RunFolder
 
 _PATIENCE = 10.0  # s until all processes must be gone
 

@@ -11,9 +11,9 @@ import uuid
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from nw_base.errors import NwEvalError
 from nw_eval.cli import main
-from nw_eval.errors import NwEvalError
-from nw_eval.results.journal import read_journal
+from nw_gate.results.journal import read_journal
 
 sys.path.append(str(Path(__file__).parents[1]))  # For what lies beside this folder.
 

@@ -29,8 +29,8 @@ from case import Case, send
 from origins import run_once
 from verbs import VERBS, copied
 
-from nw_eval.files.cache import cache_dir
-from nw_eval.results.provenance import read_run_info
+from nw_base.files.cache import cache_dir
+from nw_gate.results.provenance import read_run_info
 
 KILLED, USAGE = -signal.SIGKILL, 2
 WHOM = ("its process", "its group", "a child")

@@ -15,10 +15,10 @@ from pathlib import Path
 from case import Case
 from injection import site
 
+from nw_base.files.cache import cache_dir
 from nw_eval.cli import main
-from nw_eval.files.cache import cache_dir
-from nw_eval.results.provenance import read_run_info
-from nw_eval.results.row import rows_digest
+from nw_gate.results.provenance import read_run_info
+from nw_gate.results.row import rows_digest
 
 SUITE = """\
 nw-eval: 1

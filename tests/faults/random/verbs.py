@@ -119,7 +119,7 @@ def place(folder, _run):
 
 def save_often():
     """Save a scene's labels again and again, as a person does; the last ones are always these."""
-    from nw_eval.twin.label.labelling import open_labelling
+    from nw_twin.label.labelling import open_labelling
 
     labelling = open_labelling(Path("out"))
     for number in range(40):
@@ -156,15 +156,15 @@ VERBS = {
         ("train", "teacher", "mine.yaml", "--out", "out"),
         teacher,
         resume=("train", "teacher", "--resume", "out"),
-        imports=("torch", "matplotlib.pyplot", "nw_eval.learn.teacher.training"),
+        imports=("torch", "matplotlib.pyplot", "nw_learn.teacher.training"),
     ),
     "train student": Verb(
         ("train", "student", "pupil.yaml", "--out", "out", "-j", 2),
         student,
         resume=("train", "student", "--resume", "out", "-j", 2),
-        imports=("torch", "matplotlib.pyplot", "nw_eval.learn.student.train"),
+        imports=("torch", "matplotlib.pyplot", "nw_learn.student.train"),
     ),
-    "twin label": Verb((), place, deed=save_often, imports=("nw_eval.twin.label.labelling",)),
+    "twin label": Verb((), place, deed=save_often, imports=("nw_twin.label.labelling",)),
     "twin build": Verb(
         ("twin", "build", "photographs", "--out", "out", *TINY),
         photographs,

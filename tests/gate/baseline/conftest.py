@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.gate.baseline.match import drawn_order
-from nw_eval.results.bank import (
+from nw_eval.suite import new_suite
+from nw_gate.baseline.match import drawn_order
+from nw_gate.results.bank import (
     Against,
     BankPolicy,
     BaselineResults,
@@ -19,7 +20,7 @@ from nw_eval.results.bank import (
     key_of,
     machine_of,
 )
-from nw_eval.results.provenance import (
+from nw_gate.results.provenance import (
     BaselineInfo,
     CodeInfo,
     MachineInfo,
@@ -27,13 +28,12 @@ from nw_eval.results.provenance import (
     RunInfo,
     SceneInfo,
 )
-from nw_eval.results.row import Row
-from nw_eval.suite import new_suite
+from nw_gate.results.row import Row
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from nw_eval.results.bank import Stratum
+    from nw_gate.results.bank import Stratum
 
     Scores = Mapping[str | Stratum, Sequence[float | None]]
     Visits = Mapping[str | Stratum, Sequence[float | None] | float | None]

@@ -7,23 +7,23 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.errors import IncomparableError
-from nw_eval.gate.absolute import judge, word_of_bar
-from nw_eval.gate.baseline.combine import combined, judge_run
-from nw_eval.gate.baseline.judge import compare
-from nw_eval.gate.baseline.match import drawn_order
+from nw_base.errors import IncomparableError
 from nw_eval.reporting.headline import headline
-from nw_eval.results.bank import trajectory
-from nw_eval.results.provenance import PolicyInfo, StopInfo, recheck_key
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge, word_of_bar
+from nw_gate.baseline.combine import combined, judge_run
+from nw_gate.baseline.judge import compare
+from nw_gate.baseline.match import drawn_order
+from nw_gate.results.bank import trajectory
+from nw_gate.results.provenance import PolicyInfo, StopInfo, recheck_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.gate.verdict import Comparison, Verdict
-    from nw_eval.results.bank import BaselineResults
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
+    from nw_gate.results.bank import BaselineResults
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
+    from nw_gate.verdict import Comparison, Verdict
 
     Make = Callable[..., Any]
 

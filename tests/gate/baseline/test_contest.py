@@ -17,20 +17,20 @@ from nw_eval import api
 from nw_eval.api.contest import Contest
 from nw_eval.engine.listener import NullListener
 from nw_eval.engine.provenance import run_info
-from nw_eval.gate.absolute import word_of_bar
-from nw_eval.gate.baseline.combine import judge_run
-from nw_eval.gate.baseline.judge import compare
-from nw_eval.results.bank_file import write_bank
-from nw_eval.results.provenance import StopInfo
-from nw_eval.results.run_folder import RunFolder
+from nw_gate.absolute import word_of_bar
+from nw_gate.baseline.combine import judge_run
+from nw_gate.baseline.judge import compare
+from nw_gate.results.bank_file import write_bank
+from nw_gate.results.provenance import StopInfo
+from nw_gate.results.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from nw_eval.engine.plan import Plan
     from nw_eval.engine.rounds import RunStanding
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
 
     Make = Callable[..., Any]
 

@@ -9,20 +9,20 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.judge import compare, setup_of
-from nw_eval.gate.baseline.match import contradictions
-from nw_eval.gate.settings import Validity
+from nw_base.errors import IncomparableError, StoreError
 from nw_eval.reporting.tables.scenes import scenes_table
-from nw_eval.results.bank import trajectory
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.baseline.judge import compare, setup_of
+from nw_gate.baseline.match import contradictions
+from nw_gate.results.bank import trajectory
+from nw_gate.settings import Validity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.results.bank import Against, BaselineResults, ControlArm
-    from nw_eval.results.provenance import RunInfo
+    from nw_gate.results.bank import Against, BaselineResults, ControlArm
+    from nw_gate.results.provenance import RunInfo
 
     Make = Callable[..., Any]
 

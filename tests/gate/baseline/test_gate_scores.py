@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from nw_eval.gate.baseline.combine import judge_run
-from nw_eval.gate.settings import Gate
-from nw_eval.results.bank import Against, BaselineResults
-from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import Row
-from nw_eval.scores import specs_of
+from nw_gate.baseline.combine import judge_run
+from nw_gate.results.bank import Against, BaselineResults
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import Row
+from nw_gate.scores import specs_of
+from nw_gate.settings import Gate
 
 Make = Callable[..., Any]
 WAYS = {"drawn_from": 60}

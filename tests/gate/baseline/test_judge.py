@@ -8,20 +8,20 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.judge import compare
-from nw_eval.gate.baseline.match import draw_trials, drawn_order
+from nw_base.errors import IncomparableError, StoreError
 from nw_eval.reporting.tables.scenes import scenes_table
-from nw_eval.request import Request
-from nw_eval.results.provenance import PolicyInfo
-from nw_eval.stats.bank.trials import CRITICAL_TRIALS
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.baseline.judge import compare
+from nw_gate.baseline.match import draw_trials, drawn_order
+from nw_gate.results.provenance import PolicyInfo
+from nw_gate.results.request import Request
+from nw_gate.stats.bank.trials import CRITICAL_TRIALS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.results.provenance import RunInfo
+    from nw_gate.results.provenance import RunInfo
 
     Make = Callable[..., Any]
 

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.gate.baseline.combine import judge_run
-from nw_eval.gate.baseline.judge import compare
-from nw_eval.gate.settings import Validity
 from nw_eval.suite import Gate
+from nw_gate.baseline.combine import judge_run
+from nw_gate.baseline.judge import compare
+from nw_gate.settings import Validity
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
 
     Make = Callable[..., Any]
 

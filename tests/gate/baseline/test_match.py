@@ -5,17 +5,17 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.errors import IncomparableError
-from nw_eval.gate.baseline.match import check_match
-from nw_eval.request import Request
-from nw_eval.results.bank import key_of, machine_of
-from nw_eval.results.provenance import SceneInfo
+from nw_base.errors import IncomparableError
+from nw_gate.baseline.match import check_match
+from nw_gate.results.bank import key_of, machine_of
+from nw_gate.results.provenance import SceneInfo
+from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.results.bank import BaselineResults
-    from nw_eval.results.provenance import RunInfo
+    from nw_gate.results.bank import BaselineResults
+    from nw_gate.results.provenance import RunInfo
 
     Make = Callable[..., Any]
 

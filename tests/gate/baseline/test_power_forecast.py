@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.errors import IncomparableError, StoreError
-from nw_eval.gate.baseline.power_forecast import (
+from nw_base.errors import IncomparableError, StoreError
+from nw_gate.baseline.power_forecast import (
     NOTHING_MORE,
     about_more_trials,
     in_a_sentence,
     outset_of_bank,
     outset_of_rows,
 )
-from nw_eval.gate.settings import Gate
-from nw_eval.stats.bank.curve import CurvePoint, Progress
+from nw_gate.settings import Gate
+from nw_gate.stats.bank.curve import CurvePoint, Progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable

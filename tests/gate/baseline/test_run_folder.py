@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from nw_base.errors import IncomparableError, StoreError, UsageError
 from nw_eval import api
 from nw_eval.cli import main
-from nw_eval.errors import IncomparableError, StoreError, UsageError
-from nw_eval.results.bank_file import write_bank
-from nw_eval.results.ended import write_trials
-from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.provenance import BaselineInfo, StopInfo, read_run_info, write_run_info
-from nw_eval.results.run_folder import RunFolder
+from nw_gate.results.bank_file import write_bank
+from nw_gate.results.ended import write_trials
+from nw_gate.results.journal import Journal, JournalHeader
+from nw_gate.results.provenance import BaselineInfo, StopInfo, read_run_info, write_run_info
+from nw_gate.results.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from nw_eval.results.bank import BaselineResults
-    from nw_eval.results.provenance import RunInfo
-    from nw_eval.results.row import Row
+    from nw_gate.results.bank import BaselineResults
+    from nw_gate.results.provenance import RunInfo
+    from nw_gate.results.row import Row
 
     Make = Callable[..., Any]
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.judge import compare
-from nw_eval.gate.baseline.scores import with_scores
-from nw_eval.gate.settings import Gate
-from nw_eval.results.bank import BaselineResults
-from nw_eval.scores import specs_of
+from nw_gate.absolute import judge
+from nw_gate.baseline.judge import compare
+from nw_gate.baseline.scores import with_scores
+from nw_gate.results.bank import BaselineResults
+from nw_gate.scores import specs_of
+from nw_gate.settings import Gate
 
 Make = Callable[..., Any]
 NAMES = ("torque_rms_share", "limit_time", "foot_slip", "base_roll_rms", "base_pitch_rms")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.gate.ledger import BaselineEntry, LedgerEntry, SeenScene
+from nw_gate.ledger import BaselineEntry, LedgerEntry, SeenScene
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,12 +11,11 @@ from typing import IO, TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.errors import StoreError
-from nw_eval.gate import ledger as ledger_file
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.ledger import append_entry, append_verdict, read_ledger
-from nw_eval.gate.settings import Gate
-from nw_eval.results.provenance import (
+from nw_base.errors import StoreError
+from nw_gate import ledger as ledger_file
+from nw_gate.absolute import judge
+from nw_gate.ledger import append_entry, append_verdict, read_ledger
+from nw_gate.results.provenance import (
     BaselineInfo,
     PolicyInfo,
     RunInfo,
@@ -24,14 +23,15 @@ from nw_eval.results.provenance import (
     code_info,
     machine_info,
 )
-from nw_eval.results.seal import seal
+from nw_gate.results.seal import seal
+from nw_gate.settings import Gate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from nw_eval.gate.ledger import LedgerEntry
-    from nw_eval.results.row import Row
+    from nw_gate.ledger import LedgerEntry
+    from nw_gate.results.row import Row
 
 
 @pytest.fixture
@@ -225,8 +225,8 @@ def test_gates_that_end_at_once_all_get_their_line(tmp_path: Path, entries: list
 APPEND = """
 import sys
 from pathlib import Path
-from nw_eval.gate.ledger import LedgerEntry
-from nw_eval.gate.ledger import append_entry
+from nw_gate.ledger import LedgerEntry
+from nw_gate.ledger import append_entry
 
 entry = LedgerEntry.model_validate_json(Path(sys.argv[2]).read_text())
 for _ in range(25):

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from nw_eval.cli.verbs.ledger import ledger_page
-from nw_eval.gate.ledger_report import ledger_report
+from nw_gate.ledger_report import ledger_report
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.gate.ledger import LedgerEntry
+    from nw_gate.ledger import LedgerEntry
 
 
 def test_false_alarms_are_at_most_the_sum_of_what_each_test_was_set_to(

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.errors import UsageError
-from nw_eval.learn.config import TrainingConfig, load_config
+from nw_base.errors import UsageError
+from nw_learn.config import TrainingConfig, load_config
 
 GOOD = "nw-train: 1\nseed: 7\nbudget: {steps: 1000}\n"
 

@@ -5,8 +5,8 @@ import math
 import pytest
 from PIL import Image
 
-from nw_eval.errors import StoreError
-from nw_eval.learn.curve import Curve, read_curve
+from nw_base.errors import StoreError
+from nw_learn.curve import Curve, read_curve
 
 
 def grown(folder, steps, upto=None):
@@ -64,7 +64,7 @@ def test_tensorboard_reads_what_each_process_wrote(tmp_path):
 
 
 def test_where_there_is_no_tensorboard_that_is_said_once(tmp_path, monkeypatch):
-    monkeypatch.setattr("nw_eval.learn.curve.find_spec", lambda _: None)
+    monkeypatch.setattr("nw_learn.curve.find_spec", lambda _: None)
     lines = []
     curve = Curve(tmp_path, say=lines.append)
     curve.append(1, {"a/b": 1.0})

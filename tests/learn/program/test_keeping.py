@@ -6,11 +6,11 @@ import signal
 import pytest
 import torch
 
-from nw_eval.errors import PrerequisiteError
-from nw_eval.learn.config import device_of
-from nw_eval.learn.curve import Curve, read_curve
-from nw_eval.learn.folder import TrainFolder
-from nw_eval.learn.progress import Keeper, TrainingProgress
+from nw_base.errors import PrerequisiteError
+from nw_learn.config import device_of
+from nw_learn.curve import Curve, read_curve
+from nw_learn.folder import TrainFolder
+from nw_learn.progress import Keeper, TrainingProgress
 
 
 class Clock:

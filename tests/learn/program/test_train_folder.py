@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.learn.folder import TrainFolder
+from nw_base.errors import StoreError, UsageError
+from nw_learn.folder import TrainFolder
 
 
 @pytest.fixture

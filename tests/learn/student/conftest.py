@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.policies import load_bundle
+from nw_policies import load_bundle
 
 sys.path.insert(0, str(Path(__file__).parent))
 

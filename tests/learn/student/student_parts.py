@@ -2,7 +2,7 @@
 
 from ruamel.yaml import YAML
 
-from nw_eval.learn.student.config import StudentConfig
+from nw_learn.student.config import StudentConfig
 
 SMALL = """
 nw-train: 1

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from nw_eval.errors import StoreError
-from nw_eval.learn.student.trajectory import Dataset, Trajectory, read_trajectory
+from nw_base.errors import StoreError
+from nw_learn.student.trajectory import Dataset, Trajectory, read_trajectory
 
 
 def trajectory(number, *, frames=3, every=2):

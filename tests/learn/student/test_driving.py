@@ -7,18 +7,18 @@ import pytest
 import torch
 from student_parts import small_config
 
-from nw_eval.catalogue import FoundScene
-from nw_eval.learn.student.card import BODY, DEPTH_STEPS
-from nw_eval.learn.student.drive import Pair
-from nw_eval.learn.student.driving import Driving, plan_round
-from nw_eval.learn.student.network import StudentNetwork, write_policy
-from nw_eval.learn.student.train import body_size
-from nw_eval.learn.student.trajectory import read_trajectory
-from nw_eval.policies import load_bundle
-from nw_eval.rollout.episode import Observer
-from nw_eval.rollout.job import StageClock
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.trial import open_trial, run_trial
+from nw_learn.student.card import BODY, DEPTH_STEPS
+from nw_learn.student.drive import Pair
+from nw_learn.student.driving import Driving, plan_round
+from nw_learn.student.network import StudentNetwork, write_policy
+from nw_learn.student.train import body_size
+from nw_learn.student.trajectory import read_trajectory
+from nw_policies import load_bundle
+from nw_sim.catalogue import FoundScene
+from nw_sim.rollout.episode import Observer
+from nw_sim.rollout.job import StageClock
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.trial import open_trial, run_trial
 
 SCENE = "hurdles/one_low_carpet"
 
@@ -162,7 +162,7 @@ def test_the_teacher_is_asked_about_the_states_that_the_student_comes_to(
         def close(self):
             pass
 
-    monkeypatch.setattr("nw_eval.rollout.trial.open_policy", lambda *_, **__: Obeys())
+    monkeypatch.setattr("nw_sim.rollout.trial.open_policy", lambda *_, **__: Obeys())
     by_student = replace(job, policy=student.reference, checkpoint_digest=student.checkpoint_digest)
     result = pair(by_student)
     assert result.status == "ok", result.error_text
@@ -184,5 +184,5 @@ def test_driving_goes_on_with_what_is_missing_and_ends_where_the_bytes_do(
     assert Driving(trajectories, say=said.append, most=10**9, workers=1).run(lambda: False)
     assert not trajectories.missing
     assert "round 1: 3 of 3 trajectories driven" in said[-1]
-    monkeypatch.setattr("nw_eval.learn.student.driving.LocalWorkers", None)
+    monkeypatch.setattr("nw_learn.student.driving.LocalWorkers", None)
     assert Driving(trajectories, say=said.append, most=10**9).run(lambda: False)

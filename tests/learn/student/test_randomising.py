@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from nw_eval.learn.student.config import Randomise
-from nw_eval.learn.student.train import Randomiser, resampled
+from nw_learn.student.config import Randomise
+from nw_learn.student.train import Randomiser, resampled
 
 NOTHING = {"rotation": 0, "crop": 0, "blur": 0, "colour": 0, "depth_noise": 0, "dropped": 0}
 

@@ -5,19 +5,19 @@ from pathlib import Path
 import pytest
 from student_parts import small_config
 
-from nw_eval.cards.load import card_of
-from nw_eval.catalogue import FoundScene, names
+from nw_base.errors import UsageError
 from nw_eval.engine.provenance import split_for
-from nw_eval.errors import UsageError
-from nw_eval.learn.config import load_config
-from nw_eval.learn.student.card import check_teacher, student_card
-from nw_eval.learn.student.config import NOTHING, StudentConfig
-from nw_eval.learn.student.driving import training_scenes
-from nw_eval.learn.student.network import StudentNetwork, write_policy
-from nw_eval.learn.student.train import body_size
-from nw_eval.policies import load_bundle
-from nw_eval.rollout.confined.vetting import check_bundle
-from nw_eval.sensors import check_card
+from nw_learn.config import load_config
+from nw_learn.student.card import check_teacher, student_card
+from nw_learn.student.config import NOTHING, StudentConfig
+from nw_learn.student.driving import training_scenes
+from nw_learn.student.network import StudentNetwork, write_policy
+from nw_learn.student.train import body_size
+from nw_policies import load_bundle
+from nw_policies.cards.load import card_of
+from nw_sim.catalogue import FoundScene, names
+from nw_sim.rollout.confined.vetting import check_bundle
+from nw_sim.sensors import check_card
 
 DIGESTS = {"policy.onnx": "0" * 64, "encoder.onnx": "0" * 64}
 TRAINING = Path(__file__).parents[3] / "training"

@@ -6,8 +6,8 @@ import pytest
 import torch
 from student_parts import small_config
 
-from nw_eval.learn.student.network import StudentNetwork, encoder_of, graph_of
-from nw_eval.policies.chunks import ChunkQueue
+from nw_learn.student.network import StudentNetwork, encoder_of, graph_of
+from nw_policies.chunks import ChunkQueue
 
 BODY = 20
 SEES = {"width": 16, "height": 16, "frames": 2}

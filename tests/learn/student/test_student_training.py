@@ -10,24 +10,24 @@ import numpy as np
 import pytest
 from student_parts import SMALL, small_config
 
-from nw_eval.errors import IncomparableError, StoreError, UsageError
-from nw_eval.learn.config import load_config
-from nw_eval.learn.curve import read_curve
-from nw_eval.learn.folder import TrainFolder
-from nw_eval.learn.progress import Keeper
-from nw_eval.learn.student.config import StudentConfig
-from nw_eval.learn.student.driving import training_scenes
-from nw_eval.learn.student.train import Learner, StudentTraining, resume_student
-from nw_eval.policies import load_bundle
+from nw_base.errors import IncomparableError, StoreError, UsageError
+from nw_learn.config import load_config
+from nw_learn.curve import read_curve
+from nw_learn.folder import TrainFolder
+from nw_learn.progress import Keeper
+from nw_learn.student.config import StudentConfig
+from nw_learn.student.driving import training_scenes
+from nw_learn.student.train import Learner, StudentTraining, resume_student
+from nw_policies import load_bundle
 
 PROGRAM = """
 import sys
 from pathlib import Path
-from nw_eval.learn.config import load_config
-from nw_eval.learn.folder import TrainFolder
-from nw_eval.learn.progress import Keeper
-from nw_eval.learn.student.config import StudentConfig
-from nw_eval.learn.student.train import StudentTraining
+from nw_learn.config import load_config
+from nw_learn.folder import TrainFolder
+from nw_learn.progress import Keeper
+from nw_learn.student.config import StudentConfig
+from nw_learn.student.train import StudentTraining
 
 if __name__ == "__main__":
     Keeper.__init__.__kwdefaults__["save_every"] = 0.0
@@ -94,7 +94,7 @@ def test_a_training_goes_on_in_the_middle_of_a_round(tmp_path, config, whole, mo
             raise Dies
         return step(self, *arguments, **options)
 
-    monkeypatch.setattr("nw_eval.learn.curve.draw", lambda *_: None)  # It takes a second.
+    monkeypatch.setattr("nw_learn.curve.draw", lambda *_: None)  # It takes a second.
     with monkeypatch.context() as patched:
         patched.setattr(Learner, "step", deadly)
         patched.setitem(Keeper.__init__.__kwdefaults__, "save_every", 0.0)

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.learn.config import find_config, load_config
-from nw_eval.learn.studies.kinds import MultiScene, Observations, SingleScene
-from nw_eval.learn.studies.plan import (
+from nw_base.errors import IncomparableError, UsageError
+from nw_learn.config import find_config, load_config
+from nw_learn.studies.kinds import MultiScene, Observations, SingleScene
+from nw_learn.studies.plan import (
     MultiSceneConfig,
     ObservationsConfig,
     SingleSceneConfig,
@@ -15,7 +15,7 @@ from nw_eval.learn.studies.plan import (
     settled,
     slug,
 )
-from nw_eval.learn.studies.study import StudyFolder
+from nw_learn.studies.study import StudyFolder
 
 PRESETS = Path(__file__).parents[3] / "training" / "studies"
 KINDS = {

@@ -5,16 +5,16 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from nw_eval.learn.config import load_config
-from nw_eval.learn.studies.kinds import MultiScene, Observations, SingleScene
-from nw_eval.learn.studies.plan import (
+from nw_gate.stats.bootstrap import mean_of_scenes
+from nw_learn.config import load_config
+from nw_learn.studies.kinds import MultiScene, Observations, SingleScene
+from nw_learn.studies.plan import (
     MultiSceneConfig,
     ObservationsConfig,
     SingleSceneConfig,
     settled,
 )
-from nw_eval.learn.studies.scores import Outcome, difference, score, write_page, write_scores
-from nw_eval.stats.bootstrap import mean_of_scenes
+from nw_learn.studies.scores import Outcome, difference, score, write_page, write_scores
 
 
 def trials(scene, successes, *, student="me", number=1):

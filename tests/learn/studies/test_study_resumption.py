@@ -4,10 +4,10 @@ from contextlib import nullcontext
 
 import pytest
 
+from nw_base.errors import UsageError
 from nw_eval.engine.listener import NullListener
-from nw_eval.errors import UsageError
-from nw_eval.learn.studies.kinds import SingleScene
-from nw_eval.learn.studies.study import StudyProgress, open_study
+from nw_learn.studies.kinds import SingleScene
+from nw_learn.studies.study import StudyProgress, open_study
 
 
 class Killed(BaseException):

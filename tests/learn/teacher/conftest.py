@@ -4,9 +4,9 @@ import textwrap
 
 import pytest
 
-from nw_eval.learn.teacher.simulation import training_robot
-from nw_eval.learn.teacher.training import train_teacher
-from nw_eval.robots import get_robot
+from nw_learn.teacher.simulation import training_robot
+from nw_learn.teacher.training import train_teacher
+from nw_scenes.robots import get_robot
 
 TINY = """\
     nw-train: 1

@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from nw_eval.catalogue import get_scene
-from nw_eval.learn.teacher.lanes import lane_of
-from nw_eval.learn.teacher.senses import FRAME, SCANDOTS, Senses, bodies
-from nw_eval.learn.teacher.simulation import Trails
-from nw_eval.results.trials import Trial
-from nw_eval.robots import get_robot
-from nw_eval.rollout.job import StageClock, TrialJob
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.trial import open_trial
-from nw_eval.sim import World
-from nw_eval.sim.batch import Simulation
-from nw_eval.tasks.course import CourseProgress, distance_to_polyline
+from nw_base.trials import Trial
+from nw_learn.teacher.lanes import lane_of
+from nw_learn.teacher.senses import FRAME, SCANDOTS, Senses, bodies
+from nw_learn.teacher.simulation import Trails
+from nw_scenes.robots import get_robot
+from nw_sim.catalogue import get_scene
+from nw_sim.physics import World
+from nw_sim.physics.batch import Simulation
+from nw_sim.rollout.job import StageClock, TrialJob
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.trial import open_trial
+from nw_sim.tasks.course import CourseProgress, distance_to_polyline
 
 SCENE = "hurdles/three_high_wood_hall"
 

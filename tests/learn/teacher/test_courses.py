@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from nw_eval.built_in.splits import EVALUATION
-from nw_eval.catalogue import get_scene, names
-from nw_eval.learn.teacher.config import GROUNDS, CourseSettings
-from nw_eval.learn.teacher.lanes import CELL, ORIGIN, SOLIDS, Lanes, draw_course, lane_of
-from nw_eval.scenes.rays import RayScene
+from nw_learn.teacher.config import GROUNDS, CourseSettings
+from nw_learn.teacher.lanes import CELL, ORIGIN, SOLIDS, Lanes, draw_course, lane_of
+from nw_places.splits import EVALUATION
+from nw_scenes.rays import RayScene
+from nw_sim.catalogue import get_scene, names
 
 HARDEST = {
     "hurdles": lambda scene: max(point[2] for point in scene.trail),

@@ -8,13 +8,13 @@ import pytest
 import torch
 from onnx import numpy_helper
 
-from nw_eval.errors import PolicyError
-from nw_eval.learn.teacher.config import PpoSettings
-from nw_eval.learn.teacher.policy import Actor, Critic, new_networks, read_actor, write_actor
-from nw_eval.learn.teacher.senses import PRIVILEGED
-from nw_eval.learn.teacher.training import PpoLearner, SampleCollector, Samples, log_probability
-from nw_eval.policies import load_bundle
-from nw_eval.policies.networks.onnx_graph import open_session
+from nw_base.errors import PolicyError
+from nw_learn.teacher.config import PpoSettings
+from nw_learn.teacher.policy import Actor, Critic, new_networks, read_actor, write_actor
+from nw_learn.teacher.senses import PRIVILEGED
+from nw_learn.teacher.training import PpoLearner, SampleCollector, Samples, log_probability
+from nw_policies import load_bundle
+from nw_policies.networks.onnx_graph import open_session
 
 
 def settings(**changes):

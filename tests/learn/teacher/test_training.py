@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 import torch
 
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.learn.curve import read_curve
-from nw_eval.learn.folder import TrainFolder, read_state
-from nw_eval.learn.teacher.policy import Actor, export_checkpoint
-from nw_eval.learn.teacher.training import resume_teacher, train_teacher
-from nw_eval.policies import load_bundle
-from nw_eval.policies.networks.onnx_graph import open_session
+from nw_base.errors import StoreError, UsageError
+from nw_learn.curve import read_curve
+from nw_learn.folder import TrainFolder, read_state
+from nw_learn.teacher.policy import Actor, export_checkpoint
+from nw_learn.teacher.training import resume_teacher, train_teacher
+from nw_policies import load_bundle
+from nw_policies.networks.onnx_graph import open_session
 
 SAVES_AT_ONCE = """
 import os, signal, sys
 from functools import partial
 from pathlib import Path
-from nw_eval.learn import curve
-from nw_eval.learn.teacher import training
+from nw_learn import curve
+from nw_learn.teacher import training
 
 curve.draw = lambda *_: None  # Pictures take most of the time, and have tests of their own.
 
@@ -41,7 +41,7 @@ training.train_teacher(Path(sys.argv[1]), Path(sys.argv[2]), say=print)
 def undrawn(whole, monkeypatch):
     """Draw no picture: it takes most of the time, and has tests of its own."""
     assert (whole / "run" / "curve.png").stat().st_size > 10_000
-    monkeypatch.setattr("nw_eval.learn.curve.draw", lambda *_, **__: None)
+    monkeypatch.setattr("nw_learn.curve.draw", lambda *_, **__: None)
 
 
 def quiet(_line):

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.learn.teacher.config import GROUNDS, CourseSettings, RewardWeights, TrainingPhase
-from nw_eval.learn.teacher.curriculum import Curriculum
-from nw_eval.learn.teacher.episodes import POINTS, RobotMoments, rewards
-from nw_eval.learn.teacher.senses import bodies
-from nw_eval.robots import get_robot
+from nw_learn.teacher.config import GROUNDS, CourseSettings, RewardWeights, TrainingPhase
+from nw_learn.teacher.curriculum import Curriculum
+from nw_learn.teacher.episodes import POINTS, RobotMoments, rewards
+from nw_learn.teacher.senses import bodies
+from nw_scenes.robots import get_robot
 
 SETTINGS = CourseSettings.model_validate({"variants": 2, "levels": 4, "start": [1, 1]})
 TASKS = {"hurdles": 0.5, "gaps": 0.5, "ramps": 0.0, "stairs": 0.0, "flat": 0.0}

@@ -10,13 +10,13 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.cards.card import Card
-from nw_eval.cards.networks import shape_problems
-from nw_eval.onboarding.checkpoint import inspect_checkpoint
-from nw_eval.onboarding.draft import write_card_draft
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.robots import get_robot
-from nw_eval.sensors import check_card
+from nw_policies import load_bundle, open_policy
+from nw_policies.cards.card import Card
+from nw_policies.cards.networks import shape_problems
+from nw_policies.drafting.checkpoint import inspect_checkpoint
+from nw_policies.drafting.draft import write_card_draft
+from nw_scenes.robots import get_robot
+from nw_sim.sensors import check_card
 
 
 @pytest.fixture

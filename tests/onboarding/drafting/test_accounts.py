@@ -12,18 +12,18 @@ from pathlib import Path
 
 import pytest
 
-from nw_eval.errors import PolicyError
-from nw_eval.files.yaml_file import parse_yaml
-from nw_eval.onboarding.beside import believed, read_beside, refuse_another_robot
-from nw_eval.onboarding.checkpoint import (
+from nw_base.errors import PolicyError
+from nw_base.files.yaml_file import parse_yaml
+from nw_policies.drafting.beside import believed, read_beside, refuse_another_robot
+from nw_policies.drafting.checkpoint import (
     CheckpointFacts,
     ExporterMetadata,
     read_exporter_metadata,
 )
-from nw_eval.onboarding.configs import reader_of
-from nw_eval.onboarding.fields import Fields, account, is_passed_over
-from nw_eval.onboarding.leapp import read_pipeline
-from nw_eval.robots import get_robot
+from nw_policies.drafting.configs import reader_of
+from nw_policies.drafting.fields import Fields, account, is_passed_over
+from nw_policies.drafting.leapp import read_pipeline
+from nw_scenes.robots import get_robot
 
 from .test_beside import (
     BY_TYPE,

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from nw_base.errors import PolicyError, UsageError
 from nw_eval.api.policies import init_policy
-from nw_eval.cards.card import Card
-from nw_eval.cards.load import load_card
-from nw_eval.errors import PolicyError, UsageError
+from nw_policies.cards.card import Card
+from nw_policies.cards.load import load_card
 
 LEFT_FIRST = [
     f"{leg}_{kind}" for leg in ("FL", "FR", "RL", "RR") for kind in ("hip", "thigh", "calf")

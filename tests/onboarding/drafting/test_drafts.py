@@ -14,14 +14,14 @@ import pytest
 import torch
 from torch import nn
 
+from nw_base.errors import PolicyError
 from nw_eval import api
-from nw_eval.cards.load import load_card
-from nw_eval.errors import PolicyError
-from nw_eval.onboarding.checkpoint import inspect_checkpoint
-from nw_eval.onboarding.draft import write_card_draft
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.robots import get_robot
-from nw_eval.sensors import check_card
+from nw_policies import load_bundle, open_policy
+from nw_policies.cards.load import load_card
+from nw_policies.drafting.checkpoint import inspect_checkpoint
+from nw_policies.drafting.draft import write_card_draft
+from nw_scenes.robots import get_robot
+from nw_sim.sensors import check_card
 
 GO1 = get_robot("go1")
 
@@ -311,7 +311,7 @@ def test_a_draft_elsewhere_says_nothing_of_what_lies_beside_the_checkpoint(onnx_
 
 
 def test_drafting_can_be_imported_before_all_else_as_the_verb_does():
-    line = "import nw_eval.onboarding.draft"
+    line = "import nw_policies.drafting.draft"
     ended = subprocess.run([sys.executable, "-c", line], check=False, capture_output=True)
     assert ended.returncode == 0, ended.stderr
 

@@ -12,20 +12,20 @@ import torch
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from nw_eval.cards.load import load_card
-from nw_eval.cards.terms import term_size
-from nw_eval.errors import PolicyError
-from nw_eval.onboarding.checkpoint import inspect_checkpoint
-from nw_eval.onboarding.draft import write_card_draft
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.networks.act import Act, read_sizes
-from nw_eval.policies.networks.parkour import (
+from nw_base.errors import PolicyError
+from nw_policies import load_bundle, open_policy
+from nw_policies.cards.load import load_card
+from nw_policies.cards.terms import term_size
+from nw_policies.drafting.checkpoint import inspect_checkpoint
+from nw_policies.drafting.draft import write_card_draft
+from nw_policies.networks.act import Act, read_sizes
+from nw_policies.networks.parkour import (
     DepthEncoder,
     Estimator,
     LucidSimTransformer,
     ParkourActor,
 )
-from nw_eval.robots import get_robot
+from nw_scenes.robots import get_robot
 
 GO1 = get_robot("go1")
 # As mjlab's exporter writes them: lists joined by commas, numbers with three decimals.

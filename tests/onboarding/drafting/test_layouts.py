@@ -9,14 +9,14 @@ import torch
 from ruamel.yaml import YAML
 from torch import nn
 
+from nw_base.errors import PolicyError
 from nw_eval import api
-from nw_eval.cards import load_card
-from nw_eval.cards.terms import term_size
-from nw_eval.errors import PolicyError
-from nw_eval.onboarding.checkpoint import inspect_checkpoint
-from nw_eval.onboarding.draft import write_card_draft
-from nw_eval.onboarding.layouts import FRAMES
-from nw_eval.robots import get_robot
+from nw_policies.cards import load_card
+from nw_policies.cards.terms import term_size
+from nw_policies.drafting.checkpoint import inspect_checkpoint
+from nw_policies.drafting.draft import write_card_draft
+from nw_policies.drafting.layouts import FRAMES
+from nw_scenes.robots import get_robot
 
 GO2 = get_robot("go2")
 OF_45 = [

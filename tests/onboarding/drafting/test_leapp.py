@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nw_base.errors import PolicyError
 from nw_eval.api.policies import init_policy
-from nw_eval.cards.card import Card
-from nw_eval.cards.load import load_card
-from nw_eval.errors import PolicyError
-from nw_eval.onboarding.beside import files_beside_checkpoint, find_checkpoint
-from nw_eval.onboarding.draft import draft_of
-from nw_eval.policies import load_bundle, open_policy
+from nw_policies import load_bundle, open_policy
+from nw_policies.cards.card import Card
+from nw_policies.cards.load import load_card
+from nw_policies.drafting.beside import files_beside_checkpoint, find_checkpoint
+from nw_policies.drafting.draft import draft_of
 
 BUNDLES = Path(__file__).parent / "leapp"
 BY_TYPE = [f"{leg}_{kind}" for kind in ("hip", "thigh", "calf") for leg in ("FL", "FR", "RL", "RR")]

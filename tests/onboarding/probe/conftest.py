@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval.cards import load_card
-from nw_eval.onboarding.probe.recording import Recording, Walk
+from nw_policies.cards import load_card
+from nw_sim.probe.recording import Recording, Walk
 
 PERIOD = 0.02
 POLICIES = Path(__file__).resolve().parents[3] / "policies"

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.onboarding.probe.findings import compare
-from nw_eval.onboarding.probe.hypotheses import TRIED
-from nw_eval.onboarding.probe.recording import Metered
-from nw_eval.robots import get_robot
+from nw_scenes.robots import get_robot
+from nw_sim.probe.findings import compare
+from nw_sim.probe.hypotheses import TRIED
+from nw_sim.probe.recording import Metered
 
 GO1 = get_robot("go1")
 

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.cards import Card
-from nw_eval.cards.networks import InputSpec
-from nw_eval.onboarding.probe.findings import (
+from nw_policies import load_bundle
+from nw_policies.cards import Card
+from nw_policies.cards.networks import InputSpec
+from nw_scenes.robots import get_robot
+from nw_sim.probe.findings import (
     Range,
     action_findings,
     card_findings,
     input_findings,
 )
-from nw_eval.onboarding.probe.summary import Part
-from nw_eval.policies import load_bundle
-from nw_eval.robots import get_robot
+from nw_sim.probe.summary import Part
 
 GO1 = get_robot("go1")
 

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from nw_eval.cards import Card
-from nw_eval.onboarding.probe.findings import command_findings
-from nw_eval.onboarding.probe.following import Followed, Motion, deviation, follow, motions, own_way
-from nw_eval.rollout.fault import PolicyFailedError
+from nw_policies.cards import Card
+from nw_sim.probe.findings import command_findings
+from nw_sim.probe.following import Followed, Motion, deviation, follow, motions, own_way
+from nw_sim.rollout.fault import PolicyFailedError
 
 AHEAD = Motion(words="ahead", velocity=(0.8, 0.0, 0.0), axis=0, is_used=True)
 RIGHT = Motion(words="to the right", velocity=(0.8, -0.5, 0.0), axis=1, is_used=False)

@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 from ruamel.yaml import YAML
 
-from nw_eval.cards import Card
-from nw_eval.onboarding.notation import changed_lines, flow
-from nw_eval.onboarding.probe.hypotheses import double_hypotheses, hypotheses, turned_cards
-from nw_eval.robots import get_robot
+from nw_policies.cards import Card
+from nw_policies.drafting.notation import changed_lines, flow
+from nw_scenes.robots import get_robot
+from nw_sim.probe.hypotheses import double_hypotheses, hypotheses, turned_cards
 
 GO1 = get_robot("go1")
 USUAL = {"ang_vel": "0.25", "joint_vel": "0.05", "lin_vel": "2", "command": "[2, 2, 0.25]"}

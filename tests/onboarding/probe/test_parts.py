@@ -2,10 +2,10 @@
 
 import pytest
 
-from nw_eval.cards import Card
-from nw_eval.onboarding.probe.summary import parts_of
-from nw_eval.robots import get_robot
-from nw_eval.sensors import check_card
+from nw_policies.cards import Card
+from nw_scenes.robots import get_robot
+from nw_sim.probe.summary import parts_of
+from nw_sim.sensors import check_card
 
 GO1 = get_robot("go1")
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from nw_eval.onboarding.probe.recording import SceneRig
-from nw_eval.policies import load_bundle
+from nw_policies import load_bundle
+from nw_sim.probe.recording import SceneRig
 
 
 def test_a_recording_ends_once_the_robot_leans_too_far():

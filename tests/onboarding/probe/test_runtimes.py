@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from nw_eval.cli.verbs.policies import probe_page
-from nw_eval.onboarding.probe.recording import record
-from nw_eval.onboarding.probe.report import FLAT, probe_here
-from nw_eval.onboarding.probe.runtimes import TOLERANCE, compare_runtimes, runtime_findings
-from nw_eval.policies import load_bundle
-from nw_eval.policies.networks.onnx_graph import Graph
+from nw_policies import load_bundle
+from nw_policies.networks.onnx_graph import Graph
+from nw_sim.probe.recording import record
+from nw_sim.probe.report import FLAT, probe_here
+from nw_sim.probe.runtimes import TOLERANCE, compare_runtimes, runtime_findings
 
 CARD = """\
 nw-policy: 1
@@ -104,7 +104,7 @@ def test_an_output_that_is_no_number_is_the_one_that_differs_most(monkeypatch):
         "nw-eval": {"action": np.ones((2, 3)) + 1e-7, "code": np.full((2, 3), np.nan)},
     }
     monkeypatch.setattr(
-        "nw_eval.onboarding.probe.runtimes._run",
+        "nw_sim.probe.runtimes._run",
         lambda _bundle, runtime, _recording: given[runtime],
     )
     bundle = load_bundle("go1-parkour")

@@ -2,10 +2,10 @@
 
 import pytest
 
-from nw_eval.errors import PolicyError
-from nw_eval.onboarding.probe.findings import attempts
-from nw_eval.onboarding.probe.following import follow, motions, own_way
-from nw_eval.robots import get_robot
+from nw_base.errors import PolicyError
+from nw_scenes.robots import get_robot
+from nw_sim.probe.findings import attempts
+from nw_sim.probe.following import follow, motions, own_way
 
 GO1 = get_robot("go1")
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from nw_eval.errors import PolicyError, TrialError
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.chunks import ChunkQueue
-from nw_eval.policies.networks.act import Act
-from nw_eval.rollout.confined.vetting import check_bundle
+from nw_base.errors import PolicyError, TrialError
+from nw_policies import load_bundle, open_policy
+from nw_policies.chunks import ChunkQueue
+from nw_policies.networks.act import Act
+from nw_sim.rollout.confined.vetting import check_bundle
 
 CARD = """\
 nw-policy: 1

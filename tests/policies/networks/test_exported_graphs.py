@@ -14,9 +14,9 @@ import torch
 from adapters import by_its_own_runtime
 from torch import nn
 
-from nw_eval.errors import PolicyError
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.networks.exported import ExportedGraph
+from nw_base.errors import PolicyError
+from nw_policies import load_bundle, open_policy
+from nw_policies.networks.exported import ExportedGraph
 
 CARD = """\
 nw-policy: 1

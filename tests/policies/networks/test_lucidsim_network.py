@@ -13,11 +13,11 @@ import pytest
 import torch
 from adapters import by_its_own_runtime
 
-from nw_eval.errors import PolicyError, TrialError
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.networks.parameters import build
-from nw_eval.policies.networks.parkour import LucidSimTransformer
-from nw_eval.rollout.confined.vetting import check_bundle
+from nw_base.errors import PolicyError, TrialError
+from nw_policies import load_bundle, open_policy
+from nw_policies.networks.parameters import build
+from nw_policies.networks.parkour import LucidSimTransformer
+from nw_sim.rollout.confined.vetting import check_bundle
 
 CARD = """\
 nw-policy: 1

@@ -6,7 +6,7 @@ import numpy as np
 import onnx
 from onnx import numpy_helper
 
-from nw_eval.policies.networks.onnx_graph import Graph
+from nw_policies.networks.onnx_graph import Graph
 
 
 def test_the_onnx_package_reads_what_was_written():

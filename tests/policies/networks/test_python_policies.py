@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval.errors import PolicyError, TrialError
-from nw_eval.policies import load_bundle, open_policy
+from nw_base.errors import PolicyError, TrialError
+from nw_policies import load_bundle, open_policy
 
 CARD = """\
 nw-policy: 1

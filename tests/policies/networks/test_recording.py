@@ -8,11 +8,11 @@ import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812 - as torch's own documentation has it.
 
-from nw_eval.networks import NEXT, UnsupportedError
-from nw_eval.networks.network import Network
-from nw_eval.networks.plan import plan
-from nw_eval.policies.networks import aten
-from nw_eval.policies.networks.recording import numbered, record
+from nw_policies.executor import NEXT, UnsupportedError
+from nw_policies.executor.network import Network
+from nw_policies.executor.plan import plan
+from nw_policies.networks import aten
+from nw_policies.networks.recording import numbered, record
 
 A = torch.ops.aten
 _random = np.random.default_rng(3)
@@ -208,7 +208,7 @@ def test_every_rule_has_a_case(monkeypatch):
             used.add(name)
             return super().__getitem__(name)
 
-    monkeypatch.setattr("nw_eval.policies.networks.recording.RULES", Noted(aten.RULES))
+    monkeypatch.setattr("nw_policies.networks.recording.RULES", Noted(aten.RULES))
     for shape, function in CASES.values():
         zeros = torch.zeros(shape)
         with torch.inference_mode():

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from websockets.sync.client import connect
 
-from nw_eval.errors import NwEvalError
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.remote import decode
-from nw_eval.policies.serve import serving
+from nw_base.errors import NwEvalError
+from nw_policies import load_bundle, open_policy
+from nw_policies.remote import decode
+from nw_policies.serve import serving
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "hostile"))
 

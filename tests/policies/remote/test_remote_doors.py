@@ -17,11 +17,11 @@ from websockets.exceptions import InvalidStatus, WebSocketException
 from websockets.sync.client import connect
 from websockets.sync.server import serve as fake_serve
 
-from nw_eval.errors import PolicyError, TrialError
-from nw_eval.policies import Bundle, load_bundle, open_policy
-from nw_eval.policies import serve as server_module
-from nw_eval.policies.remote import decode, encode
-from nw_eval.policies.serve import Address, answer, serving
+from nw_base.errors import PolicyError, TrialError
+from nw_policies import Bundle, load_bundle, open_policy
+from nw_policies import serve as server_module
+from nw_policies.remote import decode, encode
+from nw_policies.serve import Address, answer, serving
 
 CARD = """\
 nw-policy: 1

@@ -20,11 +20,11 @@ import torch
 from torch import nn
 from websockets.sync.server import serve
 
-from nw_eval.errors import PolicyError, TrialError, UsageError
-from nw_eval.policies import Bundle, Policy, load_bundle, open_policy
-from nw_eval.policies.bundle import NOTHING
-from nw_eval.policies.remote import ask_server, decode, encode
-from nw_eval.policies.serve import serving
+from nw_base.errors import PolicyError, TrialError, UsageError
+from nw_policies import Bundle, Policy, load_bundle, open_policy
+from nw_policies.bundle import NOTHING
+from nw_policies.remote import ask_server, decode, encode
+from nw_policies.serve import serving
 
 OBSERVATIONS = """\
 observations:

@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nw_base.errors import IncomparableError, PolicyError
 from nw_eval import api
 from nw_eval.engine.plan import plan_jobs
-from nw_eval.errors import IncomparableError, PolicyError
-from nw_eval.policies import load_bundle
-from nw_eval.policies.opening import ZeroPolicy
-from nw_eval.policies.serve import serving
-from nw_eval.results.provenance import read_run_info
-from nw_eval.results.run_folder import RunFolder, open_run_folder
-from nw_eval.rollout.job import policy_fault
-from nw_eval.rollout.trial import run_trial
+from nw_gate.results.provenance import read_run_info
+from nw_gate.results.run_folder import RunFolder, open_run_folder
+from nw_policies import load_bundle
+from nw_policies.opening import ZeroPolicy
+from nw_policies.serve import serving
+from nw_sim.rollout.job import policy_fault
+from nw_sim.rollout.trial import run_trial
 
 SUITE = """\
 nw-eval: 1
@@ -191,8 +191,8 @@ def test_a_card_of_other_sizes_than_the_served_one_fails_before_the_run(tmp_path
 def test_without_the_extra_the_error_says_what_to_install(missing):
     code = (
         f"import sys; sys.modules[{missing!r}] = None\n"
-        "from nw_eval.errors import PrerequisiteError\n"
-        "try:\n    import nw_eval.policies.remote\n"
+        "from nw_base.errors import PrerequisiteError\n"
+        "try:\n    import nw_policies.remote\n"
         "except PrerequisiteError as error:\n    print(error)\n"
     )
     shown = subprocess.run(

@@ -16,12 +16,12 @@ import pytest
 import torch
 from onnx import helper, onnx_ml_pb2
 
-from nw_eval.errors import PolicyError
-from nw_eval.onboarding.checkpoint import inspect_checkpoint
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.networks.onnx_graph import open_session
-from nw_eval.policies.safety import check_onnx
-from nw_eval.policies.safety.onnx import ONNX
+from nw_base.errors import PolicyError
+from nw_policies import load_bundle, open_policy
+from nw_policies.drafting.checkpoint import inspect_checkpoint
+from nw_policies.networks.onnx_graph import open_session
+from nw_policies.safety import check_onnx
+from nw_policies.safety.onnx import ONNX
 
 REASONS = {
     "external_in_a_functions_default": "tensor 'stolen' lie in another file",
@@ -235,11 +235,11 @@ def test_onnxruntime_tells_nobody_and_writes_nothing(tmp_path):
     folder = onnx_files.bundle(tmp_path / "bundle", onnx_files.honest().SerializeToString())
     code = (
         "from dataclasses import replace; from pathlib import Path;"
-        "from nw_eval.policies import load_bundle, open_policy;"
+        "from nw_policies import load_bundle, open_policy;"
         f"bundle = load_bundle(Path({str(folder)!r}));"
         "card = bundle.card.model_copy(update={'runtime': 'native'});"
         "open_policy(replace(bundle, card=card));"
-        "from nw_eval.onboarding.checkpoint import inspect_checkpoint;"
+        "from nw_policies.drafting.checkpoint import inspect_checkpoint;"
         f"inspect_checkpoint(Path({str(folder / 'policy.onnx')!r}));"
         "import os; print(os.environ['ORT_DISABLE_TELEMETRY'])"
     )

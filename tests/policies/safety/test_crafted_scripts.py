@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from torchscript import CARD, CRAFTED
 
-from nw_eval.confinement import offered
-from nw_eval.errors import NwEvalError
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.line import line_to
-from nw_eval.rollout.confined.access import policy_rules
-from nw_eval.rollout.confined.start import PolicyProcess
+from nw_base.confinement import offered
+from nw_base.errors import NwEvalError
+from nw_policies import load_bundle, open_policy
+from nw_policies.line import line_to
+from nw_sim.rollout.confined.access import policy_rules
+from nw_sim.rollout.confined.start import PolicyProcess
 
 PARTS = 4
 """Of the crafted files, each in a process of its own: one runs here, the others at night."""

@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 import torch
 
-from nw_eval.errors import PolicyError
-from nw_eval.policies import load_bundle, open_policy
-from nw_eval.policies.networks.exported import ExportedGraph
-from nw_eval.policies.safety import read_tensors, tensor_facts
+from nw_base.errors import PolicyError
+from nw_policies import load_bundle, open_policy
+from nw_policies.networks.exported import ExportedGraph
+from nw_policies.safety import read_tensors, tensor_facts
 
 resource = pytest.importorskip("resource")  # Address-space limits are a Unix matter.
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from nw_eval.errors import PolicyError
-from nw_eval.policies.safety import FileLimits, check_onnx
+from nw_base.errors import PolicyError
+from nw_policies.safety import FileLimits, check_onnx
 
 
 def model(*, weight: TensorProto | None = None, nodes=()) -> bytes:

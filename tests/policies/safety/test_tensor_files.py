@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from nw_eval.errors import PolicyError
-from nw_eval.policies.safety import FileLimits, file_kind, read_tensors, tensor_facts, tensors_below
+from nw_base.errors import PolicyError
+from nw_policies.safety import FileLimits, file_kind, read_tensors, tensor_facts, tensors_below
 
 
 def saved(value: object) -> bytes:

@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 
-from nw_eval.errors import Problem, SuiteError, UsageError
-from nw_eval.gate.absolute import judge
+from nw_base.errors import Problem, SuiteError, UsageError
 from nw_eval.reporting.github import (
     END_GROUP,
     begin_group,
@@ -18,6 +17,7 @@ from nw_eval.reporting.github import (
 )
 from nw_eval.reporting.scene_states import suite_lines
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
 
 BAR = Gate(success_rate=0.75)
 

@@ -14,14 +14,14 @@ from typing import Any
 import pytest
 from cmarkgfm.cmark import Options, github_flavored_markdown_to_html
 
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.combine import combined, without_bank
-from nw_eval.gate.verdict import Comparison
 from nw_eval.reporting.github import comment_page, summary_page
 from nw_eval.reporting.markdown import escaped, markdown_table
 from nw_eval.reporting.tables.table import Table
-from nw_eval.results.provenance import PolicyInfo
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.baseline.combine import combined, without_bank
+from nw_gate.results.provenance import PolicyInfo
+from nw_gate.verdict import Comparison
 
 ROOT = Path(__file__).parents[3]
 LINK = "https://github.example/o/r/actions/runs/12"

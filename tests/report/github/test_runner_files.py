@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from nw_eval.errors import StoreError
+from nw_base.errors import StoreError
 from nw_eval.reporting.github import append, outputs_text, room_in, runner_of
 
 

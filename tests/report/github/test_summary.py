@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from markdown_it import MarkdownIt
 
-from nw_eval.errors import StoreError
-from nw_eval.gate.absolute import judge
+from nw_base.errors import StoreError
 from nw_eval.reporting.github import SUMMARY, comment_page, summary_page
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
 
 BAR = Gate(success_rate=0.75)
 FOLDER = Path("reports/r")

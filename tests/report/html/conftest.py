@@ -9,9 +9,6 @@ import numpy as np
 import pytest
 
 from nw_eval.api.saved_run import saved_suite, saved_trials
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.combine import combined
-from nw_eval.gate.verdict import Comparison, SceneDrop
 from nw_eval.reporting.html.evidence import (
     NO_EVIDENCE,
     Clip,
@@ -22,16 +19,19 @@ from nw_eval.reporting.html.evidence import (
 )
 from nw_eval.reporting.html.page import render_html
 from nw_eval.reporting.tables import NO_RIVALS, Rivals
-from nw_eval.results.ended import write_trials
-from nw_eval.results.journal import Journal, JournalHeader
-from nw_eval.results.provenance import write_run_info
-from nw_eval.results.run_folder import RunFolder
 from nw_eval.suite import Gate, new_suite
+from nw_gate.absolute import judge
+from nw_gate.baseline.combine import combined
+from nw_gate.results.ended import write_trials
+from nw_gate.results.journal import Journal, JournalHeader
+from nw_gate.results.provenance import write_run_info
+from nw_gate.results.run_folder import RunFolder
+from nw_gate.verdict import Comparison, SceneDrop
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
 
 _EMPTY = {"meta", "link", "img", "br", "input"}
 

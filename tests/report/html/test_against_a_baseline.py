@@ -10,7 +10,7 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.gate.verdict import Comparison
+    from nw_gate.verdict import Comparison
 
     Make = Callable[..., Any]
 

@@ -13,7 +13,7 @@ import pytest
 
 from nw_eval.reporting.html.evidence import Clip, LogEvidence, PlaceView, WalkedPath
 from nw_eval.reporting.html.runs import ListedRun, render_index
-from nw_eval.results.provenance import PolicyInfo
+from nw_gate.results.provenance import PolicyInfo
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -93,8 +93,8 @@ def test_every_surface_of_the_page_shows_them_as_text(nasty_page: str, read: Mak
 def test_the_page_over_many_runs_shows_them_as_text(
     make_run: Make, make_row: Make, read: Make
 ) -> None:
-    from nw_eval.gate.absolute import judge
     from nw_eval.suite import Gate
+    from nw_gate.absolute import judge
 
     run = make_run({NASTY: 1}, id=NASTY, started=NASTY, suite={"name": NASTY})
     verdict = judge([make_row(NASTY, 0, 4)], Gate(), {NASTY: 1})

@@ -13,10 +13,10 @@ import pytest
 
 pytest.importorskip("websockets")
 
-from nw_eval.gate.absolute import judge
-from nw_eval.gate.baseline.combine import combined
 from nw_eval.reporting.html.runs import ListedRun, render_index
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.baseline.combine import combined
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -25,7 +25,7 @@ from browser import CHROMIUM, Browser, browser
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from nw_eval.gate.verdict import Comparison
+    from nw_gate.verdict import Comparison
 
     Make = Callable[..., Any]
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.gate.absolute import judge
 from nw_eval.reporting.html.runs import LEFT, MOST, RIGHT, ListedRun, Result, chart, render_index
-from nw_eval.results.provenance import PolicyInfo
-from nw_eval.stats.interval import Interval
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.results.provenance import PolicyInfo
+from nw_gate.stats.interval import Interval
 
 if TYPE_CHECKING:
     from collections.abc import Callable

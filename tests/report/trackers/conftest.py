@@ -7,11 +7,11 @@ from io import BytesIO
 import pytest
 from PIL import Image
 
-from nw_eval.gate.absolute import judge
 from nw_eval.reporting.html.evidence import Clip
 from nw_eval.reporting.trackers.tracked import tracked_run
-from nw_eval.results.provenance import PolicyInfo
 from nw_eval.suite import Gate
+from nw_gate.absolute import judge
+from nw_gate.results.provenance import PolicyInfo
 
 HOSTILE = (
     "hurdles",  # The folder of the next.

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from nw_eval.results.bank import (
+from nw_gate.results.bank import (
     BankKey,
     BankPolicy,
     BaselineResults,

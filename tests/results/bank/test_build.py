@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from nw_eval.errors import IncomparableError, TrialError
-from nw_eval.results.bank import trajectory
-from nw_eval.results.bank_file import bank_of_run, read_bank, with_panel, write_bank
-from nw_eval.results.provenance import PolicyInfo, RunInfo, SceneInfo, code_info, machine_info
+from nw_base.errors import IncomparableError, TrialError
+from nw_gate.results.bank import trajectory
+from nw_gate.results.bank_file import bank_of_run, read_bank, with_panel, write_bank
+from nw_gate.results.provenance import PolicyInfo, RunInfo, SceneInfo, code_info, machine_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
 
 ENGINE = {
     "mujoco": "4.0.0",

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from nw_eval.cli.verbs.baseline import change_page, whose_doing
-from nw_eval.results.bank import bank_change, bank_mean
+from nw_gate.results.bank import bank_change, bank_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from nw_eval.results.bank import BaselineResults, Start
+    from nw_gate.results.bank import BaselineResults, Start
 
 HERE, THERE = {"cpu": "znver4"}, {"cpu": "haswell"}
 

@@ -13,18 +13,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_eval.errors import IncomparableError, StoreError, UsageError
-from nw_eval.results.bank_file import bank_of, bank_table, read_bank, write_bank
-from nw_eval.results.parquet import write_rows
-from nw_eval.results.sealed import metadata_of
-from nw_eval.results.tables import small_table, write_small_table
-from nw_eval.words import OUTCOMES
+from nw_base.errors import IncomparableError, StoreError, UsageError
+from nw_base.words import OUTCOMES
+from nw_gate.results.bank_file import bank_of, bank_table, read_bank, write_bank
+from nw_gate.results.parquet import write_rows
+from nw_gate.results.sealed import metadata_of
+from nw_gate.results.tables import small_table, write_small_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from nw_eval.results.bank import BaselineResults
+    from nw_gate.results.bank import BaselineResults
 
 MACHINES = ({"cpu": "znver4"}, {"cpu": "haswell", "torch": "2.6"})
 

@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from nw_eval.errors import IncomparableError, UsageError
-from nw_eval.files.shipped import shipped as shipped_folder
-from nw_eval.results import bank_file
-from nw_eval.results.bank_file import bank_files, find_any, find_bank
+from nw_base.errors import IncomparableError, UsageError
+from nw_base.files.shipped import shipped as shipped_folder
+from nw_gate.results import bank_file
+from nw_gate.results.bank_file import bank_files, find_any, find_bank
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,10 +7,10 @@ from operator import attrgetter
 
 import pytest
 
-from nw_eval.results import evidence
-from nw_eval.results.evidence import row_leaf, run_leaf
-from nw_eval.results.provenance import BaselineInfo, PolicyInfo, RunInfo, SceneInfo, StopInfo
-from nw_eval.results.row import COLUMNS, Row, from_dict, to_dict
+from nw_gate.results import evidence
+from nw_gate.results.evidence import row_leaf, run_leaf
+from nw_gate.results.provenance import BaselineInfo, PolicyInfo, RunInfo, SceneInfo, StopInfo
+from nw_gate.results.row import COLUMNS, Row, from_dict, to_dict
 
 
 @pytest.fixture

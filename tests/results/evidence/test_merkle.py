@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nw_eval.results.evidence import leaf_hash, root_of
+from nw_gate.results.evidence import leaf_hash, root_of
 
 # Entries and roots of the test data in the reference implementation of Certificate Transparency
 # (merkletree/merkle_tree_test.cc): the tree of the first n entries, for n = 1 to 8.

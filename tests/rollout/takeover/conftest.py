@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import nn
 
-from nw_eval.rollout.record import attachments
-from nw_eval.rollout.trial import run_trial
+from nw_sim.rollout.record import attachments
+from nw_sim.rollout.trial import run_trial
 
 
 class Remembering(nn.Module):

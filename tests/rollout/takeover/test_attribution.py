@@ -9,14 +9,14 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
+from nw_base.errors import IncomparableError, StoreError, UsageError
 from nw_eval import api
 from nw_eval.api.attribution import baseline_bundle
 from nw_eval.cli.verbs.attribute import attribution_page, forecast_line, trial_line, written
-from nw_eval.errors import IncomparableError, StoreError, UsageError
-from nw_eval.policies import load_bundle
-from nw_eval.rollout.replaying import takeover as searching
-from nw_eval.rollout.replaying.reports import AttributionReport, Ending, Try
-from nw_eval.rollout.replaying.takeover import attribute, most_tries, search, take_over
+from nw_policies import load_bundle
+from nw_sim.rollout.replaying import takeover as searching
+from nw_sim.rollout.replaying.reports import AttributionReport, Ending, Try
+from nw_sim.rollout.replaying.takeover import attribute, most_tries, search, take_over
 
 WAS = Ending(
     policy="new",

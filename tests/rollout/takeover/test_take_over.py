@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
+from nw_base.errors import StoreError, UsageError
+from nw_base.trials import Trial
 from nw_eval import api
-from nw_eval.catalogue import get_scene
 from nw_eval.cli.verbs.replay import takeover_page
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.policies import load_bundle
-from nw_eval.results.trials import Trial
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.record import attachments
-from nw_eval.rollout.replaying import policy_switch
-from nw_eval.rollout.replaying.takeover import replay, take_over
-from nw_eval.rollout.trial import run_trial
+from nw_policies import load_bundle
+from nw_sim.catalogue import get_scene
+from nw_sim.rollout.job import TrialJob
+from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.record import attachments
+from nw_sim.rollout.replaying import policy_switch
+from nw_sim.rollout.replaying.takeover import replay, take_over
+from nw_sim.rollout.trial import run_trial
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # Of torch.jit.
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from nw_eval.cards import JointControl
-from nw_eval.cards.load import card_of
-from nw_eval.robots import get_robot
-from nw_eval.rollout.replaying.policy_switch import translator
+from nw_policies.cards import JointControl
+from nw_policies.cards.load import card_of
+from nw_scenes.robots import get_robot
+from nw_sim.rollout.replaying.policy_switch import translator
 
 GO1 = get_robot("go1")
 ACTION = np.linspace(-1.5, 2.0, 12)

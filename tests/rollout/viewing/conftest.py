@@ -2,8 +2,8 @@
 
 import pytest
 
-from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.trial import run_trial
+from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.trial import run_trial
 
 
 @pytest.fixture(scope="session")

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 
 import pytest
 
+from nw_base.errors import PrerequisiteError, StoreError, UsageError
+from nw_base.lens import Distortion, Intrinsics
 from nw_eval.cli import main
-from nw_eval.errors import PrerequisiteError, StoreError, UsageError
-from nw_eval.lens import Distortion, Intrinsics
-from nw_eval.rollout.mcap.file import McapFile
-from nw_eval.rollout.mcap.images import calibration_message
-from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.viewing.recording.content import picture_view, write_layout, write_recording
+from nw_sim.rollout.mcap.file import McapFile
+from nw_sim.rollout.mcap.images import calibration_message
+from nw_sim.rollout.mcap.reader import LogReader
 
 
 def ends(*arguments):

@@ -6,14 +6,14 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
+from nw_base.errors import StoreError
 from nw_eval.cli import main
-from nw_eval.errors import StoreError
-from nw_eval.rollout.mcap.file import McapFile
-from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.trial import run_trial
-from nw_eval.splat.files import read_splat
 from nw_eval.viewing.recording import content
 from nw_eval.viewing.recording.content import write_recording
+from nw_sim.rollout.mcap.file import McapFile
+from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.trial import run_trial
+from nw_splat.files import read_splat
 
 chunk = pytest.importorskip("rerun.chunk", reason="needs the extra rerun")
 

@@ -5,9 +5,9 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from nw_eval.rollout.mcap.drawn import cloud_points
-from nw_eval.rollout.mcap.reader import LogReader
 from nw_eval.viewing.shown import shown_in_log
+from nw_sim.rollout.mcap.drawn import cloud_points
+from nw_sim.rollout.mcap.reader import LogReader
 
 chunk = pytest.importorskip("rerun.chunk", reason="needs the extra rerun")
 

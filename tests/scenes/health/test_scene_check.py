@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.catalogue import get_scene, inspect_scene, names
-from nw_eval.errors import SceneError
-from nw_eval.scenes import Box, Plane, Scene, Spawn
-from nw_eval.scenes.check import check_scene
-from nw_eval.scenes.finding import has_errors
-from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
+from nw_base.errors import SceneError
+from nw_scenes import Box, Plane, Scene, Spawn
+from nw_scenes.check import check_scene
+from nw_scenes.finding import has_errors
+from nw_scenes.mesh import box_mesh, merge, quad_mesh
+from nw_sim.catalogue import get_scene, inspect_scene, names
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 FLOOR = quad_mesh((-5, -5, 0), (10, 0, 0), (0, 10, 0), "ground")
@@ -25,8 +25,8 @@ class Splat:
         self._path, self._means, self._error = folder / "a.nwsplat", means, error
 
     def store(self, _progress=None):
-        from nw_eval.splat.gaussians import Gaussians
-        from nw_eval.splat.store import compile_store
+        from nw_splat.gaussians import Gaussians
+        from nw_splat.store import compile_store
 
         if self._error:
             raise SceneError(self._error)

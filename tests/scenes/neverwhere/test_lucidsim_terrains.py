@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from nw_eval.catalogue import inspect_scene, match_scenes
-from nw_eval.scenes.neverwhere import load_published
-from nw_eval.scenes.rays import RayScene
+from nw_scenes.neverwhere import load_published
+from nw_scenes.rays import RayScene
+from nw_sim.catalogue import inspect_scene, match_scenes
 
 BOX = '<body name="{0}" pos="{1} {2} {3}"><geom name="{0}" type="box" size="{4} {5} {6}"/></body>'
 

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from nw_eval.errors import SceneError
-from nw_eval.scenes.neverwhere import load_published
+from nw_base.errors import SceneError
+from nw_scenes.neverwhere import load_published
 
 BOX = '<geom type="box" size="1 1 1"/>'
 WORLD = '<mujoco><worldbody>{}<body name="waypoint-0" pos="1 0 0"/></worldbody></mujoco>'

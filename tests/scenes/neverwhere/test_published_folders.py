@@ -6,13 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from nw_eval.errors import SceneError
-from nw_eval.scenes.neverwhere import inspect_published, load_published
-from nw_eval.scenes.neverwhere.files import PUBLISHED
-from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.scene import HeightField, Triangles
-from nw_eval.splat.files import read_splat, write_splat
-from nw_eval.splat.store import open_store
+from nw_base.errors import SceneError
+from nw_scenes.neverwhere import inspect_published, load_published
+from nw_scenes.neverwhere.files import PUBLISHED
+from nw_scenes.rays import RayScene
+from nw_scenes.scene import HeightField, Triangles
+from nw_splat.files import read_splat, write_splat
+from nw_splat.store import open_store
 
 
 def codes(folder, severity="error"):

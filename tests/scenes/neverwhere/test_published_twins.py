@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from nw_eval.built_in.bake.generate import generate
-from nw_eval.built_in.entries import ENTRIES
-from nw_eval.catalogue import get_scene
-from nw_eval.scenes.mesh import rotation_matrix
-from nw_eval.scenes.neverwhere import inspect_published, load_published
-from nw_eval.scenes.rays import RayScene
-from nw_eval.scenes.scene import HeightField
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import memory_store, open_store
+from nw_places.bake.generate import generate
+from nw_places.entries import ENTRIES
+from nw_scenes.mesh import rotation_matrix
+from nw_scenes.neverwhere import inspect_published, load_published
+from nw_scenes.rays import RayScene
+from nw_scenes.scene import HeightField
+from nw_sim.catalogue import get_scene
+from nw_splat.camera import Camera, look_at
+from nw_splat.render import CpuRenderer
+from nw_splat.store import memory_store, open_store
 
 NAMES = ("hurdles/one_low_carpet", "hurdles/three_stops_car_park")
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.catalogue import get_scene, match_scenes
-from nw_eval.robots import get_robot
-from nw_eval.scenes import Box, Plane, Scene
-from nw_eval.scenes.mesh import merge
-from nw_eval.scenes.neverwhere import load_published
-from nw_eval.sim import World
+from nw_scenes import Box, Plane, Scene
+from nw_scenes.mesh import merge
+from nw_scenes.neverwhere import load_published
+from nw_scenes.robots import get_robot
+from nw_sim.catalogue import get_scene, match_scenes
+from nw_sim.physics import World
 
 
 def standing(robot, scene, position=(0.0, 0.0, 0.4), seconds=1.0):

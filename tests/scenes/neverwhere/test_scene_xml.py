@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.errors import SceneError
-from nw_eval.scenes.neverwhere import load_published
-from nw_eval.scenes.neverwhere.files import Places, read_xml
-from nw_eval.scenes.neverwhere.tree import read_tree
-from nw_eval.scenes.scene import Box, Primitive
+from nw_base.errors import SceneError
+from nw_scenes.neverwhere import load_published
+from nw_scenes.neverwhere.files import Places, read_xml
+from nw_scenes.neverwhere.tree import read_tree
+from nw_scenes.scene import Box, Primitive
 
 BOMB = """<?xml version="1.0"?>
 <!DOCTYPE lolz [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import trimesh
 
-from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh, quad_mesh
+from nw_scenes.mesh import FACE_KINDS, TriangleMesh, quad_mesh
 
 AROUND = 2.5  # metres of the place to every side of spawn and trail
 SPACING = 0.03  # of the vertices, metres

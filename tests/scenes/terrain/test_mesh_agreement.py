@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from nw_eval.errors import SceneError
-from nw_eval.scenes.mesh_file import inspect_mesh, read_mesh
+from nw_base.errors import SceneError
+from nw_scenes.mesh_file import inspect_mesh, read_mesh
 
 WRITTEN = Path(__file__).parent / "written"
 # A box of 2 x 1 x 0.5 m beside the origin: no axis and no sign can be taken for another.

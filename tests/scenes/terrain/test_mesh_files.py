@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from nw_eval.errors import SceneError
-from nw_eval.scenes.mesh_file import read_mesh
+from nw_base.errors import SceneError
+from nw_scenes.mesh_file import read_mesh
 
 QUAD = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from nw_eval.catalogue import get_scene, open_scene, references
-from nw_eval.errors import SceneError
-from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.scene import HeightField, Triangles
+from nw_base.errors import SceneError
+from nw_scenes.folder import load_folder
+from nw_scenes.scene import HeightField, Triangles
+from nw_sim.catalogue import get_scene, open_scene, references
 
 TEXT = """\
 nw-scene: 1

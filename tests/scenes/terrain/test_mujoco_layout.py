@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from packaging.specifiers import SpecifierSet
 
-from nw_eval.errors import PrerequisiteError
-from nw_eval.scenes.narrowphase.install import _TYPES, TESTED, _check_records, check_layout
+from nw_base.errors import PrerequisiteError
+from nw_scenes.narrowphase.install import _TYPES, TESTED, _check_records, check_layout
 
 ROOT = Path(__file__).parents[3]
 PLANE, BOX, CYLINDER = (
@@ -21,8 +21,8 @@ PLANE, BOX, CYLINDER = (
 )
 LOOK = """
 import mujoco
-from nw_eval.errors import NwEvalError
-from nw_eval.scenes.narrowphase.install import check_layout
+from nw_base.errors import NwEvalError
+from nw_scenes.narrowphase.install import check_layout
 try:
     check_layout()
 except NwEvalError as error:

@@ -5,7 +5,7 @@ from collections import deque
 import numpy as np
 import pytest
 
-from nw_eval.scenes.mending import label_regions
+from nw_scenes.mending import label_regions
 
 
 def flood(mask):

@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.robots import get_robot
-from nw_eval.scenes.attach import add_height_field, add_triangles
-from nw_eval.scenes.narrowphase.triangles import signed_distance
-from nw_eval.scenes.scene import HeightField, Triangles
+from nw_scenes.attach import add_height_field, add_triangles
+from nw_scenes.narrowphase.triangles import signed_distance
+from nw_scenes.robots import get_robot
+from nw_scenes.scene import HeightField, Triangles
 
 FRICTION = (1.25, 0.3, 0.3)
 CELL = 0.0125  # metres, as compiled near the trail

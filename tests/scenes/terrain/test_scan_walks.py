@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scanned import write_scan
 
-from nw_eval.catalogue import get_scene, open_scene, parse_reference
-from nw_eval.policies import load_bundle
-from nw_eval.results.trials import Trial
-from nw_eval.rollout.job import TrialJob
-from nw_eval.rollout.trial import run_trial
+from nw_base.trials import Trial
+from nw_policies import load_bundle
+from nw_sim.catalogue import get_scene, open_scene, parse_reference
+from nw_sim.rollout.job import TrialJob
+from nw_sim.rollout.trial import run_trial
 
 ROOT = Path(__file__).resolve().parents[3]
 ASSETS = ROOT.parent / "shared" / "assets" / "policies"

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.scenes.grid import TerrainOptions
-from nw_eval.scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
-from nw_eval.scenes.scene import Box, HeightField, Triangles
-from nw_eval.scenes.terrain import build_terrain
+from nw_scenes.grid import TerrainOptions
+from nw_scenes.mesh import TriangleMesh, box_mesh, merge, quad_mesh, rotation_matrix
+from nw_scenes.scene import Box, HeightField, Triangles
+from nw_scenes.terrain import build_terrain
 
 TRAIL = np.array([[2.0, 0.0, 0.2], [4.0, 0.0, 0.0]])
 SPAWN = np.zeros(3)

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from nw_eval.scenes.attach import add_height_field, add_primitive, add_triangles
-from nw_eval.scenes.grid import TerrainOptions
-from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
-from nw_eval.scenes.scene import Box, HeightField, Primitive, Triangles
-from nw_eval.scenes.terrain import build_terrain
+from nw_scenes.attach import add_height_field, add_primitive, add_triangles
+from nw_scenes.grid import TerrainOptions
+from nw_scenes.mesh import box_mesh, merge, quad_mesh
+from nw_scenes.scene import Box, HeightField, Primitive, Triangles
+from nw_scenes.terrain import build_terrain
 
 DOWN = np.array([0.0, 0.0, -1.0])
 

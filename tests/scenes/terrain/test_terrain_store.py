@@ -6,11 +6,11 @@ import os
 import numpy as np
 import pytest
 
-from nw_eval.files.cache import sealed_path
-from nw_eval.scenes import terrain as store
-from nw_eval.scenes.digest import digest
-from nw_eval.scenes.grid import TerrainOptions
-from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
+from nw_base.files.cache import sealed_path
+from nw_scenes import terrain as store
+from nw_scenes.digest import digest
+from nw_scenes.grid import TerrainOptions
+from nw_scenes.mesh import box_mesh, merge, quad_mesh
 
 MESH = merge(
     [

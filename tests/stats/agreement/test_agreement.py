@@ -8,7 +8,7 @@ from math import atanh, comb, sqrt, tanh
 import numpy as np
 import pytest
 
-from nw_eval.stats.agreement import (
+from nw_gate.stats.agreement import (
     Measured,
     agreement,
     likely_rates,

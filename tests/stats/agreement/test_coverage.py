@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nw_eval.stats.agreement import FIGURES, jackknife
+from nw_gate.stats.agreement import FIGURES, jackknife
 
 SUMMARY = Path(__file__).with_name("coverage.json")
 CAMPAIGNS = 2000

@@ -7,7 +7,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from nw_eval.stats.agreement import mmrv, pearson, spearman
+from nw_gate.stats.agreement import mmrv, pearson, spearman
 
 # Robot, simulator, pearsonr and spearmanr of scipy 1.17.1; all have policies that are equal.
 SCIPY = [

@@ -23,10 +23,10 @@ from zlib import crc32
 
 import numpy as np
 
-from nw_eval.results.bank import score
-from nw_eval.results.bank_file import read_bank
-from nw_eval.stats.bank.evidence import Bank, Margins
-from nw_eval.stats.bank.trials import DrawnTrials, TrialRules, settle_all
+from nw_gate.results.bank import score
+from nw_gate.results.bank_file import read_bank
+from nw_gate.stats.bank.evidence import Bank, Margins
+from nw_gate.stats.bank.trials import DrawnTrials, TrialRules, settle_all
 
 GATES = 2000
 BASELINES = Path(__file__).parents[3] / "reports" / "baselines"

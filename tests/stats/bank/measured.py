@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nw_eval.stats.power import SceneCounts
+from nw_gate.stats.power import SceneCounts
 
 HURDLES = [
     [1, 1, 6, 0, 2],

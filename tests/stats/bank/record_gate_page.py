@@ -22,11 +22,11 @@ from gate_cells import (
     recorded_cells,
 )
 
-from nw_eval.gate.baseline.power_forecast import Outset, outset_of_bank
 from nw_eval.reporting.pictures import draw_curve
-from nw_eval.results.bank_file import read_bank
-from nw_eval.stats.bank.curve import operating_curve
 from nw_eval.suite.load import load_suite
+from nw_gate.baseline.power_forecast import Outset, outset_of_bank
+from nw_gate.results.bank_file import read_bank
+from nw_gate.stats.bank.curve import operating_curve
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "concepts" / "power.md"

@@ -22,7 +22,7 @@ from record_gate_page import (
     recorded,
 )
 
-from nw_eval.stats.bank.curve import (
+from nw_gate.stats.bank.curve import (
     Against,
     chances_of,
     draw,
@@ -31,9 +31,9 @@ from nw_eval.stats.bank.curve import (
     success_of,
     trials_for,
 )
-from nw_eval.stats.bank.evidence import Margins
-from nw_eval.stats.bank.trials import TrialRules, settle_all
-from nw_eval.stats.power import SceneCounts
+from nw_gate.stats.bank.evidence import Margins
+from nw_gate.stats.bank.trials import TrialRules, settle_all
+from nw_gate.stats.power import SceneCounts
 
 BANK = [replace(course, counts=6 * course.counts) for course in SEEN]
 RULES = TrialRules(tiers=("supporting",) * len(SEEN))

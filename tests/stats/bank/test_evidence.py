@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from nw_eval.stats.bank.evidence import DOWN, UP, Bank, Bets, Margins, along
-from nw_eval.stats.bank.trials import DrawnTrials, Looks, above_at, below_at, looks
+from nw_gate.stats.bank.evidence import DOWN, UP, Bank, Bets, Margins, along
+from nw_gate.stats.bank.trials import DrawnTrials, Looks, above_at, below_at, looks
 
 PERFECT = Bank(means=np.ones(1))
 shares = st.sampled_from([0.0, 0.25, 1 / 3, 0.5, 2 / 3, 0.8, 1.0])

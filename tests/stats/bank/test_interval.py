@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from nw_eval.stats.bank.evidence import Bank, Margins
-from nw_eval.stats.bank.interval import drop_interval_after, scene_drop_intervals
-from nw_eval.stats.bank.trials import DrawnTrials, looks
-from nw_eval.stats.interval import Interval
+from nw_gate.stats.bank.evidence import Bank, Margins
+from nw_gate.stats.bank.interval import drop_interval_after, scene_drop_intervals
+from nw_gate.stats.bank.trials import DrawnTrials, looks
+from nw_gate.stats.interval import Interval
 
 shares = st.sampled_from([0.0, 0.25, 1 / 3, 0.5, 0.8, 1.0])
 campaigns = st.tuples(st.integers(1, 4), st.integers(1, 12)).flatmap(

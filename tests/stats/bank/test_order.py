@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nw_eval.stats.bank.trials import order_of_starts, order_of_trials
+from nw_gate.stats.bank.trials import order_of_starts, order_of_trials
 
 
 def order(starts: int = 60, **changes: str) -> list[int]:

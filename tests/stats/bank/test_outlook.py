@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.stats.bank.curve import Progress, progress_from, trials_for
-from nw_eval.stats.bank.evidence import Bank, Margins
-from nw_eval.stats.bank.trials import DrawnTrials, TrialRules, settle
+from nw_gate.stats.bank.curve import Progress, progress_from, trials_for
+from nw_gate.stats.bank.evidence import Bank, Margins
+from nw_gate.stats.bank.trials import DrawnTrials, TrialRules, settle
 
 SCENES, STARTS = 8, 60
 ALL = SCENES * STARTS

@@ -11,9 +11,10 @@ import pytest
 from gate_cells import HURDLES, scores_of
 from measured import real_run
 
-from nw_eval.stats.bank.evidence import Bank, Margins
-from nw_eval.stats.bank.interval import drop_interval_after
-from nw_eval.stats.bank.trials import (
+from nw_base.words import Tier
+from nw_gate.stats.bank.evidence import Bank, Margins
+from nw_gate.stats.bank.interval import drop_interval_after
+from nw_gate.stats.bank.trials import (
     CRITICAL_TRIALS,
     SUSPECT,
     DrawnTrials,
@@ -24,7 +25,6 @@ from nw_eval.stats.bank.trials import (
     settle,
     settle_all,
 )
-from nw_eval.words import Tier
 
 
 def one_scene(candidate: list[float], baseline: float = 1.0) -> DrawnTrials:

@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 from rooms import about_z, capture, patch, similarity
 
-from nw_eval.splat.camera import look_at
+from nw_splat.camera import look_at
 
 
 def tilted(rng, degrees):

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.capture import Capture, PlacedShot
+from nw_splat.camera import Camera, look_at
+from nw_twin.capture import Capture, PlacedShot
 
 
 def patch(rng, count, origin, u, v):

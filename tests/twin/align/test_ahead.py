@@ -12,17 +12,17 @@ from rooms import capture
 from tags import picture, texture
 from test_scale import around, lying
 
+from nw_base.errors import UsageError
 from nw_eval import cli
-from nw_eval.errors import UsageError
-from nw_eval.twin.align.ahead import (
+from nw_twin.align.ahead import (
     SourceFacts,
     facts_of_source,
     read_facts,
     scale_lines,
     write_facts,
 )
-from nw_eval.twin.align.alignment import AlignOptions, KnownLength
-from nw_eval.twin.calibrate.photographs import Footage, photographs_in
+from nw_twin.align.alignment import AlignOptions, KnownLength
+from nw_twin.calibrate.photographs import Footage, photographs_in
 
 NOTHING = AlignOptions()
 

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rooms import capture, room, similarity, walk
 
-from nw_eval.errors import SceneError
-from nw_eval.scenes.saving import similarity_entry
-from nw_eval.splat.gaussians import Gaussians, transformed
-from nw_eval.twin.align.align import align
-from nw_eval.twin.align.alignment import AlignOptions, read_alignment, write_alignment
-from nw_eval.twin.place import moved_camera, moved_capture, moved_mesh, moved_points
+from nw_base.errors import SceneError
+from nw_scenes.saving import similarity_entry
+from nw_splat.gaussians import Gaussians, transformed
+from nw_twin.align.align import align
+from nw_twin.align.alignment import AlignOptions, read_alignment, write_alignment
+from nw_twin.place import moved_camera, moved_capture, moved_mesh, moved_points
 
 RNG = np.random.default_rng(11)
 POINTS = room(RNG, floor=300, walls=120, stray=40)
@@ -106,7 +106,7 @@ def test_a_mesh_and_gaussians_follow_the_points():
 
 
 def test_the_entry_of_a_scene_is_the_alignment_again():
-    from nw_eval.scenes.mesh import rotation_matrix
+    from nw_scenes.mesh import rotation_matrix
 
     T = HERE.T_metric_capture
     entry = similarity_entry(T)

@@ -16,9 +16,9 @@ from rooms import (
     walk,
 )
 
-from nw_eval.errors import SceneError
-from nw_eval.twin.align.align import align
-from nw_eval.twin.align.alignment import AlignOptions
+from nw_base.errors import SceneError
+from nw_twin.align.align import align
+from nw_twin.align.alignment import AlignOptions
 
 METRIC = AlignOptions(camera_height=1.5)
 

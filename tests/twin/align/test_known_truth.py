@@ -5,8 +5,8 @@ import pytest
 from known_truth import drawn, place
 from rooms import capture, degrees_off, patch, similarity, straight
 
-from nw_eval.twin.align.align import align
-from nw_eval.twin.align.alignment import AlignOptions
+from nw_twin.align.align import align
+from nw_twin.align.alignment import AlignOptions
 
 HEIGHT = AlignOptions(camera_height=1.5)
 

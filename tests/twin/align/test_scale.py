@@ -10,13 +10,13 @@ from PIL import ExifTags, Image
 from rooms import capture, degrees_off, patch, room, scale_off, similarity, straight, walk
 from tags import picture, texture
 
-from nw_eval.errors import PrerequisiteError, UsageError
-from nw_eval.splat.camera import look_at
-from nw_eval.twin.align.align import align
-from nw_eval.twin.align.alignment import AlignOptions, KnownLength, words_of
-from nw_eval.twin.align.positions import east_north_up, fit_positions, gps_positions
-from nw_eval.twin.align.tags import find_tags, triangulate
-from nw_eval.twin.lens import Lens
+from nw_base.errors import PrerequisiteError, UsageError
+from nw_splat.camera import look_at
+from nw_twin.align.align import align
+from nw_twin.align.alignment import AlignOptions, KnownLength, words_of
+from nw_twin.align.positions import east_north_up, fit_positions, gps_positions
+from nw_twin.align.tags import find_tags, triangulate
+from nw_twin.lens import Lens
 
 SIZE = (480, 360)
 

@@ -6,7 +6,7 @@ import trimesh
 from PIL import Image
 from small_capture import PLACE, photos
 
-from nw_eval.twin.capture import Capture, PlacedShot, write_capture
+from nw_twin.capture import Capture, PlacedShot, write_capture
 
 
 @pytest.fixture(scope="module")

@@ -10,12 +10,12 @@ import pytest
 import scipy.stats
 from small_capture import photos
 
-from nw_eval.errors import SceneError, UsageError
-from nw_eval.twin.building.ablation import ARMS, TrainedArm, ablate, table_text
-from nw_eval.twin.building.appearance import AppearanceOptions, AppearanceReport, split_photos
-from nw_eval.twin.building.folder import BuildFolder
-from nw_eval.twin.capture import read_capture
-from nw_eval.twin.gaussians.loss import ViewFigures
+from nw_base.errors import SceneError, UsageError
+from nw_twin.building.ablation import ARMS, TrainedArm, ablate, table_text
+from nw_twin.building.appearance import AppearanceOptions, AppearanceReport, split_photos
+from nw_twin.building.folder import BuildFolder
+from nw_twin.capture import read_capture
+from nw_twin.gaussians.loss import ViewFigures
 
 
 def outcome(arm, psnrs, low=None):

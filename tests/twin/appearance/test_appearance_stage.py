@@ -11,13 +11,13 @@ import trimesh
 from small_capture import PLACE
 from splat_rooms import psnr
 
-from nw_eval.errors import SceneError, UsageError
-from nw_eval.splat.files import read_splat
-from nw_eval.splat.gaussians import SH0
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import memory_store
-from nw_eval.twin.building import appearance as the_stage
-from nw_eval.twin.building.appearance import (
+from nw_base.errors import SceneError, UsageError
+from nw_splat.files import read_splat
+from nw_splat.gaussians import SH0
+from nw_splat.render import CpuRenderer
+from nw_splat.store import memory_store
+from nw_twin.building import appearance as the_stage
+from nw_twin.building.appearance import (
     AppearanceOptions,
     photos_of,
     points_of,
@@ -25,8 +25,8 @@ from nw_eval.twin.building.appearance import (
     split_photos,
     train_splat,
 )
-from nw_eval.twin.capture import read_capture
-from nw_eval.twin.gaussians.rasteriser import Rasteriser
+from nw_twin.capture import read_capture
+from nw_twin.gaussians.rasteriser import Rasteriser
 
 QUICK = AppearanceOptions(
     iterations=120, longest=72, begin=700, most=933, held_out_every=4, strategy="fixed"

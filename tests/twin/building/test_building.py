@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from nw_base.errors import SceneError, StoreError
 from nw_eval import cli
-from nw_eval.errors import SceneError, StoreError
-from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
-from nw_eval.splat.camera import Camera
-from nw_eval.splat.files import write_splat
-from nw_eval.splat.gaussians import Gaussians
 from nw_eval.suite.load import load_suite
-from nw_eval.twin.align.alignment import Alignment, ScaleCue, read_alignment, write_alignment
-from nw_eval.twin.building.build import Build, BuildSettings
-from nw_eval.twin.building.folder import BuildFolder, digest_of_files
-from nw_eval.twin.capture import Capture, PlacedShot, read_capture, write_capture
-from nw_eval.twin.reconstruct.depth import write_arrays
-from nw_eval.twin.reconstruct.surface import ColourMesh, write_mesh
+from nw_scenes.folder import load_folder
+from nw_scenes.mesh import box_mesh, merge, quad_mesh
+from nw_splat.camera import Camera
+from nw_splat.files import write_splat
+from nw_splat.gaussians import Gaussians
+from nw_twin.align.alignment import Alignment, ScaleCue, read_alignment, write_alignment
+from nw_twin.building.build import Build, BuildSettings
+from nw_twin.building.folder import BuildFolder, digest_of_files
+from nw_twin.capture import Capture, PlacedShot, read_capture, write_capture
+from nw_twin.reconstruct.depth import write_arrays
+from nw_twin.reconstruct.surface import ColourMesh, write_mesh
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -470,7 +470,7 @@ HOLDER = """
 import subprocess
 import sys
 from pathlib import Path
-from nw_eval.twin.building.folder import BuildFolder
+from nw_twin.building.folder import BuildFolder
 with BuildFolder(Path(sys.argv[1])).held():
     print("held", flush=True)
     sys.stdin.read()

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from nw_eval.scenes.mesh import TriangleMesh
-from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.building.pits import _dug, _Plan, with_pits
-from nw_eval.twin.capture import Capture, PlacedShot, read_capture, write_capture
-from nw_eval.twin.reconstruct.depth import array_file, write_arrays
-from nw_eval.twin.reconstruct.surface import ColourMesh
+from nw_scenes.mesh import TriangleMesh
+from nw_scenes.rays import RayScene
+from nw_splat.camera import Camera, look_at
+from nw_twin.building.pits import _dug, _Plan, with_pits
+from nw_twin.capture import Capture, PlacedShot, read_capture, write_capture
+from nw_twin.reconstruct.depth import array_file, write_arrays
+from nw_twin.reconstruct.surface import ColourMesh
 
 HIGH, RIM, FAR_RIM = 0.4, 1.0, 1.3
 """Two platforms 0.4 m high with 0.3 m between them."""

@@ -11,12 +11,12 @@ import pytest
 import synthetic_room
 from PIL import Image
 
-from nw_eval.errors import SceneError
-from nw_eval.twin.calibrate import exports
-from nw_eval.twin.calibrate.calibrate import calibrate, find_source
-from nw_eval.twin.capture import read_capture
-from nw_eval.twin.options import CalibrateOptions
-from nw_eval.twin.place import moved_capture
+from nw_base.errors import SceneError
+from nw_twin.calibrate import exports
+from nw_twin.calibrate.calibrate import calibrate, find_source
+from nw_twin.capture import read_capture
+from nw_twin.options import CalibrateOptions
+from nw_twin.place import moved_capture
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

@@ -13,12 +13,12 @@ import synthetic_room
 from PIL import Image
 
 from nw_eval import cli
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.align.align import align
-from nw_eval.twin.align.alignment import AlignOptions
-from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.capture import read_capture
-from nw_eval.twin.options import CalibrateOptions
+from nw_splat.camera import Camera, look_at
+from nw_twin.align.align import align
+from nw_twin.align.alignment import AlignOptions
+from nw_twin.calibrate.calibrate import calibrate
+from nw_twin.capture import read_capture
+from nw_twin.options import CalibrateOptions
 
 
 @pytest.fixture(scope="module")

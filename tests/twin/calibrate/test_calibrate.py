@@ -9,12 +9,12 @@ import pytest
 import synthetic_room
 from PIL import Image
 
-from nw_eval.cli.verbs.twin import CalibrateFlags, settings_of
-from nw_eval.errors import SceneError, UsageError
-from nw_eval.splat.camera import Camera
-from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.capture import read_capture, read_picture
-from nw_eval.twin.options import CalibrateOptions
+from nw_base.errors import SceneError, UsageError
+from nw_splat.camera import Camera
+from nw_twin.calibrate.calibrate import calibrate
+from nw_twin.capture import read_capture, read_picture
+from nw_twin.options import CalibrateOptions
+from nw_twin.verbs.twin import CalibrateFlags, settings_of
 
 QUICK = CalibrateOptions(features=1200)
 

@@ -8,10 +8,10 @@ import pycolmap
 import pytest
 from PIL import Image
 
-from nw_eval.errors import SceneError
-from nw_eval.twin.calibrate.calibrate import find_source
-from nw_eval.twin.calibrate.colmap import read_model
-from nw_eval.twin.calibrate.develop import Flattening
+from nw_base.errors import SceneError
+from nw_twin.calibrate.calibrate import find_source
+from nw_twin.calibrate.colmap import read_model
+from nw_twin.calibrate.develop import Flattening
 
 MODELS = [pycolmap.CameraModelId(number).name for number in range(18)]
 # Parameters behind focal lengths and centre that bend a little.

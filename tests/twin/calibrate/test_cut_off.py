@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.options import CalibrateOptions
+from nw_twin.calibrate.calibrate import calibrate
+from nw_twin.options import CalibrateOptions
 
 QUICK = CalibrateOptions(features=500)
 

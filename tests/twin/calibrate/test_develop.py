@@ -9,13 +9,13 @@ import pytest
 import synthetic_room
 from PIL import Image
 
-from nw_eval.errors import SceneError
-from nw_eval.splat.camera import Camera
-from nw_eval.twin.calibrate.develop import Flattening, _developed_mask, develop
-from nw_eval.twin.calibrate.photographs import Photograph
-from nw_eval.twin.calibrate.solution import Placed, Solution
-from nw_eval.twin.capture import read_picture
-from nw_eval.twin.lens import Lens
+from nw_base.errors import SceneError
+from nw_splat.camera import Camera
+from nw_twin.calibrate.develop import Flattening, _developed_mask, develop
+from nw_twin.calibrate.photographs import Photograph
+from nw_twin.calibrate.solution import Placed, Solution
+from nw_twin.capture import read_picture
+from nw_twin.lens import Lens
 
 
 def lens_of(camera, model="SIMPLE_RADIAL", bend=(-0.1,)):

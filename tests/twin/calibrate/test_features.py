@@ -11,15 +11,15 @@ import pytest
 import synthetic_room
 from PIL import Image
 
-from nw_eval.errors import PrerequisiteError, StoreError
-from nw_eval.twin.calibrate import mapping
-from nw_eval.twin.calibrate.calibrate import find_source
-from nw_eval.twin.calibrate.features import Features, match, nearest
-from nw_eval.twin.calibrate.kept import Kept
-from nw_eval.twin.calibrate.photographs import take_in
-from nw_eval.twin.lens import Lens
-from nw_eval.twin.options import CalibrateOptions
-from nw_eval.twin.packages import package
+from nw_base.errors import PrerequisiteError, StoreError
+from nw_twin.calibrate import mapping
+from nw_twin.calibrate.calibrate import find_source
+from nw_twin.calibrate.features import Features, match, nearest
+from nw_twin.calibrate.kept import Kept
+from nw_twin.calibrate.photographs import take_in
+from nw_twin.lens import Lens
+from nw_twin.options import CalibrateOptions
+from nw_twin.packages import package
 
 QUICK = CalibrateOptions(features=400)
 

@@ -1,6 +1,6 @@
 """Lines of progress come now and then, with what is left."""
 
-from nw_eval.twin.calibrate.report import Pace
+from nw_twin.calibrate.report import Pace
 
 
 def test_a_line_comes_every_five_seconds_and_at_the_end():

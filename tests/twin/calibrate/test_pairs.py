@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nw_eval.twin.calibrate.features import most_alike, pairs_of
+from nw_twin.calibrate.features import most_alike, pairs_of
 
 
 @pytest.mark.parametrize("in_sequence", [True, False])

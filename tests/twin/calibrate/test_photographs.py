@@ -8,17 +8,17 @@ import pillow_heif
 import pytest
 from PIL import Image
 
-from nw_eval.errors import SceneError
-from nw_eval.twin.calibrate.calibrate import find_source
-from nw_eval.twin.calibrate.photographs import (
+from nw_base.errors import SceneError
+from nw_twin.calibrate.calibrate import find_source
+from nw_twin.calibrate.photographs import (
     Found,
     are_numbered,
     natural,
     take_in,
     tone_mapped,
 )
-from nw_eval.twin.calibrate.solution import Placed, Solution
-from nw_eval.twin.lens import Lens
+from nw_twin.calibrate.solution import Placed, Solution
+from nw_twin.lens import Lens
 
 
 def noise(size=(80, 60), seed=0):

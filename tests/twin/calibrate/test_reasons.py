@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from nw_eval.twin.calibrate.calibrate import APART, BLURRED, DARK, GROUP, PLAIN, UNFIT, why_not
-from nw_eval.twin.calibrate.features import Matches
-from nw_eval.twin.calibrate.photographs import Photograph
+from nw_twin.calibrate.calibrate import APART, BLURRED, DARK, GROUP, PLAIN, UNFIT, why_not
+from nw_twin.calibrate.features import Matches
+from nw_twin.calibrate.photographs import Photograph
 
 
 def photograph(name, sharpness=100.0, contrast=50.0, brightness=120.0):

@@ -9,11 +9,11 @@ import pycolmap
 import pytest
 from PIL import Image
 
-from nw_eval.errors import NwEvalError, SceneError
-from nw_eval.twin.calibrate.calibrate import calibrate, find_source
-from nw_eval.twin.calibrate.colmap import read_model
-from nw_eval.twin.capture import read_capture
-from nw_eval.twin.options import CalibrateOptions
+from nw_base.errors import NwEvalError, SceneError
+from nw_twin.calibrate.calibrate import calibrate, find_source
+from nw_twin.calibrate.colmap import read_model
+from nw_twin.capture import read_capture
+from nw_twin.options import CalibrateOptions
 
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 

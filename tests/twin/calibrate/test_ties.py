@@ -9,12 +9,12 @@ import numpy as np
 import pycolmap
 import pytest
 
-from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.calibrate.mapping import fitting, tied
-from nw_eval.twin.calibrate.solution import Placed, Solution
-from nw_eval.twin.capture import read_capture
-from nw_eval.twin.lens import Lens
-from nw_eval.twin.options import CalibrateOptions
+from nw_twin.calibrate.calibrate import calibrate
+from nw_twin.calibrate.mapping import fitting, tied
+from nw_twin.calibrate.solution import Placed, Solution
+from nw_twin.capture import read_capture
+from nw_twin.lens import Lens
+from nw_twin.options import CalibrateOptions
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[4] / "shared" / "assets"))
 STREET = ASSETS / "photographs" / "street"

@@ -10,10 +10,10 @@ import pytest
 import synthetic_room
 from PIL import Image
 
-from nw_eval.errors import SceneError, UsageError
-from nw_eval.twin.calibrate.calibrate import find_source
-from nw_eval.twin.calibrate.video import choose, frames_of
-from nw_eval.twin.options import CalibrateOptions
+from nw_base.errors import SceneError, UsageError
+from nw_twin.calibrate.calibrate import find_source
+from nw_twin.calibrate.video import choose, frames_of
+from nw_twin.options import CalibrateOptions
 
 
 def test_a_resting_camera_gives_few_frames_and_a_moving_one_many():

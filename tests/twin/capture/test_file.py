@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from nw_eval.errors import NwEvalError, SceneError
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.capture import Capture, PlacedShot, read_capture, read_picture, write_capture
+from nw_base.errors import NwEvalError, SceneError
+from nw_splat.camera import Camera, look_at
+from nw_twin.capture import Capture, PlacedShot, read_capture, read_picture, write_capture
 
 
 def capture_of(shots=2, points=5, seed=0, names=None):

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from nw_eval import cli
-from nw_eval.scenes.mesh import rotation_matrix
-from nw_eval.twin.label import label_page
+from nw_scenes.mesh import rotation_matrix
+from nw_twin.label import label_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 _FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

@@ -3,12 +3,12 @@
 import numpy as np
 import trimesh
 
-from nw_eval.scenes.capture_file import write_captures
-from nw_eval.splat.files import write_splat
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.twin.course import propose_course
-from nw_eval.twin.label.files import open_place
-from nw_eval.twin.label.labelling import Labelling, open_labelling
+from nw_scenes.capture_file import write_captures
+from nw_splat.files import write_splat
+from nw_splat.gaussians import Gaussians
+from nw_twin.course import propose_course
+from nw_twin.label.files import open_place
+from nw_twin.label.labelling import Labelling, open_labelling
 
 SCENE = """\
 # A corridor, scanned in spring.

@@ -10,10 +10,10 @@ from label_person import CHROMIUM, Browser, wait
 from label_places import SCENE, block, floor, gaussians, written_place
 
 from nw_eval import cli
-from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.neverwhere import load_published
-from nw_eval.splat.files import write_splat
-from nw_eval.twin.label import files
+from nw_scenes.folder import load_folder
+from nw_scenes.neverwhere import load_published
+from nw_splat.files import write_splat
+from nw_twin.label import files
 
 pytest.importorskip("playwright")
 viser = pytest.importorskip("viser")

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from label_places import SCENE, WALK, block, floor, opened, photographed, written_place
 
-from nw_eval.errors import SceneError, StoreError, UsageError
-from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.neverwhere import load_published
-from nw_eval.twin.label import files, published
-from nw_eval.twin.label.labelling import open_labelling
-from nw_eval.twin.label.state import CropBox
+from nw_base.errors import SceneError, StoreError, UsageError
+from nw_scenes.folder import load_folder
+from nw_scenes.neverwhere import load_published
+from nw_twin.label import files, published
+from nw_twin.label.labelling import open_labelling
+from nw_twin.label.state import CropBox
 
 
 def files_of(folder):

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from label_places import block, floor, opened
 
-from nw_eval.scenes.mesh import TriangleMesh
-from nw_eval.twin.label.ground import Ground, height_profile
-from nw_eval.twin.label.state import CropBox, cropped
+from nw_scenes.mesh import TriangleMesh
+from nw_twin.label.ground import Ground, height_profile
+from nw_twin.label.state import CropBox, cropped
 
 
 def mesh_of(*solids):

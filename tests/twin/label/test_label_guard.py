@@ -7,9 +7,9 @@ from urllib.parse import urlsplit
 import pytest
 from label_places import opened
 
-from nw_eval.errors import PrerequisiteError, UsageError
-from nw_eval.twin.label.label_page import LabelPage
+from nw_base.errors import PrerequisiteError, UsageError
 from nw_eval.viewing import browser
+from nw_twin.label.label_page import LabelPage
 
 viser = pytest.importorskip("viser")
 websockets = pytest.importorskip("websockets.asyncio.client")

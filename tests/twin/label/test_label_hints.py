@@ -8,7 +8,7 @@ import trimesh
 from label_places import block, floor
 from test_label_ground import mesh_of
 
-from nw_eval.twin.label.ground import Ground, height_profile, hints_on, obstacles_of
+from nw_twin.label.ground import Ground, height_profile, hints_on, obstacles_of
 
 ALONG = [(0.0, 0.0, 0.0), (3.0, 0.0, 0.0), (5.0, 0.0, 0.0)]
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from label_places import SCENE, block, floor, gaussians, opened, written_place
 
-from nw_eval.errors import PrerequisiteError
-from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.mesh import rotation_matrix
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.twin.label.drawing import let_through
-from nw_eval.twin.label.label_page import LabelPage, profile_svg
-from nw_eval.twin.label.labelling import open_labelling
+from nw_base.errors import PrerequisiteError
 from nw_eval.viewing.browser import splat_points
+from nw_scenes.folder import load_folder
+from nw_scenes.mesh import rotation_matrix
+from nw_splat.gaussians import Gaussians
+from nw_twin.label.drawing import let_through
+from nw_twin.label.label_page import LabelPage, profile_svg
+from nw_twin.label.labelling import open_labelling
 
 pytest.importorskip("viser")
 

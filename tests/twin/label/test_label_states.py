@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from label_places import block, floor, opened, photographed
 
-from nw_eval.errors import SceneError, UsageError
-from nw_eval.twin.label.state import CropBox, StartPose
+from nw_base.errors import SceneError, UsageError
+from nw_twin.label.state import CropBox, StartPose
 
 near = st.floats(-1.5, 1.5)
 points = st.tuples(st.floats(-1.5, 6), near, st.just(0.0))
@@ -195,7 +195,7 @@ def test_a_place_of_boxes_is_not_moved_but_its_trail_is(tmp_path):
 
 
 def opened_again(labelling):
-    from nw_eval.twin.label.labelling import open_labelling
+    from nw_twin.label.labelling import open_labelling
 
     return open_labelling(labelling.place.folder)
 

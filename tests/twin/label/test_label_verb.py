@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from label_places import written_place
 
+from nw_base.errors import StoreError, UsageError
 from nw_eval import cli
-from nw_eval.catalogue import get_scene
-from nw_eval.errors import StoreError, UsageError
-from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.neverwhere import load_published
-from nw_eval.splat.files import read_splat
 from nw_eval.suite import load_suite
-from nw_eval.twin.label import files
-from nw_eval.twin.label.labelling import open_labelling
+from nw_scenes.folder import load_folder
+from nw_scenes.neverwhere import load_published
+from nw_sim.catalogue import get_scene
+from nw_splat.files import read_splat
+from nw_twin.label import files
+from nw_twin.label.labelling import open_labelling
 
 pytest.importorskip("viser")
 

@@ -29,9 +29,9 @@ from trials import POLICIES, Outcome, carry, outcomes
 from walk import handheld, low_over_the_course
 
 from nw_eval import cli
-from nw_eval.catalogue import get_scene
-from nw_eval.twin.place import moved_mesh
-from nw_eval.twin.reconstruct.surface import read_colour_mesh
+from nw_sim.catalogue import get_scene
+from nw_twin.place import moved_mesh
+from nw_twin.reconstruct.surface import read_colour_mesh
 
 DURATION = {"hurdles": 12.0, "gaps": 15.0, "ramps": 15.0, "stairs": 15.0}
 """Of a trial at most, as in the suites of the tasks, s."""

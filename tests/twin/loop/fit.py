@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nw_eval.scenes.folder import load_folder
-from nw_eval.twin.capture import read_capture
-from nw_eval.twin.place import moved_capture
+from nw_scenes.folder import load_folder
+from nw_twin.capture import read_capture
+from nw_twin.place import moved_capture
 
 
 @dataclass(frozen=True, kw_only=True)

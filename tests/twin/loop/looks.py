@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from surface import rays_of
 
-from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import open_store
+from nw_scenes.rays import RayScene
+from nw_splat.camera import Camera, look_at
+from nw_splat.render import CpuRenderer
+from nw_splat.store import open_store
 
 _WIDTH, _HEIGHT, _FOVY = 240, 135, np.radians(60.0)
 _EYE, _DOWN = 0.35, np.radians(5.0)
@@ -107,7 +107,7 @@ class MeshRenderer:
     """Shows a mesh in the colours of its vertices; white where there is none, as a splat's."""
 
     def __init__(self, mesh):
-        from nw_eval.twin.place import moved_mesh
+        from nw_twin.place import moved_mesh
 
         self._mesh = mesh
         self._rays = RayScene(moved_mesh(np.eye(4), mesh.vertices, mesh.faces))

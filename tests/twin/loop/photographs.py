@@ -7,10 +7,10 @@ import numpy as np
 from PIL import Image
 from walk import FOCAL_35MM, turned
 
-from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.image import composite
-from nw_eval.splat.render import CpuRenderer
-from nw_eval.splat.store import open_store
+from nw_scenes.rays import RayScene
+from nw_splat.image import composite
+from nw_splat.render import CpuRenderer
+from nw_splat.store import open_store
 
 TAG_EDGE = 0.24
 """Outer edge of the tag's black border: on A3 paper, metres."""

@@ -23,12 +23,12 @@ sys.path += [str(Path(__file__).parent), str(Path(__file__).parents[1] / "recons
 from room_figures import stacked
 
 from nw_eval import api, cli
-from nw_eval.twin.align.alignment import read_alignment
-from nw_eval.twin.align.planes import find_planes
-from nw_eval.twin.capture import read_capture
-from nw_eval.twin.place import moved_capture
-from nw_eval.twin.reconstruct.depth import read_depth
-from nw_eval.twin.reconstruct.surface import read_colour_mesh
+from nw_twin.align.alignment import read_alignment
+from nw_twin.align.planes import find_planes
+from nw_twin.capture import read_capture
+from nw_twin.place import moved_capture
+from nw_twin.reconstruct.depth import read_depth
+from nw_twin.reconstruct.surface import read_colour_mesh
 
 _WITHIN = 12.0
 """Ground is judged up to this distance from the camera, metres."""

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from nw_eval.scenes.rays import RayScene
+from nw_scenes.rays import RayScene
 
 WITHIN = 0.02
 """Distance up to which two surfaces are the same, metres."""

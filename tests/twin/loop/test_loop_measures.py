@@ -10,10 +10,10 @@ from surface import surface_figures
 from trials import tallied
 from walk import handheld
 
-from nw_eval.catalogue import get_scene
-from nw_eval.scenes.mesh import TriangleMesh
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.reconstruct.surface import ColourMesh
+from nw_scenes.mesh import TriangleMesh
+from nw_sim.catalogue import get_scene
+from nw_splat.camera import Camera, look_at
+from nw_twin.reconstruct.surface import ColourMesh
 
 SCENE = "hurdles/one_low_carpet"
 

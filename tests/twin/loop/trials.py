@@ -7,7 +7,7 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from nw_eval import api
-from nw_eval.catalogue import get_scene
+from nw_sim.catalogue import get_scene
 
 POLICIES = ("go1-act-rgb", "go1-parkour")
 """One that sees the splat, and one that feels the ground ahead of it."""

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.camera import Camera, look_at
+from nw_scenes.rays import RayScene
+from nw_splat.camera import Camera, look_at
 
 EYE = 1.5
 """Height of the phone above the ground, metres."""

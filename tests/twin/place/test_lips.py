@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
-from nw_eval.scenes.terrain import build_terrain
-from nw_eval.twin.place import without_lips
+from nw_scenes.mesh import FACE_KINDS, TriangleMesh
+from nw_scenes.terrain import build_terrain
+from nw_twin.place import without_lips
 
 WIDE = 1.0
 """Of everything, along y, metres."""

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
-from nw_eval.scenes.rays import RayScene
-from nw_eval.splat.camera import Camera
-from nw_eval.twin.building.unlike import (
+from nw_scenes.mesh import FACE_KINDS, TriangleMesh
+from nw_scenes.rays import RayScene
+from nw_splat.camera import Camera
+from nw_twin.building.unlike import (
     SeenDepth,
     depth_differences,
     difference_findings,
@@ -14,8 +14,8 @@ from nw_eval.twin.building.unlike import (
     shown_ground,
     unlike_photographs,
 )
-from nw_eval.twin.capture import Capture, PlacedShot
-from nw_eval.twin.reconstruct.depth import write_arrays
+from nw_twin.capture import Capture, PlacedShot
+from nw_twin.reconstruct.depth import write_arrays
 
 LINE = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
 FIRST, SECOND, THIRD = (-0.5, 1.2), (1.6, 2.6), (3.0, 5.0)

@@ -8,11 +8,11 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nw_eval.errors import SceneError
-from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.mesh import rotation_matrix
+from nw_base.errors import SceneError
 from nw_eval.suite import load_suite
-from nw_eval.twin.place import Route, write_place
+from nw_scenes.folder import load_folder
+from nw_scenes.mesh import rotation_matrix
+from nw_twin.place import Route, write_place
 
 STEP = 0.1
 

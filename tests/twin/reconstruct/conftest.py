@@ -9,7 +9,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from small_room import SMALL, write_room
 
-from nw_eval.twin.reconstruct.reconstruct import reconstruct
+from nw_twin.reconstruct.reconstruct import reconstruct
 
 
 @pytest.fixture(scope="session")

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from small_room import STEPS, distance_to_room, is_seen, spread
 
-from nw_eval.scenes.mesh import FACE_KINDS, TriangleMesh
-from nw_eval.scenes.rays import RayScene
+from nw_scenes.mesh import FACE_KINDS, TriangleMesh
+from nw_scenes.rays import RayScene
 
 
 @dataclass(frozen=True)

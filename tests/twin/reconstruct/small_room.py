@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.capture import Capture, PlacedShot, write_capture
-from nw_eval.twin.options import DepthOptions, ReconstructOptions
+from nw_splat.camera import Camera, look_at
+from nw_twin.capture import Capture, PlacedShot, write_capture
+from nw_twin.options import DepthOptions, ReconstructOptions
 
 SMALL = ReconstructOptions(
     depth=DepthOptions(side=176, neighbours=3, rounds=1), voxel=0.03, faces=20_000

@@ -3,8 +3,8 @@
 import numpy as np
 from PIL import Image
 
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.capture import Capture, PlacedShot, write_capture
+from nw_splat.camera import Camera, look_at
+from nw_twin.capture import Capture, PlacedShot, write_capture
 
 WIDTH, HEIGHT = 144, 112
 EYE = 1.5

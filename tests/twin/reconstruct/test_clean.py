@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from nw_eval.errors import SceneError
-from nw_eval.twin.reconstruct.clean import flatten, flatten_small, holes, large_parts, simplify
-from nw_eval.twin.reconstruct.planes import SupposedPlane
-from nw_eval.twin.reconstruct.surface import ColourMesh, read_colour_mesh, write_mesh
+from nw_base.errors import SceneError
+from nw_twin.reconstruct.clean import flatten, flatten_small, holes, large_parts, simplify
+from nw_twin.reconstruct.planes import SupposedPlane
+from nw_twin.reconstruct.surface import ColourMesh, read_colour_mesh, write_mesh
 
 CELL = 0.02
 

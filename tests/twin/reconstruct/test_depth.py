@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.capture import Capture, PlacedShot
-from nw_eval.twin.reconstruct.views import depth_range, neighbours_of
+from nw_splat.camera import Camera, look_at
+from nw_twin.capture import Capture, PlacedShot
+from nw_twin.reconstruct.views import depth_range, neighbours_of
 
 
 def capture_of(degrees, *, seen=40):

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from small_room import SHEETS, SMALL, depth_of_room
 
-from nw_eval.errors import PrerequisiteError, SceneError
-from nw_eval.twin.capture import read_capture
-from nw_eval.twin.reconstruct.depth import array_file
-from nw_eval.twin.reconstruct.reconstruct import reconstruct, write_colmap_model
-from nw_eval.twin.reconstruct.surface import ColourMesh, read_colour_mesh, write_mesh
+from nw_base.errors import PrerequisiteError, SceneError
+from nw_twin.capture import read_capture
+from nw_twin.reconstruct.depth import array_file
+from nw_twin.reconstruct.reconstruct import reconstruct, write_colmap_model
+from nw_twin.reconstruct.surface import ColourMesh, read_colour_mesh, write_mesh
 
 OPENMVS = replace(SMALL, engine="openmvs", voxel=None)
 

@@ -11,10 +11,10 @@ import pytest
 from scipy.spatial import cKDTree
 from street import GROUND, PLAIN, RIM, SKY, seen, walker_seen, write_street
 
-from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.capture import read_capture
-from nw_eval.twin.options import CalibrateOptions, DepthOptions
-from nw_eval.twin.reconstruct.depth import array_file, depth_maps, read_depth, write_map
+from nw_twin.calibrate.calibrate import calibrate
+from nw_twin.capture import read_capture
+from nw_twin.options import CalibrateOptions, DepthOptions
+from nw_twin.reconstruct.depth import array_file, depth_maps, read_depth, write_map
 
 ROOT = Path(__file__).resolve().parents[3]
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", ROOT.parent / "shared" / "assets"))
@@ -98,9 +98,9 @@ BYTES = """
 import sys
 from hashlib import sha256
 from pathlib import Path
-from nw_eval.twin.capture import read_capture
-from nw_eval.twin.reconstruct.depth import depth_maps
-from nw_eval.twin.options import DepthOptions
+from nw_twin.capture import read_capture
+from nw_twin.reconstruct.depth import depth_maps
+from nw_twin.options import DepthOptions
 
 folder, out = map(Path, sys.argv[1:3])
 options = DepthOptions(side=144, rounds=1)

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.options import DepthOptions
-from nw_eval.twin.reconstruct import planes as supposing
-from nw_eval.twin.reconstruct.depth import DepthMap
-from nw_eval.twin.reconstruct.planar import labelled, planar_maps
-from nw_eval.twin.reconstruct.planes import Measured, SupposedPlane, hypotheses
-from nw_eval.twin.reconstruct.surface import ColourMesh
-from nw_eval.twin.reconstruct.views import WorkingView
+from nw_splat.camera import Camera, look_at
+from nw_twin.options import DepthOptions
+from nw_twin.reconstruct import planes as supposing
+from nw_twin.reconstruct.depth import DepthMap
+from nw_twin.reconstruct.planar import labelled, planar_maps
+from nw_twin.reconstruct.planes import Measured, SupposedPlane, hypotheses
+from nw_twin.reconstruct.surface import ColourMesh
+from nw_twin.reconstruct.views import WorkingView
 
 DECK, LOW, HIGH = 0.3, np.array([-0.5, -0.5]), np.array([0.5, 0.5])
 """A platform, metres: the height of its top, and two of its corners."""

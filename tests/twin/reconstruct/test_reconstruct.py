@@ -12,13 +12,13 @@ from PIL import Image
 from room_figures import edge_off, figures, sampled, stacked, tread_heights
 from small_room import SMALL, STEPS, depth_of_room, write_room
 
-from nw_eval.errors import SceneError, UsageError
-from nw_eval.twin.calibrate.calibrate import calibrate
-from nw_eval.twin.capture import read_capture, write_capture
-from nw_eval.twin.options import CalibrateOptions, DepthOptions, ReconstructOptions
-from nw_eval.twin.reconstruct.depth import array_file, depth_maps
-from nw_eval.twin.reconstruct.reconstruct import reconstruct
-from nw_eval.twin.reconstruct.surface import read_colour_mesh
+from nw_base.errors import SceneError, UsageError
+from nw_twin.calibrate.calibrate import calibrate
+from nw_twin.capture import read_capture, write_capture
+from nw_twin.options import CalibrateOptions, DepthOptions, ReconstructOptions
+from nw_twin.reconstruct.depth import array_file, depth_maps
+from nw_twin.reconstruct.reconstruct import reconstruct
+from nw_twin.reconstruct.surface import read_colour_mesh
 
 ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[4] / "shared" / "assets"))
 PIXEL = 0.022

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from room_figures import heights
 
-from nw_eval.errors import SceneError
-from nw_eval.splat.camera import Camera, look_at
-from nw_eval.twin.reconstruct.depth import DepthMap
-from nw_eval.twin.reconstruct.surface import samples, surface
-from nw_eval.twin.reconstruct.views import WorkingView
+from nw_base.errors import SceneError
+from nw_splat.camera import Camera, look_at
+from nw_twin.reconstruct.depth import DepthMap
+from nw_twin.reconstruct.surface import samples, surface
+from nw_twin.reconstruct.views import WorkingView
 
 WIDTH, HEIGHT = 160, 90
 DECK = 0.4

@@ -9,12 +9,12 @@ import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
-from nw_eval.catalogue import inspect_scene
-from nw_eval.errors import SceneError, UsageError
-from nw_eval.scenes.elevation_file import elevation_mesh, read_elevation
-from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.rays import RayScene
-from nw_eval.twin.scans.scan import ScanOptions, import_scan
+from nw_base.errors import SceneError, UsageError
+from nw_scenes.elevation_file import elevation_mesh, read_elevation
+from nw_scenes.folder import load_folder
+from nw_scenes.rays import RayScene
+from nw_sim.catalogue import inspect_scene
+from nw_twin.scans.scan import ScanOptions, import_scan
 
 STAIRS = Path(__file__).parents[4] / "shared/assets/photographs/stairs/real_stairs_125cm.png"
 

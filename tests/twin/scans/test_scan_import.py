@@ -10,16 +10,16 @@ import trimesh
 from PIL import Image
 from trimesh.transformations import rotation_matrix
 
+from nw_base.errors import SceneError, UsageError
 from nw_eval import cli
-from nw_eval.catalogue import inspect_scene
 from nw_eval.cli.verbs.scenes import scan_lines
-from nw_eval.errors import SceneError, UsageError
-from nw_eval.scenes.folder import load_folder
-from nw_eval.scenes.mesh_file import read_painted
-from nw_eval.splat.files import read_splat, write_splat
-from nw_eval.splat.gaussians import SH0
-from nw_eval.twin.place import moved_points
-from nw_eval.twin.scans.scan import ScanOptions, import_scan
+from nw_scenes.folder import load_folder
+from nw_scenes.mesh_file import read_painted
+from nw_sim.catalogue import inspect_scene
+from nw_splat.files import read_splat, write_splat
+from nw_splat.gaussians import SH0
+from nw_twin.place import moved_points
+from nw_twin.scans.scan import ScanOptions, import_scan
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
 RED, BLUE = (200, 40, 30), (30, 60, 210)
@@ -265,7 +265,7 @@ def test_a_proposed_trail_is_on_even_ground_away_from_the_rim(tmp_path):
 
 def splat_of(points, turn, path):
     """Write Gaussians at points as another program has them."""
-    from nw_eval.splat.gaussians import Gaussians
+    from nw_splat.gaussians import Gaussians
 
     n = len(points)
     write_splat(

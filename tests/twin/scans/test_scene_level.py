@@ -5,15 +5,15 @@ import pytest
 import trimesh
 from trimesh.transformations import rotation_matrix
 
+from nw_base.errors import SceneError, UsageError
 from nw_eval import cli
-from nw_eval.catalogue import inspect_scene
-from nw_eval.errors import SceneError, UsageError
-from nw_eval.scenes.capture_file import write_captures
-from nw_eval.scenes.folder import load_folder
-from nw_eval.splat.files import read_splat, write_splat
-from nw_eval.splat.gaussians import Gaussians
-from nw_eval.twin.place import moved_points
-from nw_eval.twin.scans.levelling import level_scene
+from nw_scenes.capture_file import write_captures
+from nw_scenes.folder import load_folder
+from nw_sim.catalogue import inspect_scene
+from nw_splat.files import read_splat, write_splat
+from nw_splat.gaussians import Gaussians
+from nw_twin.place import moved_points
+from nw_twin.scans.levelling import level_scene
 
 TILT = rotation_matrix(0.35, [1.0, 0.4, 0.1])
 

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from nw_eval.built_in.gaps import GAPS
-from nw_eval.built_in.hurdles import HURDLES
-from nw_eval.built_in.ramps import RAMPS
-from nw_eval.built_in.stairs import STAIRS
-from nw_eval.errors import SceneError
-from nw_eval.scenes.mesh import box_mesh, merge, quad_mesh
-from nw_eval.twin.course import propose_course, propose_free_course
+from nw_base.errors import SceneError
+from nw_places.gaps import GAPS
+from nw_places.hurdles import HURDLES
+from nw_places.ramps import RAMPS
+from nw_places.stairs import STAIRS
+from nw_scenes.mesh import box_mesh, merge, quad_mesh
+from nw_twin.course import propose_course, propose_free_course
 
 GROUND = quad_mesh((-5, -5, 0), (30, 0, 0), (0, 10, 0), "ground")
 

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from nw_eval.clean import clean
-from nw_eval.hub import heard_by
-from nw_eval.plural import in_words
+from nw_base.clean import clean
+from nw_base.plural import in_words
+from nw_scenes.hub import heard_by
 
 if TYPE_CHECKING:
     from rich.console import Console

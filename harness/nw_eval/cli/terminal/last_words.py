@@ -6,8 +6,8 @@ import sys
 import traceback
 from pathlib import Path
 
-from nw_eval.clean import clean
-from nw_eval.files.traceback_file import keep_traceback
+from nw_base.clean import clean
+from nw_base.files.traceback_file import keep_traceback
 
 
 def tell(line: str) -> None:

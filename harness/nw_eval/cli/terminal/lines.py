@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
-from nw_eval.clean import clean
-from nw_eval.plural import in_words, plural
+from nw_base.clean import clean
+from nw_base.plural import in_words, plural
 
 if TYPE_CHECKING:
-    from nw_eval.hub.reference import Fetched
+    from nw_scenes.hub.reference import Fetched
 
 
 def aligned(rows: Sequence[Sequence[str]], *, right: Collection[int] = ()) -> list[str]:

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Concatenate, ParamSpec, Self
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
 from nw_eval.cli.terminal.last_words import tell, unforeseen
 
 if TYPE_CHECKING:
-    from nw_eval.results.row import Row
+    from nw_gate.results.row import Row
 
 _P = ParamSpec("_P")
 

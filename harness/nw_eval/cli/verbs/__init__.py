@@ -7,19 +7,20 @@ from contextlib import AbstractContextManager, nullcontext
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
-from nw_eval import __version__
+from nw_base import __version__
+from nw_base.errors import PrerequisiteError, UsageError, nearest
 from nw_eval.cli.terminal.last_words import tell
 from nw_eval.cli.verbs.table import (
     EXAMPLES,
     EXIT_CODES,
     GROUPS,
+    OF_EXTRAS,
     OUT_WAS_POSITIONAL,
     RENAMED,
     RENAMED_FLAGS,
     VERBS,
     docs_line,
 )
-from nw_eval.errors import UsageError, nearest
 
 if TYPE_CHECKING:
     from nw_eval.cli.verbs.help import Option
@@ -48,6 +49,7 @@ def parse(arguments: Sequence[str], *, description: str) -> Callable[[], int]:
         _notice(f"nw-eval {verb}", f"nw-eval {RENAMED[verb]}")
         verb = RENAMED[verb]
     if verb not in VERBS:
+        _raise_if_of_an_extra(verb)
         known = [*VERBS, "--help", "--version"]
         raise _unknown(f"nw-eval has no command {verb!r}", verb, known, "nw-eval")
     parts = VERBS[verb].parts
@@ -57,8 +59,23 @@ def parse(arguments: Sequence[str], *, description: str) -> Callable[[], int]:
         _family(verb, is_asked=bool(rest))
     part, *rest = rest
     if part not in parts:
+        _raise_if_of_an_extra(f"{verb} {part}")
         raise _unknown(f"nw-eval {verb} has no command {part!r}", part, parts, f"nw-eval {verb}")
-    return _read(f"{verb} {part}", resolve(verb, part), rest, parts[part][1:])
+    return _read(f"{verb} {part}", resolve(verb, part), rest, [parts[part].example])
+
+
+def _raise_if_of_an_extra(command: str) -> None:
+    """Say which extra brings a command, if one does.
+
+    Raises:
+        PrerequisiteError: its package is not installed.
+    """
+    if command in OF_EXTRAS:
+        extra = OF_EXTRAS[command]
+        raise PrerequisiteError(
+            f"nw-eval {command} is of the package nw-{extra}, which is not installed",
+            fix=f"pip install 'nw-eval[{extra}]'",
+        )
 
 
 def begin(arguments: Sequence[str]) -> None:
@@ -70,15 +87,15 @@ def begin(arguments: Sequence[str]) -> None:
     if len(arguments) < 2 or arguments[0] != "run" or _HELP & set(arguments):
         return
     if not any(word.replace("_", "-").startswith(_FENCELESS) for word in arguments):
-        from nw_eval.rollout.confined.start import prepare
+        from nw_sim.rollout.confined.start import prepare
 
         prepare()
 
 
 def resolve(verb: str, part: str | None = None) -> Any:
     """Return the class of a verb, or of a verb of its family."""
-    form = VERBS[verb].form if part is None else VERBS[verb].parts[part][0]
-    return resolve_name(f"{__name__}.{verb}:{form}")
+    found = VERBS[verb] if part is None else VERBS[verb].parts[part]
+    return resolve_name(f"{found.module}:{found.form}")
 
 
 def forms() -> Iterator[tuple[str, Any]]:
@@ -106,7 +123,7 @@ def _family(verb: str, *, is_asked: bool) -> NoReturn:
         names = ", ".join(parts)
         raise UsageError(f"nw-eval {verb}: no command", fix=f"give one of {names}")
     lines = [(part, str(resolve(verb, part).__doc__).split("\n")[0]) for part in parts]
-    examples = [f"{verb} {part} {example}".rstrip() for part, (_, example) in parts.items()][:2]
+    examples = [f"{verb} {name} {part.example}".rstrip() for name, part in parts.items()][:2]
     print(family_page(verb, lines, examples))
     raise SystemExit(0)
 

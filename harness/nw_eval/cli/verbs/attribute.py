@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
+from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
 from nw_eval.cli.verbs.options import AllowCode, Checkpoint, Workers
-from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import AttributedTrial, Attribution, AttributionPlan
-    from nw_eval.rollout.replaying.reports import AttributionReport
+    from nw_sim.rollout.replaying.reports import AttributionReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +104,7 @@ class Attribute:
         )
         print(attribution_page(attribution))
         if self.out is not None:
-            from nw_eval.files.cache import atomic_path, followed
+            from nw_base.files.cache import atomic_path, followed
 
             with atomic_path(followed(self.out)) as temporary:
                 temporary.write_text(written(attribution, self.out.suffix), encoding="utf-8")
@@ -113,7 +113,7 @@ class Attribute:
 
     @staticmethod
     def _check_out(out: Path) -> None:
-        from nw_eval.errors import UsageError
+        from nw_base.errors import UsageError
 
         if out.suffix not in {".md", ".json"}:
             raise UsageError(f"--out {out} is neither .md nor .json", fix="give it one ending")

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
+from nw_base.plural import plural
+from nw_base.words import Backend
 from nw_eval.cli.terminal.lines import aligned
 from nw_eval.cli.verbs.options import AllowCode, Checkpoint, NoCache, Suite, Workers
-from nw_eval.plural import plural
-from nw_eval.words import Backend
 
 if TYPE_CHECKING:
     from nw_eval.api import (
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         ShownBaseline,
         VerifiedBaseline,
     )
-    from nw_eval.results.bank import (
+    from nw_gate.results.bank import (
         BaselineChange,
         BaselineResults,
         FieldChange,
@@ -73,9 +73,9 @@ class Save:
     no_cache: NoCache = False
 
     def __call__(self) -> int:
+        from nw_base.errors import IncomparableError
         from nw_eval import api
         from nw_eval.cli.terminal.progress import RunProgress
-        from nw_eval.errors import IncomparableError
 
         with RunProgress() as progress:
             saved = api.save_baseline(
@@ -284,7 +284,7 @@ def _line(listed: ListedBaseline) -> tuple[str, ...]:
 
 
 def _facts(shown: ShownBaseline) -> Iterator[str]:
-    from nw_eval.results.bank import bank_mean
+    from nw_gate.results.bank import bank_mean
 
     manifest, bank = shown.bank.manifest, shown.bank
     simulator = ", ".join(f"{name} {value}" for name, value in manifest.key.simulator.items())
@@ -314,7 +314,7 @@ def _against_first(panel: Panel, first: Panel) -> str:
 
 
 def _scenes(bank: BaselineResults) -> Iterator[tuple[str, ...]]:
-    from nw_eval.results.bank import mean_of
+    from nw_gate.results.bank import mean_of
 
     yield "scene", "mean", "completed", "others"
     for stratum, starts in bank.panels[0].by_stratum.items():
@@ -431,7 +431,7 @@ def _scene(change: SceneChange) -> tuple[str, ...]:
 
 
 def _mean(change: BaselineChange) -> tuple[str, ...]:
-    from nw_eval.results.bank import bank_mean
+    from nw_gate.results.bank import bank_mean
 
     then, now = bank_mean(change.then), bank_mean(change.now)
     return "mean", _number(then), _number(now), f"{now - then:+.3f}", "", ""
@@ -450,7 +450,7 @@ def _flipped(change: SceneChange) -> str:
 
 
 def _saved(saved: SavedBaseline) -> Iterator[str]:
-    from nw_eval.results.bank import bank_mean
+    from nw_gate.results.bank import bank_mean
 
     manifest = saved.bank.manifest
     size = f"{plural(len(manifest.key.scenes), 'scene')} x {plural(manifest.starts, 'start')}"

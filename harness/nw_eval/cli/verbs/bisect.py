@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
 from nw_eval.cli.verbs.options import AllowCode, NoCache, Scenes, Suite, Workers
-from nw_eval.plural import plural
 from nw_eval.reporting.tables.table import bounds_header
 
 if TYPE_CHECKING:
     from nw_eval.api.reports import RunReport
     from nw_eval.api.series import BisectedSeries
-    from nw_eval.gate.bisection import Bisection
+    from nw_gate.bisection import Bisection
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +144,7 @@ def _sentences(found: Bisection, series: BisectedSeries) -> list[str]:
 
 def _worse(run: RunReport | None) -> str:
     """Return by what a checkpoint was flagged, and how much worse it is; nothing if unknown."""
-    from nw_eval.gate.verdict import percent_sure
+    from nw_gate.verdict import percent_sure
 
     against = None if run is None else run.verdict.against
     if run is None or against is None:
@@ -166,7 +166,7 @@ def _worse(run: RunReport | None) -> str:
 
 def _up_to(run: RunReport | None) -> str:
     """Return how much worse a checkpoint that passed may be; nothing where that is unknown."""
-    from nw_eval.gate.verdict import percent_sure
+    from nw_gate.verdict import percent_sure
 
     against = None if run is None else run.verdict.against
     if against is None or against.interval is None or against.basis == "same":

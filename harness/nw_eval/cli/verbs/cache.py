@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from nw_eval.clean import clean
-from nw_eval.plural import plural
+from nw_base.clean import clean
+from nw_base.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import CacheCleanup, CacheUse
@@ -49,8 +49,8 @@ class VerifyCache:
     """
 
     def __call__(self) -> int:
+        from nw_base.errors import StoreError
         from nw_eval import api
-        from nw_eval.errors import StoreError
 
         checked = api.verify_cache()
         print(verified_line(checked))

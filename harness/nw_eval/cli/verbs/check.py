@@ -34,8 +34,8 @@ class Check(Options):
 
 def forecast_page(forecast: Forecast) -> str:
     """Return what a run would be as lines of text."""
-    from nw_eval.plural import plural
-    from nw_eval.policies.bundle import SCOPE
+    from nw_base.plural import plural
+    from nw_policies.bundle import SCOPE
 
     suite, bundle, scenes = forecast.suite, forecast.policy, forecast.scenes
     duration = suite.episode.duration

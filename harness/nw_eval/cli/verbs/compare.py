@@ -13,7 +13,7 @@ import tyro
 from nw_eval.cli.terminal.lines import aligned
 
 if TYPE_CHECKING:
-    from nw_eval.gate.side_by_side import PolicyComparison
+    from nw_gate.side_by_side import PolicyComparison
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,8 @@ import json as jsons
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
+from nw_base.plural import in_words, plural
 from nw_eval.cli.terminal.lines import aligned
-from nw_eval.plural import in_words, plural
 
 if TYPE_CHECKING:
     from nw_eval.api.doctor import Checkup

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from nw_eval.clean import clean
-from nw_eval.plural import plural
+from nw_base.clean import clean
+from nw_base.plural import plural
 
 if TYPE_CHECKING:
-    from nw_eval.gate.ledger_report import Alarms, BestOfMany, LedgerReport, Reroll
+    from nw_gate.ledger_report import Alarms, BestOfMany, LedgerReport, Reroll
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import tyro
 
-from nw_eval.errors import NwEvalError, UsageError
-from nw_eval.request import Request
-from nw_eval.words import PanelKind
+from nw_base.errors import NwEvalError, UsageError
+from nw_base.words import PanelKind
+from nw_gate.results.request import Request
 
 # One idea has one option, and one help, in all verbs that have it.
 Suite = tyro.conf.Positional[
@@ -47,8 +47,8 @@ AllowCode = Annotated[bool, tyro.conf.arg(help="Let the policy's card import Pyt
 NoCache = Annotated[bool, tyro.conf.arg(help="Run every trial, and keep no result for later runs.")]
 
 if TYPE_CHECKING:
+    from nw_base.words import Tracker
     from nw_eval.api import Published, RunReport, Surfaces
-    from nw_eval.words import Tracker
 
 
 @dataclass(frozen=True, kw_only=True)

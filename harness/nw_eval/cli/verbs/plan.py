@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
 from nw_eval.cli.verbs.options import Scenes, Suite
-from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from nw_eval.api import BarPlan, ShardPlan, TrialPlan
-    from nw_eval.gate.baseline.power_forecast import Outset
-    from nw_eval.gate.baseline.scores import ScoreForecast
+    from nw_gate.baseline.power_forecast import Outset
+    from nw_gate.baseline.scores import ScoreForecast
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ class PlanTrials:
         Raises:
             UsageError: naming one.
         """
-        from nw_eval.errors import UsageError
+        from nw_base.errors import UsageError
 
         of_parts = ("json", "policy", "trials", "scenes")
         of_curve = ("detect", "run", "out")
@@ -197,7 +197,7 @@ def _detection(planned: TrialPlan) -> str:
 
 def _within(planned: TrialPlan, shares: Sequence[float], what: str) -> str:
     """Return after how many trials something is so in 80 and in 90 %."""
-    from nw_eval.stats.bank.curve import trials_for
+    from nw_gate.stats.bank.curve import trials_for
 
     found = [(chance, trials_for(shares, chance)) for chance in _CHANCES]
     parts = [

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
+from nw_base.plural import plural
 from nw_eval.cli.terminal.interruption import stopped_by_signals
 from nw_eval.cli.terminal.lines import aligned
 from nw_eval.cli.verbs.options import AllowCode, Checkpoint
-from nw_eval.plural import plural
 
 if TYPE_CHECKING:
-    from nw_eval.cards.load import ListedPolicy
-    from nw_eval.onboarding.probe.report import (
+    from nw_policies.cards.load import ListedPolicy
+    from nw_sim.probe.report import (
         ProbedCommand,
         ProbedJoint,
         ProbedOutput,
         ProbedTerm,
         ProbeReport,
     )
-    from nw_eval.onboarding.probe.summary import CardFile, CardJoint, CardSummary, CardTerm
+    from nw_sim.probe.summary import CardFile, CardJoint, CardSummary, CardTerm
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +81,8 @@ class Check:
     allow_code: AllowCode = False
 
     def __call__(self) -> int:
+        from nw_base.errors import UsageError
         from nw_eval import api
-        from nw_eval.errors import UsageError
 
         report = api.check_policy(
             self.policy,

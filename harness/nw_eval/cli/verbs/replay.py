@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
+from nw_base.plural import plural
+from nw_base.words import Viewer
 from nw_eval.cli.verbs.options import AllowCode, Checkpoint
-from nw_eval.plural import plural
-from nw_eval.words import Viewer
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from nw_eval.rollout.replaying.reports import Difference, Ending, ReplayReport, TakeoverReport
     from nw_eval.viewing.recording.track import WrittenRecording
+    from nw_sim.rollout.replaying.reports import Difference, Ending, ReplayReport, TakeoverReport
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +58,8 @@ class Replay:
             return self._take_over(self.takeover)
         if self.layout is not None or self.rrd is not None or self.out is not None:
             return self._show()
+        from nw_base.errors import StoreError
         from nw_eval import api
-        from nw_eval.errors import StoreError
 
         replayed = api.replay(
             self.log,
@@ -116,7 +116,7 @@ class Replay:
         return 0
 
     def _check_shown(self) -> None:
-        from nw_eval.errors import UsageError
+        from nw_base.errors import UsageError
 
         if self.layout is None and self.out is not None:
             raise UsageError("--out is where --layout writes", fix="add --layout foxglove or rerun")
@@ -140,7 +140,7 @@ class Replay:
         Raises:
             UsageError: one is.
         """
-        from nw_eval.errors import UsageError
+        from nw_base.errors import UsageError
 
         for option, value in options.items():
             if value is not None:

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import tyro
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
 from nw_eval.cli.verbs.options import Publishing
 
 _NAMED = 4  # of what was skipped
@@ -52,10 +52,10 @@ class Report(Publishing):
         return self._judge()
 
     def _judge(self) -> int:
+        from nw_base.errors import UsageError
         from nw_eval import api
         from nw_eval.cli.terminal.last_words import show
         from nw_eval.cli.verbs.options import summary
-        from nw_eval.errors import UsageError
 
         if self.title is not None:
             raise UsageError(
@@ -71,10 +71,10 @@ class Report(Publishing):
         return judged.code
 
     def _site(self, folder: Path) -> int:
+        from nw_base.errors import UsageError
+        from nw_base.plural import plural
         from nw_eval import api
         from nw_eval.cli.terminal.last_words import show, tell
-        from nw_eval.errors import UsageError
-        from nw_eval.plural import plural
 
         if self.out is not None or self.shows_one_run:
             raise UsageError(
@@ -92,10 +92,10 @@ class Report(Publishing):
         return found.exit_code
 
     def _index(self) -> int:
+        from nw_base.errors import UsageError
+        from nw_base.plural import plural
         from nw_eval import api
         from nw_eval.cli.terminal.last_words import show, tell
-        from nw_eval.errors import UsageError
-        from nw_eval.plural import plural
 
         if self.shows_one_run:
             raise UsageError(
@@ -114,8 +114,8 @@ class Report(Publishing):
 
 def _tell_skipped(paths: Sequence[Path]) -> None:
     """Say what a glob has found beside the runs, such as pages and badges of before."""
+    from nw_base.plural import plural
     from nw_eval.cli.terminal.last_words import tell
-    from nw_eval.plural import plural
 
     if paths:
         names = ", ".join(clean(path.name, at_most=80) for path in paths[:_NAMED])

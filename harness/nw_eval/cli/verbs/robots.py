@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
+from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
-from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import ListedRobot
-    from nw_eval.onboarding.robot_check import CheckedRobot, RobotEye, RobotJoint, RobotSummary
+    from nw_sim.probe.robot_check import CheckedRobot, RobotEye, RobotJoint, RobotSummary
 
 FALLS = 1
 """Exit code of a robot that does not stand."""
@@ -168,7 +168,7 @@ def _joint(joint: RobotJoint) -> tuple[str, ...]:
 
 
 def _eye(eye: RobotEye) -> str:
-    from nw_eval.onboarding.robot_check import eye_words
+    from nw_sim.probe.robot_check import eye_words
 
     return eye_words(eye)
 

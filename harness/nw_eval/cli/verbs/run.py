@@ -10,9 +10,9 @@ from typing import Annotated, ClassVar
 
 import tyro
 
+from nw_base.words import Engine
 from nw_eval.cli.terminal.last_words import tell
 from nw_eval.cli.verbs.options import Options, Publishing
-from nw_eval.words import Engine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,13 +57,13 @@ class Run(Publishing, Options):
     A cluster of this machine is started for the run when absent."""
 
     def __call__(self) -> int:
+        from nw_base.errors import UsageError
         from nw_eval import api
         from nw_eval.api.ledgers import check_ledger
         from nw_eval.cli.terminal.interruption import INTERRUPTED
         from nw_eval.cli.terminal.progress import RunProgress
         from nw_eval.cli.verbs.options import summary
-        from nw_eval.errors import UsageError
-        from nw_eval.results.labels import typed_labels
+        from nw_gate.results.labels import typed_labels
 
         with self.publishing(str(self.suite or self.resume or "suite")) as judged:
             if self.ledger is not None and self.shard is not None:

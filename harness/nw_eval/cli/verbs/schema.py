@@ -8,7 +8,7 @@ from pathlib import Path
 
 import tyro
 
-from nw_eval.words import Described
+from nw_base.words import Described
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
+from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
-from nw_eval.plural import plural
 
 if TYPE_CHECKING:
-    from nw_eval.rollout.replaying.rescored import LogScores
+    from nw_sim.rollout.replaying.rescored import LogScores
 
 
 @dataclass(frozen=True, kw_only=True)

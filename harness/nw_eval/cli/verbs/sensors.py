@@ -13,7 +13,7 @@ from nw_eval.cli.verbs.options import AllowCode
 
 if TYPE_CHECKING:
     from nw_eval.api import ListedSensor
-    from nw_eval.sensors.gallery import SeenCard, SeenObservation
+    from nw_sim.sensors.gallery import SeenCard, SeenObservation
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import tyro
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
 from nw_eval.cli.terminal.lines import aligned
 
 if TYPE_CHECKING:
-    from nw_eval.stats.agreement import Agreement, AgreementFigure
-    from nw_eval.stats.interval import Interval
+    from nw_gate.stats.agreement import Agreement, AgreementFigure
+    from nw_gate.stats.interval import Interval
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from nw_eval.words import Backend, Projection, UpAxis
+from nw_base.words import Backend, Projection, UpAxis
 
 if TYPE_CHECKING:
     from nw_eval.api import WrittenSplat
-    from nw_eval.splat.gaussians import SplatFigures
+    from nw_splat.gaussians import SplatFigures
 
 Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from nw_base.plural import plural
 from nw_eval.cli.terminal.lines import aligned
-from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import ListedSuite

@@ -10,7 +10,7 @@ import tyro
 
 from nw_eval.cli.terminal.lines import aligned
 from nw_eval.cli.verbs.options import AllowCode, NoCache, Scenes, Suite, Workers
-from nw_eval.request import Request
+from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
     from nw_eval.api import SweptSuite

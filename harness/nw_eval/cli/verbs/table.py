@@ -1,30 +1,18 @@
 """The verbs in their groups, with a line, a page of the docs and examples; and names that changed.
 
-Nothing is imported here: `nw-eval --help` is this table.
+`nw-eval --help` is this table and those of packages, which the entry-point group `nw_eval.verbs`
+names. No verb is imported for it.
 """
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import NamedTuple
+
+from nw_eval.cli.verbs.verb import Verb, add_verbs, declared
 
 _CHECKOUT = Path(__file__).parents[4]
 """The folder of pyproject.toml, where this is no installed package."""
-
-
-class Verb(NamedTuple):
-    """A verb, or a family of them: `policies` has `policies list` and others."""
-
-    form: str
-    """Its class, in the module of the verb's name; `-` of a family."""
-    page: str
-    line: str
-    examples: list[str]
-    """Arguments, without the verb."""
-    parts: dict[str, tuple[str, str]]
-    """Of a family: class and example of each by its name. The first line of its docstring is told
-    of it."""
 
 
 _TABLE = """
@@ -103,19 +91,8 @@ Bring your own:
     show Show hurdles/one_low_carpet
     check Check ./my-place --out suite.yaml
     render Render 'hurdles/*' --out scenes.png
-    import ImportScan scan.glb --out my-hall
-    level LevelScene my-hall --flip
     fetch FetchScenes hub:org/corridor
     push PushScene ./my-place hub:org/my-place
-  twin - how-to/twins.md make a scene of photographs
-    build BuildTwin photographs/ --out corridor --tag-edge 0.16
-    calibrate Calibrate photographs/ --out corridor
-    reconstruct Reconstruct corridor
-    align Align corridor --tag-edge 0.16
-    splat TrainSplat corridor
-    place PlaceScene corridor
-    ablate AblateSplat corridor
-    label LabelScene corridor --open
   splat - reference/meshes-and-splats.md look into files of Gaussians, convert or draw them
     info Info scan.ply
     convert Convert scan.ply --out scan.spz
@@ -123,14 +100,6 @@ Bring your own:
   schema Schema reference/suite.md write the JSON Schema of suites, cards and scenes for editors
     $ suite --out suite.schema.json
 Train:
-  train - how-to/training.md train a policy, or export one from a training
-    teacher Teacher teacher
-    student Student student-rgb-small
-    export Export runs/teacher --out policies/mine
-  study - how-to/studies.md train students of several kinds and compare them
-    single-scene SingleSceneStudy single-scene-reduced
-    multi-scene MultiSceneStudy --resume runs/my-study
-    observations ObservationsStudy mine.yaml --out my-study
 Upkeep:
   doctor Doctor reference/stability.md say what this machine offers, for a bug report
     $
@@ -148,28 +117,23 @@ Upkeep:
 name, class, example."""
 
 
-def _groups() -> dict[str, dict[str, Verb]]:
-    groups: dict[str, dict[str, Verb]] = {}
-    verb, group = Verb("", "", "", [], {}), dict[str, Verb]()
-    for line in _TABLE.strip().splitlines():
-        depth, words = len(line) - len(line.lstrip()), line.strip()
-        if depth == 0:
-            group = groups[words.rstrip(":")] = {}
-        elif depth == 2:
-            name, form, page, told = words.split(" ", 3)
-            verb = group[name] = Verb(form, page, told, [], {})
-        elif words.startswith("$"):
-            verb.examples.append(words[1:].strip())
-        else:
-            name, form, *example = words.split(" ", 2)
-            verb.parts[name] = form, " ".join(example)
-    return groups
+_groups: dict[str, dict[str, Verb]] = {}
 
-
-GROUPS = _groups()
+add_verbs(_groups, _TABLE, __name__.removesuffix(".table"))
+_OTHERS = tuple(each for _, each in declared())
+for _others in _OTHERS:
+    add_verbs(_groups, _others.table, _others.module)
+GROUPS = {title: verbs for title, verbs in _groups.items() if verbs}
+"""Verbs by the title of their group, with those of packages that are installed."""
 VERBS = {name: verb for group in GROUPS.values() for name, verb in group.items()}
 
-EXAMPLES = (
+OF_EXTRAS = {
+    **dict.fromkeys(("twin", "scenes import", "scenes level"), "twin"),
+    **dict.fromkeys(("train", "study"), "learn"),
+}
+"""Commands of packages that come with an extra, to say so where they are absent."""
+
+_EXAMPLES = (
     "nw-eval run hurdles --policy ./my-policy        a verdict on a checkpoint",
     "nw-eval gate reports/my-run --baseline mine     the same against a baseline",
     "nw-eval view reports/my-run                     its trials in the browser",
@@ -178,6 +142,7 @@ EXAMPLES = (
     "nw-eval train student student-rgb-small         a policy of your own",
     "nw-eval doctor                                  what this machine offers",
 )
+EXAMPLES = tuple(each for each in _EXAMPLES if each.split()[1] in VERBS)
 """One for each group."""
 
 
@@ -213,8 +178,7 @@ interrupted."""
 RENAMED = {"agree": "sim2real", "blame": "attribute"}
 """Verbs by their names until 0.1, which are understood for one release."""
 
-_WORKERS = {"--threads": "--workers"}
-RENAMED_FLAGS = {
+RENAMED_FLAGS: dict[str, dict[str, str]] = {
     "run": {"--panel": "--seed-set"},
     "check": {"--panel": "--seed-set"},
     "plan": {"--png": "--out"},
@@ -227,13 +191,12 @@ RENAMED_FLAGS = {
     "baseline save": {"--starts": "--trials", "--from": "--run"},
     "baseline verify": {"--share": "--trials"},
     "scenes check": {"--suite": "--out"},
-    **{f"twin {part}": _WORKERS for part in VERBS["twin"].parts},
 }
 """The same for options of verbs."""
-OUT_WAS_POSITIONAL = {"train export", "splat convert"}
+OUT_WAS_POSITIONAL = {"splat convert"}
 """Verbs that took what --out names as their last argument."""
 
-OPTION_GROUPS = {
+OPTION_GROUPS: dict[str, tuple[str, ...]] = {
     "Policy and robot": ("policy", "robot", "checkpoint", "allow_code"),
     "Trials": (
         *("trials", "scenes", "seed", "panel", "shard", "resume", "all_rounds", "time_limit"),
@@ -248,15 +211,12 @@ OPTION_GROUPS = {
         *("out", "record", "ledger", "junit", "comment", "github", "no_github", "track"),
         *("reporter", "label"),
     ),
-    "Cameras": (
-        *("matching", "frames", "per_second", "lens", "share", "features", "side"),
-        "megapixels",
-    ),
-    "Mesh": ("mesher", "depth_side", "faces", "unit", "up"),
-    "Scale": ("tag_edge", "camera_height", "length", "metric"),
-    "Elevation map": ("cell", "white", "black", "no_data"),
-    "Gaussians": ("iterations", "gaussians", "longest", "held_out", "splat", "splat_transform"),
     "Scene": ("trail", "task"),
     "Name and licence": ("name", "note", "licence"),
 }
 """Titles under which `--help` lists the options of a verb that has many, by field."""
+
+for _others in _OTHERS:
+    RENAMED_FLAGS |= _others.renamed_flags
+    OUT_WAS_POSITIONAL |= _others.out_was_positional
+    OPTION_GROUPS |= _others.option_groups

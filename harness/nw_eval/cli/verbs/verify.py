@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
+from nw_base.plural import plural
 from nw_eval.cli.verbs.options import AllowCode, Workers
-from nw_eval.plural import plural
 
 if TYPE_CHECKING:
     from nw_eval.api import VerifiedRun
-    from nw_eval.results.evidence_check import CheckedFiles, Discrepancy
-    from nw_eval.rollout.replaying.reports import RepeatedTrial, Repeats
+    from nw_gate.results.evidence_check import CheckedFiles, Discrepancy
+    from nw_sim.rollout.replaying.reports import RepeatedTrial, Repeats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class Verify:
         return verified.exit_code
 
     def _check(self) -> None:
-        from nw_eval.errors import UsageError
+        from nw_base.errors import UsageError
 
         run = {"--trials": self.trials, "--seed": self.seed, "--policy": self.policy}
         used = [option for option, value in run.items() if value is not None]

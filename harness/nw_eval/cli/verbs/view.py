@@ -49,9 +49,9 @@ class ViewTrials:
     """Open the page in this machine's browser."""
 
     def __call__(self) -> int:
-        from nw_eval.results.moment_link import PORT
         from nw_eval.view.sources import kind_of
         from nw_eval.viewing.browser import check_server, free_port
+        from nw_gate.results.moment_link import PORT
 
         port = free_port(PORT) if self.port is None else self.port
         check_server(port)
@@ -68,7 +68,7 @@ class ViewTrials:
         return self._serve(page, f"{policy} in {scene}")
 
     def _logged(self, port: int) -> AbstractContextManager[ServedPage]:
-        from nw_eval.errors import UsageError, nearest
+        from nw_base.errors import UsageError, nearest
         from nw_eval.view.sources import open_shelf
         from nw_eval.view.trials_page import ViewPage
 

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, cast
 
 import tyro
 
+from nw_base.plural import plural
 from nw_eval.cli.verbs.options import AllowCode, NoCache, Scenes, Workers
-from nw_eval.plural import plural
 
 if TYPE_CHECKING:
+    from nw_base.words import Tracker
     from nw_eval.api.watching import WatchedCheckpoint
-    from nw_eval.words import Tracker
 
 
 @dataclass(frozen=True, kw_only=True)

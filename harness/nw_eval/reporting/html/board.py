@@ -10,16 +10,16 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from nw_eval.clean import clean
-from nw_eval.gate.side_by_side import PolicyComparison
-from nw_eval.gate.verdict import Verdict
+from nw_base.clean import clean
 from nw_eval.reporting.headline import part_of_suite, stopped_early
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.html.runs import ListedRun, level_of
 from nw_eval.reporting.side_by_side import ranks_text
 from nw_eval.reporting.tables.table import Bar
-from nw_eval.results.provenance import RunInfo
-from nw_eval.stats.interval import Interval
+from nw_gate.results.provenance import RunInfo
+from nw_gate.side_by_side import PolicyComparison
+from nw_gate.stats.interval import Interval
+from nw_gate.verdict import Verdict
 
 
 @dataclass(frozen=True, kw_only=True)

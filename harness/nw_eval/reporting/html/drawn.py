@@ -17,12 +17,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.gate.verdict import Comparison, SceneDrop, Verdict, percent_sure
 from nw_eval.reporting.headline import confidence
 from nw_eval.reporting.html.evidence import LogEvidence, PlacePicture, PlaceView, WalkedPath
-from nw_eval.results.row import Row
-from nw_eval.stats.hazard import Ends, Hazard, differences_over, hazards
-from nw_eval.stats.interval import Interval, wilson
+from nw_gate.results.row import Row
+from nw_gate.stats.hazard import Ends, Hazard, differences_over, hazards
+from nw_gate.stats.interval import Interval, wilson
+from nw_gate.verdict import Comparison, SceneDrop, Verdict, percent_sure
 
 WIDTH = 340.0
 """Of a gauge's axis, in units of its drawing."""

@@ -17,7 +17,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from nw_eval.clean import clean
+from nw_base.clean import clean
 
 _LONGEST = 4000  # characters of a text
 _UNITS = "%|ms|s|min|h|mm|cm|m|kg|rad|Hz|N m|N|W|J|[kM]B|[KMG]iB"

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.plural import plural
+from nw_base.plural import plural
 
 CLIP_BYTES = 2_000_000
 """Bytes of all clips of a page together; base64 adds a third, and a page of 160 trials has 5 MB."""

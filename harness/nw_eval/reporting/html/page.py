@@ -14,8 +14,7 @@ from pathlib import Path
 from shlex import quote
 from typing import NamedTuple
 
-from nw_eval.gate.cause import Cause
-from nw_eval.gate.verdict import Verdict
+from nw_base.words import FAULTS, OUTCOMES
 from nw_eval.reporting.headline import blind_spot, headline_parts, how_sure, stopped_early
 from nw_eval.reporting.html.drawn import course, gauges, plan_views
 from nw_eval.reporting.html.environment import render
@@ -36,10 +35,11 @@ from nw_eval.reporting.tables.trials import (
     view_link,
     worst_trials,
 )
-from nw_eval.results.labels import links_of
-from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import Row
-from nw_eval.words import FAULTS, OUTCOMES
+from nw_gate.cause import Cause
+from nw_gate.results.labels import links_of
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import Row
+from nw_gate.verdict import Verdict
 
 
 def render_html(

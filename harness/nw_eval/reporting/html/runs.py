@@ -15,14 +15,14 @@ from types import MappingProxyType
 from typing import Any
 from urllib.parse import urlsplit
 
-from nw_eval.gate.verdict import Verdict
-from nw_eval.plural import plural
+from nw_base.plural import plural
 from nw_eval.reporting.headline import headline_parts, part_of_suite
 from nw_eval.reporting.html.environment import render
 from nw_eval.reporting.tables.table import Bar
-from nw_eval.results.labels import links_of
-from nw_eval.results.provenance import RunInfo
-from nw_eval.stats.interval import Interval
+from nw_gate.results.labels import links_of
+from nw_gate.results.provenance import RunInfo
+from nw_gate.stats.interval import Interval
+from nw_gate.verdict import Verdict
 
 _WIDTH, _HEIGHT = 120.0, 28.0
 """Of a trend's drawing."""

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.gate.cause import Cause
-from nw_eval.gate.verdict import ScoreFinding, Verdict
-from nw_eval.plural import plural
+from nw_base.plural import plural
+from nw_base.words import OUTCOMES
 from nw_eval.reporting.tables.cause import cause_table
 from nw_eval.reporting.tables.run import provenance_table, throughput_table
 from nw_eval.reporting.tables.scenes import scenes_table
@@ -36,12 +35,13 @@ from nw_eval.reporting.tables.trials import (
     left_table,
     worst_table,
 )
-from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import Row, task_shown
-from nw_eval.scores.own import EXPECT
-from nw_eval.stats.betting import lower_bound, upper_bound
-from nw_eval.stats.interval import Interval
-from nw_eval.words import OUTCOMES
+from nw_gate.cause import Cause
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import Row, task_shown
+from nw_gate.scores.own import EXPECT
+from nw_gate.stats.betting import lower_bound, upper_bound
+from nw_gate.stats.interval import Interval
+from nw_gate.verdict import ScoreFinding, Verdict
 
 __all__ = ["NO_RIVALS", "Rivals", "Table", "all_tables", "named_tables"]
 

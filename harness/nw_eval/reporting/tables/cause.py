@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from nw_eval.gate.cause import Cause, Effect
-from nw_eval.plural import plural
+from nw_base.plural import plural
 from nw_eval.reporting.tables.table import Table
+from nw_gate.cause import Cause, Effect
 
 _ANSWERS = {
     "no drop": "no drop to explain",

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from nw_eval.digest import digest_of
-from nw_eval.plural import plural
+from nw_base.digest import digest_of
+from nw_base.plural import plural
 from nw_eval.reporting.tables.table import Table
-from nw_eval.results.labels import KNOWN
-from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import Row, by_column
+from nw_gate.results.labels import KNOWN
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import Row, by_column
 
 
 def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nw_eval.gate.verdict import Comparison, SceneDrop, SceneScore, Verdict
-from nw_eval.plural import plural
+from nw_base.plural import plural
 from nw_eval.reporting.tables.table import Bar, Table, bounds_header, span, uncorrected
-from nw_eval.results.row import Row
-from nw_eval.stats.bank.trials import SUSPECT
-from nw_eval.stats.interval import Interval
+from nw_gate.results.row import Row
+from nw_gate.stats.bank.trials import SUSPECT
+from nw_gate.stats.interval import Interval
+from nw_gate.verdict import Comparison, SceneDrop, SceneScore, Verdict
 
 _LEFT = "left capture"
 """Trials that left the captured volume, and are counted apart."""

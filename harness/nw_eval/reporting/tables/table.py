@@ -7,10 +7,10 @@ from copy import copy
 from dataclasses import dataclass
 from typing import Self
 
-from nw_eval.clean import clean
-from nw_eval.gate.verdict import Verdict
-from nw_eval.results.row import Row
-from nw_eval.stats.interval import Interval
+from nw_base.clean import clean
+from nw_gate.results.row import Row
+from nw_gate.stats.interval import Interval
+from nw_gate.verdict import Verdict
 
 WORST = 8
 """Trials that a table of the worst ones names."""

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
 
-from nw_eval.files.inside import OutsideError, checked
-from nw_eval.gate.verdict import Verdict
+from nw_base.files.inside import OutsideError, checked
 from nw_eval.reporting.tables.table import WORST, Table, judged, mean, more, share
-from nw_eval.results.bank import Start
-from nw_eval.results.moment_link import MomentLink
-from nw_eval.results.provenance import RunInfo
-from nw_eval.results.row import Row
+from nw_gate.results.bank import Start
+from nw_gate.results.moment_link import MomentLink
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import Row
+from nw_gate.verdict import Verdict
 
 BEFORE_END = 1.0
 """Seconds before a trial's end at which a link to it begins."""

@@ -12,9 +12,9 @@ from io import BytesIO
 from pathlib import PurePath
 from typing import Any
 
-from nw_eval.clean import clean
-from nw_eval.files.cache import atomic_path
-from nw_eval.files.pictures import open_picture
+from nw_base.clean import clean
+from nw_base.files.cache import atomic_path
+from nw_base.files.pictures import open_picture
 from nw_eval.reporting.html.evidence import Clip
 from nw_eval.reporting.trackers.tracked import TrackedRun
 

@@ -18,13 +18,13 @@ from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from typing import get_args
 
-from nw_eval.clean import clean
-from nw_eval.errors import PrerequisiteError, UsageError, nearest
-from nw_eval.gate.verdict import Comparison, Verdict
+from nw_base.clean import clean
+from nw_base.errors import PrerequisiteError, UsageError, nearest
+from nw_base.words import Tracker
 from nw_eval.reporting.headline import blind_spot, headline
 from nw_eval.reporting.html.evidence import Clip
-from nw_eval.results.provenance import RunInfo
-from nw_eval.words import Tracker
+from nw_gate.results.provenance import RunInfo
+from nw_gate.verdict import Comparison, Verdict
 
 TRACKERS: tuple[Tracker, ...] = get_args(Tracker)
 

@@ -11,7 +11,7 @@ import os
 from importlib import import_module
 from typing import Any
 
-from nw_eval.errors import PrerequisiteError
+from nw_base.errors import PrerequisiteError
 from nw_eval.reporting.trackers.tracked import PROJECT, TrackedRun
 
 

@@ -13,16 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.clean import clean
-from nw_eval.errors import NwEvalError, StoreError, UsageError
-from nw_eval.files.cache import atomic_path, followed
-from nw_eval.rollout.library import Library
-from nw_eval.rollout.mcap.drawn import cloud_points
-from nw_eval.rollout.mcap.images import MILLIMETRES, image_of
-from nw_eval.rollout.mcap.reader import LogReader
-from nw_eval.rollout.replaying.logged import read_logged_trial
-from nw_eval.splat.files import read_splat
-from nw_eval.splat.gaussians import SH0, sigmoid, transformed, unit_quats
+from nw_base.clean import clean
+from nw_base.errors import NwEvalError, StoreError, UsageError
+from nw_base.files.cache import atomic_path, followed
 from nw_eval.viewing.recording.track import (
     PLANE,
     TIME,
@@ -35,12 +28,19 @@ from nw_eval.viewing.recording.track import (
     save_layout,
 )
 from nw_eval.viewing.shown import shown_in_log
+from nw_sim.rollout.library import Library
+from nw_sim.rollout.mcap.drawn import cloud_points
+from nw_sim.rollout.mcap.images import MILLIMETRES, image_of
+from nw_sim.rollout.mcap.reader import LogReader
+from nw_sim.rollout.replaying.logged import read_logged_trial
+from nw_splat.files import read_splat
+from nw_splat.gaussians import SH0, sigmoid, transformed, unit_quats
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from nw_eval.rollout.replaying.logged import LoggedTrial
-    from nw_eval.splat.gaussians import Gaussians
+    from nw_sim.rollout.replaying.logged import LoggedTrial
+    from nw_splat.gaussians import Gaussians
 
     Messages = Mapping[str, Sequence[tuple[int, Any]]]
     """By topic: times in ns, and messages."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_eval.errors import PrerequisiteError
+from nw_base.errors import PrerequisiteError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

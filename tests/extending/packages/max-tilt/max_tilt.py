@@ -1,6 +1,6 @@
 import numpy as np
 
-from nw_eval.scores import Score, ScoreSpec
+from nw_gate.scores import Score, ScoreSpec
 
 
 class MaxTilt(Score):

@@ -1,0 +1,475 @@
+"""Whether the candidate is worse than the baseline: from a run's rows to a comparison.
+
+The candidate's rows become trials in the order of the draw (`finding.Met`), these become evidence
+and a word (`finding.find`), and what that may claim depends on what the baseline is to the run
+(`match.basis_of`). Here are also the waypoint at which the candidate parts from the baseline, the
+comparison in words, and what is simulated for a report: other policies at this gate, and this one
+after more trials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nw_base.plural import plural
+from nw_base.trials import DrawnStart
+from nw_gate.baseline.finding import (
+    Finding,
+    Met,
+    bank_of,
+    budget_of,
+    by_place,
+    find,
+    margins_of,
+    numbers_of,
+    scores_of,
+    strata_that_count,
+)
+from nw_gate.baseline.match import basis_of, check_match, claim_of, drawn_order, recheck
+from nw_gate.baseline.power_forecast import Outset, about_more_trials, outset_of_bank
+from nw_gate.results.bank import Against, BaselineResults, Panel, Start, Stratum, score
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import Row
+from nw_gate.settings import Gate
+from nw_gate.stats.bank.curve import CurvePoint, progress_from
+from nw_gate.stats.bank.trials import CRITICAL_TRIALS, SUSPECT, most_false_alarms
+from nw_gate.stats.hazard import Ends, first_partings
+from nw_gate.validity import over_the_cap, that_left
+from nw_gate.verdict import Basis, Claim, Comparison, SceneDrop, percent_sure
+
+_FURTHER = 4
+"""How many times its budget of trials a run that is undecided might have, for what more bring."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparisonSetup:
+    """A run against a baseline that holds for it, before anything of its trials is looked at."""
+
+    run: RunInfo
+    against: Against
+    gate: Gate
+    basis: Basis
+    claim: Claim
+    panel: Panel
+    """Of the baseline, in the scenes of the run."""
+    strata: tuple[Stratum, ...]
+    judged: tuple[Stratum, ...]
+    """Those that count."""
+    order: Sequence[DrawnStart]
+    left_aside: int
+    """Scenes of the baseline that the run was not asked for."""
+
+    @property
+    def bank(self) -> BaselineResults:
+        """The baseline."""
+        return self.against.bank
+
+    def met(self, rows: Sequence[Row], *, further: bool = False) -> Met:
+        """Return the trials of the budget, with those rows that there are.
+
+        Args:
+            rows: of the candidate.
+            further: also trials beyond the budget, as far as `--trials` could go on to.
+
+        Raises:
+            StoreError: a row is not of this run, or appears twice.
+        """
+        order = self.order
+        if further and not self.run.is_recheck:
+            rounds = budget_of(self.run)
+            most = max(rounds, min(_FURTHER * rounds, self.bank.manifest.starts))
+            order = drawn_order(self.run, self.strata, most)
+        control, left = None, frozenset[str]()
+        if self.basis == "control" and self.against.control is not None:
+            beside = self.against.control
+            control = by_place(beside.rows, beside.run, order, "baseline")
+            left = that_left(beside.rows, self.gate)
+        elif self.basis == "control":
+            control = [None] * len(order)
+        return Met(
+            order=order,
+            rows=by_place(rows, self.run, order),
+            control=control,
+            left=that_left(rows, self.gate),
+            control_left=left,
+        )
+
+    def find(self, met: Met, *, alone: bool = False) -> Finding:
+        """Return what trials show: `finding.find`."""
+        return find(
+            met, self.judged, self.panel, self.basis, self.gate, claim=self.claim, alone=alone
+        )
+
+
+def setup_of(run: RunInfo, against: Against, gate: Gate) -> ComparisonSetup:
+    """Return a run against a baseline.
+
+    Args:
+        run: the candidate's. What it says of the baseline (`BaselineInfo.checked`) counts.
+        against: the baseline.
+        gate: margins, errors and tiers.
+
+    Raises:
+        IncomparableError: the baseline does not hold for the run, or has too few starts for its
+            trials; or it is unchecked on this class of machine; or no scene of it counts.
+    """
+    bank = against.bank
+    check_match(run, bank)
+    known = run.baseline
+    is_begun = known is not None and known.sha256 == against.info.sha256
+    basis, panel = basis_of(run, bank, known.checked if known is not None and is_begun else None)
+    left_aside = {start.scene for start in panel.starts} - set(run.scenes)
+    panel = replace(panel, starts=tuple(x for x in panel.starts if x.scene in run.scenes))
+    strata = tuple(panel.by_stratum)
+    judged = strata_that_count(strata, gate)
+    rounds = budget_of(run)
+    return ComparisonSetup(
+        run=run,
+        against=against,
+        gate=gate,
+        basis=basis,
+        claim=claim_of(run, bank, basis, rounds, gate),
+        panel=panel,
+        strata=strata,
+        judged=judged,
+        order=drawn_order(run, strata, rounds),
+        left_aside=len(left_aside),
+    )
+
+
+def compare(
+    rows: Sequence[Row], run: RunInfo, against: Against, gate: Gate, *, power_forecast: bool = False
+) -> Comparison:
+    """Compare the trials that a run has so far with a baseline.
+
+    Args:
+        rows: of the candidate, in any order.
+        run: what they are of.
+        against: the baseline, with the control's rows if one ran.
+        gate: margins, errors and tiers.
+        power_forecast: also find intervals, and simulate what this gate would show of other
+            policies, and
+            of this one after more trials: for a report, and too slow to be asked after each trial.
+
+    Raises:
+        IncomparableError: as `setup_of`, or the gate could never flag.
+        StoreError: a row is not of this run, or appears twice.
+    """
+    setup = setup_of(run, against, gate)
+    met = setup.met(rows)
+    finding = setup.find(met, alone=power_forecast)
+    basis, panel, strata = setup.basis, setup.panel, setup.strata
+    used = frozenset(finding.used) | {
+        place for place in range(finding.first) if met.order[place][0] not in _scenes(setup)
+    }
+    parting = _waypoints(finding.worst, met, used, panel)
+    scenes = [
+        _scene(stratum, met, used, panel, gate, finding, parting.get(stratum)) for stratum in strata
+    ]
+    margins = margins_of(gate)
+    meets_starts = basis == "same" and run.panel == "pinned"
+    capped = over_the_cap(rows, met.left, gate)
+    critical = sum(gate.tier(scene) == "critical" for scene, _ in setup.judged)
+    alpha_pass = 1.0 - gate.confidence
+    bars = [gate.success_rate, *(asked.bar for asked in gate.scores.values())]
+    comparison = Comparison(
+        word="INCONCLUSIVE" if capped else finding.word,
+        bank=setup.bank.manifest.name,
+        policy=setup.bank.manifest.policy.name,
+        basis=basis,
+        claim=setup.claim,
+        trials=len(finding.used),
+        budget=len(met.places(setup.judged)),
+        starts=setup.bank.manifest.starts,
+        baseline=_level(finding, panel, setup.judged),
+        drop=finding.drop,
+        interval=finding.interval,
+        mean_regressed=finding.mean_regressed,
+        false_alarm=most_false_alarms(
+            bar=None if all(bar is None for bar in bars) else alpha_pass,
+            bar_critical=critical > 0,
+            baseline=gate.false_alarm,
+            critical=critical,
+            scenes=len(setup.judged),
+        ),
+        max_drop=margins.max_drop,
+        tolerate=margins.tolerate,
+        scene_drop=margins.scene_drop,
+        alpha_pass=alpha_pass,
+        alpha_regr=gate.false_alarm / gate.shared,
+        scenes=tuple(scenes),
+        reasons=(),
+        left_aside=setup.left_aside,
+        control=0 if met.control is None else sum(row is not None for row in met.control),
+        again=recheck(rows, run, setup.bank) if meets_starts else None,
+    )
+    curve = more = None
+    if power_forecast and basis != "same":
+        further = setup.met(rows, further=True)
+        curve, more = _power_forecast(comparison, further, setup.judged, panel, gate)
+    reasons = _in_words(comparison, finding)
+    return replace(
+        comparison,
+        reasons=(capped, *reasons) if capped else reasons,
+        more=None if capped else more,
+        curve=curve,
+    )
+
+
+def _scenes(setup: ComparisonSetup) -> set[str]:
+    return {scene for scene, _ in setup.judged}
+
+
+def _scene(
+    stratum: Stratum,
+    met: Met,
+    used: Collection[int],
+    panel: Panel,
+    gate: Gate,
+    finding: Finding,
+    waypoint: int | None,
+) -> SceneDrop:
+    scores = met.scores(stratum, used)
+    known = scores[~np.isnan(scores)]
+    if met.control is None:
+        baseline = float(scores_of(panel, stratum).mean())
+    else:
+        beside = [score(row) or 0.0 for row in met.beside(stratum, used)]
+        baseline = float(np.mean(beside)) if beside else None
+    return SceneDrop(
+        scene=stratum[0],
+        perturbation=stratum[1],
+        tier=gate.tier(stratum[0]),
+        baseline=baseline,
+        candidate=float(known.mean()) if known.size else None,
+        trials=known.size,
+        evidence=finding.evidence.get(stratum, 1.0),
+        named=stratum in finding.named,
+        interval=finding.alone.get(stratum),
+        waypoint=waypoint,
+        ends=_ends(stratum, met, used, panel),
+    )
+
+
+def _level(finding: Finding, panel: Panel, judged: Sequence[Stratum]) -> float:
+    """Return the baseline's mean success: the control's, where one was compared with."""
+    if finding.control is not None:
+        return finding.control
+    return float(np.mean([scores_of(panel, stratum).mean() for stratum in judged]))
+
+
+def _waypoints(
+    strata: Iterable[Stratum], met: Met, used: Collection[int], panel: Panel
+) -> Mapping[Stratum, int]:
+    """Return the first waypoint, from 1, of each stratum at which the two part significantly.
+
+    The baseline is all of its starts, or the control's trials beside the candidate's; the
+    candidate is the trials judged that came to a result. All strata are looked at together
+    (`stats.hazard`), and some may have none.
+
+    Args:
+        strata: where to look.
+        met: trials of the candidate.
+        used: places of those that are judged.
+        panel: of the baseline.
+    """
+    pairs = {stratum: _ends(stratum, met, used, panel) for stratum in strata}
+    known = {stratum: pair for stratum, pair in pairs.items() if pair is not None}
+    return {stratum: found.waypoint for stratum, found in first_partings(known).items()}
+
+
+def _ends(
+    stratum: Stratum, met: Met, used: Collection[int], panel: Panel
+) -> tuple[Ends, Ends] | None:
+    """Return how many trials of both ended after 0, 1, .. K waypoints; None without waypoints."""
+    starts = panel.by_stratum[stratum] if met.control is None else met.beside(stratum, used)
+    rows = met.of(stratum, used)
+    total = max((trial.waypoints_total for trial in (*starts, *rows)), default=0)
+    return (_ended(starts, total), _ended(rows, total)) if total else None
+
+
+def _ended(trials: Sequence[Start | Row], total: int) -> Ends:
+    reached = np.array([trial.waypoints_reached for trial in trials], dtype=np.int64)
+    return [int(count) for count in np.bincount(reached, minlength=total + 1)]
+
+
+_NONE_LEFT = "this run has no trial of these scenes left"
+_NAMED = 3  # scenes that a reason names before it says "and more"
+
+
+def _in_words(found: Comparison, finding: Finding) -> tuple[str, ...]:
+    """Return why a comparison says what it says, and of what it speaks: the main reason first.
+
+    Args:
+        found: the comparison.
+        finding: what it rests on.
+    """
+    if found.basis == "same":
+        again = found.again
+        if again is None:
+            return (f"the same policy as the baseline {found.policy}: nothing to test",)
+        over = "taken over from the baseline, " if again.taken_over else ""
+        return (f"the same policy as the baseline {found.policy}: {over}{again.in_words}",)
+    fallen, mean = _fallen(found), _mean(found)
+    by_scenes_alone = found.word == "REGRESSED" and not found.mean_regressed
+    return (
+        *((*fallen, mean) if by_scenes_alone else (mean, *fallen)),
+        *_largest(found),
+        *_waiting(found, finding),
+        *_limits(found),
+    )
+
+
+def _mean(found: Comparison) -> str:
+    """Return what was found of the mean."""
+    name, drops = f"the baseline {found.bank}", found.interval
+    if not found.trials or found.drop is None:
+        return f"no trial has been compared with {name} yet"
+    in_trials = f"in {plural(found.trials, 'trial')}"
+    if drops is None:
+        return f"mean success dropped by {found.drop:z.3f} from {name} {in_trials}"
+    at_most, at_least = percent_sure(found.alpha_pass), percent_sure(found.alpha_regr)
+    if found.word == "PASS":
+        worst = f"at most {drops.high:.3f} worse" if drops.high > 0.0 else "no worse"
+        if float(f"{drops.high:.3f}") >= found.max_drop:  # Rounded it would contradict the verdict.
+            worst = f"less than {found.max_drop:g} worse"
+        return (
+            f"{worst} than {name} ({at_most} confidence) {in_trials}: a drop of "
+            f"{found.max_drop:g} is excluded"
+        )
+    span = (
+        f"at least {drops.low:z.3f} ({at_least} confidence), at most {drops.high:z.3f} ({at_most})"
+    )
+    if found.mean_regressed:
+        return f"mean success regressed from {name}: {span} worse {in_trials}"
+    change = f"dropped by {found.drop:z.3f} from {name}"
+    if found.drop < 0.0:
+        change = f"rose by {-found.drop:.3f} from {name}"
+        span = f"which leaves a drop of {span}"
+    drop = f"mean success {change} {in_trials}, {span}"
+    if drops.high < found.max_drop:
+        return f"{drop}: a drop of {found.max_drop:g} is excluded"
+    return (
+        f"{drop}: undecided, the data fit a drop of {found.max_drop:g} and a drop below "
+        f"{found.tolerate:g}"
+    )
+
+
+def _fallen(found: Comparison) -> tuple[str, ...]:
+    """Return which scenes regressed, whatever the word; those that flag first."""
+    order = {"critical": 0, "supporting": 1, "informational": 2}
+    named = [item for item in found.scenes if item.named]
+    named.sort(key=lambda item: (order[item.tier], -item.evidence, item.name))
+    shown = tuple(_fell(item) for item in named[:_NAMED])
+    if len(named) > _NAMED:
+        return (*shown, f"{plural(len(named) - _NAMED, 'more scene')} regressed, see the table")
+    return shown
+
+
+def _fell(item: SceneDrop) -> str:
+    which = "critical scene" if item.tier == "critical" else "scene"
+    return f"{which} {item.name} regressed: {_change(item)}"
+
+
+def _largest(found: Comparison) -> Iterable[str]:
+    """Return where a policy that the mean flags seems worst, if no scene flags alone."""
+    if not found.mean_regressed or any(item.named for item in found.scenes):
+        return
+    lower = [item for item in found.scenes if item.counts and item.drop and item.drop > 0.0]
+    lower.sort(key=lambda item: (-item.evidence, item.name))
+    if lower:
+        worst = "; ".join(f"{item.name} {_change(item)}" for item in lower[:_NAMED])
+        yield f"no single scene regressed significantly; largest drops: {worst}"
+
+
+def _change(item: SceneDrop) -> str:
+    onwards = "" if item.waypoint is None else f", from waypoint {item.waypoint} on"
+    return f"{item.baseline:.2f} -> {item.candidate:.2f}{onwards}"
+
+
+def _waiting(found: Comparison, finding: Finding) -> Iterable[str]:
+    waited = [item for item in found.scenes if item.stratum in finding.waits_for]
+    suspect = [item.name for item in waited if item.evidence >= SUSPECT]
+    critical = [item.name for item in waited if item.evidence < SUSPECT]
+    if suspect:
+        which = "it" if len(suspect) == 1 else "they"
+        held = f"the mean passes; PASS is held back by {_listed(suspect)}"
+        yield f"{held}: {which} may have regressed"
+    if critical:
+        yield (
+            f"the mean passes; PASS is held back by {_listed(critical)}: a critical scene needs "
+            f"{CRITICAL_TRIALS} trials"
+        )
+    if waited and not finding.ahead:
+        yield "this run has no trial of it left" if len(waited) == 1 else _NONE_LEFT
+
+
+def _limits(found: Comparison) -> Iterable[str]:
+    """Return of which starts it speaks, and what was left out."""
+    if found.claim == "panel":
+        yield (
+            f"gate.claim is panel: this applies to the baseline's {plural(found.starts, 'start')} "
+            "in each scene, not for new ones"
+        )
+    if found.basis == "control":
+        yield (
+            f"this machine or version gives other bits than the baseline's: its policy "
+            f"{found.policy} ran beside the candidate from the same starts "
+            f"({plural(found.control, 'trial')}), and is what it is compared with; a baseline "
+            "saved here saves these trials"
+        )
+    unmet = [item.name for item in found.scenes if item.counts and not item.trials]
+    if found.word == "PASS" and unmet:
+        yield (
+            f"PASS is on the mean: no trial met {_listed(unmet)}; "
+            f"a critical scene is met by {CRITICAL_TRIALS} before a PASS (gate.tiers)"
+        )
+    if found.left_aside:
+        left_aside = plural(found.left_aside, "scene")
+        yield f"the run was asked for some scenes only: {left_aside} of the baseline not compared"
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{', '.join(names[:_NAMED])}{more}"
+
+
+def _power_forecast(
+    found: Comparison, met: Met, judged: Sequence[Stratum], panel: Panel, gate: Gate
+) -> tuple[tuple[CurvePoint, CurvePoint, CurvePoint], str | None]:
+    """Simulate what a comparison leaves open.
+
+    Returns:
+        How this gate ends for an equal policy, and for ones worse by half of max_drop and by it;
+        and about how many more trials would settle it, None where it is settled.
+
+    Args:
+        found: the comparison.
+        met: trials of the candidate, and those that may be run beyond the budget.
+        judged: strata that count, in the order of the seed set.
+        panel: of the baseline, in the scenes of the run.
+        gate: margins, errors and tiers.
+    """
+    against = "control" if found.basis == "control" else found.claim
+    outset = outset_of_bank(panel, gate, budget=found.budget, against=against)
+    is_open = found.word == "INCONCLUSIVE" and found.trials > 0
+    more = _more(met, judged, panel, found, outset) if is_open else None
+    return outset.power_forecast(), more
+
+
+def _more(
+    met: Met, judged: Sequence[Stratum], panel: Panel, found: Comparison, outset: Outset
+) -> str:
+    bank = bank_of(panel, judged, found.basis, found.claim)
+    progress = progress_from(
+        bank,
+        numbers_of(met, judged, panel, found.basis, bank),
+        outset.rules,
+        known=met.ended(met.places(judged).tolist()),
+        waypoints=[len(course.counts) - 1 for course in outset.seen],
+    )
+    words = about_more_trials(progress)
+    return f"{words}; --resume with more --trials runs them" if progress.settled else words

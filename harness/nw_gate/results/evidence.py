@@ -1,0 +1,263 @@
+"""A run's rows and logs under one digest, so that what was changed later is found and named.
+
+run.json keeps the root: the Merkle Tree Hash of RFC 6962, section 2.1, one digest for a list,
+whatever its length.
+
+    MTH({})   = SHA-256()
+    MTH({d})  = SHA-256(0x00 || d)
+    MTH(D[n]) = SHA-256(0x01 || MTH(D[0:k]) || MTH(D[k:n])), k the largest power of two below n
+
+The first byte keeps leaves and nodes apart: no list of other entries has the same digest, one whose
+entries are the nodes of this one included. The entries, which digests.json keeps so that a culprit
+has a name, are what the run is of, and its rows. A row's entry has all of its columns, also those
+that its own digest leaves out: the times that a report adds up, the tier by which a scene is
+judged, the SHA-256 of its log. A log needs no entry of its own.
+"""
+
+from __future__ import annotations
+
+import json
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import file_digest, sha256
+from json.encoder import encode_basestring_ascii
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+from nw_base.clean import clean
+from nw_base.errors import StoreError
+from nw_base.files.cache import atomic_path
+from nw_base.files.inside import bounded_bytes, regular
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import COLUMNS, Results, Row, RowTexts
+from nw_gate.results.seal import sealed_pieces, unseal
+
+_ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
+_VALUES = attrgetter(*COLUMNS)
+_DEFAULTS = tuple((column.added, column.default) for column in COLUMNS.values())
+_REALS = tuple(place for place, name in enumerate(COLUMNS) if name in COLUMNS.reals)
+
+
+def run_leaf(info: RunInfo) -> str:
+    """Return the hex hash of what a run is of: suite with its gate, policy, scenes, bank, engine.
+
+    When and where it ran is left out, and so is all that `report` writes again.
+    """
+    policy, bank, stop = info.policy, info.baseline, info.stop
+    facts = {
+        "suite": info.suite,
+        "suite_digest": info.suite_digest,
+        "policy": [policy.name, policy.card_digest, policy.checkpoint_digest],
+        "scenes": {
+            name: [scene.digest, scene.task, scene.trials] for name, scene in info.scenes.items()
+        },
+        "panel": [
+            *(info.panel, info.drawn_from),
+            None if stop is None else [stop.first, *stop.followed],
+            *filter(None, [info.drawn_for]),
+        ],
+        "bank": None if bank is None else [bank.name, bank.sha256, bank.checked, list(bank.moved)],
+        "engine": info.engine,
+    }
+    text = json.dumps(facts, sort_keys=True, separators=(",", ":"))
+    return leaf_hash(text.encode()).hex()
+
+
+def row_leaf(row: Row) -> str:
+    """Return the hex hash of a row: of the values of all columns, in their order.
+
+    Columns that came later are last. While they have their defaults they are left out, so that a
+    row keeps its hash under every version that adds some.
+    """
+    values = list(_VALUES(row))
+    for place in _REALS:  # A whole number comes back from Parquet as a real one.
+        if type(values[place]) is int:
+            values[place] = float(values[place])
+    return leaf_hash(_ENCODE(values[: _without_defaults(values)]).encode()).hex()
+
+
+def row_leaves(texts: RowTexts) -> dict[str, str]:
+    """Return the `row_leaf` of each of some rows, by trial."""
+    leaves = (leaf.hex() for leaf in _leaves(texts))
+    return dict(zip(texts.values["trial_id"], leaves, strict=True))
+
+
+def _leaves(texts: RowTexts) -> list[bytes]:
+    """Return the `row_leaf` of each of some rows, 32 bytes."""
+    values = texts.values
+    if any(int in set(map(type, values[name])) for name in COLUMNS.reals):
+        return [bytes.fromhex(row_leaf(row)) for row in texts.rows]
+    counts = map(_without_defaults, zip(*values.values(), strict=True))
+    entries = zip(*texts.texts.values(), strict=True)
+    return [
+        leaf_hash(f"[{','.join(entry[:count])}]".encode())
+        for entry, count in zip(entries, counts, strict=True)
+    ]
+
+
+def _without_defaults(values: Sequence[Any]) -> int:
+    """Return how many values there are but for the last that came later, and are as they would."""
+    count = len(values)
+    while _DEFAULTS[count - 1] == (True, values[count - 1]):
+        count -= 1
+    return count
+
+
+def log_sha256(path: Path) -> str:
+    """Return the hex digest of a log's bytes; empty where there is none that can be read."""
+    try:
+        with regular(path).open("rb") as stream:
+            return file_digest(stream, "sha256").hexdigest()
+    except OSError:
+        return ""
+
+
+_MOST = 192 * 2**20
+"""Bytes of a file that is read: a million rows have some 120 million."""
+_HEX = 64  # digits
+
+
+@dataclass(frozen=True, kw_only=True)
+class Digests:
+    """The hash of what a run is of, and of each of its rows by trial, all in hex."""
+
+    run: str
+    rows: Mapping[str, str]
+
+    @cached_property
+    def root(self) -> str:
+        """The Merkle root: of the run, and then of its rows in the order of their trials."""
+        ordered = (self.rows[name] for name in sorted(self.rows))
+        return root_of(bytes.fromhex(leaf) for leaf in (self.run, *ordered)).hex()
+
+
+def write_digests(path: Path, digests: Digests) -> None:
+    """Write digests.json with its checksum, whole or not at all.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        stream.writelines(sealed_pieces(_pieces(digests)))
+
+
+def _pieces(digests: Digests) -> Iterator[str]:
+    """Yield the JSON of digests as `indent=2` has it, without the brace that closes it."""
+    yield f'{{\n  "digests": 1,\n  "run": {json.dumps(digests.run)},\n  "rows": {{'
+    between = "\n    "
+    for name in sorted(digests.rows):
+        yield f'{between}{encode_basestring_ascii(name)}: "{digests.rows[name]}"'
+        between = ",\n    "
+    yield "\n  }" if digests.rows else "}"
+
+
+def read_digests(path: Path) -> Digests:
+    """Read digests.json.
+
+    Raises:
+        StoreError: it is missing or damaged.
+    """
+    fix = "restore it from a copy of the run"
+    try:
+        data = bounded_bytes(path, _MOST)
+        return _digests(json.loads(unseal(data)[0]))
+    except FileNotFoundError:
+        raise StoreError(f"{path} is missing", fix=fix) from None
+    except OSError as error:
+        raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise StoreError(f"{path} is damaged: {clean(error, at_most=200)}", fix=fix) from None
+
+
+def _digests(record: Any) -> Digests:
+    digests = Digests(run=record["run"], rows=dict(record["rows"]))
+    if not all(map(_is_hash, (digests.run, *digests.rows.values()))):
+        raise ValueError("a hash in it is none")
+    return digests
+
+
+def _is_hash(text: object) -> bool:
+    return isinstance(text, str) and len(text) == _HEX and not set(text) - set("0123456789abcdef")
+
+
+class Gathered:
+    """What digests.json, run.json and trials.parquet are made of.
+
+    Attributes:
+        results: what `rows_digest` is the digest of.
+        leaves: the hash of each row, 32 bytes, in the order of `results`.
+        rows: in that order.
+    """
+
+    def __init__(self) -> None:
+        self.results = Results()
+        self.leaves = bytearray()
+        self.rows: list[Row] = []
+
+    def passing(self, portions: Iterable[RowTexts]) -> Iterator[RowTexts]:
+        """Yield portions of rows as they are."""
+        for texts in portions:
+            self.results.extend(texts)
+            self.leaves += b"".join(_leaves(texts))
+            self.rows += texts.rows
+            yield texts
+
+    def digests(self, run: str, order: Sequence[int]) -> Digests:
+        """Return the digests of a run.
+
+        Args:
+            run: of what it is of.
+            order: places of the rows by trial.
+        """
+        trials, leaves = self.results.trials, self.leaves
+        ordered = bytearray()
+        for place in order:  # To join them would hold each as an object of its own.
+            ordered += leaves[32 * place : 32 * place + 32]
+        return Digests(run=run, rows=_Leaves([trials[place] for place in order], ordered))
+
+
+class _Leaves(Mapping[str, str]):
+    """Hashes of many rows by trial: 32 bytes each, behind one another in the order of names."""
+
+    def __init__(self, names: Sequence[str], leaves: bytearray) -> None:
+        self._names, self._leaves = names, leaves
+
+    def __getitem__(self, name: str) -> str:
+        place = bisect_left(self._names, name)
+        if place == len(self._names) or self._names[place] != name:
+            raise KeyError(name)
+        return self._leaves[32 * place : 32 * place + 32].hex()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+def leaf_hash(entry: bytes) -> bytes:
+    """Return the hash of one entry of a list, 32 bytes."""
+    return sha256(b"\x00" + entry).digest()
+
+
+def root_of(leaves: Iterable[bytes]) -> bytes:
+    """Return the hash of a list, 32 bytes.
+
+    Args:
+        leaves: the `leaf_hash` of every entry, in order.
+    """
+    trees: list[tuple[int, bytes]] = []  # Whole ones, each smaller than the one before it.
+    for leaf in leaves:
+        size, node = 1, leaf
+        while trees and trees[-1][0] == size:
+            size, node = 2 * size, sha256(b"\x01" + trees.pop()[1] + node).digest()
+        trees.append((size, node))
+    if not trees:
+        return sha256().digest()
+    _, root = trees.pop()
+    while trees:
+        root = sha256(b"\x01" + trees.pop()[1] + root).digest()
+    return root

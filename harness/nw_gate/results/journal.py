@@ -1,0 +1,464 @@
+"""The journal of a run: one JSON line per finished trial, on disk before the next one starts.
+
+    {"journal": 3, "suite_digest": ..., "policy_digest": ..., ..., "sum": ...}
+    {"row": {...}, "sum": ...}
+    {"row": {...}, "sum": ...}
+
+A run that is killed at any moment loses the trials in flight and nothing else. A line that was torn
+by the kill is dropped when the journal is read, and cut off before the next line is written. Every
+line's sum covers the line and the sum before it (`seal`): a line that was changed, left out,
+repeated or exchanged is an error, never another result.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
+from pathlib import Path
+from typing import IO, Any, Self
+
+from pydantic_core import from_json
+
+from nw_base.clean import clean
+from nw_base.errors import IncomparableError, StoreError
+from nw_base.files.cache import atomic_path, open_own, sync_folder
+from nw_base.files.inside import regular
+from nw_gate.results.provenance import RunInfo
+from nw_gate.results.row import Row, RowTexts, from_dicts, texts_of
+from nw_gate.results.seal import seal, sum_of, unseal
+from nw_gate.results.stored import RowStore
+
+VERSION = 3
+_ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
+
+
+@dataclass(frozen=True, kw_only=True)
+class JournalHeader:
+    """What the trials of one journal have in common: a run may be resumed under the same only.
+
+    `engine` names whatever else makes bits differ, such as `mujoco: 4.0.0` and `renderer: cpu`.
+    """
+
+    suite_digest: str
+    policy_digest: str
+    scene_digests: Mapping[str, str]
+    engine: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of_run(cls, info: RunInfo) -> Self:
+        """Return what the journal of a run begins with."""
+        return cls(
+            suite_digest=info.suite_digest,
+            policy_digest=info.policy.card_digest,
+            scene_digests={name: scene.digest for name, scene in info.scenes.items()},
+            engine=info.engine,
+        )
+
+    def differences(self, other: JournalHeader) -> list[str]:
+        """Return what differs, in words; scenes that only one of the two has do not count."""
+        found: list[str] = []
+        for name in ("suite_digest", "policy_digest"):
+            old, new = getattr(self, name), getattr(other, name)
+            if old != new:
+                found.append(f"{name.removesuffix('_digest')} ({old[:8]}, now {new[:8]})")
+        for scene in sorted(set(self.scene_digests) & set(other.scene_digests)):
+            old, new = self.scene_digests[scene], other.scene_digests[scene]
+            if old != new:
+                found.append(f"scene {scene} ({old[:8]}, now {new[:8]})")
+        for key in sorted(set(self.engine) | set(other.engine)):
+            old, new = self.engine.get(key, "none"), other.engine.get(key, "none")
+            if old != new:
+                found.append(f"{key} ({old}, now {new})")
+        return found
+
+    def widened(self, known: Mapping[str, str]) -> JournalHeader:
+        """Return this header with scenes that the journal knows already."""
+        return replace(self, scene_digests={**known, **self.scene_digests})
+
+    def record(self) -> str:
+        """Return the line, without its sum."""
+        return _ENCODE({"journal": VERSION, **asdict(self)})
+
+
+def header_of(record: dict[str, Any]) -> JournalHeader:
+    """Return the header that a line's JSON holds.
+
+    Raises:
+        ValueError, TypeError, KeyError, AttributeError: it is none, or of another version.
+    """
+    version = record.pop("journal")
+    if version != VERSION:
+        raise ValueError(f"journal version {version}, this nw-eval reads {VERSION}")
+    texts = (record["suite_digest"], record["policy_digest"])
+    tables = (record["scene_digests"], record["engine"])
+    values = (*texts, *(text for table in tables for pair in table.items() for text in pair))
+    if not all(isinstance(value, str) for value in values):
+        raise ValueError("a digest or a version is not text")
+    return JournalHeader(**record)
+
+
+class Journal:
+    """The journal of a run that is going on. A context manager; one process may hold it."""
+
+    def __init__(self, path: Path, handle: IO[bytes]) -> None:
+        self.path = path
+        self.dropped: str | None = None
+        self._handle = handle
+        self._rows = _store(path)
+        self._last_sum = ""
+
+    @classmethod
+    def create(cls, path: Path, header: JournalHeader) -> Self:
+        """Start a journal, also where the start of an earlier one was cut off in its first line.
+
+        Raises:
+            StoreError: there is one already, or the folder cannot be written.
+        """
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.fdopen(open_own(path, os.O_RDWR | os.O_CREAT), "r+b", buffering=0)
+        except OSError as error:
+            raise _unwritable(path, error) from error
+        journal = cls(path, handle)
+        try:
+            journal._lock()
+            journal._begin(header)
+        except BaseException:
+            handle.close()
+            raise
+        sync_folder(path.parent)
+        return journal
+
+    @classmethod
+    def resume(cls, path: Path, header: JournalHeader) -> Self:
+        """Go on with a journal. `rows` are those it has; `dropped` tells of a torn line.
+
+        Raises:
+            IncomparableError: suite, policy, a scene or the engine is not what it was.
+            StoreError: the journal is damaged, missing, or held by another process.
+        """
+        try:
+            handle = os.fdopen(open_own(path, os.O_RDWR), "r+b", buffering=0)
+        except FileNotFoundError:
+            raise StoreError(
+                f"no journal at {path}", fix="start the run without --resume"
+            ) from None
+        except OSError as error:
+            raise _unwritable(path, error) from error
+        try:
+            journal = cls(path, handle)
+            journal._lock()
+            contents, journal._rows = _read_journal(path)
+            journal._take_up(contents, header)
+        except BaseException:
+            handle.close()
+            raise
+        return journal
+
+    @property
+    def rows(self) -> Sequence[Row]:
+        """The latest row of every finished trial, in the order of their first finish."""
+        return self._rows.rows()
+
+    def append(self, row: Row) -> None:
+        """Write one finished trial and wait until it is on disk; as `extend`."""
+        self.extend([row])
+
+    def extend(self, rows: Sequence[Row]) -> None:
+        """Write trials that are there together, and wait once until all of them are on disk.
+
+        A row of a trial that ended in an error is superseded by a later one; a result never is,
+        but by the same one with the log that it had lost.
+
+        Raises:
+            StoreError: the disk is full or fails, or a trial has another result already; none of
+                the rows is kept.
+        """
+        kept: dict[str, Row] = {}
+        for row in rows:
+            earlier = kept.get(row.trial_id) or self._rows.get(row.trial_id)
+            kept[row.trial_id] = later(earlier, row, self.path)
+        self._write(texts.records() for texts in texts_of(rows))
+        self._rows.extend(rows)
+
+    def close(self) -> None:
+        """Release the file. Closing twice does no harm."""
+        self._handle.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _write(self, portions: Iterable[Iterable[str]]) -> None:
+        """Write the lines of records, all of them or none."""
+        if self._handle.closed:
+            raise StoreError(f"journal {self.path} is closed", fix="append within its `with` block")
+        before, last_sum = self._handle.tell(), self._last_sum
+        try:
+            for records in portions:
+                lines, last_sum = _sealed(records, last_sum)
+                written = 0
+                while written < len(lines):
+                    written += self._handle.write(lines[written:])
+            os.fsync(self._handle.fileno())
+        except BaseException as error:
+            # Half a line is of no use; take it back so that what is there stays whole.
+            with suppress(OSError):
+                self._handle.truncate(before)
+                self._handle.seek(before)
+            if isinstance(error, OSError):
+                raise _unwritable(self.path, error) from error
+            raise
+        self._last_sum = last_sum
+
+    def _begin(self, header: JournalHeader) -> None:
+        """Write the first line over whatever a torn start has left."""
+        if has_begun(self.path):
+            raise StoreError(f"{self.path} exists already", fix="continue with --resume")
+        self._handle.truncate(0)
+        self._write([[header.record()]])
+
+    def _take_up(self, contents: JournalContents, header: JournalHeader) -> None:
+        """Stand at the end of what is whole, with its rows, if it is of the same run."""
+        if differences := contents.header.differences(header):
+            raise IncomparableError(
+                f"cannot resume {self.path.parent}: {', '.join(differences)} changed",
+                fix="start a new run without --resume",
+            )
+        self.dropped = contents.dropped
+        self._last_sum = contents.last_sum
+        self._handle.truncate(contents.good_bytes)
+        self._handle.seek(0, os.SEEK_END)
+        known = contents.header.scene_digests
+        if set(header.scene_digests) - set(known):
+            self._write([[header.widened(known).record()]])
+
+    def _lock(self) -> None:
+        import fcntl  # Not on Windows, where the judgement wing still runs.
+
+        try:
+            fcntl.flock(self._handle.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._handle.close()
+            raise StoreError(
+                f"{self.path} is held by another nw-eval process", fix="wait for it or stop it"
+            ) from None
+
+
+def write_journal(path: Path, header: JournalHeader, portions: Iterable[RowTexts]) -> None:
+    """Write the journal of a run that has ended elsewhere: all of it, or nothing.
+
+    Args:
+        path: where to.
+        header: its first line.
+        portions: of rows, one of each trial, in the order of the lines.
+
+    Raises:
+        StoreError: it cannot be written.
+    """
+    records = chain([[header.record()]], (texts.records() for texts in portions))
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        last_sum = ""
+        for some in records:
+            lines, last_sum = _sealed(some, last_sum)
+            stream.write(lines)
+
+
+def _sealed(records: Iterable[str], last_sum: str) -> tuple[bytes, str]:
+    """Return the lines of records, and the last one's sum; each covers that of the line before."""
+    lines: list[str] = []
+    for record in records:
+        line, last_sum = seal(record, last_sum)
+        lines.append(line)
+    return "".join(lines).encode(), last_sum
+
+
+def _unwritable(path: Path, error: OSError) -> StoreError:
+    return StoreError(
+        f"cannot write {path}: {error.strerror or error}",
+        fix="free disk space or choose another folder with --out; finished trials are kept",
+    )
+
+
+_MOST = 4 * 2**30
+"""Bytes of a journal that is read: a million trials with up to four thousand bytes each."""
+_LONGEST_LINE = 4 * 2**20  # bytes; a row has about a thousand
+_AT_ONCE = 500  # lines that are parsed together
+_DAMAGED = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
+
+
+@dataclass(frozen=True, kw_only=True)
+class JournalContents:
+    """What a journal holds: one row per trial, the latest, and what had to be left out."""
+
+    header: JournalHeader
+    rows: Sequence[Row]
+    dropped: str | None = None  # A sentence about a torn last line.
+    good_bytes: int = 0  # Length of the file up to the last whole line.
+    last_sum: str = ""  # Of that line, which the next one's covers.
+
+
+def has_begun(path: Path) -> bool:
+    """Say whether a journal has its first line, without which it holds nothing to go on with.
+
+    Raises:
+        StoreError: it cannot be read.
+    """
+    try:
+        with regular(path).open("rb") as stream:
+            return stream.readline(_LONGEST_LINE).endswith(b"\n")
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error
+
+
+def read_journal(path: Path) -> JournalContents:
+    """Read a journal, whether its run has ended or not.
+
+    Raises:
+        StoreError: it is missing, too large, or damaged before its last line.
+    """
+    return _read_journal(path)[0]
+
+
+def _store(path: Path) -> RowStore:
+    return RowStore(lambda earlier, row: later(earlier, row, path))
+
+
+def _read_journal(path: Path) -> tuple[JournalContents, RowStore]:
+    try:
+        if not path.is_file():
+            raise StoreError(f"no journal at {path}", fix="name the folder of a run")
+        if path.stat().st_size > _MOST:
+            raise StoreError(f"{path} has over {_MOST // 2**20} MiB", fix="check what it is")
+        with regular(path).open("rb") as stream:
+            return _read(path, stream)
+    except OSError as error:
+        raise StoreError(f"cannot read {path}: {error.strerror}", fix="check its rights") from error
+
+
+def last_sum(path: Path) -> str:
+    """Return the sum of a journal's last line; empty if there is no such line."""
+    try:
+        with regular(path).open("rb") as stream:
+            stream.seek(max(0, path.stat().st_size - _LONGEST_LINE))
+            lines = stream.read(_LONGEST_LINE).splitlines(keepends=True)
+    except OSError:
+        return ""
+    return sum_of(lines[-1]) if lines else ""
+
+
+def later(earlier: Row | None, row: Row, path: Path) -> Row:
+    """Return which of two rows of one trial stands: a result stands, an error gives way.
+
+    So does a result whose log was lost, to the same one with its log.
+
+    Raises:
+        StoreError: they are different results.
+    """
+    if earlier is None or earlier.status == "error":
+        return row
+    if row.status == "ok" and earlier.digest != row.digest:
+        raise StoreError(
+            f"{path}: trial {row.trial_id} has two different results "
+            f"({earlier.digest[:8]} and {row.digest[:8]})",
+            fix="the simulation is not deterministic here; compare their logs",
+        )
+    return row if row.status == "ok" and earlier.lost_its_log else earlier
+
+
+def _read(path: Path, stream: IO[bytes]) -> tuple[JournalContents, RowStore]:
+    waiting: list[bytes] = []  # Lines without their sums, which are parsed together.
+    dropped: str | None = None
+    header: JournalHeader | None = None
+    rows, last_sum = _store(path), ""
+    good = number = 0
+    for line in iter(lambda: stream.readline(_LONGEST_LINE), b""):
+        number += 1
+        if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
+            dropped = f"{path}:{number}: dropped a line that was cut off after {len(line)} bytes"
+            number -= 1
+            break  # Only the last line can lack its end.
+        try:
+            body, last_sum = _unsealed(line, last_sum)
+        except _DAMAGED as error:
+            _parsed(path, waiting, number - len(waiting))  # What is wrong before it is said first.
+            raise _damaged(path, number, error) from None
+        waiting.append(body)
+        good += len(line)
+        if len(waiting) == _AT_ONCE:
+            header = _taken(path, waiting, number, rows) or header
+            waiting = []
+    header = _taken(path, waiting, number, rows) or header
+    if header is None:
+        raise StoreError(f"{path} is empty", fix="start the run again; nothing of it is lost")
+    contents = JournalContents(
+        header=header, rows=rows.rows(), dropped=dropped, good_bytes=good, last_sum=last_sum
+    )
+    return contents, rows
+
+
+def _taken(path: Path, lines: Sequence[bytes], last: int, rows: RowStore) -> JournalHeader | None:
+    """Keep the rows of lines, of which the last has that number; return their last header."""
+    headers, found = _parsed(path, lines, last + 1 - len(lines))
+    rows.extend(found)
+    return headers[-1] if headers else None
+
+
+def _parsed(
+    path: Path, lines: Sequence[bytes], first: int
+) -> tuple[list[JournalHeader], list[Row]]:
+    """Return the headers and rows of lines, the first of which has that number."""
+    try:
+        return _records(lines)
+    except _DAMAGED:
+        return _one_by_one(path, lines, first)
+
+
+def _records(
+    lines: Sequence[bytes], parse: Callable[[bytes], Any] = from_json
+) -> tuple[list[JournalHeader], list[Row]]:
+    """Return the headers and rows of lines, which are read twice as fast together."""
+    records = parse(b"[" + b",".join(lines) + b"]")
+    if len(records) != len(lines):
+        raise ValueError("a line is not one record")
+    rows = from_dicts([record["row"] for record in records if "row" in record])
+    return [header_of(record) for record in records if "row" not in record], rows
+
+
+def _one_by_one(
+    path: Path, lines: Sequence[bytes], first: int
+) -> tuple[list[JournalHeader], list[Row]]:
+    """Return the headers and rows of lines, and say which of them is damaged."""
+    found: tuple[list[JournalHeader], list[Row]] = ([], [])
+    for number, line in enumerate(lines, start=first):
+        try:
+            headers, rows = _records([line], json.loads)
+        except _DAMAGED as error:
+            raise _damaged(path, number, error) from None
+        found[0].extend(headers)
+        found[1].extend(rows)
+    return found
+
+
+def _damaged(path: Path, number: int, error: Exception) -> StoreError:
+    return StoreError(f"{path}:{number}: damaged ({clean(error)})", fix=_mend(number))
+
+
+def _mend(number: int) -> str:
+    if number == 1:
+        return "start a new run"
+    return f"keep the {number - 1} lines before it (`head -n`), and --resume runs the others again"
+
+
+def _unsealed(line: bytes, last_sum: str) -> tuple[bytes, str]:
+    if line.startswith(b'{"journal":1,'):
+        raise ValueError(f"journal version 1, this nw-eval reads {VERSION}")
+    return unseal(line, last_sum)

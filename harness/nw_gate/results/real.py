@@ -1,0 +1,122 @@
+"""Results of policies on the robot, as a CSV that somebody kept: policy, scene, trials, success.
+
+In place of success it may have a score of docs/reference/scores.md, in a column of its name.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from nw_base.errors import Problem, UsageError
+from nw_base.files.inside import bounded_bytes
+from nw_gate.scores import ScoreSpec
+
+_NAMED = ("policy", "scene", "trials")
+_MOST = 2**20  # Bytes: some 10,000 lines.
+_MOST_TRIALS = 100_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class RealResult:
+    """One line: how a policy did in one scene on the robot."""
+
+    policy: str
+    """Its name, or that of the run or baseline that it is compared with."""
+    scene: str
+    trials: int
+    success: float
+    """Mean over the trials, 0 to 1: of shares of waypoints reached, or of trials that succeeded; of
+    a score, its mean on that scale, 1 the best."""
+    place: str
+    """File and line."""
+
+
+def read_real_results(path: Path, spec: ScoreSpec | None = None) -> tuple[RealResult, ...]:
+    """Read a CSV with a heading that has the four columns, in any order; others are left out.
+
+    Cells are parted by commas, semicolons or tabs. With the latter two, numbers may have a decimal
+    comma, as spreadsheets write them.
+
+    Args:
+        path: of the CSV, in UTF-8, or UTF-16 with its mark.
+        spec: of the score whose column is read, in its unit; None = success.
+
+    Raises:
+        UsageError: it cannot be read, lacks a column, or holds nothing; or a line's trials or
+            value are no such number, or it is there twice: each fault with its line.
+    """
+    columns = (*_NAMED, "success" if spec is None else spec.name)
+    fix = f"write a heading `{','.join(columns)}` and a line for each policy and scene"
+    try:
+        cells = _cells(path, columns)
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror}", fix="name a CSV") from None
+    except LookupError as error:
+        raise UsageError(f"{path} {error.args[0]}", fix=fix) from None
+    except (ValueError, csv.Error) as error:
+        raise UsageError(f"{path} is no CSV: {error}", fix=fix) from None
+    found: list[RealResult] = []
+    faults: list[Problem] = []
+    for number, wanted in cells:
+        try:
+            found.append(_result(wanted, f"{path}:{number}", found, spec))
+        except ValueError as error:
+            faults.append(Problem(file=str(path), line=number, column=1, message=str(error)))
+    if faults:
+        raise UsageError(faults, fix=fix)
+    if not found:
+        raise UsageError(f"{path} has no results", fix=fix)
+    return tuple(found)
+
+
+def _cells(path: Path, columns: Sequence[str]) -> list[tuple[int, list[str]]]:
+    """Return the number and the cells of each line that is not empty; raises LookupError, too."""
+    data = bounded_bytes(path, _MOST)
+    text = data.decode("utf-16" if data[:2] in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig")
+    delimiter = max(",;\t", key=text.partition("\n")[0].count)
+    reader = csv.reader(text.splitlines(), delimiter=delimiter, strict=True)
+    heading = [name.strip().lower() for name in next(reader, [])]
+    for name in columns:
+        if (count := heading.count(name)) != 1:
+            raise LookupError(f"lacks the column {name}" if not count else f"has {name} twice")
+    found: list[tuple[int, list[str]]] = []
+    for line in reader:
+        if len(line) > len(heading):
+            raise LookupError(f"has more cells in line {reader.line_num} than in its heading")
+        row = dict(zip(heading, map(str.strip, line), strict=False))
+        wanted = [row.get(name, "") for name in columns]
+        if delimiter != ",":
+            wanted[-1] = wanted[-1].replace(",", ".")
+        if any(map(str.strip, line)):
+            found.append((reader.line_num, wanted))
+    return found
+
+
+def _result(
+    cells: Sequence[str], place: str, before: list[RealResult], spec: ScoreSpec | None
+) -> RealResult:
+    policy, scene, trials, written = cells
+    trials = trials.removesuffix(".0").removesuffix(",0")  # pandas writes 10.0
+    if not (policy and scene):
+        raise ValueError("it names no policy or no scene")
+    if any((each.policy, each.scene) == (policy, scene) for each in before):
+        raise ValueError(f"policy {policy!r} in scene {scene!r} is there twice")
+    if not (trials.isascii() and trials.isdigit() and 1 <= int(trials) <= _MOST_TRIALS):
+        raise ValueError(f"trials {trials!r} is no whole number from 1 to {_MOST_TRIALS}")
+    name = "success" if spec is None else spec.name
+    share = spec is None and written.endswith("%")
+    try:
+        value = float(written.rstrip("%")) / 100.0 if share else float(written)
+    except ValueError:
+        value = math.nan
+    if spec is not None:
+        if not math.isfinite(value):
+            raise ValueError(f"{name} {written!r} is no number")
+        value = spec.scaled(value)
+    if not 0.0 <= value <= 1.0:
+        raise ValueError(f"success {written!r} is not between 0 and 1")
+    return RealResult(policy=policy, scene=scene, trials=int(trials), success=value, place=place)

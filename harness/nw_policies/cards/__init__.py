@@ -1,0 +1,28 @@
+"""Policy cards: everything about a checkpoint that is not in the checkpoint. Nothing here runs one.
+
+`load_card` reads a `Card`; `JointControl` is what it says of actions, as arrays.
+"""
+
+from nw_policies.cards.card import Card
+from nw_policies.cards.joint_control import (
+    Action,
+    JointControl,
+    actuator_values,
+    motors_follow,
+    mounted_robot,
+    physics_steps,
+)
+from nw_policies.cards.load import load_card
+from nw_policies.cards.networks import InputSpec
+
+__all__ = [
+    "Action",
+    "Card",
+    "InputSpec",
+    "JointControl",
+    "actuator_values",
+    "load_card",
+    "motors_follow",
+    "mounted_robot",
+    "physics_steps",
+]

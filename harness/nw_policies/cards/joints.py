@@ -1,0 +1,124 @@
+"""Values for each joint, as people write them on a card."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from typing import Annotated, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Strict
+
+from nw_base.errors import PolicyError, nearest
+from nw_base.plural import plural
+
+Number = Annotated[float, Strict()]
+"""A number and nothing that could be read as one: `kp: true` and `kp: "35"` are slips."""
+
+ActionKind = Literal["joint_position_offset", "joint_position", "joint_velocity", "joint_torque"]
+"""What an action of a joint means."""
+
+PerJoint = Number | list[Number] | dict[str, Number]
+"""One number for all joints; a list in the order of `control.joints`; or a mapping.
+
+The keys of a mapping are joints ("FR_hip"), types ("hip") or patterns ("F*_thigh"). Where two of
+them name the same joint, the more exact one counts: a joint over a pattern over a type; of two
+patterns, the later one.
+"""
+
+
+def short_name(joint: str) -> str:
+    """Return the name of a joint without the `_joint` that URDF files append."""
+    return joint.removesuffix("_joint")
+
+
+def joint_order(wanted: Sequence[str], joints: Sequence[str]) -> NDArray[np.intp]:
+    """Return, for each wanted name, its index among a robot's joints.
+
+    Raises:
+        PolicyError: a name is unknown or repeated, or a joint of the robot is not named.
+    """
+    known = [short_name(joint) for joint in joints]
+    names = [short_name(name) for name in wanted]
+    for name in names:
+        if name not in known:
+            raise PolicyError(f"unknown joint {name!r}", fix=nearest(name, known))
+        if names.count(name) > 1:
+            raise PolicyError(f"joint {name!r} is named twice", fix="name every joint once")
+    missing = [name for name in known if name not in names]
+    if missing:
+        raise PolicyError(
+            f"{len(names)} joints are named, {', '.join(missing)} are not",
+            fix=f"name all {len(known)} joints in the checkpoint's order",
+        )
+    return np.array([known.index(name) for name in names], dtype=np.intp)
+
+
+def named_joints(key: str, names: Sequence[str]) -> list[str]:
+    """Return those of the short `names` that a key of a mapping means: a joint, type or pattern."""
+    pattern = short_name(key)
+    return [name for name in names if name.endswith(f"_{pattern}") or fnmatchcase(name, pattern)]
+
+
+def joint_values(
+    value: PerJoint, joints: Sequence[str], default: Sequence[float] | None = None
+) -> NDArray[np.float64]:
+    """Return one number for each of `joints`, in their order.
+
+    Args:
+        value: what the card says.
+        joints: joint names in the order that a list of values has.
+        default: values for joints that a mapping does not name; None = it must name them all.
+
+    Raises:
+        PolicyError: a list of another length, a key that names no joint, a joint without a value.
+    """
+    if isinstance(value, list):
+        if len(value) != len(joints):
+            raise PolicyError(
+                f"{plural(len(value), 'value')} for {len(joints)} joints",
+                fix="give one value, one for each joint, or a mapping by name",
+            )
+        return np.array(value, dtype=np.float64)
+    if not isinstance(value, dict):
+        return np.full(len(joints), float(value))
+    names = [short_name(joint) for joint in joints]
+    result: list[float | None] = list(default) if default is not None else [None] * len(names)
+    for key, number in sorted(value.items(), key=lambda item: _exactness(item[0], names)):
+        hits = named_joints(key, names)
+        if not hits:
+            known = {*names, *(name.rsplit("_", 1)[-1] for name in names)}
+            raise PolicyError(f"{key!r} names no joint", fix=nearest(short_name(key), known))
+        for name in hits:
+            result[names.index(name)] = number
+    missing = [name for name, number in zip(names, result, strict=True) if number is None]
+    if missing:
+        raise PolicyError(f"no value for {', '.join(missing)}", fix="name every joint")
+    return np.array(result, dtype=np.float64)
+
+
+def joint_actions(
+    action: ActionKind | dict[str, ActionKind], joints: Sequence[str]
+) -> tuple[ActionKind, ...]:
+    """Return what the action of each of `joints` means, in their order.
+
+    Args:
+        action: what the card says: one word, or words by joint, type or pattern.
+        joints: joint names.
+
+    Raises:
+        PolicyError: a key names no joint, or a joint has no word.
+    """
+    if isinstance(action, str):
+        return (action,) * len(joints)
+    kinds = get_args(ActionKind)
+    numbers = joint_values({key: kinds.index(kind) for key, kind in action.items()}, joints)
+    return tuple(kinds[int(number)] for number in numbers)
+
+
+def _exactness(key: str, names: Sequence[str]) -> int:
+    """Return 0 for a type, 1 for a pattern, 2 for a joint."""
+    if short_name(key) in names:
+        return 2
+    return int(any(sign in key for sign in "*?["))

@@ -1,0 +1,35 @@
+"""Networks with the same bits on every processor, planned once and run by one compiled kernel.
+
+graph.py       operators with named inputs and outputs
+program.py     what a network computes, as rows of whole numbers, and the check of them
+plan.py        plans a graph
+network.py     runs a program
+planning.py    gives values their floats in one arena, and operators their rows
+moves.py, arithmetic.py, products.py, recurrent.py    what each operator becomes
+views.py       offset, shape and strides
+kernels.py, functions.py    the interpreter of rows, and its functions
+
+`network` imports Numba; what is named here does not.
+"""
+
+from nw_policies.executor.graph import (
+    NEXT,
+    Graph,
+    GraphInput,
+    Node,
+    RecordedFile,
+    UnsupportedError,
+)
+from nw_policies.executor.program import IDENTITY, VERSION, Program
+
+__all__ = [
+    "IDENTITY",
+    "NEXT",
+    "VERSION",
+    "Graph",
+    "GraphInput",
+    "Node",
+    "Program",
+    "RecordedFile",
+    "UnsupportedError",
+]

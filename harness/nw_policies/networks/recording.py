@@ -1,0 +1,340 @@
+"""Records what torch computes as a graph of `nw_policies.executor`, which runs without torch.
+
+A network runs once on zeros, and each operator of ATen that torch's dispatcher is asked for becomes
+operators of the graph (`aten`, `aten_layers`). So modules in Python, TorchScript files and graphs
+of torch.export are recorded alike. What depends on no input is a constant. A way that depends on
+the numbers of an input cannot be recorded, and is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from nw_policies.executor import NEXT, Graph, Node, RecordedFile, UnsupportedError
+from nw_policies.networks.aten import EXACT, MADE, RULES
+from nw_policies.networks.aten_layers import COMPOSED
+from nw_policies.networks.exported import without_compiler
+
+_PIECES = 256
+"""Runs of numbers that stay together where a part of an array is overwritten."""
+
+
+def record(
+    run: Callable[[], Mapping[str, Tensor]],
+    inputs: Mapping[str, Tensor],
+    memory: Mapping[str, Tensor] | None = None,
+) -> Graph:
+    """Return the graph of a function of tensors; its outputs are named `NEXT` and their name.
+
+    Args:
+        run: computes from `inputs` and `memory`, and returns by name what it gives, the next
+            `memory` among it under the same names.
+        inputs: by name.
+        memory: by name, what is given back to it at its next run. What it does not change becomes
+            a constant.
+
+    Raises:
+        UnsupportedError: it has an operator, or a use of one, that cannot be recorded; named.
+    """
+    recorder = Recorder()
+    kept = {name: tensor.clone() for name, tensor in (memory or {}).items()}
+    for name, tensor in (*inputs.items(), *(memory or {}).items()):
+        recorder.input(name, tensor)
+    try:
+        with without_compiler(), torch.inference_mode(), recorder:
+            results = run()
+        names = {name: recorder.name(tensor) for name, tensor in results.items()}
+    except Exception:
+        if recorder.fault is not None:  # TorchScript says it in words of its own.
+            raise recorder.fault from None
+        raise
+    graph = recorder.graph
+    for name in [name for name in kept if names[name] == name]:
+        graph.constants[name] = as_array(kept[name])
+        graph.inputs = [each for each in graph.inputs if each.name != name]
+        del names[name]
+    named(graph, names)
+    used = {name for node in graph.nodes for name in node.inputs}
+    graph.inputs = [each for each in graph.inputs if each.name in used]
+    return graph
+
+
+def numbered(tensors: Iterable[Tensor]) -> dict[str, Tensor]:
+    """Return the inputs of a file by the names that they have in its graph."""
+    return {f"input {place}": tensor for place, tensor in enumerate(tensors)}
+
+
+def recorded_file(graph: Graph, memory: Mapping[str, NDArray[Any]]) -> RecordedFile:
+    """Return what a file computes that is one graph.
+
+    Args:
+        graph: from `record`.
+        memory: as a trial begins; what the graph does not change of it is left out.
+    """
+    changed = {name for name in memory if NEXT + name in graph.outputs}
+    return RecordedFile(
+        parts=((1, graph),), first={name: x for name, x in memory.items() if name in changed}
+    )
+
+
+def named(graph: Graph, names: Mapping[str, str]) -> None:
+    """Let values be outputs of a graph, by the names that they have there."""
+    for name, value in names.items():
+        graph.nodes.append(Node(operator="Identity", inputs=(value,), outputs=(NEXT + name,)))
+        graph.outputs.append(NEXT + name)
+
+
+def as_array(tensor: Tensor) -> NDArray[Any]:
+    """Return a copy of a tensor's numbers; of any floats as float32."""
+    plain = tensor.detach()
+    plain = plain.to(torch.float32) if plain.is_floating_point() else plain
+    return np.array(plain.numpy())
+
+
+class _Arguments:
+    """Arguments of an operator by the names of its schema, and the operator's own name."""
+
+    def __init__(self, operator: str, func: Any, args: Sequence[Any], kwargs: Any) -> None:
+        schema = func._schema.arguments  # noqa: SLF001 - torch shows it nowhere else.
+        given = {one.name: one.default_value for one in schema if one.has_default_value()}
+        given |= {one.name: value for one, value in zip(schema, args, strict=False)}
+        self.__dict__ |= given | dict(kwargs)
+        self.operator = operator
+
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return an argument, or a default where the operator has none of that name."""
+        return self.__dict__.get(name, default)
+
+
+class Recorder(TorchDispatchMode):
+    """Writes down the operators that run in its `with` block.
+
+    Attributes:
+        graph: what was written down.
+        fault: why it cannot be, if it cannot.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.graph = Graph()
+        self.fault: UnsupportedError | None = None
+        self._names: dict[int, str] = {}
+        self._constants: dict[int, str] = {}
+        # Tensors by their memory, all kept alive: else another one could have the same `id`.
+        self._sharing: dict[int, dict[int, Tensor]] = {}
+
+    # --- for rules ------------------------------------------------------------------------------
+
+    def is_constant(self, value: Any) -> bool:
+        """Whether a value depends on no input."""
+        return not isinstance(value, Tensor) or id(value) not in self._names
+
+    def name(self, value: Any) -> str:
+        """Return the name of a tensor or a number in the graph."""
+        if not isinstance(value, Tensor):
+            kind = np.bool_ if isinstance(value, bool) else np.float32
+            return self.graph.constant(np.asarray(value, kind))
+        known = self._names.get(id(value)) or self._constants.get(id(value))
+        if known is None:
+            self._know(value)
+            known = self._constants[id(value)] = self.graph.constant(as_array(value))
+        return known
+
+    def array(self, value: Tensor) -> NDArray[Any]:
+        """Return the numbers of a tensor that depends on no input.
+
+        Raises:
+            UnsupportedError: it depends on one.
+        """
+        if not self.is_constant(value):
+            raise UnsupportedError("weights or indices that depend on the inputs")
+        return as_array(value)
+
+    def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
+        """Add an operator with one output and return the output's name."""
+        return self.graph.add(operator, *inputs, **attributes)
+
+    def whole(self, numbers: Sequence[int]) -> str:
+        """Return the name of constant whole numbers."""
+        return self.graph.constant(np.array(list(numbers), np.int64))
+
+    def reshaped(self, name: str, shape: Sequence[int]) -> str:
+        """Return the name of a value with another shape of as many elements."""
+        return self.add("Reshape", name, self.whole(shape), allowzero=1)
+
+    def batched(self, tensor: Tensor, axes: int) -> str:
+        """Return the name of a tensor, with a leading axis of 1 if it has one axis less."""
+        name = self.name(tensor)
+        return name if tensor.ndim == axes else self.reshaped(name, [1, *tensor.shape])
+
+    def slice(self, name: str, axis: int, start: int, end: int, step: int = 1) -> str:
+        """Return the name of some of a value's elements along one axis, as ONNX's Slice says."""
+        return self.add("Slice", name, *(self.whole([n]) for n in (start, end, axis, step)))
+
+    # --- recording ------------------------------------------------------------------------------
+
+    def input(self, name: str, tensor: Tensor) -> None:
+        """Let a tensor be an input of the graph."""
+        dtype = np.float32 if tensor.is_floating_point() else as_array(tensor).dtype
+        self.graph.input(name, tuple(tensor.shape), dtype)
+        self._know(tensor)
+        self._names[id(tensor)] = name
+
+    def __torch_dispatch__(
+        self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None
+    ) -> Any:
+        """Run an operator and write it down."""
+        try:
+            return self._ran(func, args, kwargs or {})
+        except UnsupportedError as error:
+            self.fault = self.fault or error
+            raise
+
+    def _ran(self, func: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+        full = func._schema.name.removeprefix("aten::")  # noqa: SLF001 - as above.
+        written = _written(func, args, kwargs)
+        operator = full if full in RULES or written is None else full.removesuffix("_")
+        is_constant = all(map(self.is_constant, _tensors((args, kwargs))))
+        if operator in MADE or (is_constant and operator in EXACT):
+            return self._made(func, args, kwargs, written)
+        if is_constant and written is None and torch.Tag.nondeterministic_seeded not in func.tags:
+            result = func(*args, **kwargs)
+            if not any(tensor.is_floating_point() for tensor in _tensors(result)):
+                return result  # Whole numbers and truth values have no last digits.
+        if operator in COMPOSED:
+            return self._composed(_Arguments(operator, func, args, kwargs))
+        if operator not in RULES:
+            if func._can_decompose():  # noqa: SLF001 - as above.
+                with self:
+                    return func.decompose(*args, **kwargs)
+            raise UnsupportedError(f"operator {full}")
+        given = _Arguments(operator, func, args, kwargs)
+        if written is not None:
+            around = self._around(written)
+            (name,) = self._named(given, [written])
+            result = func(*args, **kwargs)
+            self._write(written, name, around)
+            return result
+        result = func(*args, **kwargs)
+        outputs = list(_tensors(result))
+        for tensor, name in zip(outputs, self._named(given, outputs), strict=True):
+            self._know(tensor)
+            if name:
+                self._names[id(tensor)] = name
+        return result
+
+    def _composed(self, given: _Arguments) -> Any:
+        try:
+            with self:
+                return COMPOSED[given.operator](given)
+        except UnsupportedError as error:
+            raise UnsupportedError(f"operator {given.operator} with {error}") from None
+
+    def _made(self, func: Any, args: Any, kwargs: Any, written: Tensor | None) -> Any:
+        """Run an operator whose result depends on no input."""
+        if written is not None:
+            self._know(written)
+            for each in self._beside(written):
+                self._constants.pop(id(each), None)
+                if id(each) in self._names:
+                    raise UnsupportedError("memory that an input shares with a constant")
+        result = func(*args, **kwargs)
+        for tensor in _tensors(result):
+            if func._schema.name.startswith("aten::empty"):  # noqa: SLF001 - as above.
+                tensor.zero_()  # What lies there by chance would be a constant.
+            self._know(tensor)
+        return result
+
+    def _named(self, given: _Arguments, outputs: Sequence[Tensor]) -> list[str]:
+        try:
+            names = RULES[given.operator](self, given, outputs)
+        except UnsupportedError as error:
+            raise UnsupportedError(f"operator {given.operator} with {error}") from None
+        except (AttributeError, TypeError, ValueError, IndexError) as error:
+            raise UnsupportedError(f"operator {given.operator}, used as nowhere: {error}") from None
+        return [names] if isinstance(names, str) else list(names)
+
+    # --- memory that tensors share --------------------------------------------------------------
+
+    def _know(self, tensor: Tensor) -> None:
+        self._sharing.setdefault(_memory_of(tensor), {})[id(tensor)] = tensor
+
+    def _beside(self, tensor: Tensor) -> list[Tensor]:
+        return list(self._sharing.get(_memory_of(tensor), {}).values())
+
+    def _around(self, written: Tensor) -> list[tuple[Tensor, str]]:
+        """Return the tensors that an operator is about to change with one, and what they were."""
+        self._know(written)
+        places = set(_places(written).ravel().tolist())
+        return [
+            (each, self.name(each))
+            for each in self._beside(written)
+            if each is not written and not places.isdisjoint(_places(each).ravel().tolist())
+        ]
+
+    def _write(self, written: Tensor, name: str, around: list[tuple[Tensor, str]]) -> None:
+        self._names[id(written)] = name
+        new = {place: at for at, place in enumerate(_places(written).ravel().tolist())}
+        for each, before in around:
+            count = each.numel()
+            taken = [
+                new[place] + count if place in new else at
+                for at, place in enumerate(_places(each).ravel().tolist())
+            ]
+            both = self.add(
+                "Concat", self.reshaped(before, [count]), self.reshaped(name, [written.numel()]),
+                axis=0,
+            )  # fmt: skip
+            cuts = [0, *(i + 1 for i, (a, b) in enumerate(pairwise(taken)) if b != a + 1), count]
+            if len(cuts) > _PIECES:
+                raise UnsupportedError("an array of which many parts are overwritten")
+            parts = [
+                self.slice(both, 0, taken[start], taken[start] + end - start)
+                for start, end in pairwise(cuts)
+            ]
+            joined = parts[0] if len(parts) == 1 else self.add("Concat", *parts, axis=0)
+            self._names[id(each)] = self.reshaped(joined, each.shape)
+
+
+def _memory_of(tensor: Tensor) -> int:
+    return tensor.untyped_storage().data_ptr()  # It stays theirs: all are kept.
+
+
+def _places(tensor: Tensor) -> NDArray[np.int64]:
+    """Return where in their common memory the numbers of a tensor lie."""
+    found = np.full(tuple(tensor.shape), tensor.storage_offset(), np.int64)
+    for axis, (size, stride) in enumerate(zip(tensor.shape, tensor.stride(), strict=True)):
+        found += (np.arange(size) * stride).reshape(-1, *[1] * (tensor.ndim - axis - 1))
+    return found
+
+
+def _written(func: Any, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Tensor | None:
+    """Return the tensor that an operator writes into."""
+    schema = func._schema  # noqa: SLF001 - torch shows it nowhere else.
+    if not schema.is_mutable:
+        return None
+    names = [one.name for one in schema.arguments if one.alias_info and one.alias_info.is_write]
+    if names != ["self"] or not schema.name.endswith("_"):
+        raise UnsupportedError(f"operator {schema.name} that writes into {', '.join(names)}")
+    return kwargs["self"] if "self" in kwargs else args[0]
+
+
+def _tensors(value: Any) -> Iterator[Tensor]:
+    if isinstance(value, Tensor):
+        yield value
+    elif isinstance(value, list | tuple):
+        for each in value:
+            yield from _tensors(each)
+    elif isinstance(value, dict):
+        yield from _tensors(list(value.values()))

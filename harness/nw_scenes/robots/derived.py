@@ -1,0 +1,654 @@
+"""What follows from a robot's model file and its `robot.yaml`: the specification, and its own MJCF.
+
+MuJoCo compiles the model once to say what is in it: bodies, joints, masses, limits. Then it is
+written out anew: one actuator stands for each joint that is driven, and groups tell what collides
+from what is seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from typing import Any, Literal
+from xml.etree.ElementTree import indent, tostring
+
+import mujoco as _mujoco
+import numpy as np
+
+from nw_base.errors import RobotError, nearest
+from nw_scenes.robots.compiled import CompiledRobot, Mounts
+from nw_scenes.robots.folder import RobotFolder, fill_meshes
+from nw_scenes.robots.looks import colour_of, visuals_of
+from nw_scenes.robots.spec import COLLISION_GROUP, VISUAL_GROUP, Follow, RobotSpec
+from nw_scenes.robots.standing import CLEARANCE, LevelGround, collides, lowest
+
+# Its classes live in compiled modules without type information.
+mujoco: Any = _mujoco
+
+# contype of what is only seen, which nothing has in its conaffinity. It is not 0 because
+# `mj_multiRay` of MuJoCo 4.0 passes over a body when the ray misses the box around those of its
+# geoms that have any collision bit, and with it over visual geoms that stick out.
+_HIDDEN = 1 << 30
+_REWRITE = "leave as_written out, and the file is rewritten"
+
+
+def rewritten(robot: CompiledRobot, names: Sequence[str], *, is_seen_apart: bool) -> str:
+    """Write the model with one actuator a joint, and groups by what collides and is seen.
+
+    Args:
+        robot: compiled; its `mjspec` is changed.
+        names: of the joints that have one.
+        is_seen_apart: what is only seen is left out.
+    """
+    spec, model = robot.mjspec, robot.model
+    # What was compiled is written out, body by body: classes of defaults may say less.
+    for body in spec.bodies[1:]:
+        number = int(model.body(body.name).id)
+        body.explicitinertial = True
+        body.mass, body.inertia = model.body_mass[number], model.body_inertia[number]
+        body.ipos, body.iquat = model.body_ipos[number], model.body_iquat[number]
+        body.fullinertia = [math.nan, *(0.0,) * 5]  # What is not a number is not set.
+    spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    spec.compiler.settotalmass = -1.0
+    for part in (*robot.geoms(), *spec.joints, *spec.sites, *spec.meshes):
+        part.classname = spec.default
+    _group_geoms(robot, is_seen_apart=is_seen_apart)
+    for what in ("actuators", "cameras", "materials"):
+        for each in list(getattr(spec, what)):
+            spec.delete(each)
+    for name in names:
+        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.set_to_position(kp=1.0)
+        actuator.forcelimited, actuator.forcerange = True, [-1.0, 1.0]
+    for joint in spec.joints:  # The motors' limits are the actuators'.
+        joint.actfrclimited = False
+    robot.compiled(spec)
+    return str(spec.to_xml())
+
+
+def text_as_written(robot: CompiledRobot, names: Sequence[str]) -> str:
+    """Return the model file's own text, where it needs no rewriting."""
+    tree, model = deepcopy(robot.folder.model), robot.model
+    tops = [child for world in tree.iter("worldbody") for child in world]
+    free = {each.tag if each.get("type") != "free" else "freejoint" for top in tops for each in top}
+    motors = [(each.tag, each.get("name"), each.get("joint")) for each in tree.iter("position")]
+    kinds = [
+        COLLISION_GROUP if collides(robot.model, geom) else VISUAL_GROUP
+        for geom in range(model.ngeom)
+    ]
+    for what, is_so in (
+        ("the file is no MJCF", tree.tag == "mujoco"),
+        ("the world holds other than one body", [top.tag for top in tops] == ["body"]),
+        ("its body has no free joint", "freejoint" in free),
+        (
+            "its actuators are other than one position servo a joint, of its name",
+            motors == [("position", name, name) for name in names] and model.nu == len(names),
+        ),
+        (
+            f"groups of geoms are not {COLLISION_GROUP}, and {VISUAL_GROUP} of what is seen",
+            model.geom_group.tolist() == kinds,
+        ),
+    ):
+        if not is_so:
+            raise robot.fault(("model", "as_written"), f"model.as_written: {what}", _REWRITE)
+    fill_meshes(tree, robot.folder)
+    indent(tree)  # Comments of the file are gone, and left their lines empty.
+    return tostring(tree, encoding="unicode")
+
+
+def round_wheels(robot: CompiledRobot, joints: Sequence[int]) -> None:
+    """Let a cylinder roll in place of each mesh that collides and turns with a wheel.
+
+    A hull has facets, and on scanned ground the box round it would not roll.
+    """
+    for joint in joints:
+        number = int(robot.model.jnt_bodyid[joint])
+        for geom in robot.mjspec.body(robot.body_name(number)).geoms:
+            own = int(robot.model.geom(geom.name).id)
+            is_mesh = robot.model.geom_type[own] == mujoco.mjtGeom.mjGEOM_MESH
+            if not (is_mesh and collides(robot.model, own)):
+                continue
+            mesh = int(robot.model.geom_dataid[own])
+            first, count = (
+                int(robot.model.mesh_vertadr[mesh]),
+                int(robot.model.mesh_vertnum[mesh]),
+            )
+            R = np.empty(9)
+            mujoco.mju_quat2Mat(R, robot.model.geom_quat[own])
+            points = robot.model.mesh_vert[first : first + count] @ R.reshape(3, 3).T
+            points = points + robot.model.geom_pos[own] - robot.model.jnt_pos[joint]
+            axis = robot.model.jnt_axis[joint]
+            along = points @ axis
+            radius = float(np.linalg.norm(points - np.outer(along, axis), axis=1).max())
+            quat = np.empty(4)
+            mujoco.mju_quatZ2Vec(quat, axis)
+            middle = (float(along.min()) + float(along.max())) / 2.0
+            geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_CYLINDER, ""
+            geom.size = [radius, float(np.ptp(along)) / 2.0, 0.0]
+            geom.pos, geom.quat = robot.model.jnt_pos[joint] + middle * axis, quat
+
+
+def _group_geoms(robot: CompiledRobot, *, is_seen_apart: bool) -> None:
+    """Tell what collides from what is only seen, or leave that out with its meshes."""
+    spec = robot.mjspec
+    for geom in robot.geoms():
+        number = int(robot.model.geom(geom.name).id)
+        geom.rgba, geom.material = list(colour_of(robot.model, number)), ""
+        if geom.name in robot.solid:
+            geom.group = COLLISION_GROUP
+        elif is_seen_apart:
+            spec.delete(geom)
+        else:
+            geom.group, geom.contype, geom.conaffinity = VISUAL_GROUP, _HIDDEN, 0
+    used = {geom.meshname for geom in robot.geoms()}
+    for mesh in list(spec.meshes):
+        if mesh.name not in used:
+            spec.delete(mesh)
+
+
+_GRAVITY = 9.806
+_FOOT_REACH = 0.02  # m above the lowest collision point, within which a body stands on the ground
+_UNLIMITED = 1e6  # rad
+# One and the same, for hinges.
+_ON_JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+
+def spec_of(folder: RobotFolder) -> RobotSpec:
+    """Return the robot of a folder.
+
+    Raises:
+        RobotError: MuJoCo cannot compile the model, it is no robot that can be driven, or
+            robot.yaml names what it does not have.
+    """
+    return _Derivation(folder).spec()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Motor:
+    """What a joint is driven by, as far as it is known."""
+
+    follows: Literal["position", "velocity"] = "position"
+    kp: float | None = None
+    kd: float | None = None
+    torque: float | None = None
+    armature: float = 0.0
+    friction: float = 0.0
+    damping: float = 0.0  # of its own, which acts whatever it is told
+
+    def beside(self, other: _Motor) -> _Motor:
+        """Return what both do together on one joint."""
+        kps = [motor.kp for motor in (self, other) if motor.kp is not None]
+        kds = [motor.kd for motor in (self, other) if motor.kd is not None]
+        torques = (self.torque, other.torque)
+        return _Motor(
+            follows="velocity" if kds and not kps else "position",
+            kp=sum(kps) if kps else None,
+            kd=sum(kds) if kds else None,
+            torque=None if None in torques else sum(t for t in torques if t is not None),
+            armature=self.armature + other.armature,
+            damping=self.damping + other.damping,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelFacts:
+    """What a model file says of its motors, each in the order of `joints`."""
+
+    joints: tuple[str, ...]
+    """Those with motors, or all hinges where the file has no motors."""
+    has_motors: bool
+    followers: dict[str, str]
+    """Joints that an equality (URDF: <mimic>) moves, and which other joint each follows."""
+    kp: tuple[float | None, ...]
+    """Of servos, N m / rad."""
+    kd: tuple[float, ...]
+    """N m s / rad."""
+    torque: tuple[float | None, ...]
+    """N m."""
+    armature: tuple[float, ...]
+    friction: tuple[float, ...]
+    is_limited: tuple[bool, ...]
+    """Whether they have ranges."""
+    keyframes: dict[str, tuple[float, ...]]
+    """Angles by name, rad, of those that fit."""
+    bodies: int
+    mass: float
+    """kg."""
+    camera: str | None
+    """The one that is its eye."""
+
+
+def facts_of(folder: RobotFolder) -> ModelFacts:
+    """Return what a model file says of its motors; `motors` of robot.yaml must name no values.
+
+    Raises:
+        RobotError: as `spec_of`, but for gains that nothing says.
+    """
+    derivation = _Derivation(folder)
+    return derivation.facts()
+
+
+class _Derivation(CompiledRobot):
+    """Derives what follows from a compiled model and robot.yaml."""
+
+    def __init__(self, folder: RobotFolder) -> None:
+        super().__init__(folder)
+        self.written = self._written()
+        self.followers = self._followers()
+        self.joints = self._joints()
+
+    def spec(self) -> RobotSpec:
+        """Return the specification."""
+        names = self.joint_names(self.joints)
+        motors = self._motors(names)
+        self._require_gains(names, motors)
+        ranges = [self._range(joint) for joint in self.joints]
+        pose = self._pose(names, ranges)
+        self._stand(pose)
+        lows = self._lows()
+        weight = float(self.model.body_mass.sum()) * _GRAVITY
+        collided, published = self.settings.collided, self.settings.published
+        watched = tuple(self._parts(("body",), self._watched()))
+        height, free = self.settings.spawn_height, published.free_joint
+        mounts = Mounts(self)
+        visuals, pictured = visuals_of(self)
+        follows: tuple[Follow, ...] = tuple(motor.follows for motor in motors)
+        round_wheels(
+            self,
+            [j for j, follow in zip(self.joints, follows, strict=True) if follow != "position"],
+        )
+        as_written = self.settings.model.as_written
+        mjcf = (
+            text_as_written(self, names)
+            if as_written
+            else rewritten(self, names, is_seen_apart=pictured == "visuals")
+        )
+        spec = RobotSpec(
+            name=self.settings.name,
+            joints=tuple(names),
+            default_pose=tuple(pose),
+            joint_ranges=tuple(ranges),
+            kp=tuple(0.0 if motor.kp is None else motor.kp for motor in motors),
+            joint_damping=tuple(0.0 if motor.kd is None else motor.kd for motor in motors),
+            torque_limits=tuple(0.0 if m.torque is None else m.torque for m in motors),
+            armature=tuple(motor.armature for motor in motors),
+            friction_loss=tuple(motor.friction for motor in motors),
+            follows=follows if "velocity" in follows else (),
+            root_joint=self.root_joint,
+            touches=self.settings.touches,
+            feet=self._feet(lows),
+            monitored=watched,
+            published_monitored=watched
+            if published.body is None
+            else tuple(self._parts(("published", "body"), published.body)),
+            fell_tilt=self.settings.fell.tilt,
+            fell_height=self.settings.fell.height,
+            collided_force=collided.newtons or collided.force * weight,
+            cameras=mounts.cameras(),
+            imu=mounts.imu(),
+            height_camera_offset=published.height_camera,
+            root_defaults=(free.damping, free.armature, free.friction),
+            bodies=(self.root, *(body for body in self.bodies if body != self.root)),
+            visuals=visuals,
+            pictured=pictured,
+            spawn_height=-min(lows.values()) + CLEARANCE if height is None else height,
+            mjcf=mjcf,
+        )
+        return spec if self.settings.feet else replace(spec, feet=self._standing(spec, lows))
+
+    def facts(self) -> ModelFacts:
+        """Return what the file says."""
+        names = self.joint_names(self.joints)
+        motors = self._motors(names)
+        self._stand(self._pose(names, [self._range(joint) for joint in self.joints]))
+        eye = Mounts(self).first_camera()
+        return ModelFacts(
+            joints=tuple(names),
+            has_motors=bool(self.written),
+            followers=self.followers,
+            kp=tuple(motor.kp for motor in motors),
+            kd=tuple(0.0 if motor.kd is None else motor.kd for motor in motors),
+            torque=tuple(motor.torque for motor in motors),
+            armature=tuple(motor.armature for motor in motors),
+            friction=tuple(motor.friction for motor in motors),
+            is_limited=tuple(bool(self.model.jnt_limited[joint]) for joint in self.joints),
+            keyframes={name: tuple(pose) for name, pose in self._keyframes()},
+            bodies=len(self.bodies),
+            mass=float(self.model.body_mass.sum()),
+            camera=None if eye is None else eye[0],
+        )
+
+    def _joints(self) -> list[int]:
+        """Return the numbers of the joints that are driven, in the order of the tree."""
+        model = self.model
+        hinges: list[int] = []
+        for joint in range(model.njnt):
+            kind = model.jnt_type[joint]
+            if kind == mujoco.mjtJoint.mjJNT_HINGE:
+                hinges.append(joint)
+            elif kind != mujoco.mjtJoint.mjJNT_FREE:
+                name = model.joint(joint).name
+                raise self.folder.fault(
+                    f"joint {name!r} is no hinge; only these are driven",
+                    "weld it: remove the joint",
+                    self.folder.line_of(name, "joint"),
+                )
+        driven = [joint for joint in hinges if self.joint_names([joint])[0] in self.written]
+        patterns = [p for group in self.settings.motors for p in _patterns(group.joints)]
+        if not driven:  # The file has no motors; those of robot.yaml are all there are.
+            driven = [
+                joint
+                for joint in hinges
+                for name in self.joint_names([joint])
+                if any(
+                    pattern == name or (fnmatchcase(name, pattern) and name not in self.followers)
+                    for pattern in patterns
+                )
+            ]
+        if not driven:
+            raise self.fault(
+                ("motors",),
+                f"motors: {self.settings.model.file} has no motors, and nothing here names a joint",
+                'add `- {joints: "*", kp: ..., kd: ..., torque: ...}`',
+            )
+        return driven
+
+    def _followers(self) -> dict[str, str]:
+        """Return the joints that an equality moves with another joint, and which each follows."""
+        model, joint = self.model, int(mujoco.mjtEq.mjEQ_JOINT)
+        names = self.joint_names(range(model.njnt))
+        return {
+            names[model.eq_obj1id[n]]: names[model.eq_obj2id[n]]
+            for n in np.flatnonzero((model.eq_type == joint) & model.eq_active0).tolist()
+            if model.eq_obj2id[n] >= 0
+        }
+
+    def _keyframes(self) -> Iterator[tuple[str, list[float]]]:
+        for name in self.folder.poses:
+            try:
+                yield name, self._keyframe(name)
+            except RobotError:
+                continue  # Of other joints, as those of a scene are.
+
+    def _motors(self, names: Sequence[str]) -> list[_Motor]:
+        written = self.written
+        motors: list[_Motor] = []
+        matched = [False] * len(self.settings.motors)
+        for joint, name in zip(self.joints, names, strict=True):
+            dof = int(self.model.jnt_dofadr[joint])
+            motor = written.get(name, _Motor())
+            follows, kp, torque = motor.follows, motor.kp, motor.torque
+            gain = motor.kd if follows == "velocity" else None
+            kd = float(np.ravel(self.model.dof_damping[dof])[0])
+            kd += motor.damping
+            own = kd
+            if follows == "position":  # The damping of a servo comes on top of the joint's.
+                kd += motor.kd or 0.0
+            armature = float(self.model.dof_armature[dof]) + motor.armature
+            friction = float(self.model.dof_frictionloss[dof])
+            if self.model.jnt_actfrclimited[joint]:
+                most = self._largest(name, "actuatorfrc", self.model.jnt_actfrcrange[joint])
+                torque = most if torque is None else min(torque, most)
+            for number, group in enumerate(self.settings.motors):
+                if not any(fnmatchcase(name, pattern) for pattern in _patterns(group.joints)):
+                    continue
+                matched[number] = True
+                kp = kp if group.kp is None else group.kp
+                follows = follows if group.follows is None else group.follows
+                kd = kd if group.kd is None else group.kd
+                gain = gain if group.kd is None else group.kd
+                torque = torque if group.torque is None else group.torque
+                armature = armature if group.armature is None else group.armature
+                friction = friction if group.friction is None else group.friction
+            if follows == "velocity":  # The joint's own damping is no gain of a servo.
+                kp, kd = 0.0, gain or None
+                if own > 0.0:
+                    what = f"damping={own:g} of its joint has no effect beside kd of a velocity"
+                    self._loses(name, what)
+            motors.append(
+                _Motor(
+                    follows=follows,
+                    kp=kp,
+                    kd=kd,
+                    torque=torque,
+                    armature=armature,
+                    friction=friction,
+                )
+            )
+        for number, was in enumerate(matched):
+            if not was:
+                raise self.fault(
+                    ("motors", number, "joints"),
+                    f"motors: no joint is named {self.settings.motors[number].joints}",
+                    f"its joints are {', '.join(names)[:300]}",
+                )
+        return motors
+
+    def _require_gains(self, names: Sequence[str], motors: Sequence[_Motor]) -> None:
+        for what, unit, values in (
+            ("kp", "N m / rad", [motor.kp for motor in motors]),
+            ("kd", "N m s / rad", [motor.kd for motor in motors]),
+            ("torque", "N m", [motor.torque for motor in motors]),
+        ):
+            lacking = [name for name, value in zip(names, values, strict=True) if value is None]
+            if lacking:
+                raise self.fault(
+                    ("motors",),
+                    f"motors: nothing says the {what} of {', '.join(lacking)[:300]}",
+                    f'add `- {{joints: "*", {what}: ...}}` with its {unit}',
+                )
+
+    def _written(self) -> dict[str, _Motor]:
+        """Return gains and largest torque by joint, as the actuators of the file have them.
+
+        Several motors of a joint add up. What they have beyond that, the account says.
+        """
+        model, found = self.model, dict[str, _Motor]()
+        for motor in range(len(model.actuator_trntype)):  # Some have several controls.
+            name = str(model.actuator(motor).name) or str(motor)
+            if int(model.actuator_trntype[motor]) not in _ON_JOINTS:
+                kind = mujoco.mjtTrn(int(model.actuator_trntype[motor])).name[6:].lower()
+                self._loses(name, f"it acts on a {kind}, and is left out")
+                continue
+            gear = abs(float(model.actuator_gear[motor, 0])) or 1.0
+            gain = float(model.actuator_gainprm[motor, 0])
+            has_bias = float(model.actuator_biastype[motor] > 0)
+            constant, stiffness, damping = (has_bias * model.actuator_biasprm[motor, :3]).tolist()
+            servo = gain > 0.0 and stiffness < 0.0
+            # <velocity kv="...">; a damper or a motor with friction has another gain than kv.
+            wheel = gain > 0.0 and stiffness == 0.0 and damping == -gain
+            torque = None
+            if model.actuator_forcelimited[motor]:
+                torque = gear * self._largest(name, "force", model.actuator_forcerange[motor])
+            is_other = model.actuator_gaintype[motor] > 0 or model.actuator_biastype[motor] > 1
+            if not (servo or wheel or is_other) and model.actuator_ctrllimited[motor]:
+                own = gear * gain * self._largest(name, "ctrl", model.actuator_ctrlrange[motor])
+                torque = own if torque is None else min(torque, own)
+            joint = str(model.joint(int(model.actuator_trnid[motor, 0])).name)
+            kd = gain if wheel else max(0.0, -damping) if servo else None
+            for what, is_so in (
+                ("it clamps its targets", (servo or wheel) and model.actuator_ctrllimited[motor]),
+                ("it has states of its own", model.actuator_dyntype[motor]),
+                ("its force is not linear in what it is told, position and speed", is_other),
+                ("its force has a constant", constant != 0.0),
+                ("its gain is not its stiffness", servo and not math.isclose(gain, -stiffness)),
+                ("its force has a share of the speed", not servo and not wheel and damping != 0.0),
+                ("its targets are late", model.actuator_delay[motor] > 0.0),
+                ("its gear turns it the other way", model.actuator_gear[motor, 0] < 0.0),
+            ):
+                if is_so:
+                    self._loses(name, f"{what}, which is not simulated")
+            more = _Motor(
+                follows="velocity" if wheel else "position",
+                kp=gain * gear * gear if servo else None,
+                kd=None if kd is None else kd * gear * gear,
+                torque=torque,
+                armature=float(model.actuator_armature[motor]) * gear * gear,
+                damping=float(model.actuator_damping[motor]) * gear * gear,
+            )
+            found[joint] = found[joint].beside(more) if joint in found else more
+        return found
+
+    def _loses(self, motor: str, what: str) -> None:
+        line = next(
+            (
+                self.folder.lines[each]
+                for each in self.folder.model.iter()
+                if each.get("name") == motor and "joint" in each.attrib
+            ),
+            0,
+        )
+        self.folder.account.loses(f"motor {motor!r}: {what}", line)
+
+    def _largest(self, name: str, what: str, limits: Any) -> float:
+        """Return the larger of two limits, which hold both ways here."""
+        low, high = np.abs(limits).tolist()
+        if not math.isclose(low, high, rel_tol=1e-6):
+            self._loses(name, f"its {what}range is not the same both ways; the larger end is taken")
+        return max(low, high)
+
+    def _range(self, joint: int) -> tuple[float, float]:
+        if not self.model.jnt_limited[joint]:
+            return -_UNLIMITED, _UNLIMITED
+        low, high = self.model.jnt_range[joint].tolist()
+        return low, high
+
+    def _keyframe(self, said: str) -> list[float]:
+        """Return the angles of the joints in a keyframe."""
+        if said not in self.folder.poses:
+            raise self.fault(
+                ("pose",), f"pose: no keyframe {said!r}", nearest(said, self.folder.poses)
+            )
+        values = _numbers(self.folder.poses[said])
+        if len(values) == self.before + self.model.nq + self.after:
+            values = values[self.before : self.before + self.model.nq]
+        if len(values) != self.model.nq:
+            raise self.fault(
+                ("pose",),
+                f"pose: keyframe {said!r} has {len(values)} numbers, the model {self.model.nq}",
+                'write the angles: {"*_thigh_joint": 0.8}',
+            )
+        return [values[int(self.model.jnt_qposadr[joint])] for joint in self.joints]
+
+    def _pose(self, names: Sequence[str], ranges: Sequence[tuple[float, float]]) -> list[float]:
+        said = self.settings.pose
+        if said is None and self.folder.poses:
+            only = next(iter(self.folder.poses)) if len(self.folder.poses) == 1 else None
+            said = "home" if "home" in self.folder.poses else only
+        pose = [min(max(0.0, low), high) for low, high in ranges]
+        if isinstance(said, str):
+            return self._keyframe(said)
+        for pattern, angle in (said or {}).items():
+            hits = [i for i, name in enumerate(names) if fnmatchcase(name, pattern)]
+            if not hits:
+                raise self.fault(
+                    ("pose", pattern),
+                    f"pose: no joint is named {pattern!r}",
+                    nearest(pattern, names),
+                )
+            for index in hits:
+                pose[index] = angle
+        for name, angle, (low, high) in zip(names, pose, ranges, strict=True):
+            if not low <= angle <= high:
+                raise self.fault(
+                    ("pose",),
+                    f"pose: {angle:g} is beyond the range of {name}",
+                    f"give radians from {low:g} to {high:g}",
+                )
+        return pose
+
+    def _stand(self, pose: Sequence[float]) -> None:
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+        self.data.qpos[self.model.jnt_qposadr[self.joints]] = pose
+        mujoco.mj_forward(self.model, self.data)
+
+    def _lows(self) -> dict[str, float]:
+        """Return how low each body that collides reaches, m, with the root's origin at 0."""
+        lows: dict[str, float] = {}
+        for geom in range(self.model.ngeom):
+            if collides(self.model, geom):
+                body = self.body_name(int(self.model.geom_bodyid[geom]))
+                lows[body] = min(lows.get(body, math.inf), lowest(self.model, self.data, geom))
+        if not lows:
+            masks = ", ".join(f"{kind} and {affinity}" for kind, affinity in self.masks[:4])
+            raise self.folder.fault(
+                f"nothing of it collides with the ground: its geoms have contype and conaffinity "
+                f"{masks}, ground has 1 and 1",
+                "set bit 1 in contype of what touches it, or let a floor in the file have theirs",
+            )
+        return lows
+
+    def _feet(self, lows: dict[str, float]) -> tuple[str, ...]:
+        if self.settings.touches == "geom":
+            if self.settings.feet is None:
+                raise self.fault(("touches",), "touches: geom", "name the geoms of `feet`")
+            return tuple(self._parts(("feet",), self.settings.feet))
+        if self.settings.feet is None:
+            lowest = min(lows.values())
+            return self._ends([body for body, low in lows.items() if low < lowest + _FOOT_REACH])
+        feet = self.known(("feet",), self.settings.feet)
+        for index, foot in enumerate(feet):
+            if foot not in lows:
+                raise self.fault(
+                    ("feet", index), f"feet: nothing of {foot!r} collides", nearest(foot, lows)
+                )
+        return tuple(feet)
+
+    def _ends(self, bodies: Sequence[str]) -> tuple[str, ...]:
+        """Return those that have no other of them below: a shin whose foot stands there is none."""
+        above = {name for body in bodies for name in self._ancestors(body)}
+        return tuple(body for body in self.bodies if body in bodies and body not in above)
+
+    def _standing(self, spec: RobotSpec, lows: dict[str, float]) -> tuple[str, ...]:
+        """Return its feet, and the ends of what else carries it after a drop from its pose.
+
+        A pose may have feet at several heights. One that falls has its feet as they are lowest.
+        """
+        dropped = LevelGround(spec).drop()
+        if not dropped.stands:
+            return spec.feet
+        feet = [*spec.feet]
+        for body in dropped.carriers:
+            below = [other for other in lows if body in self._ancestors(other)]
+            if not any(foot == body or foot in below for foot in feet):
+                feet.append(min(self._ends(below) or [body], key=lows.__getitem__))
+        return self._ends(feet)
+
+    def _ancestors(self, body: str) -> Iterator[str]:
+        number = int(self.model.body(body).id)
+        while (number := int(self.model.body_parentid[number])) > 0:
+            yield self.body_name(number)
+
+    def _watched(self) -> Sequence[str]:
+        """Return the parts whose contact is `collided`: by default, all of the root."""
+        if self.settings.body is not None:
+            return self.settings.body
+        if self.settings.touches == "body":
+            return [self.root]
+        number = int(self.model.body(self.root).id)
+        own = np.flatnonzero(self.model.geom_bodyid == number).tolist()
+        return [str(self.model.geom(geom).name) for geom in own if collides(self.model, geom)]
+
+    def _parts(self, key: tuple[str, ...], names: Sequence[str]) -> list[str]:
+        """Return bodies, or geoms that collide, which the model has."""
+        if self.settings.touches == "body":
+            return self.known(key, names)
+        geoms = [
+            self.model.geom(g).name for g in range(self.model.ngeom) if collides(self.model, g)
+        ]
+        return self.known(key, names, "geom that collides", [str(name) for name in geoms])
+
+
+def _patterns(joints: str | list[str]) -> list[str]:
+    return [joints] if isinstance(joints, str) else joints
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError:
+        return []

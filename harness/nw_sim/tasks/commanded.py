@@ -1,0 +1,559 @@
+"""Tasks without waypoints: what they share, `velocity` and `stand`.
+
+A command is known before its trial begins: it follows from the suite and from the trial's own seed,
+so a trial that is continued from its middle is told the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    Strict,
+    model_serializer,
+    model_validator,
+)
+
+from nw_base.memory import pack, unpack
+from nw_base.words import Outcome
+from nw_gate.scores import ScoreSpec
+from nw_gate.scores.score import lower_better
+from nw_sim.tasks.course import Limits, draw_start, fallen_by, touched_by
+from nw_sim.tasks.task import (
+    Array,
+    Goal,
+    Place,
+    Readings,
+    Streams,
+    Task,
+    TaskEvent,
+    TaskFault,
+    TaskRobot,
+    TaskRules,
+    TaskSettings,
+    Velocity,
+)
+
+_FASTEST, _TURNING = 5.0, 10.0  # m/s and rad/s, of commands
+_LONGEST = 600.0  # s, as trials are at most
+_STILL: Velocity = (0.0, 0.0, 0.0)
+_PARTS = ("vx", "vy", "yaw")
+_OTHER_WAYS = {
+    "speed": ", its speed is the forward one",
+    "way": ", it turns towards waypoints",
+}
+_TINY = 1e-9  # s: times of control steps are sums
+
+Range = Annotated[tuple[float, float], Strict(False)]
+"""Two numbers; a list is one, too."""
+Speed = Annotated[float, Field(ge=-_FASTEST, le=_FASTEST)]
+TurnRate = Annotated[float, Field(ge=-_TURNING, le=_TURNING)]
+SpeedRange = Annotated[tuple[Speed, Speed], Strict(False)]
+TurnRange = Annotated[tuple[TurnRate, TurnRate], Strict(False)]
+
+
+class TaskPart(BaseModel):
+    """A mapping within the settings of a task."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class Asked(TaskPart):
+    """A velocity in the yaw frame."""
+
+    vx: Speed = 0.0
+    """Forward, m/s."""
+    vy: Speed = 0.0
+    """To the left, m/s."""
+    yaw: TurnRate = 0.0
+    """Yaw rate, rad/s to the left."""
+
+    @property
+    def velocity(self) -> Velocity:
+        """All three."""
+        return self.vx, self.vy, self.yaw
+
+
+class AskedFrom(Asked):
+    """A velocity from a time on."""
+
+    at: float = Field(ge=0.0, le=_LONGEST)
+    """s since the start."""
+
+
+class Sweep(TaskPart):
+    """Velocities that change linearly from the first number to the second, and stay there."""
+
+    vx: SpeedRange = (0.0, 0.0)
+    vy: SpeedRange = (0.0, 0.0)
+    yaw: TurnRange = (0.0, 0.0)
+    over: float = Field(gt=0.0, le=_LONGEST)
+    """s that the change takes, from the start of the trial."""
+
+
+class Draw(TaskPart):
+    """Velocities that are drawn uniformly for each trial, from its own seed."""
+
+    vx: SpeedRange = (0.0, 0.0)
+    vy: SpeedRange = (0.0, 0.0)
+    yaw: TurnRange = (0.0, 0.0)
+    every: float = Field(default=4.0, ge=0.1, le=_LONGEST)
+    """s until the next one is drawn."""
+    still: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Probability of a draw to command zero."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for name in _PARTS:
+            check_order(name, getattr(self, name))
+        return self
+
+
+def check_order(name: str, given: tuple[float, float]) -> None:
+    """Refuse a range whose ends are in the wrong order.
+
+    Raises:
+        ValueError: they are.
+    """
+    low, high = given
+    if low > high:
+        raise ValueError(f"{name} {low:g} to {high:g} is no range; write the smaller number first")
+
+
+class Command(TaskPart):
+    """The velocities that a trial commands, said in one of four ways."""
+
+    constant: Asked | None = None
+    steps: Annotated[tuple[AskedFrom, ...], Strict(False), Field(min_length=1)] | None = None
+    """Each from its time on; zero before the first."""
+    sweep: Sweep | None = None
+    draw: Draw | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        ways = [name for name in ("constant", "steps", "sweep", "draw") if getattr(self, name)]
+        if len(ways) != 1:
+            said = "it is empty" if not ways else f"{' and '.join(ways)} exclude each other"
+            raise ValueError(f"{said}; give constant, steps, sweep or draw")
+        times = [step.at for step in self.steps or ()]
+        if any(later <= before for before, later in pairwise(times)):
+            raise ValueError("steps are not in the order of their times; sort them by `at`")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_other_ways(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {name: value for name, value in write(self).items() if value is not None}
+
+    def profile(self, streams: Streams, *, steps: int, period: float) -> Array:
+        """Return what is commanded in each control step of a trial, (steps, 3) m/s, m/s, rad/s.
+
+        Args:
+            streams: the trial's, of which `command` is drawn from.
+            steps: control steps of the trial.
+            period: seconds of one.
+        """
+        times = np.arange(steps) * period
+        found = np.zeros((steps, 3))
+        if self.constant is not None:
+            found[:] = self.constant.velocity
+        for step in self.steps or ():
+            found[times >= step.at - _TINY] = step.velocity
+        if (sweep := self.sweep) is not None:
+            ends = np.array([sweep.vx, sweep.vy, sweep.yaw])
+            share = np.minimum(times / sweep.over, 1.0)[:, np.newaxis]
+            found[:] = ends[:, 0] + share * (ends[:, 1] - ends[:, 0])
+        if (draw := self.draw) is not None:
+            low, high = np.array([draw.vx, draw.vy, draw.yaw]).T
+            numbers = np.floor((times + _TINY) / draw.every).astype(np.int64)
+            # Four numbers a draw: a longer trial begins as a shorter one.
+            drawn = streams.generator("command").random((int(numbers[-1]) + 1, 4))
+            values = low + drawn[:, :3] * (high - low)
+            values[drawn[:, 3] < draw.still] = 0.0
+            found[:] = values[numbers]
+        return found
+
+    @property
+    def parts(self) -> frozenset[str]:
+        """Which of `vx`, `vy` and `yaw` it may command to be other than zero."""
+        asked: list[Any] = [self.constant, *(self.steps or ()), self.sweep, self.draw]
+        return frozenset(
+            name
+            for each in asked
+            if each is not None
+            for name in _PARTS
+            if np.any(np.array(getattr(each, name)) != 0.0)
+        )
+
+
+STAND = Command(constant=Asked())
+"""Zero at all times."""
+
+
+class CommandedSettings(TaskSettings):
+    """Keys that all tasks of this file's kind have."""
+
+    area: float | None = Field(default=None, gt=0.0, le=1000.0)
+    """m in the ground plane from the start, beyond which a trial ends as `off_course`; None = no
+    limit but the ground itself."""
+
+    @model_serializer(mode="wrap")
+    def _without_none(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {name: value for name, value in write(self).items() if value is not None}
+
+
+class Commanded(Task):
+    """A trial whose task is a commanded velocity, and no way.
+
+    It ends as `fell` or `collided` by the robot's limits, as `off_course` where the robot leaves
+    the ground or the suite's `area`, and else when its time is over: then `_judge` says how.
+
+    Args:
+        settings: of the kind.
+        rules: of the suite's trials.
+
+    Attributes:
+        asked: the command.
+        step: control steps done.
+        steps: of the whole trial.
+    """
+
+    def __init__(self, settings: CommandedSettings, rules: TaskRules | None = None) -> None:
+        self._rules = TaskRules() if rules is None else rules
+        self._area = math.inf if settings.area is None else settings.area
+        self._limits = Limits()
+        self.asked = self.asked_by(settings)
+        self.steps = max(1, round(self._rules.duration / self._rules.control_period))
+        self.step = 0
+        self._contact_steps = 0
+        self._ended: Outcome | None = None
+        self._reason = ""
+        self._profile: Array = np.zeros((self.steps, 3))
+
+    @classmethod
+    def asked_by(cls, settings: CommandedSettings) -> Command:
+        """Return the command of settings."""
+        return getattr(settings, "command", STAND)
+
+    @classmethod
+    def fault(
+        cls, settings: TaskSettings, *, hears: frozenset[str], rules: TaskRules
+    ) -> TaskFault | None:
+        """Return why a policy cannot be asked for this, or why the trial is too short."""
+        assert isinstance(settings, CommandedSettings)
+        asked = cls.asked_by(settings)
+        for number, step in enumerate(asked.steps or ()):
+            if step.at >= rules.duration:
+                return TaskFault(
+                    ("command", "steps", number, "at"),
+                    f"a step at {step.at:g} s is not within the trial of {rules.duration:g} s",
+                    "lower it, or raise episode.duration",
+                )
+        parts = asked.parts
+        unheard = parts - {"vx"} if "speed" in hears else parts
+        if unheard and "command" not in hears:
+            words = "".join(_OTHER_WAYS[way] for way in ("speed", "way") if way in hears)
+            return TaskFault(
+                ("command",),
+                f"the policy cannot be told {' and '.join(sorted(unheard, key=_PARTS.index))}: its "
+                f"card has no term `command`{words}",
+                f"give {cls.kind} a policy that follows velocity commands, or command only what "
+                "this one is told",
+            )
+        if not parts and "way" in hears and len(hears) == 1:
+            return TaskFault(
+                ("kind",),
+                "nothing tells the policy to stand still: its card has neither a term `command` "
+                "nor `speed`, and it walks towards waypoints",
+                f"give {cls.kind} a policy with one of them, or use task: course",
+            )
+        return None
+
+    def reset(self, streams: Streams, scene: Place, robot: TaskRobot) -> Goal:
+        """Draw start and command."""
+        self._limits = Limits.of(robot)
+        spawn = scene.spawn
+        self.goal = draw_start(
+            streams,
+            protocol=self._rules.protocol,
+            spawn=(*spawn.position[:2], spawn.yaw),
+            jitter=(spawn.x_jitter, spawn.y_jitter, spawn.yaw_jitter),
+            trail=np.zeros((0, 3)),
+            waypoint_noise=(0.0, 0.0),
+        )
+        period = self._rules.control_period
+        self._profile = self.asked.profile(streams, steps=self.steps, period=period)
+        self.step, self._contact_steps, self._ended, self._reason = 0, 0, None, ""
+        return self.goal
+
+    def update(self, readings: Readings) -> tuple[TaskEvent, ...]:
+        """Look at the control step, and whether the trial is over."""
+        followed = self.commanded(self.step)
+        self.step += 1
+        events = self._see(readings, followed)
+        self._ended, self._reason = self._end(readings)
+        return events
+
+    def commanded(self, step: int) -> Velocity:
+        """Return what is commanded in a control step, from 0; the last one's after the end."""
+        vx, vy, yaw = self._profile[min(step, self.steps - 1)].tolist()
+        return vx, vy, yaw
+
+    @property
+    def command(self) -> Velocity:
+        """The velocity that is commanded now."""
+        return self.commanded(self.step)
+
+    def end(self) -> Outcome | None:
+        """Return how the trial ends, or None."""
+        return self._ended
+
+    @property
+    def end_reason(self) -> str:
+        """Say what decided the outcome."""
+        return self._reason
+
+    @property
+    def success(self) -> float:
+        """1 of a completed trial, else 0."""
+        return float(self._ended == "completed")
+
+    @property
+    def contact_seconds(self) -> float:
+        """Simulated time so far during which a monitored part collided, s."""
+        return self._contact_steps * self._rules.control_period
+
+    @property
+    def standing(self) -> str:
+        """What is commanded now, in words."""
+        vx, vy, yaw = self.command
+        if self.command == _STILL:
+            return "commanded to stand"
+        return f"commanded {vx:+.2f} {vy:+.2f} m/s, {yaw:+.2f} rad/s"
+
+    def state(self) -> dict[str, bytes]:
+        """Return what it counts."""
+        counts = np.array([self.step, self._contact_steps], dtype=np.int64)
+        return {"commanded": pack({"counts": counts, **self._memory()})}
+
+    def restore(self, state: Mapping[str, bytes]) -> None:
+        """Go back, or on, to a `state`."""
+        arrays = unpack(state["commanded"])
+        self.step, self._contact_steps = arrays["counts"].tolist()
+        self._remember(arrays)
+
+    def _end(self, readings: Readings) -> tuple[Outcome | None, str]:
+        limits = self._limits
+        has_collided = readings.monitored_force() > limits.monitored_force
+        self._contact_steps += has_collided
+        if limits.have_fallen(readings):
+            return "fell", fallen_by(readings, limits)
+        if has_collided and self._rules.contact_termination:
+            return "collided", touched_by(readings)
+        if (left := self._left(readings)) is not None:
+            return "off_course", left
+        return self._judge() if self.step >= self.steps else (None, "")
+
+    def _left(self, readings: Readings) -> str | None:
+        """Return which bound the robot has left; None where it is within all of them."""
+        x, y, z = readings.trunk_position.tolist()
+        if z < readings.scene.ground.z - self._limits.below_ground:
+            return "below the ground"
+        if math.hypot(x - self.goal.x, y - self.goal.y) > self._area:
+            return "out of the area"
+        return "no ground" if readings.height_over_ground() == math.inf else None
+
+    def _see(self, readings: Readings, asked: Velocity) -> tuple[TaskEvent, ...]:
+        """Take what a control step came to, in which `asked` was commanded."""
+        raise NotImplementedError
+
+    def _judge(self) -> tuple[Outcome, str]:
+        """Return how a trial ends whose time is over: `completed` or `timeout`, and why."""
+        raise NotImplementedError
+
+    def _memory(self) -> dict[str, Array]:
+        """Return what the kind remembers beside the counts."""
+        raise NotImplementedError
+
+    def _remember(self, arrays: Mapping[str, Any]) -> None:
+        """Go back to a `_memory`."""
+        raise NotImplementedError
+
+
+def off_command(readings: Readings, asked: Velocity) -> Velocity:
+    """Return a commanded velocity minus that of the trunk: m/s, m/s in the yaw frame, rad/s.
+
+    The yaw rate is about the trunk's z axis, as policies are trained by.
+    """
+    yaw = float(readings.roll_pitch_yaw[2])
+    x, y, _ = readings.trunk_linear_velocity.tolist()
+    cosine, sine = math.cos(yaw), math.sin(yaw)
+    rate = float(readings.trunk_angular_velocity[2])
+    return (
+        asked[0] - (cosine * x + sine * y),
+        asked[1] - (cosine * y - sine * x),
+        asked[2] - rate,
+    )
+
+
+WINDOW = 0.5
+"""s over which a velocity error is averaged: about a stride, within which a trunk sways."""
+
+
+class Tolerance(TaskPart):
+    """How far the velocity may be from the command, both averaged over `WINDOW`."""
+
+    linear: float = Field(default=0.2, gt=0.0, le=5.0)
+    """m/s in the ground plane."""
+    angular: float = Field(default=0.3, gt=0.0, le=10.0)
+    """rad/s of yaw rate."""
+
+
+class VelocitySettings(CommandedSettings):
+    """`task: {kind: velocity, command: ...}`."""
+
+    kind: Literal["velocity"] = "velocity"
+    command: Command
+    within: Tolerance = Tolerance()
+    share: float = Field(default=0.7, gt=0.0, le=1.0)
+    """Of the time, that must be within the tolerance for a trial to be completed."""
+
+
+class VelocityTask(Commanded):
+    """Follow a velocity command until the time is over.
+
+    A control step counts from `WINDOW` on. It is within the tolerance if the mean of command minus
+    velocity over the last `WINDOW` is. The trial is completed if it ran to its end, and the share
+    of such steps is at least `share`; `tracked_time` is that share.
+    """
+
+    kind = "velocity"
+    settings = VelocitySettings
+    declared = (
+        ScoreSpec(
+            name="tracked_time",
+            unit="",
+            better="higher",
+            low=0.0,
+            high=1.0,
+            undefined=0.0,
+            meaning="share of the trial's time in which the velocity was within the tolerance of "
+            "the command",
+        ),
+    )
+
+    def __init__(self, settings: VelocitySettings, rules: TaskRules | None = None) -> None:
+        super().__init__(settings, rules)
+        self._within, self._share = settings.within, settings.share
+        self._window = min(max(1, round(WINDOW / self._rules.control_period)), self.steps)
+        self._errors = np.zeros((self._window, 3))
+        self._tracked = 0
+
+    def _see(self, readings: Readings, asked: Velocity) -> tuple[TaskEvent, ...]:
+        self._errors[(self.step - 1) % self._window] = off_command(readings, asked)
+        if self.step >= self._window:
+            x, y, turn = (self._errors.sum(axis=0) / self._window).tolist()
+            within = self._within
+            is_within = math.hypot(x, y) <= within.linear and abs(turn) <= within.angular
+            self._tracked += is_within
+        return ()
+
+    @property
+    def tracked(self) -> float:
+        """Share of the whole trial's steps that were within the tolerance so far."""
+        return self._tracked / (self.steps - self._window + 1)
+
+    def _judge(self) -> tuple[Outcome, str]:
+        return ("completed", "time") if self.tracked >= self._share else ("timeout", "tracking")
+
+    def scores(self) -> dict[str, float]:
+        """Return `tracked_time`: what a trial that ended early did not run is not tracked."""
+        return {"tracked_time": self.tracked}
+
+    def _memory(self) -> dict[str, Array]:
+        return {"errors": self._errors, "tracked": np.array([float(self._tracked)])}
+
+    def _remember(self, arrays: Mapping[str, Any]) -> None:
+        self._errors[:] = arrays["errors"]
+        self._tracked = int(arrays["tracked"][0])
+
+
+class StandSettings(CommandedSettings):
+    """`task: stand`."""
+
+    kind: Literal["stand"] = "stand"
+    drift: float = Field(default=0.2, gt=0.0, le=100.0)
+    """m by which the trunk may leave its place."""
+    turn: float = Field(default=0.2, gt=0.0, le=3.0)
+    """rad by which it may leave its heading."""
+    settle: float = Field(default=1.0, ge=0.0, le=60.0)
+    """s after the start, after which place and heading are those that count."""
+
+
+class StandTask(Commanded):
+    """Stand still until the time is over: the command is zero.
+
+    The trial is completed if the trunk's origin never was farther than `drift` in the ground plane
+    from where it was at `settle`, and its heading never farther than `turn`.
+    """
+
+    kind = "stand"
+    settings = StandSettings
+    declared = (
+        lower_better(
+            "position_drift",
+            "m",
+            2.0,
+            "largest distance of the trunk in the ground plane from where it stood",
+        ),
+        lower_better(
+            "yaw_drift", "rad", 1.6, "largest angle of the trunk's heading from where it stood"
+        ),
+    )
+
+    def __init__(self, settings: StandSettings, rules: TaskRules | None = None) -> None:
+        super().__init__(settings, rules)
+        self._most = (settings.drift, settings.turn)
+        self._settled = min(round(settings.settle / self._rules.control_period), self.steps)
+        self._from = np.zeros(3)  # x, y, yaw
+        self._drift = np.zeros(2)  # m, rad: the largest so far
+
+    def _see(self, readings: Readings, asked: Velocity) -> tuple[TaskEvent, ...]:
+        del asked
+        x, y, _ = readings.trunk_position.tolist()
+        yaw = float(readings.roll_pitch_yaw[2])
+        if self.step <= max(1, self._settled):
+            self._from[:] = x, y, yaw
+            return ()
+        from_x, from_y, from_yaw = self._from.tolist()
+        turned = abs((yaw - from_yaw + math.pi) % (2.0 * math.pi) - math.pi)
+        moved = math.hypot(x - from_x, y - from_y)
+        self._drift[:] = max(self._drift[0], moved), max(self._drift[1], turned)
+        return ()
+
+    def _judge(self) -> tuple[Outcome, str]:
+        moved, turned = self._drift.tolist()
+        most_moved, most_turned = self._most
+        if moved > most_moved:
+            return "timeout", "position drift"
+        return ("timeout", "yaw drift") if turned > most_turned else ("completed", "time")
+
+    def scores(self) -> dict[str, float]:
+        """Return both drifts; none of a trial that fell or ended otherwise before its time."""
+        if self._ended not in {"completed", "timeout"}:
+            return {}
+        return {"position_drift": float(self._drift[0]), "yaw_drift": float(self._drift[1])}
+
+    def _memory(self) -> dict[str, Array]:
+        return {"from": self._from, "drift": self._drift}
+
+    def _remember(self, arrays: Mapping[str, Any]) -> None:
+        self._from[:] = arrays["from"]
+        self._drift[:] = arrays["drift"]

@@ -1,0 +1,620 @@
+"""Scans that others made, to scenes: meshes and elevation maps, upright and with a course.
+
+What comes in is in the axes and the unit of its file. What comes out is a scene folder in metres
+with z up, its ground at z = 0 where the robot starts.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nw_base.clean import clean
+from nw_base.errors import SceneError, UsageError
+from nw_base.files.cache import check_new, new_folder
+from nw_base.words import Task
+from nw_eval.api import check_scenes
+from nw_eval.suite.load import check_has_policy, robot_from, write_ready_suite
+from nw_scenes import limits
+from nw_scenes.check import room_of
+from nw_scenes.elevation_file import ELEVATION_SUFFIXES, elevation_mesh, read_elevation
+from nw_scenes.folder import SCENE_FILE, load_folder
+from nw_scenes.limits import name_of
+from nw_scenes.mesh import FACE_KINDS, TriangleMesh
+from nw_scenes.mesh_file import MESH_SUFFIXES, PaintedMesh, read_painted, unread
+from nw_scenes.mesh_parts import Material
+from nw_scenes.rays import RayScene
+from nw_scenes.saving import COLLISION, rounded, write_collision, write_yaml
+from nw_scenes.surface import Surface
+from nw_sim.survey import footing_lines, survey_lines
+from nw_twin.place import SUITE, Route, check_scene_name, moved_points
+from nw_twin.scans.looks import write_looks
+
+Values = NDArray[np.float64]
+Unit = Literal["m", "cm", "mm", "ft", "in"]
+UnitOrAuto = Literal["auto", "m", "cm", "mm", "ft", "in"]
+Axis = Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"]
+
+UNITS: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
+"""Metres in each."""
+
+_FAR = 100.0
+"""A scan whose middle is farther from its origin, metres, is moved there: single precision."""
+_ODDLY_WIDE = 200.0
+"""Metres, from which on the unit is asked about."""
+_LEVEL = math.cos(math.radians(20.0))
+_CLEARLY = 1.5
+_FLOOR_SHARE = 0.2
+"""Times as much area must look along another axis as along the one that is up by the format, and as
+a share of all."""
+_STEP, _STRIDE, _ROOM = 0.25, 0.1, 0.2
+"""Of a proposed trail: highest step, distance of samples along it, and room to each side."""
+_ALONE = 3.0
+"""Times as much area must look along an axis as against it for area to say which end is up."""
+_STANDS = 0.45
+"""Share of a room's height below which its contents stand rather than hang."""
+_ROOMS = (1.8, 6.0)
+"""Heights of rooms, m; beyond, the unit is asked about."""
+_FOOT, _HEADROOM = 0.02, 0.6
+"""Above the ground of a proposed course, m."""
+_ON_FLOOR = 0.15
+"""From the height of the floor that a course begins at, m; beyond, another is preferred."""
+_EVEN = 0.05
+"""By which the ground of a course rises and falls that is called even, m."""
+_INCLINED = math.radians(8.0)
+"""Of the ground at the start, from which on it is said; beyond 20 degrees no robot starts there."""
+_LONGEST, _BEHIND = 4.0, 0.7
+"""Of a proposed course, and of the ground behind its end and before its start; metres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanOptions:
+    """How a scan is to be understood.
+
+    Attributes:
+        unit: of the file's numbers; `auto` is what a comment of the file names, or else the metre.
+        up: which axis of the file is up; `auto` is +y of glTF, and of other meshes the one that
+            most of the ground looks along.
+        splat: Gaussians of the same scene, such as the same app exports; None = they are made of
+            the mesh's colours, if it has some.
+        splat_transform: a text file of 16 numbers, the 4 x 4 matrix from the splat's numbers to
+            the mesh's; None = it is found among the turns by right angles.
+        gaussians: most that are made of a mesh's colours.
+        cell, white, black, no_data: of an elevation map, as `read_elevation` takes them.
+        trail: start, and waypoints x, y or x, y, z, metres in the scene; None = it is proposed.
+        name: of the scene; None = that of its folder.
+        licence: of the scan.
+        task: what the course asks of the robot; None = `open`.
+        robot: of the scene's suite.
+    """
+
+    unit: UnitOrAuto = "auto"
+    up: Axis = "auto"
+    splat: Path | None = None
+    splat_transform: Path | None = None
+    gaussians: int = 200_000
+    cell: float | None = None
+    white: float | None = None
+    black: float = 0.0
+    no_data: float | None = None
+    trail: tuple[tuple[float, ...], ...] | None = None
+    name: str | None = None
+    licence: str = "not stated"
+    task: Task | None = None
+    robot: str = "go1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrittenScan:
+    """A scene that a scan became.
+
+    Attributes:
+        folder: where it lies.
+        digest: of the scene.
+        before: the digest that it had; None of a new one, or one that could not be loaded.
+        lines: what was done, one line for each thing.
+        fault: why it is not ready: no robot can start there yet, or `scenes check` finds an error;
+            with what to do. None = it is.
+    """
+
+    folder: Path
+    digest: str
+    before: str | None
+    lines: tuple[str, ...]
+    fault: str | None = None
+
+
+def import_scan(source: Path, out: Path, options: ScanOptions | None = None) -> WrittenScan:
+    """Write the scene folder of a scan, and a suite beside it; whole or not at all.
+
+    Args:
+        source: a mesh (GLB, OBJ, PLY, STL), or an elevation map (PNG, GeoTIFF).
+        out: the folder, which must not be there.
+        options: how it is to be understood.
+
+    Raises:
+        UsageError: an option makes no sense of this file, or `out` is in use.
+        SceneError: a file cannot be read, or the scene cannot be loaded.
+        StoreError: it cannot be written.
+    """
+    options = ScanOptions() if options is None else options
+    check_new(out)
+    check_has_policy(options.robot)
+    name = name_of(out.name) if options.name is None else options.name
+    check_scene_name(name)
+    _check_used(source, options)
+    scan, lines = _read_scan(source, options)
+    mesh = _mesh_of(scan, scan.T_world_file)
+    course, words, fault = lay_course(mesh, options.trail, options.task)
+    lines += words
+    fault = scan.fault or fault
+    lift = np.eye(4)
+    lift[2, 3] = -course.spawn[2]
+    course = replace(
+        course,
+        trail=course.trail + lift[:3, 3],
+        spawn=(course.spawn[0], course.spawn[1], 0.0),
+    )
+    T = lift @ scan.T_world_file
+    text: dict[str, Any] = {
+        "nw-scene": 1,
+        "name": name,
+        "title": f"From {clean(source.name, at_most=80)}",
+        "task": course.task,
+        "licence": options.licence,
+        "collision": COLLISION,
+        "trail": [rounded(point) for point in course.trail],
+        "spawn": {"position": rounded(course.spawn), "yaw": round(course.yaw, 4)},
+    }
+    with new_folder(out) as staged:
+        write_collision(
+            staged / COLLISION, moved_points(T, scan.painted.vertices), scan.painted.faces
+        )
+        lines += write_looks(
+            staged,
+            text,
+            scan.painted,
+            T,
+            splat=options.splat,
+            splat_transform=options.splat_transform,
+            most=options.gaussians,
+            way=np.vstack([course.spawn, course.trail]),
+        )
+        write_yaml(staged / SCENE_FILE, text)
+        digest = load_folder(staged).digest
+        write_ready_suite(staged / SUITE, name, ["."], robot=robot_from(out, options.robot))
+    written = WrittenScan(folder=out, digest=digest, before=None, lines=tuple(lines), fault=fault)
+    return checked_scan(written, options.robot)
+
+
+def checked_scan(written: WrittenScan, robot: str = "go1") -> WrittenScan:
+    """Return a written scene with what `scenes check` measures and finds; an error is its fault."""
+    (checked,) = check_scenes([str(written.folder)], robot=robot)
+    survey = checked.survey
+    measured = () if survey is None else (*survey_lines(survey), *footing_lines(survey))
+    errors = [one for one in checked.findings if one.severity == "error"]
+    fault = written.fault
+    if fault is None and errors:
+        fault = f"{errors[0].message}; {errors[0].fix or 'see above'}"
+    found = (f"check: {one}" for one in (*measured, *checked.findings))
+    return replace(written, lines=(*written.lines, *found), fault=fault)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Scan:
+    painted: PaintedMesh
+    T_world_file: Values
+    """(4, 4), but for the height of the floor."""
+    fault: str | None
+    """What contradicts about which way is up."""
+
+
+_OF_MAPS = ("cell", "white", "black", "no_data")
+_OF_MESHES = ("up", "unit", "gaussians")
+
+
+def _check_used(source: Path, options: ScanOptions) -> None:
+    """Check that nothing is asked for that this file has no use for.
+
+    Raises:
+        UsageError: something is; all of it is named.
+    """
+    suffix, default = source.suffix.lower(), ScanOptions()
+
+    def given(*names: str) -> str:
+        asked = [one for one in names if getattr(options, one) != getattr(default, one)]
+        return " and ".join(f"--{one.replace('_', '-')}" for one in asked)
+
+    if suffix in MESH_SUFFIXES and (wrong := given(*_OF_MAPS)):
+        what, fix = "of elevation maps", f"give one of {', '.join(ELEVATION_SUFFIXES)}"
+    elif suffix in ELEVATION_SUFFIXES and (wrong := given(*_OF_MESHES)):
+        what = "of meshes: an elevation map has its height up, is in metres and has no colours"
+        fix = "scale it by --cell, --white and --black"
+    elif options.splat is None and (wrong := given("splat_transform")):
+        what, fix = "of a splat, and there is none", "name it with --splat"
+    elif options.splat is not None and (wrong := given("gaussians")):
+        what, fix = "of the mesh's colours, which --splat replaces", "leave out --splat"
+    else:
+        return
+    verb = "are" if " and " in wrong else "is"
+    raise UsageError(f"{source}: {wrong} {verb} {what}", fix=f"leave that out, or {fix}")
+
+
+def _read_scan(source: Path, options: ScanOptions) -> tuple[_Scan, list[str]]:
+    suffix = source.suffix.lower()
+    lines: list[str] = []
+    fault = None
+    if suffix in ELEVATION_SUFFIXES:
+        found = read_elevation(
+            source,
+            cell=options.cell,
+            white=options.white,
+            black=options.black,
+            no_data=options.no_data,
+        )
+        rows, columns = found.heights.shape
+        low, high = np.nanmin(found.heights), np.nanmax(found.heights)
+        lines.append(
+            f"elevation map: {columns} x {rows} pixels of {found.cell[0]:.3g} x "
+            f"{found.cell[1]:.3g} m, heights {low:.3f} to {high:.3f} m"
+        )
+        lines += found.findings
+        vertices, faces = elevation_mesh(found)
+        if len(faces) == 0:
+            raise SceneError(f"{source} has only holes", fix="check --no-data")
+        painted = PaintedMesh(
+            vertices=vertices,
+            faces=faces,
+            colours=None,
+            uv=None,
+            material=np.zeros(len(faces), np.int32),
+            materials=(Material(),),
+            findings=(),
+        )
+        T_file = np.eye(4)
+    elif suffix in MESH_SUFFIXES:
+        painted = read_painted(source)
+        lines += [f"{one.message}" for one in painted.findings]
+        T_file, words, fault = _upright(painted, source, options)
+        lines += words
+    else:
+        raise unread(source, (*MESH_SUFFIXES, *ELEVATION_SUFFIXES))
+    points = moved_points(T_file, painted.vertices)
+    middle = np.median(points, axis=0)
+    shift = np.where(np.abs(middle) > _FAR, -np.round(middle), 0.0)
+    if shift.any():
+        back = ", ".join(f"{value:.0f}" for value in -shift)
+        lines.append(f"moved to the origin: ({back}) m subtracted")
+    T = shifted(shift) @ T_file
+    size = np.ptp(points, axis=0)
+    words = f"{size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} m (x, y, z)"
+    wide = float(size[:2].max())
+    if wide > 2.0 * limits.REACH or wide < 0.3:
+        raise SceneError(
+            f"{source}: {words}: the unit of its numbers is not {_unit(painted, options)}",
+            fix="give another --unit (m, cm, mm, ft, in)"
+            if suffix in MESH_SUFFIXES
+            else "give another --cell",
+        )
+    lines.insert(0, f"{source.name}: {len(painted.faces):,} triangles, {words}")
+    if wide > _ODDLY_WIDE:
+        unit = _unit(painted, options)
+        lines.append(f"it is {wide:.0f} m wide: if its numbers are no {unit}, give --unit")
+    return _Scan(painted=painted, T_world_file=T, fault=fault), lines
+
+
+def shifted(offset: Values) -> Values:
+    """Return the (4, 4) shift by an offset (3,), m."""
+    T = np.eye(4)
+    T[:3, 3] = offset
+    return T
+
+
+def _unit(painted: PaintedMesh, options: ScanOptions) -> Unit:
+    """Return the unit of a mesh's numbers: as told, or as its file says, or the metre."""
+    if options.unit != "auto":
+        return options.unit
+    return next((unit for unit in get_args(Unit) if unit == painted.unit), "m")
+
+
+def _upright(
+    painted: PaintedMesh, source: Path, options: ScanOptions
+) -> tuple[Values, list[str], str | None]:
+    """Return (4, 4) from file to metres with z up, which axis is up by what, and what is at odds.
+
+    The last is None where nothing is.
+    """
+    corners = painted.vertices[painted.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    lined = normal / area[:, None]
+    shares = {
+        axis: float(area[_axis(axis) @ lined.T > _LEVEL].sum() / area.sum())
+        for axis in get_args(Axis)
+        if axis != "auto"
+    }
+    is_gltf = source.suffix.lower() == ".glb"
+    by_faces, stands = _by_faces(shares, corners, "+y" if is_gltf else "+z")
+    up = options.up
+    if up == "auto":
+        up = "+y" if is_gltf else by_faces
+    unit = _unit(painted, options)
+    scale = UNITS[unit]
+    T = np.eye(4)
+    T[:3, :3] = scale * turn_to_z(_axis(up))
+    why = f"{100 * shares[up]:.0f} % of its area faces along it"
+    if options.up == "auto" and is_gltf:
+        why += ", and it is up in glTF"
+    lines = [f"up is {up} of the file: {why}; one unit is {scale:g} m"]
+    fault = None
+    if up != by_faces:
+        lines.append(
+            f"by its faces up is {by_faces}, along which {100 * shares[by_faces]:.0f} % look"
+            + (", with what is in the room low" if stands else "")
+        )
+        if options.up == "auto" and (stands or shares[by_faces] > 5.0 * shares[up]):
+            fault = f"{lines[-1]}, against glTF's {up}; give --up {by_faces}, or --up {up}"
+    room = room_of(corners, _axis(up))
+    if painted.unit not in (None, unit):
+        lines.append(f"the file says that its unit is {painted.unit}, and it is read as {unit}")
+    if room is not None and not _ROOMS[0] <= scale * room.height <= _ROOMS[1]:
+        lines.append(
+            f"a ceiling is {scale * room.height:.2f} m above the floor: if that is a room, its "
+            f"numbers may not be {unit}; give --unit"
+        )
+    return T, lines, fault
+
+
+def _by_faces(shares: dict[str, float], corners: Values, usual: Axis) -> tuple[Axis, bool]:
+    """Return the axis that is up by a mesh's faces alone, and whether what is in it stands low.
+
+    Args:
+        shares: of the area that looks along each axis.
+        corners: (F, 3, 3) of its faces.
+        usual: up in its format, which holds unless more area looks along another clearly.
+    """
+    best = max(shares, key=lambda axis: shares[axis])
+    most = max(share for axis, share in shares.items() if axis[1] == usual[1])
+    line = best[1] if shares[best] > max(_CLEARLY * most, _FLOOR_SHARE) else usual[1]
+    ends = ("+" + line, "-" + line)
+    contents = {end: room_of(corners, _axis(end)) for end in ends}
+    low = [end for end, room in contents.items() if room and room.contents <= _STANDS]
+    # A ceiling is larger than the floor that furniture hides, so area alone decides only where
+    # hardly any faces look the other way.
+    for one, other in (ends, ends[::-1]):
+        if shares[one] > _ALONE * shares[other]:
+            low = low or [one]
+    up: Any = low[0] if len(low) == 1 else ends[0]
+    return up, bool(contents[up] and up in low)
+
+
+def _axis(name: str) -> Values:
+    return (1.0 if name[0] == "+" else -1.0) * np.eye(3)["xyz".index(name[1])]
+
+
+def turn_to_z(up: Values) -> Values:
+    """Return the (3, 3) shortest turn of a unit vector to +z; of -z, the half turn about x."""
+    x, y, z = up.tolist()
+    if z < -1.0 + 1e-9:
+        return np.diag([1.0, -1.0, -1.0])
+    k = 1.0 / (1.0 + z)
+    return np.array(
+        [[1.0 - k * x * x, -k * x * y, -x], [-k * x * y, 1.0 - k * y * y, -y], [x, y, z]]
+    )
+
+
+def _mesh_of(scan: _Scan, T: Values) -> TriangleMesh:
+    return TriangleMesh(
+        vertices=moved_points(T, scan.painted.vertices),
+        faces=np.ascontiguousarray(scan.painted.faces, dtype=np.int32),
+        kinds=np.full(len(scan.painted.faces), FACE_KINDS.index("ground"), np.uint8),
+    )
+
+
+# --- The course ---------------------------------------------------------------------------------
+
+
+def lay_course(
+    mesh: TriangleMesh, trail: Sequence[tuple[float, ...]] | None, task: Task | None
+) -> tuple[Route, list[str], str | None]:
+    """Return start and waypoints on the ground of a mesh, what is said of them, and their fault.
+
+    The fault is why no robot can start there, and what to do; None = one can.
+    """
+    if trail is not None:
+        route, words = _given(mesh, trail, task or "open")
+    else:
+        found = _proposed(mesh)
+        if found is None:
+            fault = "no two metres of even ground, so the course is one waypoint a metre ahead"
+            return _placeholder(mesh, task or "open"), [], f"{fault}: {_FLOOR}"
+        route, words = _straight(mesh, *found, task or "open")
+    tilt = _tilt(mesh, route)
+    if tilt < _INCLINED:
+        return route, [words], None
+    fault = f"the ground at the start is inclined by {math.degrees(tilt):.0f} degrees"
+    if math.cos(tilt) < _LEVEL:
+        return route, [words], f"{fault}: {_FLOOR}"
+    return route, [words, f"{fault}; if it is level in truth, {_FLOOR}"], None
+
+
+_FLOOR = (
+    "level the floor, `nw-eval scenes level SCENE --floor X,Y,Z X,Y,Z X,Y,Z --propose`, or import "
+    "with another --up or --unit"
+)
+
+
+def _tilt(mesh: TriangleMesh, route: Route) -> float:
+    """Return how far the ground within half a metre of the start is inclined, rad.
+
+    It is the median of all 10 cm, so that steps and stairs of level treads do not count.
+    """
+    x, y, z = route.spawn
+    side = np.linspace(-0.5, 0.5, 11)
+    xy = np.stack(np.meshgrid(x + side, y + side), axis=-1).reshape(-1, 2)
+    ground = _ground(mesh, RayScene(mesh), xy, z).reshape(11, 11)
+    rises = [np.diff(ground, axis=axis) / 0.1 for axis in (0, 1)]
+    known = [each[np.isfinite(each)] for each in rises]
+    return math.atan(math.hypot(*(float(np.median(one)) if len(one) else 0.0 for one in known)))
+
+
+def _straight(mesh: TriangleMesh, points: Values, yaw: float, task: Task) -> tuple[Route, str]:
+    """Return a proposed way (K, 3) as a course, and what is said of it and its ground."""
+    far = float(np.linalg.norm(points[-1, :2] - points[0, :2]))
+    course = Route(
+        task=task,
+        trail=points[1:],
+        spawn=(float(points[0, 0]), float(points[0, 1]), float(points[0, 2])),
+        yaw=yaw,
+    )
+    x, y, z = course.spawn
+    share = np.linspace(0.0, 1.0, max(round(far / _STRIDE), 1) + 1)[:, None]
+    ground = _ground(mesh, RayScene(mesh), points[0, :2] * (1 - share) + points[-1, :2] * share, z)
+    known = ground[np.isfinite(ground)]
+    rises = np.diff(known)
+    even = np.ptp(known) <= _EVEN
+    kind = "even ground" if even else "uneven ground"
+    return course, (
+        f"course proposed: {far:.1f} m straight over {kind} from ({x:.2f}, {y:.2f}), heading "
+        f"{math.degrees(yaw):.0f} degrees: it rises by {rises[rises > 0].sum():.2f} m and falls by "
+        f"{np.abs(rises[rises < 0]).sum():.2f} m in all, at most "
+        f"{np.abs(rises).max(initial=0.0):.2f} m within {_STRIDE:g} m; "
+        "`--trail` or `nw-eval twin label` sets another"
+    )
+
+
+def _placeholder(mesh: TriangleMesh, task: Task) -> Route:
+    """Return a start at the middle of a mesh that shows no floor yet, and one waypoint ahead."""
+    middle = np.median(mesh.vertices, axis=0)
+    x, y, z = mesh.vertices[np.linalg.norm(mesh.vertices - middle, axis=1).argmin()].tolist()
+    return Route(task=task, trail=np.array([[x + 1.0, y, z]]), spawn=(x, y, z))
+
+
+def _given(mesh: TriangleMesh, trail: Sequence[tuple[float, ...]], task: Task) -> tuple[Route, str]:
+    if len(trail) < 2 or len(trail) > limits.WAYPOINTS + 1:
+        raise UsageError(
+            f"--trail has {len(trail)} points",
+            fix="give the start and then the waypoints: --trail 0,0 1.5,0 3,0",
+        )
+    rays = RayScene(mesh)
+    reference = _floor_height(mesh)
+    points: list[Values] = []
+    for i, point in enumerate(trail):
+        z = reference if len(point) == 2 else point[2]
+        ground = float(_ground(mesh, rays, np.array([point[:2]]), z)[0])
+        if not math.isfinite(ground):
+            ground = float(rays.height(np.array([point[:2]]))[0])
+        if not math.isfinite(ground):
+            low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+            raise SceneError(
+                f"{'the start' if i == 0 else f'waypoint {i - 1}'} at "
+                f"({point[0]:g}, {point[1]:g}) has no ground under it",
+                fix=f"the mesh reaches from ({low[0]:.2f}, {low[1]:.2f}) to "
+                f"({high[0]:.2f}, {high[1]:.2f})",
+            )
+        points.append(np.array([*point[:2], ground]))
+        reference = ground
+    first, second = points[0], points[1]
+    if np.linalg.norm(second[:2] - first[:2]) < 1e-6:
+        raise UsageError("the first waypoint is the start", fix="give one ahead of it")
+    course = Route(
+        task=task,
+        trail=np.array(points[1:]),
+        spawn=(float(first[0]), float(first[1]), float(first[2])),
+        yaw=math.atan2(second[1] - first[1], second[0] - first[0]),
+    )
+    return course, f"course of {len(points) - 1} waypoints, laid on the ground as given"
+
+
+def _floor_height(mesh: TriangleMesh) -> float:
+    """Return the height at which most of the ground lies, metres; in a room, that of its floor."""
+    corners = mesh.triangles
+    room = room_of(corners, np.array([0.0, 0.0, 1.0]))
+    if room is not None:
+        return room.floor
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    is_floor = normal[:, 2] > _LEVEL * area
+    if not is_floor.any():
+        is_floor = normal[:, 2] > 0.0
+    if not is_floor.any():
+        return float(np.median(mesh.vertices[:, 2]))
+    z = corners[is_floor, :, 2].mean(axis=1)
+    bins = np.round(z / 0.1).astype(np.int64)
+    low = int(bins.min())
+    if int(bins.max()) - low > 1_000_000:
+        return float(np.median(z))
+    most = int(np.bincount(bins - low, weights=area[is_floor]).argmax())
+    return float(np.median(z[bins - low == most]))
+
+
+def _ground(mesh: TriangleMesh, rays: RayScene, xy: Values, z: float) -> Values:
+    """Return the ground (N,) that a robot at height z walks on, as terrain has it; nan for none."""
+    from nw_scenes.grid import TerrainOptions
+
+    trail = np.array([[xy[0, 0], xy[0, 1], z]])
+    return Surface(mesh, trail, TerrainOptions(), rays).ground(xy)
+
+
+def _proposed(mesh: TriangleMesh) -> tuple[Values, float] | None:
+    """Return start and waypoints (K, 3) of the longest straight way over even ground, and its yaw.
+
+    Of equally long ones, the most even, and of these that along x or y which leads over the middle
+    of the mesh. There is headroom along it.
+    """
+    rays = RayScene(mesh)
+    floor = _floor_height(mesh)
+    low, high = np.percentile(mesh.vertices[:, :2], [2, 98], axis=0)
+    spread = max(float((high - low).max()) / 24.0, 0.25)
+    axes = [np.arange(a + spread / 2, b, spread) for a, b in zip(low, high, strict=True)]
+    if any(len(axis) == 0 for axis in axes):
+        return None
+    starts = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    along = np.arange(-_BEHIND, _LONGEST + _BEHIND + _STRIDE / 2, _STRIDE)
+    aside = np.array([-_ROOM, 0.0, _ROOM])
+    first = round(_BEHIND / _STRIDE)
+    best: tuple[float, float, Values, float] | None = None
+    middle = (low + high) / 2
+    for turn in range(16):
+        yaw = 2.0 * math.pi * turn / 16
+        ahead = np.array([math.cos(yaw), math.sin(yaw)])
+        left = np.array([-ahead[1], ahead[0]])
+        steps = along[:, None, None] * ahead + aside[None, :, None] * left
+        xy = starts[:, None, None] + steps[None]
+        z = _ground(mesh, rays, xy.reshape(-1, 2), floor).reshape(xy.shape[:3])
+        even = np.abs(np.diff(z, axis=1)) < _STEP  # False beside what is not there.
+        even &= np.isfinite(z[:, 1:]) & np.isfinite(z[:, :-1])
+        places = np.concatenate([xy, np.nan_to_num(z)[..., None] + _FOOT], axis=-1).reshape(-1, 3)
+        room = rays.distance(places, np.tile([0.0, 0.0, 1.0], (len(places), 1)))
+        even &= (room.reshape(z.shape) > _HEADROOM)[:, 1:]
+        whole = np.logical_and.accumulate(even.all(axis=2), axis=1)
+        reach = whole.sum(axis=1) * _STRIDE - 2 * _BEHIND
+        away = np.linalg.norm(starts + _LONGEST / 2 * ahead - middle, axis=1)
+        course = z[:, first : first + round(_LONGEST / _STRIDE), 1]
+        course = np.where(whole[:, first : first + course.shape[1]], course, np.nan)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # All of a row is nan.
+            bumps = np.nan_to_num(np.nanmax(course, axis=1) - np.nanmin(course, axis=1))
+        bumps = np.where(bumps > _EVEN, bumps, 0.0)
+        # A bench may be longer than the floor before it.
+        off = np.abs(np.nan_to_num(z[:, first, 1]) - floor)
+        off = np.clip(2.0 * (off / _ON_FLOOR - 1.0), 0.0, 6.0)
+        score = np.floor(reach / 0.5) - 2.0 * bumps - off
+        score -= 1e-3 * away + 1e-2 * (turn % 4 != 0)
+        i = int(score.argmax())
+        if reach[i] < 1.0 or (best is not None and score[i] <= best[0]):
+            continue
+        length = min(float(reach[i]), _LONGEST)
+        count = max(int(length // 1.0), 1)
+        places = np.concatenate([[0.0], np.linspace(length / count, length, count)])
+        rows = first + np.round(places / _STRIDE).astype(np.int64)
+        points = np.column_stack([xy[i, rows, 1], z[i, rows, 1]])
+        best = (float(score[i]), float(reach[i]), points, yaw)
+    return None if best is None else (best[2], best[3])

@@ -1,0 +1,179 @@
+"""`nw-eval scenes import` and `level`: a scene folder of a scan, and its floor laid level."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import tyro
+
+from nw_base.clean import clean
+
+if TYPE_CHECKING:
+    from nw_twin.scans.scan import WrittenScan
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportScan:
+    """Make a scene folder of a scan: a mesh with its colours, or an elevation map.
+
+    Meshes are GLB, OBJ, PLY or STL; elevation maps are PNG or GeoTIFF. The scene is in metres with
+    z up, the ground under the start is at z = 0, and a suite that runs it lies beside. Colours of
+    textures and vertices become Gaussians, which camera images show. The scene is checked as by
+    `scenes check`; exit code 2 if it is not ready.
+    """
+
+    scan: tyro.conf.Positional[Path]
+    """The mesh, or the elevation map."""
+    out: Path
+    """The scene's folder, which must not be there."""
+    unit: Literal["auto", "m", "cm", "mm", "ft", "in"] = "auto"
+    """Of the mesh's numbers; what a comment of the file names, or else m, when `auto`."""
+    up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
+    """Axis of the file that is up; +y of a GLB, else the one that most of the ground looks along,
+    when `auto`."""
+    splat: Path | None = None
+    """Gaussians of the same place, as the same app exports them (PLY, SPZ, SOG); those of the
+    mesh's colours when absent."""
+    splat_transform: Path | None = None
+    """A text file of the 4 x 4 matrix from the splat's numbers to the mesh's; found among the turns
+    by right angles when absent."""
+    gaussians: int = 200_000
+    """Gaussians that are made of the mesh's colours, at most."""
+    cell: float | None = None
+    """Of an elevation map: width of a pixel, m. A GeoTIFF says it."""
+    white: float | None = None
+    """Of a PNG: height of white, m."""
+    black: float = 0.0
+    """Of a PNG: height of black, m."""
+    no_data: float | None = None
+    """Of an elevation map: value of pixels without ground. A GeoTIFF may say it."""
+    trail: tuple[str, ...] = ()
+    """The start, then waypoints, X,Y or X,Y,Z in m of the scene; proposed when absent."""
+    task: Literal["hurdles", "gaps", "ramps", "stairs", "open"] | None = None
+    """What the course asks of the robot; `open` when absent."""
+    name: str | None = None
+    """The scene's name; that of its folder when absent."""
+    licence: str = "not stated"
+    """Of the scan: an SPDX identifier, or words."""
+    robot: str = "go1"
+    """The robot of the scene's suite."""
+
+    def __call__(self) -> int:
+        from nw_base.errors import SceneError
+        from nw_twin.scans.scan import ScanOptions, import_scan
+
+        options = ScanOptions(
+            unit=self.unit,
+            up=self.up,
+            splat=self.splat,
+            splat_transform=self.splat_transform,
+            gaussians=self.gaussians,
+            cell=self.cell,
+            white=self.white,
+            black=self.black,
+            no_data=self.no_data,
+            trail=points_of("--trail", self.trail, (2, 3)) or None,
+            task=self.task,
+            name=self.name,
+            licence=self.licence,
+            robot=self.robot,
+        )
+        written = import_scan(self.scan, self.out, options)
+        print(scan_lines(written))
+        return 0 if written.fault is None else SceneError.exit_code
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelScene:
+    """Lay the floor of a scene's mesh level, turn it over, or scale it.
+
+    Mesh, splat, trail, start and capture cameras go by one transform, so the scene is another one,
+    with starts of its own. scene.yaml is rewritten; the files that it named before stay.
+    """
+
+    scene: tyro.conf.Positional[Path]
+    """The scene's folder."""
+    floor: tuple[str, ...] = ()
+    """Three points X,Y,Z of the floor, as the mesh lies now; they come to z = 0."""
+    flip: bool = False
+    """Put the other side of the floor up."""
+    unit: Literal["m", "cm", "mm", "ft", "in"] = "m"
+    """Of the mesh's numbers now, and of --floor."""
+    trail: tuple[str, ...] = ()
+    """The start, then waypoints, X,Y or X,Y,Z in m, as the mesh lies afterwards; those that the
+    scene has go with the mesh when absent."""
+    propose: bool = False
+    """Lay the course straight over even ground, as `scenes import` does."""
+    out: Path | None = None
+    """Write a copy to this folder, which must not be there, and leave the scene as it is."""
+
+    def __call__(self) -> int:
+        from nw_base.errors import SceneError
+        from nw_twin.scans.levelling import level_scene
+
+        written = level_scene(
+            self.scene,
+            floor=points_of("--floor", self.floor, (3,)),
+            flip=self.flip,
+            unit=self.unit,
+            trail=points_of("--trail", self.trail, (2, 3)) or None,
+            propose=self.propose,
+            out=self.out,
+        )
+        print(scan_lines(written))
+        return 0 if written.fault is None else SceneError.exit_code
+
+
+_FARTHEST = 1e7  # of a number: 10 km in mm, and far below what float32 holds
+
+
+def points_of(
+    option: str, words: Sequence[str], sizes: tuple[int, ...]
+) -> tuple[tuple[float, ...], ...]:
+    """Return points that are written X,Y or X,Y,Z.
+
+    Raises:
+        UsageError: a word is no point of one of these sizes.
+    """
+    from math import isfinite
+
+    from nw_base.errors import UsageError
+
+    points: list[tuple[float, ...]] = []
+    for word in words:
+        try:
+            point = tuple(float(part) for part in word.split(","))
+        except ValueError:
+            point = ()
+        if len(point) not in sizes or not all(isfinite(part) for part in point):
+            form = " or ".join(",".join("XYZ"[:size]) for size in sizes)
+            raise UsageError(
+                f"{option} {clean(word, at_most=60)}: no point {form}",
+                fix=f"give numbers with commas and no spaces between, such as {option} "
+                + " ".join(",".join("1.5" for _ in range(sizes[0])) for _ in range(2)),
+            )
+        if any(abs(part) > _FARTHEST for part in point):
+            raise UsageError(
+                f"{option} {clean(word, at_most=60)}: a number over {_FARTHEST:g}",
+                fix="give lengths from the mesh's own origin",
+            )
+        points.append(point)
+    return tuple(points)
+
+
+def scan_lines(written: WrittenScan) -> str:
+    """Return what was done to a scan, the scene's digest, and the command to go on with."""
+    digest = f"digest {written.digest[:16]}"
+    if written.before is not None:
+        same = written.before == written.digest
+        digest = "digest as before" if same else f"digest {written.before[:16]} -> {digest[7:]}"
+    folder = shlex.quote(str(written.folder))
+    here = folder if folder.startswith(("/", ".", "'")) else f"./{folder}"
+    end = f"ready: nw-eval scenes check {here}"
+    if written.fault is not None:
+        end = f"not ready: {written.fault.replace('SCENE', here)}"
+    return "\n".join([*written.lines, digest, end])
