@@ -25,11 +25,11 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 _EXTENDING = ("robots", "tasks", "scores", "axes", "splat-formats", "reporters", "testing")
 OWN_TESTS = {
-    "docs/how-to/extending/sensors.md": "tests/sensors/test_wrappers_page.py",
+    "docs/how-to/extending/sensors.md": "tests/sim/sensors/test_wrappers_page.py",
     "docs/tutorials/checkpoint-to-check.md": "tests/docs/test_tutorials.py",
     "docs/tutorials/your-own-robot.md": "tests/docs/test_tutorials.py",
     **{
-        f"docs/how-to/extending/{name}.md": "tests/extending/test_extending_page.py"
+        f"docs/how-to/extending/{name}.md": "tests/eval/extending/test_extending_page.py"
         for name in _EXTENDING
     },
 }
@@ -62,7 +62,7 @@ ENDS = MappingProxyType({"nw-eval run my-suite.yaml --out mine": 3})  # One tria
 NOT_RUN = MappingProxyType(
     {
         "nw-eval watch logs/go2 --suite hurdles --policy my-policy/policy.yaml": (
-            "till Ctrl-C; tests/api/test_watching.py watches a training"
+            "till Ctrl-C; tests/eval/api/test_watching.py watches a training"
         ),
         "nw-eval bisect hurdles logs/go2 --policy my-policy/policy.yaml "
         "--good logs/go2/model_1500.pt --bad logs/go2/model_3000.pt": (
@@ -72,11 +72,11 @@ NOT_RUN = MappingProxyType(
             "a thousand trials; test_baselines.py saves smaller ones"
         ),
         "nw-eval run hurdles --policy my-policy --track wandb": (
-            "test_trackers.py and tests/report/trackers track runs"
+            "test_trackers.py and tests/eval/report/trackers track runs"
         ),
-        "nw-eval run hurdles --engine ray": "starts a cluster; tests/engine/ray runs on some",
+        "nw-eval run hurdles --engine ray": "starts a cluster; tests/eval/engine/ray runs on some",
         "nw-eval run hurdles --policy ./my-policy --engine ray --address auto": (
-            "on a cluster; tests/engine/ray does"
+            "on a cluster; tests/eval/engine/ray does"
         ),
         "nw-eval sweep hurdles-state --axis friction=0.1..1.2:6 --axis payload=0..10:6 "
         "--axis latency=0..0.12:7 --baseline go1-act-depth --trials 12 "
@@ -84,7 +84,7 @@ NOT_RUN = MappingProxyType(
             "minutes; the page runs a smaller one"
         ),
         "nw-eval report --site site runs/*": "in a workflow; the page does it with two runs",
-        "nw-eval scores walk.mcap --robot go1": "a robot's log; tests/scores/test_logs.py has one",
+        "nw-eval scores walk.mcap --robot go1": "a robot's log; tests/gate/scores/test_logs.py has one",
         "make run": "minutes; CI does it on a fresh machine",
         "make build": "minutes; CI does it, and runs the wheel",
         **dict.fromkeys(
@@ -95,7 +95,7 @@ NOT_RUN = MappingProxyType(
                     "hurdles-three_low-000.mcap --picture trial.png"
                 ),
             ],
-            "a shell's star; tests/reporting and tests/rollout/replaying do",
+            "a shell's star; tests/reporting and tests/sim/rollout/replaying do",
         ),
         **dict.fromkeys(
             [
@@ -114,7 +114,7 @@ NOT_RUN = MappingProxyType(
                     "--bad checkpoints/model_1000.onnx"
                 ),
             ],
-            "ten checkpoints, minutes; tests/api watch, compare and search smaller series",
+            "ten checkpoints, minutes; tests/eval/api watch, compare and search smaller series",
         ),
         "make test": "this is part of it",
         "nw-eval policies check ./my-policy": "test_readme.py does, with the card of the README",
@@ -145,7 +145,7 @@ NOT_RUN = MappingProxyType(
                 "nw-eval run my-scene.yaml --policy hub:org/trot",
                 "nw-eval scenes push ./my-scene hub:org/my-scene",
             ],
-            "nobody's repositories; tests/hub fetches from a hub of its own, and pushes to it",
+            "nobody's repositories; tests/scenes/hub fetches from a hub of its own, and pushes to it",
         ),
         **dict.fromkeys(
             ["nw-eval scenes fetch real:stairs", "nw-eval run real"],
@@ -200,7 +200,7 @@ NOT_RUN = MappingProxyType(
                 ),
                 "nw-eval view my-run/mcap/hurdles/one_low_carpet/hurdles-one_low_carpet-000.mcap",
             ],
-            "till Ctrl-C; tests/view does, and uses its page",
+            "till Ctrl-C; tests/eval/view does, and uses its page",
         ),
         "nw-eval run corridor/suite.yaml": "of that place; test_label_browser.py runs one by night",
         "nw-eval train student student-rgb": "hours",

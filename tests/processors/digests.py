@@ -188,7 +188,7 @@ def smoke() -> Iterator[tuple[str, str]]:
 
 def yard(folder: Path) -> Path:
     """Write the scene that the sensors' tests look at, and return its folder."""
-    source = Path(__file__).parents[1] / "sensors" / "prop_scene.py"
+    source = Path(__file__).parents[1] / "sim" / "sensors" / "prop_scene.py"
     spec = importlib.util.spec_from_file_location("prop_scene", source)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

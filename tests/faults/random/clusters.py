@@ -9,7 +9,7 @@ from aftermath import that_stay
 from case import MARK, SESSION, send, stat_of
 from hits import begin
 
-sys.path.append(str(Path(__file__).parents[2] / "engine" / "ray"))
+sys.path.append(str(Path(__file__).parents[2] / "eval" / "engine" / "ray"))
 
 from raylets import empty_cluster
 

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from nw_eval import cli
-from nw_eval.cli.verbs.scenes import scan_lines
+from nw_twin.verbs.scenes import scan_lines
 from nw_scenes.check import room_of
 from nw_scenes.folder import load_folder
 from nw_scenes.mesh_file import read_mesh

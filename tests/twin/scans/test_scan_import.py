@@ -12,7 +12,7 @@ from trimesh.transformations import rotation_matrix
 
 from nw_base.errors import SceneError, UsageError
 from nw_eval import cli
-from nw_eval.cli.verbs.scenes import scan_lines
+from nw_twin.verbs.scenes import scan_lines
 from nw_scenes.folder import load_folder
 from nw_scenes.mesh_file import read_painted
 from nw_sim.catalogue import inspect_scene
