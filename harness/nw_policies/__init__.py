@@ -7,4 +7,4 @@ turns observations into raw actions. `executor` runs networks with the same bits
 
 from nw_base.public import public_names
 
-__getattr__, __dir__, __all__ = public_names(__name__, __file__)  # noqa: PLE0604  # pyright: ignore
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)  # pyright: ignore[reportUnsupportedDunderAll]

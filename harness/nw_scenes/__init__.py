@@ -5,4 +5,4 @@ Robots (`robots`), and what is fetched from and pushed to a hub (`hub`), are her
 
 from nw_base.public import public_names
 
-__getattr__, __dir__, __all__ = public_names(__name__, __file__)  # noqa: PLE0604  # pyright: ignore
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)  # pyright: ignore[reportUnsupportedDunderAll]

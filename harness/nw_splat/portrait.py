@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_base.errors import PrerequisiteError, SceneError
+from nw_base.errors import PrerequisiteError, SceneError, UsageError
 from nw_base.files.cache import atomic_path, followed
 from nw_base.words import Backend, Projection, UpAxis
 from nw_splat.camera import Camera, look_at
@@ -41,6 +41,20 @@ _FRAMING_FOVY = math.radians(50.0)
 
 _BACKDROP = 5.0
 """Median distances from the middle, beyond which Gaussians are a sky, and not framed."""
+
+
+def check(path: Path, eye: Point | None, target: Point | None) -> None:
+    """Refuse a picture that cannot be drawn, before anything is read.
+
+    Raises:
+        UsageError: what it is called says no format, or `target` is given without `eye`.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        known = ", ".join(SUFFIXES)
+        raise UsageError(f"{path}: cannot draw {suffix or 'nothing'!r}", fix=f"name one of {known}")
+    if target is not None and eye is None:
+        raise UsageError("--target needs --eye", fix="give the camera's position, too")
 
 
 @dataclass(frozen=True, kw_only=True)

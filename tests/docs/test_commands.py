@@ -84,7 +84,7 @@ NOT_RUN = MappingProxyType(
             "minutes; the page runs a smaller one"
         ),
         "nw-eval report --site site runs/*": "in a workflow; the page does it with two runs",
-        "nw-eval scores walk.mcap --robot go1": "a robot's log; tests/gate/scores/test_logs.py has one",
+        "nw-eval scores walk.mcap --robot go1": "a robot's log; tests/gate/scores has one",
         "make run": "minutes; CI does it on a fresh machine",
         "make build": "minutes; CI does it, and runs the wheel",
         **dict.fromkeys(
@@ -145,7 +145,7 @@ NOT_RUN = MappingProxyType(
                 "nw-eval run my-scene.yaml --policy hub:org/trot",
                 "nw-eval scenes push ./my-scene hub:org/my-scene",
             ],
-            "nobody's repositories; tests/scenes/hub fetches from a hub of its own, and pushes to it",
+            "nobody's repositories; tests/scenes/hub has a hub of its own",
         ),
         **dict.fromkeys(
             ["nw-eval scenes fetch real:stairs", "nw-eval run real"],

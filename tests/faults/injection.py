@@ -23,7 +23,7 @@ from nw_eval.cli import main
 from nw_gate.results.journal import read_journal
 
 ROOMS = tuple(
-    os.path.join(*room.split("/"), "")
+    f"{room}/".replace("/", os.sep)
     for room in ("nw_eval/api", "nw_eval/engine", "nw_eval/reporting", "nw_gate")
 )
 HARNESS = f"{Path(nw_eval.__file__).parents[1]}{os.sep}"

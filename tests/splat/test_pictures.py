@@ -13,9 +13,9 @@ from PIL import Image as Picture
 from splat_rooms import cloud
 
 from nw_base.errors import SceneError, UsageError
-from nw_eval.cli.verbs.splat import splat_page
 from nw_sim.warmup import warmup
 from nw_splat.camera import Camera, look_at
+from nw_splat.cli import splat_page
 from nw_splat.gaussians import concatenate, describe
 from nw_splat.portrait import framing_camera, orbit, save_gif, save_png
 from nw_splat.render import CpuRenderer

@@ -10,8 +10,8 @@ import pytest
 
 from nw_base.errors import SceneError
 from nw_eval.api import splat_convert, splat_info
-from nw_eval.cli.verbs.splat import splat_page, written_line
 from nw_scenes.mesh_file import read_mesh
+from nw_splat.cli import splat_page, written_line
 from nw_splat.files import compiled_store, read_splat, write_splat
 from nw_splat.gaussians import Gaussians, describe, drawable
 from nw_splat.store import memory_store, open_store

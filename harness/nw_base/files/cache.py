@@ -1,8 +1,8 @@
 """How every file is written, the user's cache folder, and files in it that are checked.
 
-`atomic_path` writes every output of nw-eval; `tests/base/files/test_outputs.py` holds that nothing else
-opens a file for writing, but for the few that it lists. `new_folder` gives a folder that a user
-names for a result: whole or not at all, and no trace of a refused call.
+`atomic_path` writes every output of nw-eval; `tests/base/files/test_outputs.py` holds that nothing
+else opens a file for writing, but for the few that it lists. `new_folder` gives a folder that a
+user names for a result: whole or not at all, and no trace of a refused call.
 
 A sealed file is its content and, behind it, the content's SHA-256 and a word of ours. Whoever maps
 one is given the content only if it is what was written: disks and memory flip bits, copies stop in

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nw_base.errors import SceneError, UsageError, nearest
+from nw_base.errors import SceneError, nearest
 from nw_base.files.inside import what_is
+from nw_splat.convert import WrittenSplat, write_new
 
 if TYPE_CHECKING:
     from nw_base.words import Backend, Projection, UpAxis
@@ -16,19 +16,6 @@ if TYPE_CHECKING:
 
 _EYE_HEIGHT = 0.3
 """Metres above the ground at which a quadruped's camera looks at a scene."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class WrittenSplat:
-    """A file of Gaussians that was written."""
-
-    file: Path
-    gaussians: int
-    bytes: int
-    left_out: int = 0
-    """Gaussians that cannot be drawn."""
-    notes: tuple[str, ...] = ()
-    """What of the source was not read."""
 
 
 def splat_info(source: str | Path) -> SplatFigures:
@@ -53,18 +40,7 @@ def splat_convert(source: str | Path, out: Path) -> WrittenSplat:
         SceneError: they cannot be read, or do not fit the new format.
         UsageError: a format that cannot be written.
     """
-    from nw_splat.files import left_out, write_splat
-
-    gaussians = _gaussians(source)
-    size = write_splat(out, gaussians)
-    left = left_out(out, gaussians)
-    return WrittenSplat(
-        file=out,
-        gaussians=len(gaussians) - left,
-        bytes=size,
-        left_out=left,
-        notes=gaussians.notes,
-    )
+    return write_new(out, _gaussians(source))
 
 
 def splat_render(
@@ -105,12 +81,7 @@ def splat_render(
     from nw_sim import catalogue
     from nw_splat import portrait
 
-    suffix = out.suffix.lower()
-    if suffix not in portrait.SUFFIXES:
-        known = ", ".join(portrait.SUFFIXES)
-        raise UsageError(f"{out}: cannot draw {suffix or 'nothing'!r}", fix=f"name one of {known}")
-    if target is not None and eye is None:
-        raise UsageError("--target needs --eye", fix="give the camera's position, too")
+    portrait.check(out, eye, target)
     gaussians = _gaussians(source)
     if catalogue.is_built_in(str(source)):
         scene = catalogue.get_scene(source)

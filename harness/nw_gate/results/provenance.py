@@ -341,10 +341,9 @@ LIBRARIES = ("mujoco", "numpy", "torch", "onnxruntime", "numba", "pyarrow")
 """Whose versions may change results or how they are kept."""
 
 
-PACKAGES = tuple(
-    f"nw_{name}"
-    for name in ("base", "eval", "gate", "learn", "places", "policies", "scenes")
-    + ("sim", "splat", "twin")
+PACKAGES = (
+    *("nw_base", "nw_eval", "nw_gate", "nw_learn", "nw_places"),
+    *("nw_policies", "nw_scenes", "nw_sim", "nw_splat", "nw_twin"),
 )
 """The packages of nw-eval, side by side under one folder."""
 

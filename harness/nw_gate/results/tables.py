@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 _MOST_BYTES = 16 * 2**20  # of a file
 _MOST_COLUMN = 64 * 2**20  # bytes of a column, unpacked
 _MOST_LINES = 200_000
+_MOST_FOREIGN = 1_000_000  # rows of a file of another program
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +94,16 @@ def read_small_table(path: Path, *, fix: str) -> PlainTable:
     return PlainTable(**content)
 
 
+def read_foreign_table(path: Path, *, fix: str) -> dict[str, list[Any]]:
+    """Read a Parquet file of whatever program, in a process of its own: columns by name.
+
+    Raises:
+        StoreError: as `read_small_table`.
+    """
+    (content,) = chain.from_iterable(_values_apart("foreign", path, fix=fix))
+    return content
+
+
 def read_rows_apart(path: Path) -> Sequence[Row]:
     """Return the rows of a Parquet file; as `parquet.read_rows`.
 
@@ -106,6 +117,31 @@ def rows_apart(path: Path) -> Iterator[list[Row]]:
     """Yield the rows of a Parquet file in portions; as `read_rows_apart`."""
     fix = "restore the run's folder from a copy, or run again"
     return map(from_dicts, _values_apart("rows", path, fix=fix))
+
+
+def _foreign_table(path: Path) -> dict[str, list[Any]]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        file = pq.ParquetFile(path)
+        rows = file.metadata.num_rows
+        # Pictures and lists that somebody keeps beside each episode are of no use here.
+        flat = [
+            field.name
+            for field in file.schema_arrow
+            if not pa.types.is_nested(field.type) and not pa.types.is_binary(field.type)
+        ]
+        read = {} if rows > _MOST_FOREIGN else file.read(columns=flat).to_pydict()
+    except (pa.ArrowException, OSError, ValueError, LookupError, TypeError, MemoryError) as error:
+        reason = clean(error, at_most=200) or type(error).__name__
+        raise StoreError(f"{path} is damaged: {reason}") from None
+    if rows > _MOST_FOREIGN:
+        raise StoreError(f"{path} has {rows} rows, over {_MOST_FOREIGN}")
+    return {
+        name: [each if isinstance(each, str | float | int | None) else str(each) for each in values]
+        for name, values in read.items()
+    }
 
 
 def small_table(path: Path) -> PlainTable:
@@ -141,7 +177,9 @@ _MOST_ANSWER = 4 * 2**30  # bytes: of a million rows, as in a journal
 _AT_ONCE = 2000  # lines that are parsed together
 
 
-def _values_apart(what: Literal["table", "rows"], path: Path, *, fix: str) -> Iterator[list[Any]]:
+def _values_apart(
+    what: Literal["table", "rows", "foreign"], path: Path, *, fix: str
+) -> Iterator[list[Any]]:
     """Yield the JSON values that `_read` reads from a file, in a process of its own.
 
     They come in portions. Of a process that failed some may come before the error.
@@ -191,6 +229,9 @@ def _values_apart(what: Literal["table", "rows"], path: Path, *, fix: str) -> It
 def _read(what: str, path: Path) -> Iterable[dict[str, Any]]:
     if what == "table":
         yield vars(small_table(path))
+        return
+    if what == "foreign":
+        yield _foreign_table(path)
         return
     from nw_gate.results.parquet import read_groups
 

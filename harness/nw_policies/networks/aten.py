@@ -1,4 +1,4 @@
-"""What operators of ATen, torch's own, become in a graph of `nw_policies.executor`: a rule for each.
+"""What operators of ATen, torch's own, become in a graph of `executor`: a rule for each.
 
 A rule is a function of the recorder, the operator's arguments by the names that torch's schema
 (native_functions.yaml) gives them, and its outputs, of which it uses the shapes. It returns the

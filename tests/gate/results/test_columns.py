@@ -27,7 +27,7 @@ def _record():
 
 record = _record()
 PUBLISHED = record.RECORD.read_text("utf-8")
-_HINT = "if columns were added, run `python tests/gate/results/record_columns.py` and commit what changed"
+_HINT = "if columns were added, run `python tests/gate/results/record_columns.py` and commit that"
 
 
 def test_the_schema_is_the_one_that_readers_elsewhere_rely_on() -> None:

@@ -5,12 +5,12 @@ import pytest
 import trimesh
 
 from nw_eval import cli
-from nw_twin.verbs.scenes import scan_lines
 from nw_scenes.check import room_of
 from nw_scenes.folder import load_folder
 from nw_scenes.mesh_file import read_mesh
 from nw_sim.catalogue import inspect_scene
 from nw_twin.scans.scan import ScanOptions, import_scan
+from nw_twin.verbs.scenes import scan_lines
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
 UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])

@@ -12,7 +12,6 @@ from trimesh.transformations import rotation_matrix
 
 from nw_base.errors import SceneError, UsageError
 from nw_eval import cli
-from nw_twin.verbs.scenes import scan_lines
 from nw_scenes.folder import load_folder
 from nw_scenes.mesh_file import read_painted
 from nw_sim.catalogue import inspect_scene
@@ -20,6 +19,7 @@ from nw_splat.files import read_splat, write_splat
 from nw_splat.gaussians import SH0
 from nw_twin.place import moved_points
 from nw_twin.scans.scan import ScanOptions, import_scan
+from nw_twin.verbs.scenes import scan_lines
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
 RED, BLUE = (200, 40, 30), (30, 60, 210)

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
 from nw_base.words import Backend, Projection, UpAxis
-
-if TYPE_CHECKING:
-    from nw_eval.api import WrittenSplat
-    from nw_splat.gaussians import SplatFigures
 
 Point = Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z")]
 
@@ -27,6 +23,7 @@ class Info:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_splat.cli import splat_page
 
         print(splat_page(api.splat_info(self.source)))
         return 0
@@ -43,9 +40,9 @@ class Convert:
 
     def __call__(self) -> int:
         from nw_eval import api
+        from nw_splat.cli import written_line
 
-        written = api.splat_convert(self.source, self.out)
-        print("\n".join([*(f"note: {note}" for note in written.notes), written_line(written)]))
+        print(written_line(api.splat_convert(self.source, self.out)))
         return 0
 
 
@@ -93,41 +90,3 @@ class Render:
         )
         print(picture)
         return 0
-
-
-_BAR = 40
-"""Characters of the longest bar of the histogram."""
-
-
-def splat_page(figures: SplatFigures) -> str:
-    """Return all figures of a set of Gaussians, the histogram of opacities as bars."""
-    most = max(*figures.opacity_histogram, 1)
-    seen, broken = f"{figures.visible:,} visible", f"{figures.not_finite:,} cannot be drawn"
-    lines = [
-        f"Gaussians  {figures.count:,} ({seen}, {broken})",
-        f"harmonics  degree {figures.sh_degree}",
-        f"drawn      {figures.rasterize_mode or 'antialiased (the file does not say)'}",
-        *([] if figures.projection is None else [f"trained    by {figures.projection}"]),
-        f"bounds     {_box(figures.bounds)}",
-        f"bulk (98%) {_box(figures.bulk)}",
-        "size       1% {:.4g}, median {:.4g}, 99% {:.4g}".format(*figures.scale_percentiles),
-        "opacity",
-    ]
-    for i, number in enumerate(figures.opacity_histogram):
-        bar = "#" * round(_BAR * number / most)
-        lines.append(f"  {i / 10:.1f}-{(i + 1) / 10:.1f} {number:>10,} {bar}".rstrip())
-    lines += [f"note       {note}" for note in figures.notes]
-    return "\n".join(lines)
-
-
-def written_line(splat: WrittenSplat) -> str:
-    """Return what was written, and how large it is."""
-    left = f", {splat.left_out:,} that cannot be drawn left out" if splat.left_out else ""
-    return f"{splat.file}: {splat.gaussians:,} Gaussians, {splat.bytes / 2**20:.1f} MiB{left}"
-
-
-def _box(corners: tuple[tuple[float, ...], tuple[float, ...]]) -> str:
-    low, high = corners
-    return "  ".join(
-        f"{axis} {a:.3f} to {b:.3f}" for axis, a, b in zip("xyz", low, high, strict=True)
-    )

@@ -50,9 +50,9 @@ class VerbTable:
           scenes
             import ImportScan scan.glb --out my-hall
 
-    A line without indent is a group. By two spaces stand a verb, its class (`-` of a family), a page
-    of the docs and what it does; or a family of nw-eval's alone. By four stand an example after `$`,
-    or a verb of the family: name, class, example.
+    A line without indent is a group. By two spaces stand a verb, its class (`-` of a family), a
+    page of the docs and what it does; or a family of nw-eval's alone. By four stand an example
+    after `$`, or a verb of the family: name, class, example.
 
     Attributes:
         table: those lines.

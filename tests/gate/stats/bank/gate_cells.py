@@ -1,8 +1,8 @@
 """What the gate does trial by trial, simulated on the committed baselines with the shipped code.
 
 A cell is a kind of gate, a baseline, a number of starts and a policy; of each 2,000 gates are run.
-`python tests/gate/stats/bank/gate_cells.py` writes `gate_cells.csv` anew. `record_gate_page.py` makes
-tables of docs/concepts/power.md from it.
+`python tests/gate/stats/bank/gate_cells.py` writes `gate_cells.csv` anew. `record_gate_page.py`
+makes tables of docs/concepts/power.md from it.
 
 The starts of a committed baseline are the population. A fresh claim draws a baseline of M starts
 from it in each gate, with replacement, and trials of a candidate beside it: what is true is true of

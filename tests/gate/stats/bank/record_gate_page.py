@@ -1,6 +1,7 @@
 """The tables and the picture of docs/concepts/power.md that are simulated.
 
-`python tests/gate/stats/bank/record_gate_page.py` writes them anew; tests hold them against the code.
+`python tests/gate/stats/bank/record_gate_page.py` writes them anew; tests hold them against the
+code.
 """
 
 from __future__ import annotations
