@@ -7,9 +7,11 @@ ARG PYTHON=3.12-slim-bookworm
 
 FROM python:${PYTHON} AS build
 WORKDIR /source
-RUN pip install --no-cache-dir build==1.6.1
+RUN pip install --no-cache-dir build==1.6.1 hatchling
 COPY . .
-RUN python -m build --wheel --outdir /dist
+RUN for package in . harness/nw_base harness/nw_splat harness/nw_gate harness/nw_twin harness/nw_learn; do \
+      python -m build --no-isolation --wheel --outdir /dist "$package" || exit; \
+    done
 
 FROM python:${PYTHON} AS install
 # Where torch comes without CUDA's two gigabytes; the version is that of constraints.txt.
@@ -18,7 +20,8 @@ COPY constraints.txt /
 RUN python -m venv /opt/nw-eval \
  && /opt/nw-eval/bin/pip install --no-cache-dir --index-url "${TORCH_INDEX}" "$(grep ^torch== /constraints.txt)"
 COPY --from=build /dist/ /dist/
-RUN /opt/nw-eval/bin/pip install --no-cache-dir -c /constraints.txt "$(ls /dist/*.whl)[onnxruntime,torch]"
+RUN /opt/nw-eval/bin/pip install --no-cache-dir -c /constraints.txt --find-links /dist \
+      "$(ls /dist/nw_eval-*.whl)[onnxruntime,torch]" nw-twin nw-learn
 
 FROM python:${PYTHON}
 COPY --from=install /opt/nw-eval /opt/nw-eval

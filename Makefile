@@ -77,7 +77,10 @@ docs-serve: $(VENV)/.installed-docs
 
 build: $(VENV)/.installed-dev
 	rm -rf dist
-	$(BIN)/python -m build --sdist --wheel --outdir dist
+	$(BIN)/python -m build --no-isolation --sdist --wheel --outdir dist
+	for package in $(patsubst %/pyproject.toml,%,$(wildcard harness/*/pyproject.toml)); do \
+	  $(BIN)/python -m build --no-isolation --wheel --outdir dist $$package || exit; \
+	done
 	$(BIN)/twine check --strict dist/*
 	$(BIN)/python tests/smoke_wheel.py dist
 

@@ -1,4 +1,4 @@
-"""Use what was built where there is no checkout: the wheel alone, and the wheel of the archive.
+"""Use what was built where there is no checkout: the wheels alone, and those of the archive.
 
 Run by `make build` as `python tests/smoke_wheel.py dist`.
 """
@@ -44,30 +44,62 @@ COMMANDS: tuple[tuple[tuple[int, ...], str], ...] = (
 Words between spaces; none needs a shell.
 """
 
+ALONE = {
+    "nw-base": "import nw_base.errors, nw_base.files.cache, nw_base.trials",
+    "nw-splat": """
+import sys, numpy as np
+from nw_splat import Camera, CpuRenderer, Gaussians, memory_store
+one = Gaussians(
+    means=np.array([[0, 0, 2]], np.float32), log_scales=np.full((1, 3), -1, np.float32),
+    quats=np.array([[1, 0, 0, 0]], np.float32), opacity_logits=np.zeros(1, np.float32),
+    sh=np.zeros((1, 4, 3), np.float32),
+)
+camera = Camera.from_fovy(width=16, height=16, fovy=1.0, T_world_camera=np.eye(4))
+assert CpuRenderer(memory_store(one)).render(camera).rgb.shape == (16, 16, 3)
+assert not {"mujoco", "torch", "pandas", "nw_eval", "nw_gate"} & {*sys.modules}
+""",
+    "nw-gate": """
+import sys, pathlib
+rows = "task,seed,success\\n" + "".join(f"lift,{i},{i % 5 > 0:d}\\n" for i in range(400))
+pathlib.Path("rows.csv").write_text(rows)
+from nw_gate import judge, read_evaluation
+found = judge(read_evaluation("rows.csv"), read_evaluation("rows.csv"))
+assert (found.word, found.drop) == ("PASS", 0.0), found
+assert not {"mujoco", "torch", "numba", "nw_eval", "nw_splat"} & {*sys.modules}
+""",
+}
+"""What packages are asked that are of use without nw-eval, in an environment of their own."""
+
 WRITTEN = ("out/trials.parquet", "out/report.md", "out/report.html", "out/run.json", "junit.xml")
 """What those commands leave behind."""
 
 
 def main(dist: Path) -> None:
-    (wheel,) = dist.resolve().glob("*.whl")
+    wheels = {wheel.name: wheel for wheel in dist.resolve().glob("*.whl")}
     (archive,) = dist.resolve().glob("*.tar.gz")
     with tempfile.TemporaryDirectory() as place:
-        compare(wheel, wheel_of(archive, Path(place, "archive")))
-        use(install(wheel, Path(place, "venv")), Path(place, "work"))
-    print(f"{wheel.name}: the archive's too, installed alone, ran the smoke suite")
+        others = wheels_of(archive, Path(place, "archive"))
+        if wheels.keys() != others.keys():
+            sys.exit(f"the archive makes {sorted(others)}, and dist has {sorted(wheels)}")
+        for name, wheel in wheels.items():
+            compare(wheel, others[name])
+        use(install(dist.resolve(), Path(place, "venv")), Path(place, "work"))
+        for name, command in ALONE.items():
+            alone(name, command, dist.resolve(), Path(place, name))
+    print(f"{len(wheels)} wheels: the archive's too; nw-eval alone ran the smoke suite")
 
 
-def wheel_of(archive: Path, place: Path) -> Path:
-    """Return the wheel that the archive's own files make."""
+def wheels_of(archive: Path, place: Path) -> dict[str, Path]:
+    """Return the wheels that the archive's own files make, by name."""
     with tarfile.open(archive) as packed:
         # Python 3.11.2 has no filters yet; the archive is our own.
         safe = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
         packed.extractall(place, **safe)
     (source,) = place.iterdir()
-    build = [sys.executable, "-m", "build", "--wheel", "--outdir", str(place), str(source)]
-    subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
-    (wheel,) = place.glob("*.whl")
-    return wheel
+    build = [sys.executable, "-m", "build", "--no-isolation", "--wheel", "--outdir", str(place)]
+    for project in (source, *(file.parent for file in source.glob("harness/*/pyproject.toml"))):
+        subprocess.run([*build, str(project)], check=True, stdout=subprocess.DEVNULL)
+    return {wheel.name: wheel for wheel in place.glob("*.whl")}
 
 
 def compare(one: Path, other: Path) -> None:
@@ -82,15 +114,25 @@ def compare(one: Path, other: Path) -> None:
     sys.exit(f"{one.name}: the archive makes another wheel: {', '.join(names) or 'other bytes'}")
 
 
-def install(wheel: Path, place: Path) -> Path:
-    """Return the folder of programs of a new environment that has the wheel and nothing else."""
-    (torch,) = [line for line in CONSTRAINTS.read_text().splitlines() if line.startswith("torch==")]
+def install(dist: Path, place: Path, name: str = "nw-eval") -> Path:
+    """Return the folder of programs of a new environment that has one package and what it needs.
+
+    That is the line that a user of a release types: all wheels lie in one folder.
+    """
     venv.create(place, with_pip=True)
     pip = [str(place / "bin" / "pip"), "install", "-q", "--disable-pip-version-check"]
     elsewhere = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    subprocess.run([*pip, torch], check=True, env=elsewhere)
-    subprocess.run([*pip, "-c", str(CONSTRAINTS), str(wheel)], check=True, env=elsewhere)
+    command = [*pip, "-c", str(CONSTRAINTS), "--find-links", str(dist), name]
+    subprocess.run(command, check=True, env=elsewhere)
     return place / "bin"
+
+
+def alone(name: str, program: str, dist: Path, place: Path) -> None:
+    """Run a program in an environment that has one package alone, and count what came with it."""
+    programs = install(dist, place, name)
+    done = subprocess.run([str(programs / "python"), "-c", program], check=False, cwd=place)
+    if done.returncode:
+        sys.exit(f"{name} alone left with exit code {done.returncode}")
 
 
 def use(programs: Path, folder: Path) -> None:

@@ -122,9 +122,10 @@ def read_evaluation(path: str | Path, columns: Columns | None = None) -> Evaluat
         records = _records(path, wanted)
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        if isinstance(error, UsageError):
-            raise
+    except (
+        *(ValueError, KeyError, TypeError, AttributeError, RecursionError),
+        *(csv.Error, zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError),
+    ) as error:
         reason = clean(error, at_most=200) or type(error).__name__
         raise UsageError(f"{path} is no evaluation that nw-gate reads: {reason}") from None
     if not records:

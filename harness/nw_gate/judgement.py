@@ -28,7 +28,6 @@ from nw_base.plural import plural
 from nw_gate.episodes import Episode, Evaluation
 from nw_gate.stats.betting import evidence_above, lower_bound, upper_bound
 from nw_gate.stats.interval import Interval, check_confidence
-from nw_gate.verdict import EXIT_CODES
 
 Values = NDArray[np.float64]
 GateWord = Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
@@ -127,6 +126,8 @@ class Judgement:
     @property
     def exit_code(self) -> int:
         """0 PASS, 1 REGRESSED, 3 INCONCLUSIVE; as of `nw-eval run`."""
+        from nw_gate.verdict import EXIT_CODES  # With pydantic, which nothing else here needs.
+
         return EXIT_CODES[self.word]
 
 

@@ -2,7 +2,10 @@
 
     image = CpuRenderer(open_store(compiled_store(path))).render(camera)
 
-Bottom layer: imports nothing of nw_eval but errors, words and the cache. Files are read and written
-by `files`, drawn by `render`; `kernels` is the compiled half of the CPU renderer. Numba is loaded
-with `render` and not before.
+Files are read and written by `files`, drawn by `render`; `kernels` is the compiled half of the CPU
+renderer. Numba is loaded with `render` and not before.
 """
+
+from nw_base.public import public_names
+
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -257,7 +257,7 @@ def _exported(module: nn.Module, inputs: dict[str, Tensor], outputs: list[str]) 
             )
         except torch.onnx.OnnxExporterError as error:
             raise PrerequisiteError(
-                f"a student cannot be exported: {error}", fix="pip install 'nw-eval[train]'"
+                f"a student cannot be exported: {error}", fix="pip install 'nw-eval[learn]'"
             ) from None
     return file.getvalue()
 
