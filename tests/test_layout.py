@@ -1,15 +1,23 @@
-"""Imports go one way: between a folder and its own sub-folders, and among all files."""
+"""Imports go one way, and no package grows unseen.
+
+`python tests/test_layout.py [CHECKOUT]` prints the figures of all packages of a checkout.
+"""
 
 import ast
 import re
+import sys
 from collections import defaultdict
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from typing import NamedTuple
+
+import pytest
 
 import nw_eval
 
 HARNESS = Path(nw_eval.__file__).parents[1]
+ROOT = HARNESS.parent
 _IMPORT = re.compile(r"^\s*(?:from|import) (nw_[\w.]*)(?: import ([^\n]*))?", re.MULTILINE)
 
 
@@ -94,3 +102,90 @@ def test_a_circle_that_is_closed_inside_a_function_is_found(tmp_path):
     assert circle(tmp_path) == []
     (package / "order.py").write_text("def draw():\n    from nw_eval import plan\n")
     assert sorted(set(circle(tmp_path))) == ["nw_eval.order", "nw_eval.plan"]
+
+
+class Figures(NamedTuple):
+    """How large a package is, and who knows it."""
+
+    lines: int
+    names: int
+    """That its `__init__.pyi` states."""
+    importers: tuple[str, ...]
+    """Packages that import from it."""
+
+
+MOST = {
+}
+"""What each package holds. A change that needs more says here what for, in the same commit."""
+TESTS = 0
+"""Lines of all tests."""
+GROWTH = 1.02
+
+
+def lines(folder):
+    return sum(
+        len(path.read_text(encoding="utf-8").splitlines()) for path in folder.rglob("*.py")
+    )
+
+
+def figures(root):
+    """Return the figures of the packages of a checkout, by name."""
+    harness = root / "harness"
+    packages = sorted(path.name for path in harness.iterdir() if (path / "__init__.py").is_file())
+    known = {name: set() for name in packages}
+    for name in packages:
+        for file in (harness / name).rglob("*.py"):
+            for module, _ in _IMPORT.findall(file.read_text(encoding="utf-8")):
+                known.get(module.partition(".")[0], set()).add(name)
+    return {
+        name: Figures(
+            lines=lines(harness / name),
+            names=stated(harness / name / "__init__.pyi"),
+            importers=tuple(sorted(known[name] - {name})),
+        )
+        for name in packages
+    }
+
+
+def stated(stub):
+    """Return how many names a stub states."""
+    if not stub.is_file():
+        return 0
+    tree = ast.parse(stub.read_text(encoding="utf-8"))
+    (listed,) = [node.value for node in tree.body if isinstance(node, ast.Assign)]
+    return len(ast.literal_eval(listed))
+
+
+@pytest.mark.parametrize("name", MOST)
+def test_no_package_grows_unseen(name):
+    found, most = figures(ROOT)[name], MOST[name]
+    assert found.lines <= GROWTH * most.lines, "say in MOST what the lines are for"
+    assert (found.names, found.importers) == (most.names, most.importers)
+
+
+def test_every_package_has_its_figures_and_tests_have_theirs():
+    assert MOST.keys() == figures(ROOT).keys()
+    assert lines(ROOT / "tests") <= GROWTH * TESTS
+
+
+def test_a_package_that_grows_is_found(tmp_path):
+    package = tmp_path / "harness" / "nw_base"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("import nw_base.errors\n" * 50)
+    (package / "__init__.pyi").write_text('__all__ = ["one", "two"]\n')
+    assert figures(tmp_path) == {"nw_base": Figures(lines=50, names=2, importers=())}
+
+
+def table(root):
+    """Return the figures of a checkout as lines of text."""
+    found = figures(root)
+    rows = [
+        f"{name:12} {each.lines:7,} {each.names:4}  {' '.join(each.importers) or '-'}"
+        for name, each in found.items()
+    ]
+    total = sum(each.lines for each in found.values())
+    return "\n".join([*rows, f"{'harness':12} {total:7,}", f"{'tests':12} {lines(root / 'tests'):7,}"])
+
+
+if __name__ == "__main__":
+    print(table(Path(sys.argv[1] if len(sys.argv) > 1 else ROOT)))

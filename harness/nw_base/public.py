@@ -12,21 +12,24 @@ The stub has lines such as `from nw_splat.render import CpuRenderer`, and `__all
 
 from __future__ import annotations
 
-import re
 import sys
-from collections.abc import Callable
 from importlib import import_module
-from pathlib import Path
 
-_IMPORT = re.compile(r"^from (nw_[\w.]+) import (?:\(([^)]*)\)|(.+))$", re.MULTILINE)
+TYPE_CHECKING = False  # As of `typing`, which takes longer to import than all else here.
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
-def homes(stub: Path) -> dict[str, str]:
-    """Return in which module each public name of a stub is at home."""
+def homes(stub: str) -> dict[str, str]:
+    """Return in which module each public name of a stub, by its path, is at home."""
+    with open(stub, encoding="utf-8") as file:  # noqa: PTH123  # pathlib would be loaded for it.
+        text = file.read()
     found: dict[str, str] = {}
-    for module, several, one in _IMPORT.findall(stub.read_text(encoding="utf-8")):
-        names = [name.strip() for name in (several or one).split(",")]
-        found |= {name: module for name in names if name}
+    for line in f"\n{text}".split("\nfrom ")[1:]:
+        module, _, names = line.partition(" import ")
+        listed = names.partition(")" if names.startswith("(") else "\n")[0].split(",")
+        if module.startswith("nw_"):
+            found |= {name: module for each in listed if (name := each.strip("( \n"))}
     return found
 
 
@@ -37,9 +40,9 @@ def public_names(
 
     Args:
         package: its `__name__`.
-        file: its `__file__`; beside it lies `__init__.pyi`.
+        file: its `__file__`; beside it lies the stub, `__init__.pyi`.
     """
-    known = homes(Path(file).with_suffix(".pyi"))
+    known = homes(f"{file}i")
 
     def get(name: str) -> object:
         if name not in known:

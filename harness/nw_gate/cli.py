@@ -58,6 +58,7 @@ def _parser() -> argparse.ArgumentParser:
         default = getattr(limits, name)
         flag = f"--{name.replace('_', '-')}"
         add(flag, type=float, default=default, help=f"{words} (default: {default:g})")
+    add("--critical", nargs="*", default=[], metavar="TASK", help="tasks that may not fall")
     add("--score", metavar="COLUMN", help="the score's column; `success` and the like by default")
     add("--baseline-score", metavar="COLUMN", help="that of the baseline; as --score by default")
     add("--task", metavar="COLUMNS", help="columns that name the task, with commas")
@@ -86,6 +87,7 @@ def _judge(given: argparse.Namespace) -> str:
         max_drop=given.max_drop,
         tolerate=given.tolerate,
         task_drop=given.task_drop,
+        critical=tuple(given.critical),
         bar=given.bar,
         confidence=given.confidence,
         false_alarm=given.false_alarm,

@@ -16,8 +16,9 @@ JRSS B 86 (2024); for tasks of unequal means see `nw_gate.stats.betting`.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from typing import Literal
 
 import numpy as np
@@ -41,6 +42,8 @@ class Limits:
         max_drop: drop of the mean score, over tasks, that must be excluded for PASS.
         tolerate: drop that counts as equal; REGRESSED needs a larger one to be shown.
         task_drop: drop in one task beyond which it is named.
+        critical: names or globs of tasks of which each alone, where it fell, makes the verdict
+            REGRESSED.
         bar: the mean score that must be reached by itself; None = none.
         confidence: that a PASS is right.
         false_alarm: largest probability of a wrong REGRESSED.
@@ -52,6 +55,7 @@ class Limits:
     max_drop: float = 0.10
     tolerate: float = 0.02
     task_drop: float = 0.10
+    critical: tuple[str, ...] = ()
     bar: float | None = None
     confidence: float = 0.95
     false_alarm: float = 0.01
@@ -153,7 +157,7 @@ def judge(
     if baseline is None and limits.bar is None:
         raise UsageError("there is nothing to judge by", fix="name a baseline or a bar")
     ours, absent = _by_task(new)
-    found: list[tuple[GateWord, str]] = []
+    found: list[tuple[GateWord | None, str]] = []
     decided: int | None = None
     drop: float | None = None
     interval: Interval | None = None
@@ -181,11 +185,13 @@ def judge(
             fell = evidence_above([1.0 - group], (1.0 + limits.task_drop) / 2.0) >= 1.0 / each
             candidate, other = map(float, pair.mean(axis=0))
             means[task] = candidate, other, len(pair), fell
+        found += _fallen(means, limits)
     if limits.bar is not None:
         found.append(_by_bar(ours, limits))
     if absent:
-        word = "INCONCLUSIVE"
-        found.append((word, f"{plural(absent, 'episode')} without a score: PASS needs all of them"))
+        found.append(
+            ("INCONCLUSIVE", f"{plural(absent, 'episode')} without a score: PASS needs all of them")
+        )
     words = [word for word, _ in found]
     final: GateWord = (
         "REGRESSED"
@@ -289,6 +295,17 @@ def _drop_words(word: GateWord, drop: float, interval: Interval, limits: Limits)
     if word == "REGRESSED":
         return f"{said}: over {limits.tolerate:g}"
     return f"{said}: neither {limits.max_drop:g} is excluded, nor over {limits.tolerate:g} shown"
+
+
+def _fallen(
+    means: Mapping[str, tuple[float, float | None, int, bool]], limits: Limits
+) -> Iterator[tuple[GateWord | None, str]]:
+    """Yield what to say of each task that fell; a critical one decides the verdict."""
+    for task, (candidate, baseline, _, fell) in sorted(means.items()):
+        if fell:
+            is_critical = any(fnmatchcase(task, pattern) for pattern in limits.critical)
+            said = f"{task} fell by over {limits.task_drop:g}: {baseline:.3f} to {candidate:.3f}"
+            yield ("REGRESSED", f"{said}, and is critical") if is_critical else (None, said)
 
 
 def _by_bar(groups: Mapping[str, Sequence[Episode]], limits: Limits) -> tuple[GateWord, str]:

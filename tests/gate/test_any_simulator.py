@@ -207,6 +207,18 @@ def test_large_differences_are_found_early_and_equal_policies_pass():
     assert (found.word, found.drop, found.paired_by) == ("PASS", 0.0, "start")
 
 
+@pytest.mark.parametrize(
+    ("critical", "word"), [((), "INCONCLUSIVE"), (("t1",), "REGRESSED"), (("x*",), "INCONCLUSIVE")]
+)
+def test_a_task_that_fell_is_named_and_a_critical_one_decides(critical, word):
+    rng = np.random.default_rng(2)
+    new, old = drawn([0.9, 0.0], 40, rng), drawn([0.0, 0.9], 40, rng)
+    found = judge(new, old, Limits(critical=critical))
+    assert found.word == word
+    (said,) = [why for why in found.reasons if "fell" in why]
+    assert said.startswith("t1 fell by over 0.1: 0.") == ("to 0.000" in said) is True
+
+
 def test_episodes_without_the_same_starts_are_paired_by_order_and_it_is_said():
     rng = np.random.default_rng(1)
     one = drawn([0.9], 150, rng, starts=False)

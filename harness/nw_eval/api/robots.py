@@ -154,7 +154,7 @@ def check_robot(robot: str, *, out: Path | None = None) -> CheckedRobot:
         StoreError: the picture cannot be written.
     """
     from nw_base.files.cache import atomic_path, followed
-    from nw_policies.drafting import robot_check
+    from nw_sim.probe import robot_check
 
     if out is not None:
         followed(out)  # What can never be written is said before anything is simulated.

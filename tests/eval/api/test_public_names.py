@@ -30,7 +30,6 @@ def test_importing_it_loads_nothing_but_itself():
         "importlib",
         "nw_base",
         "nw_eval",
-        "re",
         "types",
         "warnings",
     }
