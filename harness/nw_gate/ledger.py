@@ -126,7 +126,7 @@ class LedgerEntry(_Line):
     tiers: dict[str, Tier] = Field(default_factory=dict[str, Tier])
     """Of all scenes that were judged, by name; empty: an older nw-eval, which did not write it."""
     trajectories: dict[str, str] = Field(default_factory=dict[str, str], max_length=10_000)
-    """Some of the trials: `results.bank.trajectory` by a digest of the start."""
+    """Some of the trials: `nw_gate.results.bank.trajectory` by a digest of the start."""
     baseline: BaselineEntry | None = None
     scores: dict[str, tuple[float | None, float | None, float, float]] = Field(
         default_factory=dict[str, tuple[float | None, float | None, float, float]]

@@ -10,7 +10,7 @@ All Python files below the card's folder count for the identity of the policy; i
 not. Where the card names a file as `checkpoint`, its digest is verified, and counts as well.
 
 A caller in this process may hand in the object itself, or a function in place of its `act`
-(`policies.instance_bundle`). It outlives its trials, so it is never closed.
+(`nw_policies.instance_bundle`). It outlives its trials, so it is never closed.
 """
 
 from __future__ import annotations

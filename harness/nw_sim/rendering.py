@@ -12,7 +12,7 @@ from nw_base.words import Projection
 class Rendering(BaseModel):
     """How Gaussians become the pictures that a policy sees; the defaults are the published ones.
 
-    Its fields are options of `splat.render.open_renderer`. Which machine part computes it is no
+    Its fields are options of `nw_splat.open_renderer`. Which machine part computes it is no
     matter of the suite: `--render`.
     """
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from nw_base.errors import SceneError, nearest
 from nw_base.files.inside import what_is
-from nw_splat.convert import WrittenSplat, write_new
+from nw_splat.files.convert import WrittenSplat, write_new
 
 if TYPE_CHECKING:
     from nw_base.words import Backend, Projection, UpAxis

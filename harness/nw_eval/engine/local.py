@@ -2,7 +2,8 @@
 
 A worker that dies costs its trial (`crashed`), one that hangs, or does not come back within the
 trial's time limit, is killed (`hung`), and both are replaced. They come from
-`rollout.confined.start`: nothing is inherited from the parent but one thread for each library.
+`nw_sim.rollout.confined.start`: nothing is inherited from the parent but one thread for each
+library.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ there whole, or not at all.
 Logs are linked where that goes, copied where not, and never taken from elsewhere. A folder may be
 untrusted: a row's log is taken only from below its folder, links followed, and put only where a
 trial's log has its place. Links are hard ones, so that the parts may be removed; a log is never
-written over (`rollout.mcap.file` renames), hence nothing is that both have.
+written over (`nw_sim.rollout.mcap.file` renames), hence nothing is that both have.
 """
 
 from __future__ import annotations

@@ -153,7 +153,7 @@ def privileged_features(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bodies:
-    """Some robots at one instant; frames as in `sim.body`.
+    """Some robots at one instant; frames as in `nw_sim.physics.body`.
 
     Attributes:
         position: (n, 3) of the trunks, world, m.

@@ -28,7 +28,7 @@ NetworkAdapter = Literal["onnx", "torchscript", "torch-export"]
 BuiltInAdapter = Literal[
     NetworkAdapter, "mlp", "lucidsim", "extreme-parkour", "act", "remote", "zero"
 ]
-"""The table of adapters; what opens each of them stands in `policies.opening`."""
+"""The table of adapters; what opens each of them stands in `nw_policies.opening`."""
 
 ADAPTERS: tuple[str, ...] = get_args(BuiltInAdapter)
 

@@ -147,7 +147,7 @@ _READ = (
     "3dgs/model.ply",
     "3dgs/data_transforms.json",
 )
-"""What `scenes.neverwhere` reads of the folder that the zip's root is; the capture is gigabytes."""
+"""What `neverwhere` reads of the folder that the zip's root is; the capture is gigabytes."""
 
 _FAULTS = (zipfile.BadZipFile, zlib.error, EOFError, ValueError, RuntimeError)
 

@@ -49,7 +49,7 @@ class TrialJob:
     scores: tuple[str, ...] = ()  # what is measured beside
     duration: float  # s of simulated time after which the trial times out
     contact_termination: bool = True  # whether a blow to head or trunk ends it
-    scene: str  # what `catalogue.open_scene` understands: a built-in name or a folder
+    scene: str  # what `nw_sim.catalogue.open_scene` understands: a built-in name or a folder
     collision: Collision = "terrain"  # how the mesh of a folder collides
     policy: str  # what policies.load_bundle understands
     policy_name: str = ""  # the bundle's name, by which a replay elsewhere can find it

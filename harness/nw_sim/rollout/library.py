@@ -56,7 +56,7 @@ class Library:
         """Return the scene of a name or folder, whose mesh collides as told.
 
         Raises:
-            SceneError: as `catalogue.open_scene`.
+            SceneError: as `nw_sim.catalogue.open_scene`.
         """
         return self._scenes(reference, collision)
 
@@ -64,7 +64,7 @@ class Library:
         """Return the ray caster of a scene's static geometry.
 
         Raises:
-            SceneError: as `catalogue.open_scene`.
+            SceneError: as `nw_sim.catalogue.open_scene`.
         """
         return self._rays(reference, collision)
 
@@ -72,7 +72,7 @@ class Library:
         """Return the policy bundle of a name, folder or card, with its own weights or others.
 
         Raises:
-            PolicyError: as `policies.load_bundle`.
+            PolicyError: as `nw_policies.load_bundle`.
         """
         return self._known.get(reference) or self._bundles(reference, checkpoint)
 
@@ -80,7 +80,7 @@ class Library:
         """Return the bundle of a job, whose robot this process knows from then on.
 
         Raises:
-            PolicyError: as `policies.load_bundle`.
+            PolicyError: as `nw_policies.load_bundle`.
         """
         know_robot(job.robot, job.robot_folder)
         return self.bundle(job.policy, job.checkpoint).by_its_own_runtime(job.operator)

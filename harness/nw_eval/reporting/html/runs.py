@@ -34,7 +34,7 @@ _KNOWN_SERVERS = frozenset({"", "github.com", "gitlab.com"})
 _LABELS = (("commit", "commit"), ("branch", "branch"), ("pull_request", "pull"), ("job", "job"))
 """Columns of the page, where runs have such a label."""
 _GIVEN = re.compile(r".*-[0-9]{8}T[0-9]{6}Z-[0-9a-f]{8}(?:-[0-9]+)?(?:-[0-9]+of[0-9]+)?", re.DOTALL)
-"""A folder's name that no user chose: `results.run_folder`."""
+"""A folder's name that no user chose: `nw_gate.results.run_folder`."""
 _NO_PICTURES: Mapping[tuple[str, str], bytes] = MappingProxyType({})
 
 

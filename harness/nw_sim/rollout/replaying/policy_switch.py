@@ -53,7 +53,7 @@ _OF_THE_TRIAL = ("state_digest", "action_digest", "scores")
 """Parts of a state that are the trial's, with the task's; all others are the policy's, its sensors
 among them. A score is of the whole trial, whoever acts."""
 _WORLD_HEAD = 12
-"""Bytes of a world's state that name the model: magic and fingerprint, see `sim.state`."""
+"""Bytes of a world's state that name the model: magic and fingerprint, see `physics.state`."""
 _SWITCH_FILE = "takeover.json"
 """The attachment that says when one policy took over from another."""
 _SUITE = "suite.yaml"

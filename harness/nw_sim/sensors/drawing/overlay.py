@@ -143,7 +143,7 @@ class RobotView(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Overlay:
-    """Drawn objects at the pixels of an image: the arguments of `splat.image.paste`."""
+    """Drawn objects at the pixels of an image: the arguments of `nw_splat.image.paste`."""
 
     rgb: NDArray[np.float32]
     """(H, W, 3)."""

@@ -1,4 +1,4 @@
-"""Gaussians written to a new file, and what came of it."""
+"""Gaussians written to a new file, and how many of them it holds."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from nw_base.errors import NwEvalError
 from nw_base.words import Backend, Projection, UpAxis
 
 if TYPE_CHECKING:
-    from nw_splat.convert import WrittenSplat
+    from nw_splat.files.convert import WrittenSplat
     from nw_splat.gaussians import SplatFigures
 
 
@@ -64,8 +64,8 @@ def _info(given: argparse.Namespace) -> str:
 
 
 def _convert(given: argparse.Namespace) -> str:
-    from nw_splat.convert import write_new
     from nw_splat.files import read_splat
+    from nw_splat.files.convert import write_new
 
     return written_line(write_new(given.out, read_splat(Path(given.source))))
 
