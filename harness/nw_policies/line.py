@@ -1,8 +1,8 @@
 """A line to a process that opens policies, and whether there is one.
 
 `open_policy` opens policies over the line that `line_to` gives it; `nw_sim.rollout.confined.start`
-starts both processes. What goes over the line is in `policy_process`. All that comes back is bounded and
-checked: the process may be a hostile file's by now.
+starts both processes. What goes over the line is in `policy_process`. All that comes back is
+bounded and checked: the process may be a hostile file's by now.
 """
 
 from __future__ import annotations
