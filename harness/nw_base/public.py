@@ -7,7 +7,8 @@ A package states them once, in its `__init__.pyi`, which editors and type checke
 
     __getattr__, __dir__, __all__ = public_names(__name__, __file__)
 
-The stub has lines such as `from nw_splat.render import CpuRenderer`, and `__all__`.
+The stub has lines such as `from nw_splat.render import CpuRenderer as CpuRenderer`: the form by
+which a stub makes a name public. `from nw_eval.api import *` takes all of another package's stub.
 """
 
 from __future__ import annotations
@@ -28,8 +29,12 @@ def homes(stub: str) -> dict[str, str]:
     for line in f"\n{text}".split("\nfrom ")[1:]:
         module, _, names = line.partition(" import ")
         listed = names.partition(")" if names.startswith("(") else "\n")[0].split(",")
-        if module.startswith("nw_"):
-            found |= {name: module for each in listed if (name := each.strip("( \n"))}
+        if listed == ["*"]:
+            root = stub.rsplit("/", 2)[0]
+            found |= homes(f"{root}/{module.replace('.', '/')}/__init__.pyi")
+        elif module.startswith("nw_"):
+            each = (name.strip("( \n").partition(" as ")[0] for name in listed)
+            found |= {name: module for name in each if name}
     return found
 
 

@@ -4,150 +4,53 @@ from typing import Any, TypeAlias
 
 from typing_extensions import deprecated
 
-from nw_base.errors import (
-    CodeError,
-    FetchError,
-    IncomparableError,
-    NwEvalError,
-    PluginError,
-    PolicyError,
-    PrerequisiteError,
-    SceneError,
-    StoreError,
-    SuiteError,
-    TrialError,
-    UsageError,
-)
-from nw_eval.api import (
-    ActingPolicy,
-    AttributedTrial,
-    Attribution,
-    AttributionPlan,
-    BarPlan,
-    BisectedSeries,
-    CacheCleanup,
-    CacheUse,
-    CardDraft,
-    CheckedBaseline,
-    CheckedScene,
-    FoldedGraph,
-    FoundCause,
-    ListedBaseline,
-    ListedRobot,
-    ListedScene,
-    ListedSensor,
-    ListedSuite,
-    Published,
-    PushedScene,
-    Reporter,
-    RobotDraft,
-    RunIndex,
-    RunReport,
-    SavedBaseline,
-    ServedPolicy,
-    ShardPlan,
-    ShownBaseline,
-    ShownSuite,
-    Surfaces,
-    SweptSuite,
-    TrialPlan,
-    VerifiedBaseline,
-    VerifiedRun,
-    WarmUp,
-    WatchedCheckpoint,
-    WatchedTraining,
-    WrittenSite,
-    WrittenSplat,
-    attribute,
-    bisect,
-    cache_info,
-    check,
-    check_baseline,
-    check_policy,
-    check_robot,
-    check_scenes,
-    check_surfaces,
-    compare,
-    diff_baselines,
-    draw_sensors,
-    evaluate,
-    fetch_policy,
-    fetch_robot,
-    fetch_scene,
-    find_cause,
-    fold_policy,
-    foxglove_layout,
-    index_runs,
-    init_policy,
-    init_robot,
-    judge,
-    list_baselines,
-    list_policies,
-    list_robots,
-    list_scenes,
-    list_sensors,
-    list_suites,
-    log_scores,
-    merge,
-    plan,
-    plan_shards,
-    plan_trials,
-    prune_cache,
-    publish,
-    publish_error,
-    push_scene,
-    read_ledger,
-    read_rows,
-    record_verdict,
-    render_scenes,
-    replay,
-    report,
-    rerun_layout,
-    rerun_recording,
-    run,
-    save_baseline,
-    schema,
-    serve_policy,
-    show_baseline,
-    show_policy,
-    show_robot,
-    show_scene,
-    show_suite,
-    sim2real,
-    splat_convert,
-    splat_info,
-    splat_render,
-    sweep,
-    take_over,
-    verify,
-    verify_baseline,
-    verify_cache,
-    warmup,
-    watch,
-    write_site,
-)
-from nw_eval.engine.plan import Forecast, Plan
-from nw_eval.viewing.recording.track import WrittenRecording
-from nw_gate.ledger_report import LedgerReport
-from nw_gate.results.bank import BaselineChange, BaselineResults
-from nw_gate.results.request import Request
-from nw_gate.results.row import Row
-from nw_gate.side_by_side import PolicyComparison
-from nw_gate.stats.agreement import Agreement
-from nw_gate.verdict import Comparison, Verdict
-from nw_policies.cards.card import Card
-from nw_policies.cards.load import ListedPolicy
-from nw_scenes.hub.reference import Fetched
-from nw_scenes.overview import SceneFigures
-from nw_sim.axes import Axis
-from nw_sim.probe.report import ProbeReport
-from nw_sim.probe.robot_check import CheckedRobot, RobotSummary
-from nw_sim.probe.summary import CardSummary
-from nw_sim.rollout.replaying.reports import AttributionReport, ReplayReport, TakeoverReport
-from nw_sim.rollout.replaying.rescored import LogScores
-from nw_sim.sensors.gallery import SeenCard
-from nw_splat.files.format import SplatFormat
-from nw_splat.gaussians import Gaussians, SplatFigures
+from nw_base.errors import CodeError as CodeError
+from nw_base.errors import FetchError as FetchError
+from nw_base.errors import IncomparableError as IncomparableError
+from nw_base.errors import NwEvalError as NwEvalError
+from nw_base.errors import PluginError as PluginError
+from nw_base.errors import PolicyError as PolicyError
+from nw_base.errors import PrerequisiteError as PrerequisiteError
+from nw_base.errors import SceneError as SceneError
+from nw_base.errors import StoreError as StoreError
+from nw_base.errors import SuiteError as SuiteError
+from nw_base.errors import TrialError as TrialError
+from nw_base.errors import UsageError as UsageError
+from nw_eval.api import *
+from nw_eval.engine.plan import Forecast as Forecast
+from nw_eval.engine.plan import Plan as Plan
+from nw_eval.viewing.recording.track import WrittenRecording as WrittenRecording
+from nw_gate.ledger_report import LedgerReport as LedgerReport
+from nw_gate.results.bank import BaselineChange as BaselineChange
+from nw_gate.results.bank import BaselineResults as BaselineResults
+from nw_gate.results.request import Request as Request
+from nw_gate.results.row import Row as Row
+from nw_gate.scores import Score as Score
+from nw_gate.scores import ScoreSpec as ScoreSpec
+from nw_gate.side_by_side import PolicyComparison as PolicyComparison
+from nw_gate.stats.agreement import Agreement as Agreement
+from nw_gate.verdict import Comparison as Comparison
+from nw_gate.verdict import Verdict as Verdict
+from nw_policies.cards.card import Card as Card
+from nw_policies.cards.load import ListedPolicy as ListedPolicy
+from nw_scenes.hub.reference import Fetched as Fetched
+from nw_scenes.overview import SceneFigures as SceneFigures
+from nw_sim.axes import Axis as Axis
+from nw_sim.probe.report import ProbeReport as ProbeReport
+from nw_sim.probe.robot_check import CheckedRobot as CheckedRobot
+from nw_sim.probe.robot_check import RobotSummary as RobotSummary
+from nw_sim.probe.summary import CardSummary as CardSummary
+from nw_sim.rollout.replaying.reports import AttributionReport as AttributionReport
+from nw_sim.rollout.replaying.reports import ReplayReport as ReplayReport
+from nw_sim.rollout.replaying.reports import TakeoverReport as TakeoverReport
+from nw_sim.rollout.replaying.rescored import LogScores as LogScores
+from nw_sim.sensors.gallery import SeenCard as SeenCard
+from nw_sim.tasks import Goal as Goal
+from nw_sim.tasks import Task as Task
+from nw_sim.tasks import TaskSettings as TaskSettings
+from nw_splat.files.format import SplatFormat as SplatFormat
+from nw_splat.gaussians import Gaussians as Gaussians
+from nw_splat.gaussians import SplatFigures as SplatFigures
 
 __version__: str
 
@@ -163,154 +66,3 @@ BlameReport: TypeAlias = AttributionReport
 BlamedTrial: TypeAlias = AttributedTrial
 Blames: TypeAlias = Attribution
 SavedBank: TypeAlias = BaselineResults
-
-__all__ = [
-    "ActingPolicy",
-    "Agreement",
-    "AttributedTrial",
-    "Attribution",
-    "AttributionPlan",
-    "AttributionReport",
-    "Axis",
-    "BarPlan",
-    "BaselineChange",
-    "BaselineResults",
-    "BisectedSeries",
-    "CacheCleanup",
-    "CacheUse",
-    "Card",
-    "CardDraft",
-    "CardSummary",
-    "CheckedBaseline",
-    "CheckedRobot",
-    "CheckedScene",
-    "CodeError",
-    "Comparison",
-    "FetchError",
-    "Fetched",
-    "FoldedGraph",
-    "Forecast",
-    "FoundCause",
-    "Gaussians",
-    "IncomparableError",
-    "LedgerReport",
-    "ListedBaseline",
-    "ListedPolicy",
-    "ListedRobot",
-    "ListedScene",
-    "ListedSensor",
-    "ListedSuite",
-    "LogScores",
-    "NwEvalError",
-    "Plan",
-    "PluginError",
-    "PolicyComparison",
-    "PolicyError",
-    "PrerequisiteError",
-    "ProbeReport",
-    "Published",
-    "PushedScene",
-    "ReplayReport",
-    "Reporter",
-    "Request",
-    "RobotDraft",
-    "RobotSummary",
-    "Row",
-    "RunIndex",
-    "RunReport",
-    "SavedBaseline",
-    "SceneError",
-    "SceneFigures",
-    "SeenCard",
-    "ServedPolicy",
-    "ShardPlan",
-    "ShownBaseline",
-    "ShownSuite",
-    "SplatFigures",
-    "SplatFormat",
-    "StoreError",
-    "SuiteError",
-    "Surfaces",
-    "SweptSuite",
-    "TakeoverReport",
-    "TrialError",
-    "TrialPlan",
-    "UsageError",
-    "Verdict",
-    "VerifiedBaseline",
-    "VerifiedRun",
-    "WarmUp",
-    "WatchedCheckpoint",
-    "WatchedTraining",
-    "WrittenRecording",
-    "WrittenSite",
-    "WrittenSplat",
-    "__version__",
-    "attribute",
-    "bisect",
-    "cache_info",
-    "check",
-    "check_baseline",
-    "check_policy",
-    "check_robot",
-    "check_scenes",
-    "check_surfaces",
-    "compare",
-    "diff_baselines",
-    "draw_sensors",
-    "evaluate",
-    "fetch_policy",
-    "fetch_robot",
-    "fetch_scene",
-    "find_cause",
-    "fold_policy",
-    "foxglove_layout",
-    "index_runs",
-    "init_policy",
-    "init_robot",
-    "judge",
-    "list_baselines",
-    "list_policies",
-    "list_robots",
-    "list_scenes",
-    "list_sensors",
-    "list_suites",
-    "log_scores",
-    "merge",
-    "plan",
-    "plan_shards",
-    "plan_trials",
-    "prune_cache",
-    "publish",
-    "publish_error",
-    "push_scene",
-    "read_ledger",
-    "read_rows",
-    "record_verdict",
-    "render_scenes",
-    "replay",
-    "report",
-    "rerun_layout",
-    "rerun_recording",
-    "run",
-    "save_baseline",
-    "schema",
-    "serve_policy",
-    "show_baseline",
-    "show_policy",
-    "show_robot",
-    "show_scene",
-    "show_suite",
-    "sim2real",
-    "splat_convert",
-    "splat_info",
-    "splat_render",
-    "sweep",
-    "take_over",
-    "verify",
-    "verify_baseline",
-    "verify_cache",
-    "warmup",
-    "watch",
-    "write_site",
-]

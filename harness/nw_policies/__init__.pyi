@@ -1,15 +1,9 @@
-from nw_policies.bundle import Bundle, find_card, instance_bundle, load_bundle
-from nw_policies.opening import open_policy
-from nw_policies.policy import ActionDelay, ActionFilter, Observation, Policy
-
-__all__ = [
-    "ActionDelay",
-    "ActionFilter",
-    "Bundle",
-    "Observation",
-    "Policy",
-    "find_card",
-    "instance_bundle",
-    "load_bundle",
-    "open_policy",
-]
+from nw_policies.bundle import Bundle as Bundle
+from nw_policies.bundle import find_card as find_card
+from nw_policies.bundle import instance_bundle as instance_bundle
+from nw_policies.bundle import load_bundle as load_bundle
+from nw_policies.opening import open_policy as open_policy
+from nw_policies.policy import ActionDelay as ActionDelay
+from nw_policies.policy import ActionFilter as ActionFilter
+from nw_policies.policy import Observation as Observation
+from nw_policies.policy import Policy as Policy

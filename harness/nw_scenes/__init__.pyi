@@ -1,10 +1,5 @@
-from nw_scenes.mesh import TriangleMesh
-from nw_scenes.scene import Box, Plane, Scene, Spawn
-
-__all__ = [
-    "Box",
-    "Plane",
-    "Scene",
-    "Spawn",
-    "TriangleMesh",
-]
+from nw_scenes.mesh import TriangleMesh as TriangleMesh
+from nw_scenes.scene import Box as Box
+from nw_scenes.scene import Plane as Plane
+from nw_scenes.scene import Scene as Scene
+from nw_scenes.scene import Spawn as Spawn

@@ -1,30 +1,19 @@
-from nw_base.lens import Distortion
-from nw_splat.camera import Camera, Pixels, look_at
-from nw_splat.files import compiled_store, read_splat, write_splat
-from nw_splat.gaussians import Gaussians, SplatFigures, describe, transformed
-from nw_splat.image import Image
-from nw_splat.portrait import framing_camera, save_png
-from nw_splat.render import CpuRenderer, Renderer, open_renderer
-from nw_splat.store import memory_store, open_store
-
-__all__ = [
-    "Camera",
-    "CpuRenderer",
-    "Distortion",
-    "Gaussians",
-    "Image",
-    "Pixels",
-    "Renderer",
-    "SplatFigures",
-    "compiled_store",
-    "describe",
-    "framing_camera",
-    "look_at",
-    "memory_store",
-    "open_renderer",
-    "open_store",
-    "read_splat",
-    "save_png",
-    "transformed",
-    "write_splat",
-]
+from nw_base.lens import Distortion as Distortion
+from nw_splat.camera import Camera as Camera
+from nw_splat.camera import Pixels as Pixels
+from nw_splat.camera import look_at as look_at
+from nw_splat.files import compiled_store as compiled_store
+from nw_splat.files import read_splat as read_splat
+from nw_splat.files import write_splat as write_splat
+from nw_splat.gaussians import Gaussians as Gaussians
+from nw_splat.gaussians import SplatFigures as SplatFigures
+from nw_splat.gaussians import describe as describe
+from nw_splat.gaussians import transformed as transformed
+from nw_splat.image import Image as Image
+from nw_splat.portrait import framing_camera as framing_camera
+from nw_splat.portrait import save_png as save_png
+from nw_splat.render import CpuRenderer as CpuRenderer
+from nw_splat.render import Renderer as Renderer
+from nw_splat.render import open_renderer as open_renderer
+from nw_splat.store import memory_store as memory_store
+from nw_splat.store import open_store as open_store

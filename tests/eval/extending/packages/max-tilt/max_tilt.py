@@ -1,6 +1,6 @@
 import numpy as np
 
-from nw_gate.scores import Score, ScoreSpec
+from nw_eval import Score, ScoreSpec
 
 
 class MaxTilt(Score):

@@ -3,7 +3,7 @@ from typing import Literal
 
 import numpy as np
 
-from nw_sim.tasks import Goal, Task, TaskSettings
+from nw_eval import Goal, Task, TaskSettings
 
 
 class ReachSettings(TaskSettings):
