@@ -40,14 +40,15 @@ def test_arithmetic():
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
-    """Return the Python of an environment with the wheel, and the test environment's libraries."""
+    """Return the Python of an environment with the wheels, and the test environment's libraries."""
     place = tmp_path_factory.mktemp("installed")
-    build = [sys.executable, "-m", "build", "--wheel", "--outdir", str(place), str(ROOT)]
-    subprocess.run(build, check=True, capture_output=True)
-    (wheel,) = place.glob("*.whl")
+    build = [sys.executable, "-m", "build", "--no-isolation", "--wheel", "--outdir", str(place)]
+    for project in (ROOT, *(file.parent for file in ROOT.glob("harness/*/pyproject.toml"))):
+        subprocess.run([*build, str(project)], check=True, capture_output=True)
+    wheels = map(str, place.glob("*.whl"))
     venv.create(place / "venv", with_pip=True)
     python = place / "venv" / "bin" / "python"
-    install = [python, "-m", "pip", "install", "-q", "--no-deps", "--no-index", str(wheel)]
+    install = [python, "-m", "pip", "install", "-q", "--no-deps", "--no-index", *wheels]
     subprocess.run(install, check=True)
     asked = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
     libraries = subprocess.run(asked, check=True, capture_output=True, text=True).stdout.strip()
