@@ -3,8 +3,6 @@
 All rollouts are of the shipped policy, or a softer one, in two scenes, four seconds each.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """A robot's results beside those of runs, from a CSV to what can be said of them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

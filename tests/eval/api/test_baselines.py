@@ -1,7 +1,5 @@
 """`nw-eval baseline`: banks of a robot that stands for a fifth of a second, and what they say."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Whether a gate can pass is said before anything runs; suites that nw-eval writes can."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Runs and banks of one suite are compared, by function and by verb, without a simulator."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """The main job from a suite file to a verdict, in real processes; no splats, so it is quick."""
 
-from __future__ import annotations
-
 import json
 from importlib.util import find_spec
 

@@ -3,8 +3,6 @@
 Rows are drawn, and logs are a few bytes; test_parts.py runs real parts.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,7 +1,5 @@
 """Real parts of a run: run apart, cut short, resumed, and merged to its rows and logs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Run folders judged again: two copies of the rows, a plan that decides which count."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

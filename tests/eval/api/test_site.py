@@ -1,7 +1,5 @@
 """A leaderboard over saved runs: policies, ties, links, and nothing that a stranger's run names."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Splats of files and of built-in scenes: looked into, exported, drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """However many faults a suite, its scenes and its policy have, one look tells all of them."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st

@@ -1,11 +1,8 @@
 """How many trials a gate needs: from a bank, and from the rows of a run; nothing is run."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from PIL import Image
@@ -50,24 +47,24 @@ gate: {max_drop: 0.2, rounds: 20}
 
 
 @pytest.fixture(scope="module")
-def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def suite(tmp_path_factory):
     path = tmp_path_factory.mktemp("suite") / "two.yaml"
     path.write_text(SUITE)
     return path
 
 
 @pytest.fixture(scope="module")
-def plan(suite: Path):
+def plan(suite):
     return api.plan(suite)
 
 
-def reached(index: int) -> int:
+def reached(index):
     """One trial of ten misses a waypoint."""
     return 3 if index % 10 == 4 else 4
 
 
 @pytest.fixture(scope="module")
-def run(plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(plan, tmp_path_factory):
     """The folder of a run of the suite with 57 of 60 trials whole."""
     folder = RunFolder(path=tmp_path_factory.mktemp("runs") / "week")
     folder.path.mkdir()
@@ -101,7 +98,7 @@ def run(plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder.path
 
 
-def row(trial: Any) -> Row:
+def row(trial):
     success = reached(trial.index) / 4
     return Row(
         trial_id=trial.id,
@@ -133,7 +130,7 @@ def row(trial: Any) -> Row:
 
 
 @pytest.fixture(scope="module")
-def bank(plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bank(plan, tmp_path_factory):
     """A bank of the suite with 30 starts in each scene."""
     path = tmp_path_factory.mktemp("banks") / "shipped.parquet"
     manifest = Manifest(
@@ -173,7 +170,7 @@ def bank(plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_bank_says_how_many_trials_convict_a_drop(suite: Path, bank: Path) -> None:
+def test_a_bank_says_how_many_trials_convict_a_drop(suite, bank):
     planned = api.plan_trials(suite, baseline=str(bank), detect=0.4, workers=2)
     assert planned.source == "baseline shipped of trot"
     assert (planned.outset.scenes, planned.outset.starts, planned.outset.known) == (2, 30, True)
@@ -188,7 +185,7 @@ def test_a_bank_says_how_many_trials_convict_a_drop(suite: Path, bank: Path) -> 
     assert planned.minutes(60) == pytest.approx((4 + 60 * 0.06 * 6 / 2) / 60)
 
 
-def test_each_gated_score_is_forecast(suite: Path, bank: Path, tmp_path: Path) -> None:
+def test_each_gated_score_is_forecast(suite, bank, tmp_path):
     gated = tmp_path / "gated.yaml"
     asked = "scores: {mean_power: {max_drop: 60, tolerate: 10, range: [0, 300]}}"
     gated.write_text(suite.read_text().replace("rounds: 20", f"rounds: 20, {asked}"))
@@ -212,9 +209,7 @@ def test_each_gated_score_is_forecast(suite: Path, bank: Path, tmp_path: Path) -
     assert api.plan_trials(gated, baseline=str(bank), detect=0.4, workers=2).scores == ()
 
 
-def test_a_run_is_taken_for_the_baseline_of_a_bank_that_is_not_there_yet(
-    suite: Path, run: Path
-) -> None:
+def test_a_run_is_taken_for_the_baseline_of_a_bank_that_is_not_there_yet(suite, run):
     planned = api.plan_trials(suite, run=run, workers=2)
     assert planned.source == "run week of trot"
     assert (planned.outset.starts, planned.outset.known) == (60, False)
@@ -223,7 +218,7 @@ def test_a_run_is_taken_for_the_baseline_of_a_bank_that_is_not_there_yet(
     assert (planned.curve, planned.dropped) == (again.curve, again.dropped)
 
 
-def test_without_a_bank_or_a_run_there_is_nothing_to_plan_with(suite: Path, run: Path) -> None:
+def test_without_a_bank_or_a_run_there_is_nothing_to_plan_with(suite, run):
     with pytest.raises(
         UsageError, match="no baseline to plan with, and has none; name one with --base"
     ):
@@ -235,8 +230,8 @@ def test_without_a_bank_or_a_run_there_is_nothing_to_plan_with(suite: Path, run:
 
 
 def test_a_suite_that_names_no_bank_is_planned_with_the_only_one_that_there_is(
-    suite: Path, bank: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    suite, bank, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     folder = Path("reports/baselines/two")
     folder.mkdir(parents=True)
@@ -251,12 +246,12 @@ def test_a_suite_that_names_no_bank_is_planned_with_the_only_one_that_there_is(
 
 
 @pytest.mark.parametrize("drop", [0.0, -0.1, 0.975, float("nan")])
-def test_a_drop_that_no_policy_has_is_refused(suite: Path, bank: Path, drop: float) -> None:
+def test_a_drop_that_no_policy_has_is_refused(suite, bank, drop):
     with pytest.raises(UsageError, match=r"mean success is 0\.975; give a drop between"):
         api.plan_trials(suite, baseline=str(bank), detect=drop)
 
 
-def test_a_run_or_a_bank_of_other_scenes_is_refused(suite: Path, run: Path, bank: Path) -> None:
+def test_a_run_or_a_bank_of_other_scenes_is_refused(suite, run, bank):
     other = suite.with_name("other.yaml")
     other.write_text(SUITE.replace("flat/carpet_room, ", ""))
     for source in ({"run": run}, {"baseline": str(bank)}):
@@ -267,14 +262,14 @@ def test_a_run_or_a_bank_of_other_scenes_is_refused(suite: Path, run: Path, bank
         api.plan_trials(other, run=run)
 
 
-def test_a_baseline_that_max_drop_is_too_large_for_is_refused(suite: Path, run: Path) -> None:
+def test_a_baseline_that_max_drop_is_too_large_for_is_refused(suite, run):
     other = suite.with_name("lax.yaml")
     other.write_text(SUITE.replace("max_drop: 0.2", "max_drop: 0.98"))
     with pytest.raises(IncomparableError, match=r"no policy can be worse by max_drop 0\.98"):
         api.plan_trials(other, run=run)
 
 
-def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite: Path, run: Path) -> None:
+def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite, run):
     other = suite.with_name("named.yaml")
     other.write_text(SUITE.replace("rounds: 20", "rounds: 20, baseline: gone"))
     with pytest.raises(UsageError, match="has no baseline 'gone'"):
@@ -282,9 +277,7 @@ def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite: Path,
     assert api.plan_trials(other, run=run).source == "run week of trot"
 
 
-def test_the_page_says_trials_minutes_and_the_curve(
-    suite: Path, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_says_trials_minutes_and_the_curve(suite, run, tmp_path, capsys):
     png = tmp_path / "curve.png"
     with pytest.raises(SystemExit) as left:
         main(["plan", str(suite), "--run", str(run), "--detect", "0.4", "--out", str(png)])
@@ -300,9 +293,7 @@ def test_the_page_says_trials_minutes_and_the_curve(
     assert png.stat().st_size < 100_000
 
 
-def test_a_drop_that_no_number_of_trials_convicts_is_called_so(
-    suite: Path, run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_drop_that_no_number_of_trials_convicts_is_called_so(suite, run, capsys):
     with pytest.raises(SystemExit):
         main(["plan", str(suite), "--run", str(run), "--detect", "0.04"])
     page = capsys.readouterr().out

@@ -1,7 +1,5 @@
 """The command line's manners: light, honest about its verbs, and never a traceback."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
@@ -14,7 +12,7 @@ from nw_eval import cli
 HEAVY = ("mujoco", "torch", "numba", "onnxruntime", "pyarrow", "pandas", "matplotlib", "numpy")
 
 
-def test_the_command_line_loads_no_heavy_library() -> None:
+def test_the_command_line_loads_no_heavy_library():
     loaded = f"print([m for m in {HEAVY!r} if m in sys.modules])"
     code = f"import sys, nw_eval.cli.process, nw_eval.cli.verbs; {loaded}"
     shown = subprocess.run(
@@ -23,7 +21,7 @@ def test_the_command_line_loads_no_heavy_library() -> None:
     assert shown.strip() == "[]"
 
 
-def test_help_names_every_verb_and_every_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_names_every_verb_and_every_exit_code(capsys):
     with pytest.raises(SystemExit) as left:
         cli.main(["--help"])
     shown = capsys.readouterr().out
@@ -34,10 +32,8 @@ def test_help_names_every_verb_and_every_exit_code(capsys: pytest.CaptureFixture
         assert word in " ".join(shown.replace("│", " ").split())
 
 
-def test_a_known_error_is_one_line_and_its_own_exit_code(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object, **__: object) -> None:
+def test_a_known_error_is_one_line_and_its_own_exit_code(capsys, monkeypatch):
+    def fail(*_, **__):
         raise SceneError("scene 'x' has no floor", fix="add one")
 
     monkeypatch.setattr("nw_eval.api.list_scenes", fail)
@@ -47,26 +43,26 @@ def test_a_known_error_is_one_line_and_its_own_exit_code(
     assert capsys.readouterr().err == "error: scene 'x' has no floor; add one\n"
 
 
-def test_the_package_is_a_program_too() -> None:
+def test_the_package_is_a_program_too():
     run = [sys.executable, "-m", "nw_eval", "suites"]
     assert "hurdles " in subprocess.run(run, capture_output=True, text=True, check=True).stdout
 
 
-def test_an_unknown_option_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_option_is_a_usage_error(capsys):
     with pytest.raises(SystemExit) as left:
         cli.main(["run", "smoke", "--trails", "3"])
     assert left.value.code == 2
     assert "--trials" in capsys.readouterr().err
 
 
-def test_checking_no_scene_is_no_pass(capsys: pytest.CaptureFixture[str]) -> None:
+def test_checking_no_scene_is_no_pass(capsys):
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "check"])
     assert left.value.code == 2
     assert capsys.readouterr().err == "error: no scene to check; name one, or its folder\n"
 
 
-def test_no_metavar_shows_how_a_type_is_written(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_metavar_shows_how_a_type_is_written(capsys):
     for words in (["splat", "render"], ["run"], ["check"], ["policies", "init"], ["replay"]):
         with pytest.raises(SystemExit):
             cli.main([*words, "--help"])
@@ -77,7 +73,7 @@ def test_no_metavar_shows_how_a_type_is_written(capsys: pytest.CaptureFixture[st
         assert "|STR" not in shown
 
 
-def test_scenes_are_listed_with_their_split(capsys: pytest.CaptureFixture[str]) -> None:
+def test_scenes_are_listed_with_their_split(capsys):
     with pytest.raises(SystemExit) as left:
         cli.main(["scenes", "list", "hurdles/three_low", "hurdles/one_low_carpet", "flat/*"])
     assert left.value.code == 0

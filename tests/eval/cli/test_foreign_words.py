@@ -1,7 +1,5 @@
 """One nasty name through every door of the real command line: nobody obeys it, nobody is called."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
@@ -70,7 +68,7 @@ def nw_eval(project, capfd, monkeypatch):
     """Run a command line; return all that it says, after looking at it."""
     monkeypatch.chdir(project)
 
-    def run(*arguments: object) -> str:
+    def run(*arguments):
         with pytest.raises(SystemExit):
             cli.main([str(argument) for argument in arguments])
         said = capfd.readouterr()
@@ -82,7 +80,7 @@ def nw_eval(project, capfd, monkeypatch):
     return run
 
 
-def harmless(said: str) -> None:
+def harmless(said):
     assert not re.search(r"^\s*::", said, re.MULTILINE), said
     for mark in ("\x1b", "\x07", "\r", "\u202e", "\u2066", "##[", "##vso[", "hunter2"):
         assert mark not in said, (mark, said)

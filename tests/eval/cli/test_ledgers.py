@@ -1,7 +1,5 @@
 """`--ledger` keeps the verdicts on runs, and `nw-eval ledger` reckons them up."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

@@ -4,8 +4,6 @@ The verbs and their options are those of the command line's own definition: one 
 here until it is in the tables below.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import threading

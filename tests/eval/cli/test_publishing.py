@@ -1,10 +1,6 @@
 """Where verbs show the run that they judged; nothing of it changes how they end."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -24,14 +20,14 @@ record: none
 """
 
 
-def end_of(*arguments: object) -> int:
+def end_of(*arguments):
     with pytest.raises(SystemExit) as left:
         cli.main([str(each) for each in arguments])
     return int(left.value.code or 0)
 
 
 @pytest.fixture
-def step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def step(tmp_path, monkeypatch):
     """A step of a job: its folder has what the runner would read of it."""
     for name in ("summary", "output"):
         (tmp_path / name).touch()
@@ -42,14 +38,14 @@ def step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def outputs(step: Path) -> dict[str, str]:
+def outputs(step):
     lines = (step / "output").read_text().splitlines()
     return {lines[k].split("<<")[0]: lines[k + 1] for k in range(0, len(lines), 3)}
 
 
 def test_a_run_on_github_folds_its_progress_and_its_tables_and_writes_the_steps_files(
-    step: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+    step, capsys, monkeypatch
+):
     (step / "suites").mkdir()
     (step / "suites" / "tiny.yaml").write_text(SUITE + "gate: {success_rate: 0.9}\n")
     monkeypatch.chdir(step)
@@ -77,9 +73,7 @@ def test_a_run_on_github_folds_its_progress_and_its_tables_and_writes_the_steps_
     )
 
 
-def test_github_is_told_nothing_where_nobody_wants_it(
-    step: Path, regressed_run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_github_is_told_nothing_where_nobody_wants_it(step, regressed_run, capsys):
     assert end_of("gate", regressed_run, "--no-github") == 1
     assert "::" not in capsys.readouterr().out
     assert (step / "summary").read_text() == (step / "output").read_text() == ""
@@ -87,9 +81,7 @@ def test_github_is_told_nothing_where_nobody_wants_it(
     assert "exclude each other" in capsys.readouterr().err
 
 
-def test_away_from_github_it_is_told_what_is_asked_for_and_misses_the_files(
-    regressed_run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_away_from_github_it_is_told_what_is_asked_for_and_misses_the_files(regressed_run, capsys):
     assert end_of("gate", regressed_run) == 1
     assert "::" not in capsys.readouterr().out
     assert end_of("gate", regressed_run, "--github") == 1
@@ -103,8 +95,8 @@ def test_away_from_github_it_is_told_what_is_asked_for_and_misses_the_files(
 
 @pytest.mark.parametrize("verb", ["gate", "report"])
 def test_a_surface_that_cannot_be_written_is_a_warning_and_the_others_are_written(
-    step: Path, regressed_run: Path, capsys: pytest.CaptureFixture[str], verb: str
-) -> None:
+    step, regressed_run, capsys, verb
+):
     (step / "summary").unlink()
     (step / "summary").mkdir()
     nowhere = step / "output" / "junit.xml"
@@ -117,9 +109,7 @@ def test_a_surface_that_cannot_be_written_is_a_warning_and_the_others_are_writte
     assert comment.read_text().startswith("<!-- nw-eval: tiny -->\n# REGRESSED: tiny, stand\n")
 
 
-def test_a_summary_that_is_full_is_a_warning(
-    step: Path, regressed_run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_summary_that_is_full_is_a_warning(step, regressed_run, capsys):
     (step / "summary").write_bytes(b"x" * 2**20)
     assert end_of("gate", regressed_run) == 1
     (line,) = capsys.readouterr().err.splitlines()
@@ -127,13 +117,8 @@ def test_a_summary_that_is_full_is_a_warning(
     assert (step / "summary").stat().st_size == 2**20
 
 
-def test_whatever_a_surface_raises_is_a_warning(
-    step: Path,
-    regressed_run: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def fail(*_: object) -> None:
+def test_whatever_a_surface_raises_is_a_warning(step, regressed_run, capsys, monkeypatch):
+    def fail(*_):
         raise RecursionError("a\x1b[2J\n::error::b")
 
     monkeypatch.setattr("nw_eval.reporting.junit.junit_xml", fail)
@@ -144,9 +129,9 @@ def test_whatever_a_surface_raises_is_a_warning(
 
 
 def test_an_error_before_a_verdict_leaves_no_earlier_one_to_be_taken_for_its_own(
-    step: Path, regressed_run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    files: Any = ("--junit", step / "junit.xml", "--comment", step / "comment.md")
+    step, regressed_run, capsys
+):
+    files = ("--junit", step / "junit.xml", "--comment", step / "comment.md")
     assert end_of("gate", regressed_run, *files) == 1
     (step / "output").write_text("")
     (step / "suite.yaml").write_text(SUITE.replace("trials: 1", "trials: none"))
@@ -160,9 +145,7 @@ def test_an_error_before_a_verdict_leaves_no_earlier_one_to_be_taken_for_its_own
     assert error.get("type") == "SuiteError"
 
 
-def test_a_report_that_cannot_be_written_is_4_and_keeps_the_rows(
-    step: Path, regressed_run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_report_that_cannot_be_written_is_4_and_keeps_the_rows(step, regressed_run, capsys):
     rows = (regressed_run / "trials.parquet").read_bytes()
     out = step / "output" / "report.md"
     assert end_of("report", regressed_run, "--out", out, "--junit", step / "junit.xml") == 4

@@ -1,7 +1,5 @@
 """`--track` says at once what is missing, and never costs a verdict or its exit code."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -13,7 +11,7 @@ from nw_eval import cli
 from nw_eval.reporting.trackers import tracked as trackers
 
 
-def ends(*arguments: str) -> int:
+def ends(*arguments):
     """Type a command and return its exit code."""
     with pytest.raises(SystemExit) as left:
         cli.main(arguments)

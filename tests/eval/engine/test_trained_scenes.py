@@ -1,7 +1,5 @@
 """Which scenes a policy was trained in, by its card: what run.json says and reports mark."""
 
-from __future__ import annotations
-
 import pytest
 
 from nw_base.files.shipped import available

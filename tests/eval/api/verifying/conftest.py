@@ -1,7 +1,5 @@
 """A run that has ended, as a folder of rows and logs that no simulation has made."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from hashlib import sha256
 

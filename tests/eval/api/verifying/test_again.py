@@ -1,7 +1,5 @@
 """Trials of a real run, run again: the same bits, and what was forged is found by them."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from hashlib import sha256

@@ -1,9 +1,6 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ from nw_eval.reporting.html.evidence import (
     WalkedPath,
 )
 from nw_eval.reporting.html.page import render_html
-from nw_eval.reporting.tables import NO_RIVALS, Rivals
+from nw_eval.reporting.tables import NO_RIVALS
 from nw_eval.suite import Gate, new_suite
 from nw_gate.absolute import judge
 from nw_gate.baseline.combine import combined
@@ -26,12 +23,7 @@ from nw_gate.results.ended import write_trials
 from nw_gate.results.journal import Journal, JournalHeader
 from nw_gate.results.provenance import write_run_info
 from nw_gate.results.run_folder import RunFolder
-from nw_gate.verdict import Comparison, SceneDrop
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from nw_gate.results.row import Row
+from nw_gate.verdict import SceneDrop
 
 _EMPTY = {"meta", "link", "img", "br", "input"}
 
@@ -39,12 +31,12 @@ _EMPTY = {"meta", "link", "img", "br", "input"}
 class Element:
     """An element of a page, with its children and the text right within it."""
 
-    def __init__(self, tag: str, attributes: dict[str, str | None]) -> None:
+    def __init__(self, tag, attributes):
         self.tag = tag
         self.attributes = attributes
-        self.parts: list[Element | str] = []
+        self.parts = []
 
-    def all(self, tag: str | None = None, **attributes: str) -> list[Element]:
+    def all(self, tag=None, **attributes):
         return [
             each
             for each in self._below()
@@ -55,22 +47,22 @@ class Element:
             )
         ]
 
-    def one(self, tag: str | None = None, **attributes: str) -> Element:
+    def one(self, tag=None, **attributes):
         (found,) = self.all(tag, **attributes)
         return found
 
     @property
-    def text(self) -> str:
+    def text(self):
         return "".join(part if isinstance(part, str) else part.text for part in self.parts).strip()
 
     @property
-    def cells(self) -> list[list[str]]:
+    def cells(self):
         """Of a table: its rows, the header first."""
         return [
             [cell.text for cell in row.all() if cell.tag in {"th", "td"}] for row in self.all("tr")
         ]
 
-    def _below(self) -> Iterator[Element]:
+    def _below(self):
         for part in self.parts:
             if isinstance(part, Element):
                 yield part
@@ -82,32 +74,32 @@ NO_BREAK = "\u00a0"
 
 
 class _Reader(HTMLParser):
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.open = [Element("", {})]
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         assert len(dict(attrs)) == len(attrs), (tag, attrs)
         told = {name: value and value.replace(NO_BREAK, " ") for name, value in attrs}
         self.open[-1].parts.append(element := Element(tag, told))
         if tag not in _EMPTY:
             self.open.append(element)
 
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_startendtag(self, tag, attrs):
         self.open[-1].parts.append(Element(tag, dict(attrs)))
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag):
         assert self.open.pop().tag == tag, f"</{tag}> closes another element"
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         self.open[-1].parts.append(data.replace(NO_BREAK, " "))
 
 
 @pytest.fixture
-def read() -> Callable[[str], Element]:
+def read():
     """Parse a page; every element must be closed where it ought to be."""
 
-    def reading(text: str) -> Element:
+    def reading(text):
         reader = _Reader()
         reader.feed(text)
         reader.close()
@@ -118,18 +110,10 @@ def read() -> Callable[[str], Element]:
 
 
 @pytest.fixture
-def make_page(make_run: Callable[..., Any]) -> Callable[..., str]:
+def make_page(make_run):
     """The page of some rows, judged by a bar."""
 
-    def make(
-        rows: Sequence[Row],
-        evidence: LogEvidence = NO_EVIDENCE,
-        *,
-        gate: Gate | None = None,
-        against: Comparison | None = None,
-        rivals: Rivals = NO_RIVALS,
-        **facts: Any,
-    ) -> str:
+    def make(rows, evidence=NO_EVIDENCE, *, gate=None, against=None, rivals=NO_RIVALS, **facts):
         planned = {scene: sum(row.scene == scene for row in rows) for scene in _scenes(rows)}
         verdict = judge(rows, gate or Gate(success_rate=0.75), planned, against=against)
         verdict = verdict if against is None else combined(verdict, against)
@@ -146,7 +130,7 @@ def make_page(make_run: Callable[..., Any]) -> Callable[..., str]:
 
 
 @pytest.fixture
-def compared(regressed: Comparison) -> Comparison:
+def compared(regressed):
     """What five rounds in two scenes show: one fell at its second waypoint, the other did not."""
     high = SceneDrop(
         scene="hurdles/high", tier="critical", baseline=0.95, candidate=0.45, trials=5,
@@ -163,10 +147,10 @@ def compared(regressed: Comparison) -> Comparison:
 
 
 @pytest.fixture
-def full_evidence() -> Callable[[Sequence[Row]], LogEvidence]:
+def full_evidence():
     """As much as logs could ever hold of some trials: long paths, large pictures and clips."""
 
-    def make(rows: Sequence[Row]) -> LogEvidence:
+    def make(rows):
         rng = np.random.Generator(np.random.PCG64(7))
         return LogEvidence(
             paths=tuple(
@@ -201,17 +185,15 @@ def full_evidence() -> Callable[[Sequence[Row]], LogEvidence]:
     return make
 
 
-def _scenes(rows: Sequence[Row]) -> list[str]:
+def _scenes(rows):
     return sorted({row.scene for row in rows})
 
 
 @pytest.fixture
-def save_run(
-    make_run: Callable[..., Any], make_row: Callable[..., Row]
-) -> Callable[[Path, Sequence[int]], Path]:
+def save_run(make_run, make_row):
     """Write the folder of a run in scene `a` that has ended, from the waypoints of its trials."""
 
-    def save(path: Path, reached: Sequence[int], **facts: Any) -> Path:
+    def save(path, reached, **facts):
         suite = new_suite(
             {
                 "nw-eval": 1, "name": "hurdles", "robot": "go1", "policy": "go1-parkour",
