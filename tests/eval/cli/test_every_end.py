@@ -165,7 +165,7 @@ def test_a_verdict_stands_whatever_becomes_of_its_print(regressed_run):
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_a_verdict_stands_on_a_screen_that_lacks_its_letters(regressed_run, encoding):
     left = end_of(
-        [*NW_EVAL, "report", str(regressed_run)],
+        [*NW_EVAL, "gate", str(regressed_run)],
         env={**os.environ, "PYTHONIOENCODING": encoding},
         stdout=subprocess.PIPE,
         encoding=encoding,
