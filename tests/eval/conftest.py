@@ -1,8 +1,13 @@
 """One fork server for all tests: what reads logs and draws pages is forked, not started anew."""
 
+import sys
+from pathlib import Path
+
 import pytest
 
 from nw_sim.rollout.confined import start
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 OF_TESTS = ("COLUMNS", "GITHUB_", "HOME", "MLFLOW_", "PY_COLORS", "USERPROFILE", "WANDB_")
 """Variables that tests set, and of which no library of the fork server has read any."""

@@ -7,12 +7,12 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from saved_runs import info_of, save
+from saved_runs import row_of as plain_row
 
 import nw_eval
 from nw_eval.api.saved_run import saved_suite, saved_trials
 from nw_eval.suite import new_suite
-from nw_gate.results.ended import write_trials
-from nw_gate.results.journal import Journal, JournalHeader
 from nw_gate.results.labels import KNOWN
 from nw_gate.results.provenance import (
     BaselineInfo,
@@ -20,12 +20,9 @@ from nw_gate.results.provenance import (
     CodeInfo,
     MachineInfo,
     PolicyInfo,
-    RunInfo,
     SceneInfo,
     read_run_info,
-    write_run_info,
 )
-from nw_gate.results.row import Row
 from nw_gate.results.run_folder import RunFolder
 from nw_gate.results.seal import seal
 
@@ -61,73 +58,32 @@ def save_run(path, *, evil="", success=True, **facts):
         "labels": {name: EVIL_LABEL for name in KNOWN if evil and name != "job_url"},
         **facts,
     }
-    info = RunInfo(
-        suite=suite.model_dump(by_alias=True, mode="json"),
-        suite_digest=suite.digest,
-        policy=PolicyInfo(
-            name=evil or "stand",
-            adapter=evil,
-            card_digest=evil,
-            checkpoint_digest=evil or "cc" * 32,
-            card=evil,
-            origin=evil,
-        ),
-        scenes={scene: SceneInfo(digest=evil or "dd" * 32, task=evil or "flat", trials=TRIALS)},
-        code=CodeInfo(version=evil or "0.1.0", digest=evil or "ee" * 32, commit=evil),
-        machine=MachineInfo(
-            host=evil or "ci", cpu=evil or "Some", cores=2, system=evil or "x", python=evil or "3"
-        ),
+    policy = {"name": evil or "stand", "adapter": evil, "card_digest": evil, "card": evil}
+    code = {"version": evil or "0.1.0", "digest": evil or "ee" * 32, "commit": evil}
+    machine = {"host": evil or "ci", "cpu": evil or "Some", "cores": 2, "system": evil or "x"}
+    info = info_of(
+        suite,
+        {scene: SceneInfo(digest=evil or "dd" * 32, task=evil or "flat", trials=TRIALS)},
+        policy=PolicyInfo(**policy, checkpoint_digest=evil or "cc" * 32, origin=evil),
+        code=CodeInfo(**code),
+        machine=MachineInfo(**machine, python=evil or "3"),
         **says,
     )
     rows = [
         row_of(trial, info, evil, completed=success and k % 3 > 0, failed=bool(evil) and k % 3 == 1)
         for k, trial in enumerate(saved_trials(info, saved_suite(info)))
     ]
-    return written(path, info, rows)
-
-
-def written(path, info, rows):
-    folder = RunFolder(path=path)
-    path.mkdir(parents=True)
-    header = JournalHeader(
-        suite_digest=info.suite_digest,
-        policy_digest=info.policy.card_digest,
-        scene_digests={name: scene.digest for name, scene in info.scenes.items()},
-        engine=info.engine,
-    )
-    with Journal.create(folder.journal, header) as journal:
-        for row in rows:
-            journal.append(row)
-    write_run_info(folder.run_json, write_trials(folder, info, rows))
-    return folder
+    return save(path, info, rows)
 
 
 def row_of(trial, info, evil, *, completed, failed):
-    times = dict.fromkeys(("sim_s", "physics_s", "render_s", "policy_s", "log_s", "wall_s"), 1.0)
-    reached = 4 if completed else 1
-    return Row(
-        trial_id=trial.id,
-        suite=trial.suite,
-        scene=trial.scene,
-        task=trial.task,
-        seed_index=trial.index,
-        seed=trial.seed,
+    error = {"end_reason": "", "error_type": evil, "error_text": evil}
+    return plain_row(
+        trial,
+        None if failed else 4 if completed else 1,
         policy=info.policy.name,
-        status="error" if failed else "ok",
-        outcome="crashed" if failed else "completed" if completed else "fell",
-        end_reason="" if failed else evil or "waypoints",
-        completed=completed and not failed,
-        success=None if failed else reached / 4,
-        waypoints_reached=0 if failed else reached,
-        waypoints_total=4,
-        waypoint_times=() if failed else tuple(0.1 * (k + 1) for k in range(reached)),
-        steps=50,
         checkpoint_digest=info.policy.checkpoint_digest,
-        scene_digest=trial.scene_digest,
-        robot="go1",
-        error_type=evil if failed else "",
-        error_text=evil if failed else "",
-        **times,
+        **(error if failed else {"end_reason": evil or "waypoints"}),
     )
 
 
@@ -280,7 +236,7 @@ def change_rows(folder, change):
     for file in (folder.journal, folder.trials, folder.digests, folder.run_json):
         file.unlink()
     info = info.model_copy(update={"rows_digest": ""})
-    again = written(folder.path / "again", info, [change(k, row) for k, row in enumerate(rows)])
+    again = save(folder.path / "again", info, [change(k, row) for k, row in enumerate(rows)])
     for file in again.path.iterdir():
         file.rename(folder.path / file.name)
     again.path.rmdir()

@@ -5,11 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from command_line import ends
 from PIL import Image
+from saved_runs import info_of, row_of, save
 
 from nw_base.errors import IncomparableError, UsageError
 from nw_eval import api
-from nw_eval.cli import main
 from nw_gate.results.bank import (
     BankKey,
     BankPolicy,
@@ -20,18 +21,10 @@ from nw_gate.results.bank import (
     Start,
 )
 from nw_gate.results.bank_file import read_bank, write_bank
-from nw_gate.results.ended import write_trials
-from nw_gate.results.journal import Journal, JournalHeader
 from nw_gate.results.provenance import (
     PolicyInfo,
-    RunInfo,
     SceneInfo,
-    code_info,
-    machine_info,
-    write_run_info,
 )
-from nw_gate.results.row import Row
-from nw_gate.results.run_folder import RunFolder
 
 SUITE = """\
 nw-eval: 1
@@ -66,67 +59,15 @@ def reached(index):
 @pytest.fixture(scope="module")
 def run(plan, tmp_path_factory):
     """The folder of a run of the suite with 57 of 60 trials whole."""
-    folder = RunFolder(path=tmp_path_factory.mktemp("runs") / "week")
-    folder.path.mkdir()
     suite = plan.suite
-    info = RunInfo(
-        id="week",
-        started="2026-11-21T11:00:05Z",
-        suite_file="two.yaml",
-        suite=suite.model_dump(by_alias=True, mode="json"),
-        suite_digest=suite.digest,
-        policy=PolicyInfo(name="trot", checkpoint_digest="cc" * 32),
-        scenes={
-            scene.name: SceneInfo(digest=scene.digest, task=scene.task, trials=30)
-            for scene in plan.scenes
-        },
-        code=code_info(),
-        machine=machine_info(),
-        versions={"mujoco": "4.0.0"},
-    )
-    header = JournalHeader(
-        suite_digest=suite.digest,
-        policy_digest="p",
-        scene_digests={name: scene.digest for name, scene in info.scenes.items()},
-    )
-    rows = [row(trial) for trial in plan.trials]
-    write_run_info(folder.run_json, info)
-    with Journal.create(folder.journal, header) as journal:
-        for each in rows:
-            journal.append(each)
-    write_run_info(folder.run_json, write_trials(folder, info, rows))
-    return folder.path
-
-
-def row(trial):
-    success = reached(trial.index) / 4
-    return Row(
-        trial_id=trial.id,
-        suite=trial.suite,
-        scene=trial.scene,
-        task=trial.task,
-        seed_index=trial.index,
-        seed=trial.seed,
-        policy="trot",
-        status="ok",
-        outcome="completed" if success == 1.0 else "fell",
-        end_reason="waypoints",
-        completed=success == 1.0,
-        robot="go1",
-        success=success,
-        waypoints_reached=reached(trial.index),
-        waypoints_total=4,
-        waypoint_times=tuple(map(float, range(reached(trial.index)))),
-        steps=200,
-        sim_s=4.0,
-        physics_s=0.5,
-        render_s=1.0,
-        policy_s=0.1,
-        log_s=0.2,
-        wall_s=2.0,
-        checkpoint_digest="cc" * 32,
-        scene_digest=trial.scene_digest,
-    )
+    scenes = {
+        scene.name: SceneInfo(digest=scene.digest, task=scene.task, trials=30)
+        for scene in plan.scenes
+    }
+    policy = PolicyInfo(name="trot", checkpoint_digest="cc" * 32)
+    rows = [row_of(trial, reached(trial.index), policy="trot") for trial in plan.trials]
+    path = tmp_path_factory.mktemp("runs") / "week"
+    return save(path, info_of(suite, scenes, id="week", policy=policy), rows).path
 
 
 @pytest.fixture(scope="module")
@@ -279,9 +220,7 @@ def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite, run):
 
 def test_the_page_says_trials_minutes_and_the_curve(suite, run, tmp_path, capsys):
     png = tmp_path / "curve.png"
-    with pytest.raises(SystemExit) as left:
-        main(["plan", str(suite), "--run", str(run), "--detect", "0.4", "--out", str(png)])
-    assert left.value.code == 0
+    assert ends("plan", suite, "--run", run, "--detect", "0.4", "--out", str(png)) == 0
     page = capsys.readouterr().out
     assert "two: at most 40 trials in 2 scenes" in page
     assert "a policy 0.4 worse is REGRESSED in 80 % within" in page
@@ -294,8 +233,7 @@ def test_the_page_says_trials_minutes_and_the_curve(suite, run, tmp_path, capsys
 
 
 def test_a_drop_that_no_number_of_trials_convicts_is_called_so(suite, run, capsys):
-    with pytest.raises(SystemExit):
-        main(["plan", str(suite), "--run", str(run), "--detect", "0.04"])
+    assert ends("plan", suite, "--run", run, "--detect", "0.04") == 0
     page = capsys.readouterr().out
     assert "a policy 0.04 worse is REGRESSED in no more than" in page
     assert "however many of the starts are run" in page

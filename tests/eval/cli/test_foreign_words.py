@@ -5,8 +5,7 @@ import json
 import re
 
 import pytest
-
-from nw_eval import cli
+from command_line import ends
 
 # A line of its own, a repainted screen, orders to CI runners, a turned name, a password, a call of
 # somebody, a link, and far too much of it.
@@ -69,8 +68,7 @@ def nw_eval(project, capfd, monkeypatch):
     monkeypatch.chdir(project)
 
     def run(*arguments):
-        with pytest.raises(SystemExit):
-            cli.main([str(argument) for argument in arguments])
+        ends(*arguments)
         said = capfd.readouterr()
         for stream in said:
             harmless(stream)

@@ -3,8 +3,7 @@
 import xml.etree.ElementTree as ET
 
 import pytest
-
-from nw_eval import cli
+from command_line import ends
 
 SUITE = """\
 nw-eval: 1
@@ -18,12 +17,6 @@ scenes:
   - flat/carpet_room
 record: none
 """
-
-
-def end_of(*arguments):
-    with pytest.raises(SystemExit) as left:
-        cli.main([str(each) for each in arguments])
-    return int(left.value.code or 0)
 
 
 @pytest.fixture
@@ -49,7 +42,7 @@ def test_a_run_on_github_folds_its_progress_and_its_tables_and_writes_the_steps_
     (step / "suites").mkdir()
     (step / "suites" / "tiny.yaml").write_text(SUITE + "gate: {success_rate: 0.9}\n")
     monkeypatch.chdir(step)
-    code = end_of("run", "tiny", "--workers", 1, "--out", "reports/r")
+    code = ends("run", "tiny", "--workers", 1, "--out", "reports/r")
     said = capsys.readouterr()
     assert said.err.startswith("::group::nw-eval run tiny\n")
     assert said.err.rstrip().endswith("::endgroup::")
@@ -74,17 +67,17 @@ def test_a_run_on_github_folds_its_progress_and_its_tables_and_writes_the_steps_
 
 
 def test_github_is_told_nothing_where_nobody_wants_it(step, regressed_run, capsys):
-    assert end_of("gate", regressed_run, "--no-github") == 1
+    assert ends("gate", regressed_run, "--no-github") == 1
     assert "::" not in capsys.readouterr().out
     assert (step / "summary").read_text() == (step / "output").read_text() == ""
-    assert end_of("gate", regressed_run, "--no-github", "--github") == 2
+    assert ends("gate", regressed_run, "--no-github", "--github") == 2
     assert "exclude each other" in capsys.readouterr().err
 
 
 def test_away_from_github_it_is_told_what_is_asked_for_and_misses_the_files(regressed_run, capsys):
-    assert end_of("gate", regressed_run) == 1
+    assert ends("gate", regressed_run) == 1
     assert "::" not in capsys.readouterr().out
-    assert end_of("gate", regressed_run, "--github") == 1
+    assert ends("gate", regressed_run, "--github") == 1
     said = capsys.readouterr()
     assert "\n::error title=REGRESSED%3A tiny::REGRESSED" in said.out
     assert said.err.splitlines() == [
@@ -101,7 +94,7 @@ def test_a_surface_that_cannot_be_written_is_a_warning_and_the_others_are_writte
     (step / "summary").mkdir()
     nowhere = step / "output" / "junit.xml"
     comment = step / "comment.md"
-    assert end_of(verb, regressed_run, "--junit", nowhere, "--comment", comment) == 1
+    assert ends(verb, regressed_run, "--junit", nowhere, "--comment", comment) == 1
     junit, summary = capsys.readouterr().err.splitlines()
     assert junit.startswith(f"warning: no JUnit file: cannot write {nowhere}: File exists")
     assert summary.startswith("warning: no step summary: cannot write GITHUB_STEP_SUMMARY: Is a di")
@@ -111,7 +104,7 @@ def test_a_surface_that_cannot_be_written_is_a_warning_and_the_others_are_writte
 
 def test_a_summary_that_is_full_is_a_warning(step, regressed_run, capsys):
     (step / "summary").write_bytes(b"x" * 2**20)
-    assert end_of("gate", regressed_run) == 1
+    assert ends("gate", regressed_run) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("warning: no step summary: the page needs more than the 0 bytes")
     assert (step / "summary").stat().st_size == 2**20
@@ -122,7 +115,7 @@ def test_whatever_a_surface_raises_is_a_warning(step, regressed_run, capsys, mon
         raise RecursionError("a\x1b[2J\n::error::b")
 
     monkeypatch.setattr("nw_eval.reporting.junit.junit_xml", fail)
-    assert end_of("gate", regressed_run, "--junit", step / "junit.xml") == 1
+    assert ends("gate", regressed_run, "--junit", step / "junit.xml") == 1
     assert (
         capsys.readouterr().err == "warning: no JUnit file: RecursionError: a\\x1b[2J ::error::b\n"
     )
@@ -132,11 +125,11 @@ def test_an_error_before_a_verdict_leaves_no_earlier_one_to_be_taken_for_its_own
     step, regressed_run, capsys
 ):
     files = ("--junit", step / "junit.xml", "--comment", step / "comment.md")
-    assert end_of("gate", regressed_run, *files) == 1
+    assert ends("gate", regressed_run, *files) == 1
     (step / "output").write_text("")
     (step / "suite.yaml").write_text(SUITE.replace("trials: 1", "trials: none"))
     capsys.readouterr()
-    assert end_of("run", step / "suite.yaml", *files) == 2
+    assert ends("run", step / "suite.yaml", *files) == 2
     said = capsys.readouterr()
     assert "::error file=suite.yaml,line=5,col=1,title=nw-eval::" in said.out
     assert outputs(step) == {"verdict": "", "exit-code": "2"}
@@ -148,7 +141,7 @@ def test_an_error_before_a_verdict_leaves_no_earlier_one_to_be_taken_for_its_own
 def test_a_report_that_cannot_be_written_is_4_and_keeps_the_rows(step, regressed_run, capsys):
     rows = (regressed_run / "trials.parquet").read_bytes()
     out = step / "output" / "report.md"
-    assert end_of("report", regressed_run, "--out", out, "--junit", step / "junit.xml") == 4
+    assert ends("report", regressed_run, "--out", out, "--junit", step / "junit.xml") == 4
     # Two pages lie beside each other; either is the first that cannot be written.
     assert f"error: cannot write {out.with_suffix('')}." in capsys.readouterr().err
     assert outputs(step) == {"verdict": "", "exit-code": "4"}

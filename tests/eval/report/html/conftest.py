@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from saved_runs import save
 
 from nw_eval.api.saved_run import saved_suite, saved_trials
 from nw_eval.reporting.html.evidence import (
@@ -19,10 +20,6 @@ from nw_eval.reporting.tables import NO_RIVALS
 from nw_eval.suite import Gate, new_suite
 from nw_gate.absolute import judge
 from nw_gate.baseline.combine import combined
-from nw_gate.results.ended import write_trials
-from nw_gate.results.journal import Journal, JournalHeader
-from nw_gate.results.provenance import write_run_info
-from nw_gate.results.run_folder import RunFolder
 from nw_gate.verdict import SceneDrop
 
 _EMPTY = {"meta", "link", "img", "br", "input"}
@@ -193,7 +190,7 @@ def _scenes(rows):
 def save_run(make_run, make_row):
     """Write the folder of a run in scene `a` that has ended, from the waypoints of its trials."""
 
-    def save(path, reached, **facts):
+    def saved(path, reached, **facts):
         suite = new_suite(
             {
                 "nw-eval": 1, "name": "hurdles", "robot": "go1", "policy": "go1-parkour",
@@ -212,18 +209,6 @@ def save_run(make_run, make_row):
             make_row("a", index, count, trial_id=trial.id, seed=trial.seed, mcap_path="")
             for index, (count, trial) in enumerate(zip(reached, trials, strict=True))
         ]
-        folder = RunFolder(path=path)
-        folder.path.mkdir(parents=True)
-        header = JournalHeader(
-            suite_digest=run.suite_digest,
-            policy_digest=run.policy.card_digest,
-            scene_digests={name: scene.digest for name, scene in run.scenes.items()},
-            engine=run.engine,
-        )
-        with Journal.create(folder.journal, header) as journal:
-            for row in rows:
-                journal.append(row)
-        write_run_info(folder.run_json, write_trials(folder, run, rows))
-        return path
+        return save(path, run, rows).path
 
-    return save
+    return saved
