@@ -172,24 +172,6 @@ def test_no_name_of_a_scene_is_too_odd_to_be_told(place):
         assert line.startswith(f"{path}:12:5: no scene matches")
 
 
-def test_check_takes_the_letters_that_run_takes(capsys):
-    for verb in ("run", "check"):
-        assert ends(verb, "--help") == 0
-        shown = capsys.readouterr().out
-        for word in ("-p, --policy POLICY", "-n, --trials N", "-j, --workers N", "--seed N"):
-            assert word in shown, (verb, word)
-        assert "{None}" not in shown
-    assert ends("replay", "--help") == 0
-    assert "-p, --policy POLICY" in capsys.readouterr().out
-
-
-def test_what_is_no_log_and_no_run_is_a_usage_error(tmp_path, capsys):
-    folder = str(tmp_path)
-    for words in (["replay", folder], ["run", "--resume", folder], ["report", folder]):
-        assert ends(*words) == 2
-        assert capsys.readouterr().err.startswith(f"error: {folder} is ")
-
-
 def test_suites_are_listed_with_what_they_run(capsys):
     assert ends("suites") == 0
     rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}

@@ -199,9 +199,3 @@ def test_a_run_that_is_resumed_without_its_critical_scene_does_not_pass(attack, 
     again = api.run(resume=tmp_path / "run", scenes=("flat/*",), in_process=True)
     assert again.verdict.verdict == "INFRASTRUCTURE"
     assert "critical scene my/place has no result" in again.verdict.reasons[0]
-
-
-def test_a_cache_of_no_size_is_refused(attack, monkeypatch):
-    monkeypatch.setenv("NW_EVAL_CACHE_GB", "everything")
-    with pytest.raises(UsageError, match="NW_EVAL_CACHE_GB"):
-        attack({}, {}, {})

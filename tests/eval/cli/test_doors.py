@@ -43,11 +43,6 @@ def test_the_package_is_a_program_too():
     assert "hurdles " in subprocess.run(run, capture_output=True, text=True, check=True).stdout
 
 
-def test_an_unknown_option_is_a_usage_error(capsys):
-    assert ends("run", "smoke", "--trails", "3") == 2
-    assert "--trials" in capsys.readouterr().err
-
-
 def test_checking_no_scene_is_no_pass(capsys):
     assert ends("scenes", "check") == 2
     assert capsys.readouterr().err == "error: no scene to check; name one, or its folder\n"

@@ -327,12 +327,3 @@ def test_nothing_of_a_package_is_imported_before_a_suite_names_it(package):
     new_suite(SETTINGS)
     with pytest.raises(ValidationError, match="RuntimeError: imported"):
         new_suite({**SETTINGS, "task": "loud"})
-
-
-def test_another_version_than_a_suite_pins_is_refused_at_its_line(both):
-    both.write_text(SUITE + "plugins: {tasks.reach: reach 2.0}\n")
-    with pytest.raises(SuiteError) as caught:
-        api.plan(str(both))
-    assert str(caught.value).startswith(
-        f"{both}:11:11: plugins.tasks.reach: it is to be reach 2.0, and is reach 1.0 here; "
-    )
