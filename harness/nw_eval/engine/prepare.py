@@ -94,7 +94,8 @@ def open_backend(
 
     with beside or nullcontext():
         seconds = warmup(render, surfaces=surfaces, kernels=kernels)
-    renew()
+    if is_fenced:  # No worker of another run is forked, and who draws pages loads kernels itself.
+        renew()
     note = kernel_note() if render == "cpu" else None
     if note is not None:
         listener.message(note)

@@ -3,8 +3,6 @@
 All rollouts are of the shipped policy, or a softer one, in two scenes, four seconds each.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -17,12 +15,12 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from command_line import ends
 
 from nw_base.errors import IncomparableError, StoreError, UsageError
 from nw_base.files.shipped import shipped
 from nw_eval import api
 from nw_eval.api.plans import rechecked
-from nw_eval.cli import main
 from nw_eval.cli.verbs.check import forecast_page
 from nw_eval.engine import session
 from nw_eval.engine.rounds import Attempts
@@ -251,9 +249,7 @@ def test_a_run_that_was_killed_goes_on_elsewhere_without_the_bank_and_ends_with_
 
 
 def test_the_policy_of_the_bank_runs_one_start_of_each_scene_and_the_rest_is_taken_over(capsys):
-    with pytest.raises(SystemExit) as caught:
-        main(["run", "quick.yaml", "--baseline", "shipped", "--out", "same"])
-    assert caught.value.code == 0
+    assert ends("run", "quick.yaml", "--baseline", "shipped", "--out", "same") == 0
     out, err = capsys.readouterr()
     assert "go1-parkour is the policy of baseline shipped: 1 start of each scene run again" in err
     judged = api.report("same")
@@ -352,9 +348,7 @@ def test_starts_that_run_again_are_drawn_when_the_run_begins_and_no_file_says_wh
 
 
 def test_a_bank_says_which_of_its_starts_are_not_what_its_policy_does(capsys):
-    with pytest.raises(SystemExit) as caught:
-        main(["baseline", "verify", str(BANK), "--suite", "quick.yaml", "--share", "25%"])
-    assert caught.value.code == 0
+    assert ends("baseline", "verify", BANK, "--suite", "quick.yaml", "--share", "25%") == 0
     out = capsys.readouterr().out
     assert "run again: 2 of 2 trials as the baseline says, values and bits, drawn from 8" in out
 
@@ -368,9 +362,7 @@ def test_a_bank_says_which_of_its_starts_are_not_what_its_policy_does(capsys):
 
     forged(one_wrong)
     before = sorted(Path().rglob("*"))
-    with pytest.raises(SystemExit) as caught:
-        main(["baseline", "verify", str(BANK), "--suite", "quick.yaml", "--trials", "8"])
-    assert caught.value.code == 5
+    assert ends("baseline", "verify", BANK, "--suite", "quick.yaml", "--trials", "8") == 5
     out = capsys.readouterr().out
     assert out.startswith("scene hurdles/one_low_carpet start 0: success ")
     assert "INVALID: 1 row of baseline shipped differs" in out
@@ -382,11 +374,10 @@ def test_a_bank_says_which_of_its_starts_are_not_what_its_policy_does(capsys):
 
 
 def test_the_policy_of_the_bank_drives_all_the_same_where_all_rounds_are_wanted(capsys):
-    with pytest.raises(SystemExit) as caught:
-        main(
-            ["run", "quick.yaml", "--baseline", "shipped", "-n", "1", "--all-rounds", "--out", "d"]
-        )
-    assert caught.value.code == 0
+    assert (
+        ends("run", "quick.yaml", "--baseline", "shipped", "-n", "1", "--all-rounds", "--out", "d")
+        == 0
+    )
     assert "taken over" not in capsys.readouterr().out
     judged = api.report("d")
     assert (len(judged.rows), judged.info.stop) == (2, None)
@@ -655,9 +646,7 @@ def test_the_same_bits_with_other_results_make_the_run_invalid(capsys):
 
     forged(better)
     words = "run quick.yaml --policy ./soft --baseline shipped --out run"
-    with pytest.raises(SystemExit) as caught:
-        main(words.split())
-    assert caught.value.code == 5
+    assert ends(*words.split()) == 5
     out = " ".join(capsys.readouterr().out.split())
     assert "INVALID" in out
     assert "REGRESSED" not in out

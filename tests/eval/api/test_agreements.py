@@ -1,15 +1,13 @@
 """A robot's results beside those of runs, from a CSV to what can be said of them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
 import pytest
+from command_line import ends
 
 import nw_eval
 from nw_base.errors import IncomparableError, UsageError
-from nw_eval.cli import main
 from nw_gate.results.bank import (
     BankKey,
     BankPolicy,
@@ -118,9 +116,7 @@ def test_a_csv_of_a_spreadsheet_is_read(banks, tmp_path, text, encoding):
 
 def test_two_policies_give_gaps_and_no_correlation(banks, tmp_path, capsys):
     real = csv(tmp_path, HEADING + "p0,hurdles/a,20,0.75\np4,hurdles/b,20,0.6\n")
-    with pytest.raises(SystemExit) as left:
-        main(["sim2real", str(real), *map(str, banks)])
-    assert not left.value.code
+    assert not ends("sim2real", real, *banks)
     printed = capsys.readouterr().out
     assert "nothing can be said of rank or correlation from 2 policies" in printed
     assert "Pearson" not in printed
@@ -129,9 +125,7 @@ def test_two_policies_give_gaps_and_no_correlation(banks, tmp_path, capsys):
 
 def test_the_terminal_has_the_figures_beside_a_perfect_simulators(banks, tmp_path, capsys):
     lines = "".join(f"p{k},hurdles/a,10,{x}\n" for k, x in enumerate((0.3, 0.2, 0.4, 0.9, 0.7)))
-    with pytest.raises(SystemExit) as left:
-        main(["sim2real", str(csv(tmp_path, HEADING + lines)), *map(str, banks)])
-    assert not left.value.code
+    assert not ends("sim2real", str(csv(tmp_path, HEADING + lines)), *banks)
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     (figure,) = [row for row in rows if row[:1] == ["MMRV"]]
     # By hand: p0 and p1 swap .1, p3 and p4 swap .2.

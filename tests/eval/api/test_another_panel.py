@@ -1,7 +1,5 @@
 """`--seed` draws another seed set, and a run keeps to its own."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

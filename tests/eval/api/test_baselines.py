@@ -1,7 +1,5 @@
 """`nw-eval baseline`: banks of a robot that stands for a fifth of a second, and what they say."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
@@ -10,10 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import ends
 
 from nw_base.errors import IncomparableError, StoreError, TrialError, UsageError
 from nw_base.files.shipped import shipped
-from nw_eval import api, cli
+from nw_eval import api
 from nw_eval.cli.verbs.baseline import saved_page
 from nw_eval.engine.listener import NullListener
 from nw_gate.results.bank_file import read_bank
@@ -70,10 +69,8 @@ def run_of(name, **engine):
 
 
 def printed(capsys, *arguments, code=0):
-    with pytest.raises(SystemExit) as left:
-        cli.main(["baseline", *arguments])
+    assert ends("baseline", *arguments) == code
     shown = capsys.readouterr()
-    assert left.value.code == code, shown.err
     return shown.out + shown.err
 
 
@@ -249,9 +246,7 @@ def test_what_renews_a_bank_of_a_policy_outside_the_project_asks_where_it_lies(
     with pytest.raises(IncomparableError) as caught:
         api.plan("quick.yaml", baseline="still", baseline_policy=str(far), trials=2)
     assert caught.value.fix.endswith(f"--policy '{far}' --renew`")
-    with pytest.raises(SystemExit) as left:
-        cli.main(["baseline", "save", "quick.yaml", "--policy", str(far), "--renew"])
-    assert left.value.code == 0
+    assert ends("baseline", "save", "quick.yaml", "--policy", far, "--renew") == 0
 
 
 @pytest.mark.usefixtures("project")

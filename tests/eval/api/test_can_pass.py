@@ -1,14 +1,13 @@
 """Whether a gate can pass is said before anything runs; suites that nw-eval writes can."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
 import pytest
+from command_line import ends
 
 from nw_base.files.shipped import available
-from nw_eval import api, cli
+from nw_eval import api
 from nw_eval.suite import Gate
 from nw_eval.suite.load import write_ready_suite
 from nw_gate.absolute import judge, trials_to_pass
@@ -47,12 +46,6 @@ def write(tmp_path, monkeypatch):
     return suite
 
 
-def left_with(*arguments):
-    with pytest.raises(SystemExit) as left:
-        cli.main([*map(str, arguments)])
-    return int(left.value.code or 0)
-
-
 def perfect(scene, index):
     return Row(
         trial_id=f"{scene}-{index}", suite="s", scene=scene, task="hurdles", robot="go1",
@@ -77,15 +70,15 @@ def test_so_many_perfect_trials_pass_and_one_fewer_in_each_scene_does_not(bar, c
 
 def test_check_and_run_say_that_a_gate_cannot_pass_and_plan_says_what_it_takes(write, capsys):
     suite = write("success_rate: 0.75")
-    assert left_with("check", suite) == 0
+    assert ends("check", suite) == 0
     told = (
         "10 trials of 1 scene cannot reach the bar 0.75 even if all are perfect: --trials 15 "
         "(`trials: 15`) is the least that can"
     )
     assert f"no PASS   {told}" in capsys.readouterr().out
-    assert left_with("check", suite, "--trials", "15") == 0
+    assert ends("check", suite, "--trials", "15") == 0
     assert "no PASS" not in capsys.readouterr().out
-    assert left_with("plan", suite) == 0
+    assert ends("plan", suite) == 0
     page = capsys.readouterr().out
     assert "needed    15 trials in each scene, if none of them fails (--trials 15)" in page
     assert f"no PASS   {told}" in page
@@ -94,7 +87,7 @@ def test_check_and_run_say_that_a_gate_cannot_pass_and_plan_says_what_it_takes(w
     assert all(row[0] == 0 for row in shares)  # Ten trials never pass.
     assert [row[-1] for row in shares] == sorted(row[-1] for row in shares)
     options = ["--trials", "1", "--in-process", "--policy", "stand", "--record", "none"]
-    left_with("run", suite, *options)
+    ends("run", suite, *options)
     out = capsys.readouterr()
     assert "this run cannot PASS: 1 trial of 1 scene cannot reach the bar" in out.out + out.err
 
@@ -142,12 +135,12 @@ def test_a_bar_above_what_the_baseline_scores_is_said_before_anything_runs(
     suite = tmp_path / "hurdles-state.yaml"
     suite.write_text(hurdles.replace("success_rate: 0.75", "success_rate: 0.95"))
     options = ["--policy", "go1-parkour", "--baseline", "go1-parkour"]
-    assert left_with("check", suite, *options) == 0
+    assert ends("check", suite, *options) == 0
     assert (
         "warning   gate.success_rate 0.95 is above the success of baseline go1-parkour, 0.943: "
         "a policy that is as good as the baseline does not pass"
     ) in capsys.readouterr().out
-    assert left_with("check", "hurdles-state", *options) == 0
+    assert ends("check", "hurdles-state", *options) == 0
     assert "warning" not in capsys.readouterr().out
 
 

@@ -1,7 +1,5 @@
 """A policy that walks out of what was photographed: real rollouts in scene folders with a splat."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -3,11 +3,11 @@
 import shutil
 
 import pytest
+from command_line import ends
 
 import nw_eval
 from nw_base.errors import PolicyError
 from nw_eval.api.cause import apart, write_crossed
-from nw_eval.cli import main
 from nw_policies import load_bundle
 from nw_sim.sensors.build import check_card
 
@@ -100,9 +100,7 @@ def test_attribute_names_what_a_policy_lost_by(changed, suite, tmp_path, capsys,
     worse = changed("worse", changes)
     run = tmp_path / "run"
     nw_eval.run(suite, policy=str(worse), out=run, workers=1)
-    with pytest.raises(SystemExit) as left:
-        main(["attribute", str(run), "--baseline", "go1-parkour", "--cause", "-j", "1"])
-    assert left.value.code == 0
+    assert ends("attribute", run, "--baseline", "go1-parkour", "--cause", "-j", "1") == 0
     assert f"\n{answer}: worse loses" in capsys.readouterr().out
     for page in ("report.md", "report.html"):
         assert f"{answer}: worse loses" in (run / page).read_text()

@@ -71,7 +71,6 @@ def own_robot(folder, name):
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
     return tmp_path
 
 

@@ -1,16 +1,15 @@
 """Runs and banks of one suite are compared, by function and by verb, without a simulator."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
 import pytest
+from command_line import ends
+from saved_runs import info_of, row_of, save
 
 import nw_eval
 from nw_base.errors import IncomparableError, UsageError
 from nw_eval.api.saved_run import saved_trials
-from nw_eval.cli import main
 from nw_eval.suite import new_suite
 from nw_gate.results.bank import (
     BankPolicy,
@@ -23,18 +22,11 @@ from nw_gate.results.bank import (
     machine_of,
 )
 from nw_gate.results.bank_file import write_bank
-from nw_gate.results.journal import Journal, JournalHeader
 from nw_gate.results.provenance import (
-    CodeInfo,
-    MachineInfo,
-    PolicyInfo,
-    RunInfo,
     SceneInfo,
-    write_run_info,
 )
-from nw_gate.results.row import Row
 
-SCENE, DIGEST, CHECKPOINT, STARTS = "flat/room", "dd" * 32, "cc" * 32, 3
+SCENE, DIGEST, STARTS = "flat/room", "dd" * 32, 3
 
 
 @pytest.fixture(scope="module")
@@ -52,52 +44,14 @@ def save_run(path, *, seed):
     """Save a run whose trials reached no waypoint."""
     settings = {"name": "tiny", "robot": "go1", "policy": "stand", "scenes": [SCENE]}
     suite = new_suite({"nw-eval": 1, "trials": STARTS, "seed": seed, **settings})
-    info = RunInfo(
+    info = info_of(
+        suite,
+        {SCENE: SceneInfo(digest=DIGEST, task="flat", trials=STARTS)},
         id=path.name,
-        started="2026-11-21T11:00:05Z",
-        suite_file="tiny.yaml",
-        suite=suite.model_dump(by_alias=True, mode="json"),
-        suite_digest=suite.digest,
-        policy=PolicyInfo(name="stand", checkpoint_digest=CHECKPOINT),
-        scenes={SCENE: SceneInfo(digest=DIGEST, task="flat", trials=STARTS)},
-        code=CodeInfo(version="0.1.0", digest="ee" * 32),
-        machine=MachineInfo(host="ci", cpu="Some CPU", cores=2, system="Linux", python="3.11"),
         engine={"mujoco": "4.0.0", "renderer": "cpu gsplat-1.5", "cpu": "znver4 1f0c77a2"},
     )
-    path.mkdir()
-    write_run_info(path / "run.json", info)
-    header = JournalHeader(
-        suite_digest=suite.digest, policy_digest="p", scene_digests={SCENE: DIGEST}
-    )
-    with Journal.create(path / "journal.jsonl", header) as journal:
-        for trial in saved_trials(info, suite):
-            journal.append(row_of(trial))
+    save(path, info, [row_of(trial, 0) for trial in saved_trials(info, suite)], ended=False)
     return info
-
-
-def row_of(trial):
-    times = dict.fromkeys(("sim_s", "physics_s", "render_s", "policy_s", "log_s", "wall_s"), 1.0)
-    return Row(
-        trial_id=trial.id,
-        suite=trial.suite,
-        scene=trial.scene,
-        task=trial.task,
-        seed_index=trial.index,
-        seed=trial.seed,
-        policy="stand",
-        status="ok",
-        outcome="timeout",
-        end_reason="time",
-        completed=False,
-        success=0.0,
-        waypoints_reached=0,
-        waypoints_total=4,
-        steps=50,
-        checkpoint_digest=CHECKPOINT,
-        scene_digest=trial.scene_digest,
-        robot="go1",
-        **times,
-    )
 
 
 def better_bank(info):
@@ -166,9 +120,7 @@ def test_what_is_neither_a_run_nor_a_bank_is_named(reports):
     ("names", "code"), [(("a", "first.parquet"), 0), (("a", "other"), 5), (("a",), 2)]
 )
 def test_the_verb_prints_tables_and_ends_with_the_errors_code(reports, names, code, capsys):
-    with pytest.raises(SystemExit) as left:
-        main(["compare", *(str(reports / name) for name in names)])
-    assert int(left.value.code or 0) == code
+    assert ends("compare", *(str(reports / name) for name in names)) == code
     printed = capsys.readouterr()
     assert ("Policies on tiny" in printed.out) == (code == 0)
     assert printed.err.count("\n") == (code != 0)

@@ -1,7 +1,5 @@
 """Results of nw-eval's networks are of one class on all processors."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 import subprocess

@@ -3,8 +3,6 @@
 Rows are drawn, and logs are a few bytes; test_parts.py runs real parts.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random
@@ -15,27 +13,24 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from command_line import ends
+from saved_runs import info_of, row_of, save
 
 from nw_base.errors import IncomparableError, NwEvalError, StoreError, UsageError
 from nw_eval import api
-from nw_eval.cli import main
 from nw_eval.engine.order import in_order, shard_of
 from nw_eval.suite import expand, new_suite
-from nw_gate.results.ended import write_trials
-from nw_gate.results.journal import Journal, JournalHeader, read_journal
+from nw_gate.results.journal import read_journal
 from nw_gate.results.parquet import read_rows
 from nw_gate.results.provenance import (
     CacheInfo,
     PolicyInfo,
-    RunInfo,
     SceneInfo,
     code_info,
     machine_info,
-    write_run_info,
 )
 from nw_gate.results.request import Request, Shard
-from nw_gate.results.row import Row, rows_digest
-from nw_gate.results.run_folder import RunFolder
+from nw_gate.results.row import rows_digest
 
 PLACES = [
     SimpleNamespace(name=f"hurdles/{name}", task="hurdles", digest=2 * name[0] * 16)
@@ -51,39 +46,6 @@ def suite_of(**changes):
     return new_suite({"nw-eval": 1, **facts, "trials": 4, "gate": GATE, **changes})
 
 
-def row_of(trial, reached=4, **changes):
-    is_error = reached is None
-    columns = {
-        "trial_id": trial.id,
-        "suite": trial.suite,
-        "scene": trial.scene,
-        "task": trial.task,
-        "robot": "go1",
-        "tier": trial.tier,
-        "seed_index": trial.index,
-        "seed": trial.seed,
-        "policy": "stand",
-        "status": "error" if is_error else "ok",
-        "outcome": "crashed" if is_error else "completed" if reached == 4 else "fell",
-        "end_reason": "error" if is_error else "waypoints",
-        "completed": reached == 4,
-        "success": None if is_error else reached / 4,
-        "waypoints_reached": reached or 0,
-        "waypoints_total": 4,
-        "waypoint_times": tuple(map(float, range(reached or 0))),
-        "steps": 200,
-        "sim_s": 4.0,
-        "physics_s": 0.5,
-        "render_s": 1.0,
-        "policy_s": 0.1,
-        "log_s": 0.2,
-        "wall_s": 2.0,
-        "checkpoint_digest": "cc" * 32,
-        "scene_digest": trial.scene_digest,
-    }
-    return Row(**{**columns, **changes})
-
-
 def logged_row(trial):
     return row_of(trial, mcap_path=f"mcap/{trial.scene}/{trial.id}.mcap", mcap_bytes=len(LOG))
 
@@ -95,56 +57,33 @@ def written(tmp_path):
     def write(name, of=None, *, rows=row_of, suite=None, places=PLACES, ended=True, **facts):
         suite = suite or suite_of()
         trials, shard = shard_of(expand(suite, places), Shard.of(of) if of else None)
-        folder = RunFolder(path=tmp_path / name)
-        folder.path.mkdir()
         counts = Counter(trial.scene for trial in trials)
         scenes = {
             place.name: SceneInfo(digest=place.digest, task=place.task, trials=counts[place.name])
             for place in places
         }
-        run = RunInfo(
-            **{
-                "id": name,
-                "started": "2026-11-22T11:00:05Z",
-                "finished": "2026-11-22T11:01:05Z",
-                "wall_s": 60.0,
-                "request": Request(suite="quick", shard=of),
-                "suite_file": "quick.yaml",
-                "suite": suite.model_dump(by_alias=True, mode="json"),
-                "suite_digest": suite.digest,
-                "policy": PolicyInfo(name="stand", card_digest="p", checkpoint_digest="cc" * 32),
-                "scenes": scenes,
-                "shard": shard,
-                "code": code_info(),
-                "machine": machine_info(),
-                "versions": {"mujoco": "4.0.0"},
-                "engine": ENGINE,
-                **facts,
-            }
-        )
+        facts = {
+            "finished": "2026-11-22T11:01:05Z",
+            "wall_s": 60.0,
+            "request": Request(suite="quick", shard=of),
+            "policy": PolicyInfo(name="stand", card_digest="p", checkpoint_digest="cc" * 32),
+            "shard": shard,
+            "code": code_info(),
+            "machine": machine_info(),
+            "engine": ENGINE,
+            **facts,
+        }
         kept = [row for trial in in_order(trials) if (row := rows(trial)) is not None]
-        write_run_info(folder.run_json, run)
-        with Journal.create(folder.journal, header_of(run)) as journal:
-            for row in kept:
-                journal.append(row)
-                if row.mcap_path == f"mcap/{row.scene}/{row.trial_id}.mcap":
-                    log = folder.mcap(row.scene, row.trial_id)
-                    log.parent.mkdir(parents=True, exist_ok=True)
-                    log.write_bytes(LOG)
-        if ended:
-            write_run_info(folder.run_json, write_trials(folder, run, kept))
-        return folder.path
+        for row in kept:
+            if row.mcap_path == f"mcap/{row.scene}/{row.trial_id}.mcap":
+                log = tmp_path / name / row.mcap_path
+                log.parent.mkdir(parents=True, exist_ok=True)
+                log.write_bytes(LOG)
+        return save(
+            tmp_path / name, info_of(suite, scenes, id=name, **facts), kept, ended=ended
+        ).path
 
     return write
-
-
-def header_of(run):
-    return JournalHeader(
-        suite_digest=run.suite_digest,
-        policy_digest=run.policy.card_digest,
-        scene_digests={name: scene.digest for name, scene in run.scenes.items()},
-        engine=run.engine,
-    )
 
 
 @pytest.fixture
@@ -450,10 +389,20 @@ def test_the_command_merges_judges_and_shows(parts, tmp_path, capsys, monkeypatc
     monkeypatch.chdir(tmp_path)
     for name in ("STEP_SUMMARY", "OUTPUT"):
         monkeypatch.setenv(f"GITHUB_{name}", str(tmp_path / name))
-    with pytest.raises(SystemExit) as left:
-        main(["merge", *map(str, parts), "--out", "merged", "--junit", "junit.xml", "--github",
-              "--ledger", "ledger.jsonl"])  # fmt: skip
-    assert left.value.code == 0
+    assert (
+        ends(
+            "merge",
+            *map(str, parts),
+            "--out",
+            "merged",
+            "--junit",
+            "junit.xml",
+            "--github",
+            "--ledger",
+            "ledger.jsonl",
+        )
+        == 0
+    )
     shown = capsys.readouterr().out
     assert "PASS · success 1.000" in shown
     assert "report: merged/report.md and report.html" in shown
@@ -463,9 +412,7 @@ def test_the_command_merges_judges_and_shows(parts, tmp_path, capsys, monkeypatc
     assert (tmp_path / "STEP_SUMMARY").read_text().startswith("# PASS: quick, stand\n")
     assert len((tmp_path / "ledger.jsonl").read_text().splitlines()) >= 1
 
-    with pytest.raises(SystemExit) as left:
-        main(["merge", str(parts[0]), "--out", "other", "--junit", "junit.xml"])
-    assert left.value.code == 4
+    assert ends("merge", str(parts[0]), "--out", "other", "--junit", "junit.xml") == 4
     told = capsys.readouterr().err
     assert told.startswith("error: 8 trials of 12 missing: there is no part 2 of 3 (4 trials")
     assert told.count("\n") == 1
@@ -485,9 +432,7 @@ def test_rows_of_the_merged_file_are_those_of_its_journal(parts, tmp_path):
 @pytest.mark.parametrize("name", ["x\x1b[2J\u202e", "a b;$(touch owned)"])
 def test_names_of_strangers_show_as_text(name, written, tmp_path, capsys):
     part = written(name, "1/2")
-    with pytest.raises(SystemExit) as left:
-        main(["merge", str(part), "--out", str(tmp_path / "merged")])
-    assert left.value.code == 4
+    assert ends("merge", part, "--out", str(tmp_path / "merged")) == 4
     told = capsys.readouterr().err
     assert "\x1b" not in told
     assert "\u202e" not in told

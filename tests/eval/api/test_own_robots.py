@@ -199,10 +199,10 @@ def test_the_published_protocol_has_control_steps_of_its_own(mine):
 
 
 def test_a_run_says_first_what_no_leg_of_its_robot_could_do(mine):
-    said: list[str] = []
+    said = []
 
     class Ears(NullListener):
-        def message(self, text: str) -> None:
+        def message(self, text):
             said.append(text)
 
     short = MJCF.replace("0 0 -0.3", "0 0 -0.12").replace('pos="0 0 0.4"', 'pos="0 0 0.2"')

@@ -1,14 +1,12 @@
 """Real parts of a run: run apart, cut short, resumed, and merged to its rows and logs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
+from command_line import ends
 
 from nw_base.errors import IncomparableError
 from nw_eval import api
-from nw_eval.cli import main
 from nw_gate.results.provenance import read_run_info
 
 SUITE = """\
@@ -85,9 +83,7 @@ def test_a_part_that_was_cut_short_goes_on_as_the_part_that_it_was(
     with pytest.raises(IncomparableError, match="as --shard 1/2: it was begun as all of its tri"):
         api.run(None, resume=project / "whole", shard="1/2")
 
-    with pytest.raises(SystemExit) as left:
-        main(["gate", "first"])
-    assert left.value.code == 2
+    assert ends("gate", "first") == 2
     assert "put all parts together with `nw-eval merge RUN..." in capsys.readouterr().err
 
 
@@ -105,9 +101,7 @@ def test_a_part_has_its_place_in_its_name_and_in_what_is_foreseen(tmp_path, monk
 
 def test_the_matrix_is_one_line_that_a_runner_reads(project, monkeypatch, capsys):
     monkeypatch.chdir(project)
-    with pytest.raises(SystemExit) as left:
-        main(["plan", "tiny.yaml", "--shards", "3", "--json"])
-    assert left.value.code == 0
+    assert ends("plan", "tiny.yaml", "--shards", "3", "--json") == 0
     shown = capsys.readouterr().out
     assert shown == (
         '{"include": [{"suite": "tiny.yaml", "shard": "1/3", "index": 1, "count": 3, "trials": 2}, '
@@ -120,9 +114,7 @@ def test_the_matrix_is_one_line_that_a_runner_reads(project, monkeypatch, capsys
         (["--shards", "2", "--out", "x.png"], "--out with --shards"),
         (["--shards", "5"], "--shards 5: the run has 4 trials; give a number from 1 to 4"),
     ):
-        with pytest.raises(SystemExit) as left:
-            main(["plan", "tiny.yaml", *words])
-        assert left.value.code == 2
+        assert ends("plan", "tiny.yaml", *words) == 2
         assert why in capsys.readouterr().err
 
 
@@ -133,12 +125,8 @@ def test_parts_of_smoke_by_the_command_line_merge_to_smoke(tmp_path, monkeypatch
         "whole": [],
         **{f"parts/{index}": ["--shard", f"{index}/3"] for index in (1, 2, 3)},
     }.items():
-        with pytest.raises(SystemExit) as left:
-            main(["run", "smoke", "--out", out, *words])
-        assert left.value.code == 0
-    with pytest.raises(SystemExit) as left:
-        main(["merge", *map(str, Path("parts").iterdir()), "--out", "merged"])
-    assert left.value.code == 0
+        assert ends("run", "smoke", "--out", out, *words) == 0
+    assert ends("merge", *map(str, Path("parts").iterdir()), "--out", "merged") == 0
     assert "RAN" in capsys.readouterr().out
     digests = {read_run_info(Path(name, "run.json")).rows_digest for name in ("whole", "merged")}
     assert len(digests) == 1

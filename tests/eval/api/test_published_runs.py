@@ -1,21 +1,18 @@
 """Runs that somebody else made: their pages are written anew, and nothing of their folder leaks."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import pytest
+from saved_runs import info_of, save
+from saved_runs import row_of as plain_row
 
 import nw_eval
 from nw_eval.api.saved_run import saved_suite, saved_trials
 from nw_eval.suite import new_suite
-from nw_gate.results.ended import write_trials
-from nw_gate.results.journal import Journal, JournalHeader
 from nw_gate.results.labels import KNOWN
 from nw_gate.results.provenance import (
     BaselineInfo,
@@ -23,17 +20,11 @@ from nw_gate.results.provenance import (
     CodeInfo,
     MachineInfo,
     PolicyInfo,
-    RunInfo,
     SceneInfo,
     read_run_info,
-    write_run_info,
 )
-from nw_gate.results.row import Row
 from nw_gate.results.run_folder import RunFolder
 from nw_gate.results.seal import seal
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 EVIL = (
     "</script><script>alert('owned')</script><img src=x onerror=alert(1)>\"' onload='owned()' "
@@ -45,7 +36,7 @@ TEMPLATES = Path(nw_eval.__file__).parent / "reporting/templates"
 TRIALS = 12
 
 
-def save_run(path: Path, *, evil: str = "", success: bool = True, **facts: Any) -> RunFolder:
+def save_run(path, *, evil="", success=True, **facts):
     """Save a run that has ended and is consistent, with a text in all fields that take one."""
     # No scene's name has a backslash, which is what `clean` makes of what cannot be seen.
     scene = f"room/{evil.replace(chr(0), '').replace(chr(0x202E), '')}" if evil else "flat/room"
@@ -67,110 +58,69 @@ def save_run(path: Path, *, evil: str = "", success: bool = True, **facts: Any) 
         "labels": {name: EVIL_LABEL for name in KNOWN if evil and name != "job_url"},
         **facts,
     }
-    info = RunInfo(
-        suite=suite.model_dump(by_alias=True, mode="json"),
-        suite_digest=suite.digest,
-        policy=PolicyInfo(
-            name=evil or "stand",
-            adapter=evil,
-            card_digest=evil,
-            checkpoint_digest=evil or "cc" * 32,
-            card=evil,
-            origin=evil,
-        ),
-        scenes={scene: SceneInfo(digest=evil or "dd" * 32, task=evil or "flat", trials=TRIALS)},
-        code=CodeInfo(version=evil or "0.1.0", digest=evil or "ee" * 32, commit=evil),
-        machine=MachineInfo(
-            host=evil or "ci", cpu=evil or "Some", cores=2, system=evil or "x", python=evil or "3"
-        ),
+    policy = {"name": evil or "stand", "adapter": evil, "card_digest": evil, "card": evil}
+    code = {"version": evil or "0.1.0", "digest": evil or "ee" * 32, "commit": evil}
+    machine = {"host": evil or "ci", "cpu": evil or "Some", "cores": 2, "system": evil or "x"}
+    info = info_of(
+        suite,
+        {scene: SceneInfo(digest=evil or "dd" * 32, task=evil or "flat", trials=TRIALS)},
+        policy=PolicyInfo(**policy, checkpoint_digest=evil or "cc" * 32, origin=evil),
+        code=CodeInfo(**code),
+        machine=MachineInfo(**machine, python=evil or "3"),
         **says,
     )
     rows = [
         row_of(trial, info, evil, completed=success and k % 3 > 0, failed=bool(evil) and k % 3 == 1)
         for k, trial in enumerate(saved_trials(info, saved_suite(info)))
     ]
-    return written(path, info, rows)
+    return save(path, info, rows)
 
 
-def written(path: Path, info: RunInfo, rows: list[Row]) -> RunFolder:
-    folder = RunFolder(path=path)
-    path.mkdir(parents=True)
-    header = JournalHeader(
-        suite_digest=info.suite_digest,
-        policy_digest=info.policy.card_digest,
-        scene_digests={name: scene.digest for name, scene in info.scenes.items()},
-        engine=info.engine,
-    )
-    with Journal.create(folder.journal, header) as journal:
-        for row in rows:
-            journal.append(row)
-    write_run_info(folder.run_json, write_trials(folder, info, rows))
-    return folder
-
-
-def row_of(trial: Any, info: RunInfo, evil: str, *, completed: bool, failed: bool) -> Row:
-    times = dict.fromkeys(("sim_s", "physics_s", "render_s", "policy_s", "log_s", "wall_s"), 1.0)
-    reached = 4 if completed else 1
-    return Row(
-        trial_id=trial.id,
-        suite=trial.suite,
-        scene=trial.scene,
-        task=trial.task,
-        seed_index=trial.index,
-        seed=trial.seed,
+def row_of(trial, info, evil, *, completed, failed):
+    error = {"end_reason": "", "error_type": evil, "error_text": evil}
+    return plain_row(
+        trial,
+        None if failed else 4 if completed else 1,
         policy=info.policy.name,
-        status="error" if failed else "ok",
-        outcome="crashed" if failed else "completed" if completed else "fell",
-        end_reason="" if failed else evil or "waypoints",
-        completed=completed and not failed,
-        success=None if failed else reached / 4,
-        waypoints_reached=0 if failed else reached,
-        waypoints_total=4,
-        waypoint_times=() if failed else tuple(0.1 * (k + 1) for k in range(reached)),
-        steps=50,
         checkpoint_digest=info.policy.checkpoint_digest,
-        scene_digest=trial.scene_digest,
-        robot="go1",
-        error_type=evil if failed else "",
-        error_text=evil if failed else "",
-        **times,
+        **(error if failed else {"end_reason": evil or "waypoints"}),
     )
 
 
 class Parts(HTMLParser):
     """The elements of a page, and what stands in its scripts and styles."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text):
         super().__init__(convert_charrefs=True)
-        self.tags: set[str] = set()
-        self.attributes: list[tuple[str, str, str]] = []
-        self.raw: dict[str, list[str]] = {"script": [], "style": []}
-        self.others: list[str] = []
+        self.tags = set()
+        self.attributes = []
+        self.raw = {"script": [], "style": []}
+        self.others = []
         self._open = ""
         self.feed(text)
         self.close()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self.tags.add(tag)
         self.attributes += [(tag, name, value or "") for name, value in attrs]
         if tag in self.raw:
             self.raw[tag].append("")
             self._open = tag
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag):
         self._open = "" if tag == self._open else self._open
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         if self._open:
             self.raw[self._open][-1] += data
 
-    def handle_comment(self, data: str) -> None:
+    def handle_comment(self, data):
         self.others.append(data)
 
-    def unknown_decl(self, data: str) -> None:
+    def unknown_decl(self, data):
         self.others.append(data)
 
-    def handle_pi(self, data: str) -> None:
+    def handle_pi(self, data):
         self.others.append(data)
 
 
@@ -185,7 +135,7 @@ button img details summary footer script
 ELEMENTS = set(NAMES.split())
 
 
-def check_page(path: Path) -> None:
+def check_page(path):
     """Fail if a page holds anything but nw-eval's own script, style, elements and addresses."""
     text = path.read_text(encoding="utf-8")
     assert SECRET not in text
@@ -207,7 +157,7 @@ def check_page(path: Path) -> None:
     assert policy.startswith("default-src 'none'; style-src 'sha256-")
 
 
-def pages_of(runs: list[Path], folder: Path) -> tuple[list[Path], list[str]]:
+def pages_of(runs, folder):
     """Write the site and the index of runs; return their pages, once looked at, and who is out."""
     site = nw_eval.write_site(runs, folder / "site", pictures=False)
     index = nw_eval.index_runs(runs, out=folder / "list" / "index.html")
@@ -227,7 +177,7 @@ def pages_of(runs: list[Path], folder: Path) -> tuple[list[Path], list[str]]:
 
 
 @pytest.fixture
-def outside(tmp_path: Path) -> Path:
+def outside(tmp_path):
     """A file of this machine that is nobody's business."""
     path = tmp_path / "outside" / "passwd"
     path.parent.mkdir()
@@ -236,11 +186,11 @@ def outside(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def honest(tmp_path: Path) -> Path:
+def honest(tmp_path):
     return save_run(tmp_path / "runs" / "honest").path
 
 
-def test_words_of_a_strangers_run_are_text_on_every_page(tmp_path: Path, honest: Path) -> None:
+def test_words_of_a_strangers_run_are_text_on_every_page(tmp_path, honest):
     folder = save_run(tmp_path / "runs" / "evil", evil=EVIL)
     cause = {
         "answer": "perception",
@@ -259,9 +209,7 @@ def test_words_of_a_strangers_run_are_text_on_every_page(tmp_path: Path, honest:
     assert "cause.json is damaged" in left_out[0]
 
 
-def test_a_page_that_a_run_brings_is_not_published(
-    tmp_path: Path, honest: Path, outside: Path
-) -> None:
+def test_a_page_that_a_run_brings_is_not_published(tmp_path, honest, outside):
     other = save_run(tmp_path / "runs" / "other", success=False)
     RunFolder(path=honest).report_html.write_text("<script>owned()</script>")
     other.report_html.symlink_to(outside)
@@ -272,13 +220,13 @@ def test_a_page_that_a_run_brings_is_not_published(
     assert len(pages) == 7
 
 
-def link(path: Path, outside: Path) -> None:
+def link(path, outside):
     path.parent.mkdir(exist_ok=True)
     path.unlink(missing_ok=True)
     path.symlink_to(outside)
 
 
-def change_rows(folder: RunFolder, change: Callable[[int, Row], Row]) -> None:
+def change_rows(folder, change):
     """Have a run with other rows, which is as consistent as before."""
     info = read_run_info(folder.run_json)
     trials = saved_trials(info, saved_suite(info))
@@ -288,19 +236,19 @@ def change_rows(folder: RunFolder, change: Callable[[int, Row], Row]) -> None:
     for file in (folder.journal, folder.trials, folder.digests, folder.run_json):
         file.unlink()
     info = info.model_copy(update={"rows_digest": ""})
-    again = written(folder.path / "again", info, [change(k, row) for k, row in enumerate(rows)])
+    again = save(folder.path / "again", info, [change(k, row) for k, row in enumerate(rows)])
     for file in again.path.iterdir():
         file.rename(folder.path / file.name)
     again.path.rmdir()
 
 
-def name_log(folder: RunFolder, path: str) -> None:
+def name_log(folder, path):
     """Have a run whose first row names a log at a path, and has its digest."""
     log = {"mcap_path": path, "mcap_sha256": "ab" * 32, "mcap_bytes": 3}
     change_rows(folder, lambda k, row: row if k else replace(row, **log))
 
 
-HOSTILE: dict[str, tuple[Callable[[RunFolder, Path], object], str]] = {
+HOSTILE = {
     "a link for run.json": (
         lambda run, out: (
             run.run_json.rename(out.with_name("r")),
@@ -416,12 +364,12 @@ HOSTILE: dict[str, tuple[Callable[[RunFolder, Path], object], str]] = {
 }
 
 
-def _made(path: Path) -> Path:
+def _made(path):
     path.touch()
     return path
 
 
-def rewritten(run: RunFolder, changes: dict[str, Any]) -> None:
+def rewritten(run, changes):
     """Change run.json, and give it the checksum that it is to have."""
     record = json.loads(run.run_json.read_text())
     del record["sum"]
@@ -429,8 +377,8 @@ def rewritten(run: RunFolder, changes: dict[str, Any]) -> None:
 
 
 def test_a_run_that_is_not_consistent_or_leads_elsewhere_is_named_and_costs_no_other(
-    tmp_path: Path, honest: Path, outside: Path
-) -> None:
+    tmp_path, honest, outside
+):
     folders = {name: save_run(tmp_path / "runs" / name.replace(" ", "-")) for name in HOSTILE}
     for name, (harm, _) in HOSTILE.items():
         harm(folders[name], outside)
@@ -450,7 +398,7 @@ def test_a_run_that_is_not_consistent_or_leads_elsewhere_is_named_and_costs_no_o
     assert after == before, "nothing is written into a stranger's folder"
 
 
-def test_runs_that_have_no_comparison_stand_alone(tmp_path: Path, honest: Path) -> None:
+def test_runs_that_have_no_comparison_stand_alone(tmp_path, honest):
     name = "<img src=x onerror=alert(1)>\n::error::x\u202e"
     folder = save_run(tmp_path / "runs" / name)
     change_rows(folder, lambda _, row: replace(row, perturbation=(("<script>", 1.0),)))
@@ -461,14 +409,14 @@ def test_runs_that_have_no_comparison_stand_alone(tmp_path: Path, honest: Path) 
     assert "tiny (2)" in site
 
 
-def test_a_run_that_is_whole_but_for_its_logs_is_shown(tmp_path: Path, honest: Path) -> None:
+def test_a_run_that_is_whole_but_for_its_logs_is_shown(tmp_path, honest):
     folder = save_run(tmp_path / "runs" / "bare")
     name_log(folder, "mcap/flat/a.mcap")
     pages, left_out = pages_of([honest, folder.path], tmp_path)
     assert (len(pages), left_out) == (7, [])
 
 
-def test_a_bank_is_read_from_the_runs_folder_alone(tmp_path: Path, outside: Path) -> None:
+def test_a_bank_is_read_from_the_runs_folder_alone(tmp_path, outside):
     bank = BaselineInfo(name="tiny", path=str(outside), sha256=_sha256(outside))
     folder = save_run(tmp_path / "runs" / "against", baseline=bank)
     pages, left_out = pages_of([folder.path], tmp_path)
@@ -476,13 +424,13 @@ def test_a_bank_is_read_from_the_runs_folder_alone(tmp_path: Path, outside: Path
     assert all("INVALID" in page.read_text(encoding="utf-8") for page in pages)
 
 
-def _sha256(path: Path) -> str:
+def _sha256(path):
     from hashlib import sha256
 
     return sha256(path.read_bytes()).hexdigest()
 
 
-def test_ten_megabytes_of_words_make_no_page_of_ten_megabytes(tmp_path: Path, honest: Path) -> None:
+def test_ten_megabytes_of_words_make_no_page_of_ten_megabytes(tmp_path, honest):
     long = "<b>" * 1_000_000
     folder = save_run(tmp_path / "runs" / "long", renderer=long, command=(long,), id=long)
     assert folder.run_json.stat().st_size > 9_000_000

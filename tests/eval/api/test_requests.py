@@ -3,8 +3,6 @@
 Runs are stopped where the first trial would start, so nothing here costs physics.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Going on with a run: from anywhere, on the same kind of processor, after any kind of end."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

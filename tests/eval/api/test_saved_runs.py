@@ -1,33 +1,27 @@
 """Run folders judged again: two copies of the rows, a plan that decides which count."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from command_line import ends
+from saved_runs import info_of, row_of
 
 from nw_base.errors import StoreError
 from nw_base.trials import Trial
 from nw_eval import api
-from nw_eval.cli import main
 from nw_eval.cli.verbs.options import summary
 from nw_eval.suite import new_suite
 from nw_gate.results.ended import write_trials
 from nw_gate.results.journal import Journal, JournalHeader, read_journal
 from nw_gate.results.parquet import SCHEMA
 from nw_gate.results.provenance import (
-    PolicyInfo,
-    RunInfo,
     SceneInfo,
-    code_info,
-    machine_info,
     read_run_info,
     write_run_info,
 )
-from nw_gate.results.row import Row
 from nw_gate.results.run_folder import RunFolder
 from nw_gate.results.sealed import sealed
 
@@ -60,35 +54,8 @@ def trial(index):
 
 
 def row(trial, reached=4, **changes):
-    columns = {
-        "trial_id": trial.id,
-        "suite": trial.suite,
-        "scene": trial.scene,
-        "task": trial.task,
-        "seed_index": trial.index,
-        "seed": trial.seed,
-        "policy": "stand",
-        "status": "ok",
-        "outcome": "completed" if reached == 4 else "fell",
-        "end_reason": "waypoints",
-        "completed": reached == 4,
-        "robot": "go1",
-        "success": reached / 4,
-        "waypoints_reached": reached,
-        "waypoints_total": 4,
-        "waypoint_times": tuple(map(float, range(reached))),
-        "steps": 200,
-        "sim_s": 4.0,
-        "physics_s": 0.5,
-        "render_s": 1.0,
-        "policy_s": 0.1,
-        "log_s": 0.2,
-        "wall_s": 2.0,
-        "checkpoint_digest": CHECKPOINT,
-        "scene_digest": trial.scene_digest,
-        "mcap_path": f"mcap/{trial.scene}/{trial.id}.mcap",
-    }
-    return Row(**{**columns, **changes})
+    path = f"mcap/{trial.scene}/{trial.id}.mcap"
+    return row_of(trial, reached, **{"mcap_path": path, **changes})
 
 
 HEADER = JournalHeader(
@@ -104,24 +71,10 @@ def saved(tmp_path):
         folder = RunFolder(path=tmp_path / "run")
         folder.path.mkdir(exist_ok=True)
         suite = SUITE.model_dump(by_alias=True, mode="json") | {"trials": trials}
-        info = RunInfo(
-            **{
-                "id": "run",
-                "started": "2026-11-21T11:00:05Z",
-                "suite_file": "quick.yaml",
-                "suite": suite,
-                "suite_digest": SUITE.digest,
-                "policy": PolicyInfo(name="stand", checkpoint_digest=CHECKPOINT),
-                "scenes": {
-                    name: scene.model_copy(update={"trials": trials})
-                    for name, scene in SCENES.items()
-                },
-                "code": code_info(),
-                "machine": machine_info(),
-                "versions": {"mujoco": "4.0.0"},
-                **changes,
-            }
-        )
+        scenes = {
+            name: scene.model_copy(update={"trials": trials}) for name, scene in SCENES.items()
+        }
+        info = info_of(SUITE, scenes, **{"suite": suite, **changes})
         write_run_info(folder.run_json, info)
         with Journal.create(folder.journal, HEADER) as journal:
             for one in rows:
@@ -176,9 +129,7 @@ def test_two_damaged_copies_are_no_result(saved, capsys):
     flip(folder.trials)
     with pytest.raises(StoreError, match=r"journal\.jsonl:\d+: damaged .*trials\.parquet is"):
         api.report(folder.path)
-    with pytest.raises(SystemExit) as caught:
-        main(["report", str(folder.path)])
-    assert caught.value.code == 4
+    assert ends("report", folder.path) == 4
     assert capsys.readouterr().err.count("\n") == 1
 
 

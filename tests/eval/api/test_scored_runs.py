@@ -32,7 +32,6 @@ gate:
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "cache"))
     (tmp_path / "scored.yaml").write_text(SUITE)
     return tmp_path
 

@@ -1,32 +1,24 @@
 """A leaderboard over saved runs: policies, ties, links, and nothing that a stranger's run names."""
 
-from __future__ import annotations
-
 import json
 import re
-from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
+from command_line import ends
+from saved_runs import info_of, row_of, save
 
 import nw_eval
 from nw_base.errors import UsageError
 from nw_eval.api.saved_run import saved_trials
-from nw_eval.cli import main
 from nw_eval.engine.order import shard_of
 from nw_eval.suite import new_suite
-from nw_gate.results.journal import Journal, JournalHeader
 from nw_gate.results.provenance import (
-    CodeInfo,
-    MachineInfo,
     PolicyInfo,
-    RunInfo,
     SceneInfo,
     StopInfo,
-    write_run_info,
 )
 from nw_gate.results.request import Shard
-from nw_gate.results.row import Row
 from nw_gate.scores import specs_of
 
 DIGEST, STARTS = "dd" * 32, 12
@@ -51,17 +43,13 @@ def save_run(
     settings = {"name": suite, "robot": "go1", "policy": "stand", "scenes": scenes}
     planned = new_suite({"nw-eval": 1, "trials": STARTS, "seed": seed, **settings})
     checkpoint = checkpoint or policy.encode().hex().ljust(64, "0")[:64]
-    info = RunInfo(
+    info = info_of(
+        planned,
+        {name: SceneInfo(digest=DIGEST, task="flat", trials=STARTS) for name in scenes},
         id=path.name,
-        **{"started": "2026-11-21T11:00:05Z", "finished": "2026-11-21T11:01:05Z", **changes},
-        suite_file="tiny.yaml",
-        suite=planned.model_dump(by_alias=True, mode="json"),
-        suite_digest=planned.digest,
         policy=PolicyInfo(name=policy, checkpoint_digest=checkpoint),
-        scenes={name: SceneInfo(digest=DIGEST, task="flat", trials=STARTS) for name in scenes},
-        code=CodeInfo(version="0.1.0", digest="ee" * 32),
-        machine=MachineInfo(host="ci", cpu="Some CPU", cores=2, system="Linux", python="3.11"),
         engine={"mujoco": "4.0.0", "renderer": "cpu gsplat-1.5", "cpu": "znver4 1f0c77a2"},
+        **{"finished": "2026-11-21T11:01:05Z", **changes},
     )
     if power is not None:
         info = info.model_copy(update={"scores": specs_of(["mean_power"])})
@@ -69,43 +57,11 @@ def save_run(
         share, shard = shard_of(saved_trials(info, planned), part)
         scenes = {scene: SceneInfo(digest=DIGEST, task="flat", trials=len(share))}
         info = info.model_copy(update={"shard": shard, "scenes": scenes})
-    path.mkdir(parents=True)
-    write_run_info(path / "run.json", info)
-    header = JournalHeader(
-        suite_digest=planned.digest, policy_digest="p", scene_digests=dict.fromkeys(scenes, DIGEST)
-    )
-    with Journal.create(path / "journal.jsonl", header) as journal:
-        for number, trial in enumerate(saved_trials(info, planned)):
-            row = row_of(trial, policy, checkpoint, done=number < reached)
-            scores = () if power is None else (("mean_power", power),)
-            journal.append(replace(row, scores=scores))
-    return path
-
-
-def row_of(trial, policy, checkpoint, *, done):
-    times = dict.fromkeys(("sim_s", "physics_s", "render_s", "policy_s", "log_s", "wall_s"), 1.0)
-    return Row(
-        trial_id=trial.id,
-        suite=trial.suite,
-        scene=trial.scene,
-        task=trial.task,
-        seed_index=trial.index,
-        seed=trial.seed,
-        policy=policy,
-        status="ok",
-        outcome="completed" if done else "timeout",
-        end_reason="all waypoints" if done else "time",
-        completed=done,
-        success=1.0 if done else 0.0,
-        waypoints_reached=4 if done else 0,
-        waypoints_total=4,
-        waypoint_times=(0.2, 0.4, 0.6, 0.8) if done else (),
-        steps=50,
-        checkpoint_digest=checkpoint,
-        scene_digest=trial.scene_digest,
-        robot="go1",
-        **times,
-    )
+    scores = () if power is None else (("mean_power", power),)
+    own = {"policy": policy, "checkpoint_digest": checkpoint, "scores": scores}
+    trials = enumerate(saved_trials(info, planned))
+    rows = [row_of(trial, 4 if number < reached else 0, **own) for number, trial in trials]
+    return save(path, info, rows, ended=False).path
 
 
 @pytest.fixture(scope="module")
@@ -256,20 +212,9 @@ def test_what_a_strangers_run_says_is_text_and_opens_nothing(tmp_path):
 
 def test_the_verb_says_where_the_page_is_and_what_it_lacks(runs, tmp_path, capsys):
     going = save_run(tmp_path / "runs" / "going", "good", 12, finished=None)
-    with pytest.raises(SystemExit) as end:
-        main(
-            [
-                "report",
-                "--site",
-                str(tmp_path / "site"),
-                "--title",
-                "Walkers",
-                str(runs[0]),
-                str(going),
-            ]
-        )
+    words = ("--site", tmp_path / "site", "--title", "Walkers")
+    assert ends("report", *words, runs[0], going) == 4
     printed = capsys.readouterr()
-    assert end.value.code == 4
     assert printed.out == f"leaderboard of 1 run: {tmp_path / 'site' / 'index.html'}\n"
     assert "left out: going: the run has not ended" in printed.err
     assert "<h1>Walkers</h1>" in (tmp_path / "site" / "index.html").read_text()
@@ -336,19 +281,13 @@ def drawn_in(first, others):
             "policy": "stand", "scenes": ["flat/room", *others],
         }
     )  # fmt: skip
-    info = RunInfo(
-        id="x",
-        started="",
-        suite_file="tiny.yaml",
-        suite=suite.model_dump(by_alias=True, mode="json"),
-        suite_digest=suite.digest,
-        policy=PolicyInfo(name="bad", checkpoint_digest=b"bad".hex().ljust(64, "0")),
-        scenes={
+    info = info_of(
+        suite,
+        {
             name: SceneInfo(digest=DIGEST, task="flat", trials=STARTS)
             for name in ("flat/room", *others)
         },
-        code=CodeInfo(version="0.1.0", digest="ee" * 32),
-        machine=MachineInfo(host="ci", cpu="Some CPU", cores=2, system="Linux", python="3.11"),
+        policy=PolicyInfo(name="bad", checkpoint_digest=b"bad".hex().ljust(64, "0")),
         drawn_from=STARTS,
         drawn_for="candidate",
     )
@@ -363,9 +302,7 @@ def test_a_glob_over_runs_finds_pages_and_badges_of_before_and_skips_them(tmp_pa
 
     def report(*options):
         found = sorted(str(path) for path in (tmp_path / "lb").iterdir())
-        with pytest.raises(SystemExit) as end:
-            main(["report", *found, "--no-pictures", *options])
-        return end.value.code, capsys.readouterr()
+        return ends("report", *found, "--no-pictures", *options), capsys.readouterr()
 
     first, again = report(), report()
     assert (first[0], again[0]) == (0, 0)

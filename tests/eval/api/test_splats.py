@@ -1,15 +1,14 @@
 """Splats of files and of built-in scenes: looked into, exported, drawn."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh
+from command_line import ends
 from PIL import Image as Picture
 
 from nw_base.errors import SceneError
 from nw_base.files.cache import cache_dir
-from nw_eval import api, cli
+from nw_eval import api
 from nw_places.splits import EVALUATION
 from nw_scenes.overview import circuit
 from nw_scenes.rays import RayScene
@@ -73,9 +72,7 @@ def test_info_takes_a_scene_a_file_and_what_lies_in_the_cache(exported):
 
 
 def test_a_misspelt_scene_is_answered_with_the_nearest(capsys):
-    with pytest.raises(SystemExit) as left:
-        cli.main(["splat", "info", "hurdles/three_lo"])
-    assert left.value.code == 2
+    assert ends("splat", "info", "hurdles/three_lo") == 2
     assert "no built-in scene is called 'hurdles/three_lo'; did you mean 'hurdles/three_low'?" in (
         capsys.readouterr().err
     )

@@ -1,18 +1,16 @@
 """How many trials a gate needs: from a bank, and from the rows of a run; nothing is run."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
+from command_line import ends
 from PIL import Image
+from saved_runs import info_of, row_of, save
 
 from nw_base.errors import IncomparableError, UsageError
 from nw_eval import api
-from nw_eval.cli import main
 from nw_gate.results.bank import (
     BankKey,
     BankPolicy,
@@ -23,18 +21,10 @@ from nw_gate.results.bank import (
     Start,
 )
 from nw_gate.results.bank_file import read_bank, write_bank
-from nw_gate.results.ended import write_trials
-from nw_gate.results.journal import Journal, JournalHeader
 from nw_gate.results.provenance import (
     PolicyInfo,
-    RunInfo,
     SceneInfo,
-    code_info,
-    machine_info,
-    write_run_info,
 )
-from nw_gate.results.row import Row
-from nw_gate.results.run_folder import RunFolder
 
 SUITE = """\
 nw-eval: 1
@@ -50,90 +40,38 @@ gate: {max_drop: 0.2, rounds: 20}
 
 
 @pytest.fixture(scope="module")
-def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def suite(tmp_path_factory):
     path = tmp_path_factory.mktemp("suite") / "two.yaml"
     path.write_text(SUITE)
     return path
 
 
 @pytest.fixture(scope="module")
-def plan(suite: Path):
+def plan(suite):
     return api.plan(suite)
 
 
-def reached(index: int) -> int:
+def reached(index):
     """One trial of ten misses a waypoint."""
     return 3 if index % 10 == 4 else 4
 
 
 @pytest.fixture(scope="module")
-def run(plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def run(plan, tmp_path_factory):
     """The folder of a run of the suite with 57 of 60 trials whole."""
-    folder = RunFolder(path=tmp_path_factory.mktemp("runs") / "week")
-    folder.path.mkdir()
     suite = plan.suite
-    info = RunInfo(
-        id="week",
-        started="2026-11-21T11:00:05Z",
-        suite_file="two.yaml",
-        suite=suite.model_dump(by_alias=True, mode="json"),
-        suite_digest=suite.digest,
-        policy=PolicyInfo(name="trot", checkpoint_digest="cc" * 32),
-        scenes={
-            scene.name: SceneInfo(digest=scene.digest, task=scene.task, trials=30)
-            for scene in plan.scenes
-        },
-        code=code_info(),
-        machine=machine_info(),
-        versions={"mujoco": "4.0.0"},
-    )
-    header = JournalHeader(
-        suite_digest=suite.digest,
-        policy_digest="p",
-        scene_digests={name: scene.digest for name, scene in info.scenes.items()},
-    )
-    rows = [row(trial) for trial in plan.trials]
-    write_run_info(folder.run_json, info)
-    with Journal.create(folder.journal, header) as journal:
-        for each in rows:
-            journal.append(each)
-    write_run_info(folder.run_json, write_trials(folder, info, rows))
-    return folder.path
-
-
-def row(trial: Any) -> Row:
-    success = reached(trial.index) / 4
-    return Row(
-        trial_id=trial.id,
-        suite=trial.suite,
-        scene=trial.scene,
-        task=trial.task,
-        seed_index=trial.index,
-        seed=trial.seed,
-        policy="trot",
-        status="ok",
-        outcome="completed" if success == 1.0 else "fell",
-        end_reason="waypoints",
-        completed=success == 1.0,
-        robot="go1",
-        success=success,
-        waypoints_reached=reached(trial.index),
-        waypoints_total=4,
-        waypoint_times=tuple(map(float, range(reached(trial.index)))),
-        steps=200,
-        sim_s=4.0,
-        physics_s=0.5,
-        render_s=1.0,
-        policy_s=0.1,
-        log_s=0.2,
-        wall_s=2.0,
-        checkpoint_digest="cc" * 32,
-        scene_digest=trial.scene_digest,
-    )
+    scenes = {
+        scene.name: SceneInfo(digest=scene.digest, task=scene.task, trials=30)
+        for scene in plan.scenes
+    }
+    policy = PolicyInfo(name="trot", checkpoint_digest="cc" * 32)
+    rows = [row_of(trial, reached(trial.index), policy="trot") for trial in plan.trials]
+    path = tmp_path_factory.mktemp("runs") / "week"
+    return save(path, info_of(suite, scenes, id="week", policy=policy), rows).path
 
 
 @pytest.fixture(scope="module")
-def bank(plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bank(plan, tmp_path_factory):
     """A bank of the suite with 30 starts in each scene."""
     path = tmp_path_factory.mktemp("banks") / "shipped.parquet"
     manifest = Manifest(
@@ -173,7 +111,7 @@ def bank(plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_bank_says_how_many_trials_convict_a_drop(suite: Path, bank: Path) -> None:
+def test_a_bank_says_how_many_trials_convict_a_drop(suite, bank):
     planned = api.plan_trials(suite, baseline=str(bank), detect=0.4, workers=2)
     assert planned.source == "baseline shipped of trot"
     assert (planned.outset.scenes, planned.outset.starts, planned.outset.known) == (2, 30, True)
@@ -188,7 +126,7 @@ def test_a_bank_says_how_many_trials_convict_a_drop(suite: Path, bank: Path) -> 
     assert planned.minutes(60) == pytest.approx((4 + 60 * 0.06 * 6 / 2) / 60)
 
 
-def test_each_gated_score_is_forecast(suite: Path, bank: Path, tmp_path: Path) -> None:
+def test_each_gated_score_is_forecast(suite, bank, tmp_path):
     gated = tmp_path / "gated.yaml"
     asked = "scores: {mean_power: {max_drop: 60, tolerate: 10, range: [0, 300]}}"
     gated.write_text(suite.read_text().replace("rounds: 20", f"rounds: 20, {asked}"))
@@ -212,9 +150,7 @@ def test_each_gated_score_is_forecast(suite: Path, bank: Path, tmp_path: Path) -
     assert api.plan_trials(gated, baseline=str(bank), detect=0.4, workers=2).scores == ()
 
 
-def test_a_run_is_taken_for_the_baseline_of_a_bank_that_is_not_there_yet(
-    suite: Path, run: Path
-) -> None:
+def test_a_run_is_taken_for_the_baseline_of_a_bank_that_is_not_there_yet(suite, run):
     planned = api.plan_trials(suite, run=run, workers=2)
     assert planned.source == "run week of trot"
     assert (planned.outset.starts, planned.outset.known) == (60, False)
@@ -223,7 +159,7 @@ def test_a_run_is_taken_for_the_baseline_of_a_bank_that_is_not_there_yet(
     assert (planned.curve, planned.dropped) == (again.curve, again.dropped)
 
 
-def test_without_a_bank_or_a_run_there_is_nothing_to_plan_with(suite: Path, run: Path) -> None:
+def test_without_a_bank_or_a_run_there_is_nothing_to_plan_with(suite, run):
     with pytest.raises(
         UsageError, match="no baseline to plan with, and has none; name one with --base"
     ):
@@ -235,8 +171,8 @@ def test_without_a_bank_or_a_run_there_is_nothing_to_plan_with(suite: Path, run:
 
 
 def test_a_suite_that_names_no_bank_is_planned_with_the_only_one_that_there_is(
-    suite: Path, bank: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    suite, bank, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     folder = Path("reports/baselines/two")
     folder.mkdir(parents=True)
@@ -251,12 +187,12 @@ def test_a_suite_that_names_no_bank_is_planned_with_the_only_one_that_there_is(
 
 
 @pytest.mark.parametrize("drop", [0.0, -0.1, 0.975, float("nan")])
-def test_a_drop_that_no_policy_has_is_refused(suite: Path, bank: Path, drop: float) -> None:
+def test_a_drop_that_no_policy_has_is_refused(suite, bank, drop):
     with pytest.raises(UsageError, match=r"mean success is 0\.975; give a drop between"):
         api.plan_trials(suite, baseline=str(bank), detect=drop)
 
 
-def test_a_run_or_a_bank_of_other_scenes_is_refused(suite: Path, run: Path, bank: Path) -> None:
+def test_a_run_or_a_bank_of_other_scenes_is_refused(suite, run, bank):
     other = suite.with_name("other.yaml")
     other.write_text(SUITE.replace("flat/carpet_room, ", ""))
     for source in ({"run": run}, {"baseline": str(bank)}):
@@ -267,14 +203,14 @@ def test_a_run_or_a_bank_of_other_scenes_is_refused(suite: Path, run: Path, bank
         api.plan_trials(other, run=run)
 
 
-def test_a_baseline_that_max_drop_is_too_large_for_is_refused(suite: Path, run: Path) -> None:
+def test_a_baseline_that_max_drop_is_too_large_for_is_refused(suite, run):
     other = suite.with_name("lax.yaml")
     other.write_text(SUITE.replace("max_drop: 0.2", "max_drop: 0.98"))
     with pytest.raises(IncomparableError, match=r"no policy can be worse by max_drop 0\.98"):
         api.plan_trials(other, run=run)
 
 
-def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite: Path, run: Path) -> None:
+def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite, run):
     other = suite.with_name("named.yaml")
     other.write_text(SUITE.replace("rounds: 20", "rounds: 20, baseline: gone"))
     with pytest.raises(UsageError, match="has no baseline 'gone'"):
@@ -282,13 +218,9 @@ def test_with_a_run_the_bank_that_the_suite_names_need_not_be_there(suite: Path,
     assert api.plan_trials(other, run=run).source == "run week of trot"
 
 
-def test_the_page_says_trials_minutes_and_the_curve(
-    suite: Path, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_says_trials_minutes_and_the_curve(suite, run, tmp_path, capsys):
     png = tmp_path / "curve.png"
-    with pytest.raises(SystemExit) as left:
-        main(["plan", str(suite), "--run", str(run), "--detect", "0.4", "--out", str(png)])
-    assert left.value.code == 0
+    assert ends("plan", suite, "--run", run, "--detect", "0.4", "--out", str(png)) == 0
     page = capsys.readouterr().out
     assert "two: at most 40 trials in 2 scenes" in page
     assert "a policy 0.4 worse is REGRESSED in 80 % within" in page
@@ -300,11 +232,8 @@ def test_the_page_says_trials_minutes_and_the_curve(
     assert png.stat().st_size < 100_000
 
 
-def test_a_drop_that_no_number_of_trials_convicts_is_called_so(
-    suite: Path, run: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit):
-        main(["plan", str(suite), "--run", str(run), "--detect", "0.04"])
+def test_a_drop_that_no_number_of_trials_convicts_is_called_so(suite, run, capsys):
+    assert ends("plan", suite, "--run", run, "--detect", "0.04") == 0
     page = capsys.readouterr().out
     assert "a policy 0.04 worse is REGRESSED in no more than" in page
     assert "however many of the starts are run" in page

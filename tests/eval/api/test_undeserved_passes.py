@@ -3,11 +3,7 @@
 Each either is refused by name before anything runs, or ends with a verdict that is not PASS.
 """
 
-from __future__ import annotations
-
 import math
-from pathlib import Path
-from typing import Any
 
 import pytest
 from ruamel.yaml import YAML
@@ -24,7 +20,7 @@ PLACE = {
     "trail": [[2.0, 0.0, 0.0], [4.0, 0.0, 0.0]],
 }
 BOXES = {"boxes": [{"center": [5.0, 1.5, 0.1], "half_size": [0.1, 0.1, 0.1]}]}
-SUITE: dict[str, Any] = {
+SUITE = {
     "nw-eval": 1,
     "name": "attacked",
     "robot": "go1",
@@ -38,7 +34,7 @@ SUITE: dict[str, Any] = {
 }
 
 
-def write(path: Path, data: dict[str, Any]) -> None:
+def write(path, data):
     with path.open("w", encoding="utf-8") as file:
         YAML(typ="safe", pure=True).dump(data, file)
 
@@ -48,7 +44,7 @@ def attack(tmp_path, monkeypatch):
     """Run the suite of a robot that stands still, with some settings changed."""
     monkeypatch.chdir(tmp_path)
 
-    def run(suite: dict[str, Any], place: dict[str, Any], options: dict[str, Any]):
+    def run(suite, place, options):
         (tmp_path / "place").mkdir()
         write(tmp_path / "place" / "boxes.yaml", BOXES)
         write(tmp_path / "place" / "scene.yaml", {**PLACE, **place})
@@ -58,17 +54,17 @@ def attack(tmp_path, monkeypatch):
     return run
 
 
-def gate(**settings: Any) -> dict[str, Any]:
+def gate(**settings):
     return {"gate": {**SUITE["gate"], **settings}}
 
 
-def trail(*points: list[float]) -> dict[str, Any]:
+def trail(*points):
     return {"trail": list(points)}
 
 
 TWO = ["place", "flat/carpet_room"]
 
-REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = {
+REFUSED = {
     "a bar of 0": (gate(success_rate=0), {}, {}, "success_rate"),
     "a bar of 0 in words": (gate(success_rate="0.0"), {}, {}, "success_rate"),
     "a bar below 0": (gate(success_rate=-0.5), {}, {}, "success_rate"),
@@ -118,7 +114,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] =
     "a part beyond the last": ({}, {}, {"shard": "3/2"}, "--shard"),
 }
 
-JUDGED: dict[str, tuple[dict[str, Any], dict[str, Any], str]] = {
+JUDGED = {
     "nothing changed": ({}, {}, "REGRESSED"),
     "the lowest bar": (gate(success_rate=1e-6), {}, "INCONCLUSIVE"),
     "as unsure as can be": (gate(success_rate=0.01, confidence=0.5), {}, "INCONCLUSIVE"),
@@ -203,9 +199,3 @@ def test_a_run_that_is_resumed_without_its_critical_scene_does_not_pass(attack, 
     again = api.run(resume=tmp_path / "run", scenes=("flat/*",), in_process=True)
     assert again.verdict.verdict == "INFRASTRUCTURE"
     assert "critical scene my/place has no result" in again.verdict.reasons[0]
-
-
-def test_a_cache_of_no_size_is_refused(attack, monkeypatch):
-    monkeypatch.setenv("NW_EVAL_CACHE_GB", "everything")
-    with pytest.raises(UsageError, match="NW_EVAL_CACHE_GB"):
-        attack({}, {}, {})

@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 
 import pytest
+from command_line import ends
 
-from nw_eval import cli
 from nw_eval.cli.terminal.interruption import interruption
 
 NW_EVAL = [sys.executable, "-c", "from nw_eval.cli import main; main()"]
@@ -60,9 +60,7 @@ def test_what_nobody_foresaw_is_4_with_one_line_and_its_traceback_in_a_file(
 ):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", ENDS[end])
-    with pytest.raises(SystemExit) as left:
-        cli.main(["scenes", "list"])
-    assert left.value.code == 4
+    assert ends("scenes", "list") == 4
     said = capsys.readouterr()
     assert said.out == ""
     assert re.fullmatch(r"error: unforeseen: \w+: .*; traceback: \S+\n", said.err)
@@ -76,9 +74,7 @@ def test_what_nobody_foresaw_is_4_with_one_line_and_its_traceback_in_a_file(
 def test_a_traceback_without_room_costs_the_traceback_only(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
     monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", ENDS["disk"])
-    with pytest.raises(SystemExit) as left:
-        cli.main(["scenes", "list"])
-    assert left.value.code == 4
+    assert ends("scenes", "list") == 4
     assert "No space left on device" in (said := capsys.readouterr().err)
     assert "no room for its traceback" in said
 
@@ -89,17 +85,13 @@ def test_an_exception_that_cannot_be_printed_is_4_too(capsys, monkeypatch):
             raise RuntimeError("no words")
 
     monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", raising(MuteError()))
-    with pytest.raises(SystemExit) as left:
-        cli.main(["scenes", "list"])
-    assert left.value.code == 4
+    assert ends("scenes", "list") == 4
     assert capsys.readouterr().err == "error: unforeseen, and without a message that can be read\n"
 
 
 def test_an_interruption_is_130_and_one_word(capsys, monkeypatch):
     monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", raising(KeyboardInterrupt()))
-    with pytest.raises(SystemExit) as left:
-        cli.main(["scenes", "list"])
-    assert left.value.code == 130
+    assert ends("scenes", "list") == 130
     assert capsys.readouterr().err == "interrupted\n"
 
 
@@ -107,9 +99,7 @@ def test_an_interruption_that_a_library_disguises_is_130_too(capsys, monkeypatch
     monkeypatch.setattr(interruption, "was_heard", True)
     disguised = raising(ImportError("numpy failed to import"))
     monkeypatch.setattr("nw_eval.cli.verbs.scenes.List.__call__", disguised)
-    with pytest.raises(SystemExit) as left:
-        cli.main(["scenes", "list"])
-    assert left.value.code == 130
+    assert ends("scenes", "list") == 130
     assert capsys.readouterr().err == "interrupted\n"
 
 
@@ -121,16 +111,12 @@ def test_a_run_that_is_interrupted_ends_with_130_and_says_how_to_go_on(
 
     monkeypatch.setattr("nw_eval.cli.terminal.progress.RunProgress.trial", press_ctrl_c)
     suite, out = regressed_run.parent / "suite.yaml", tmp_path / "run"
-    with pytest.raises(SystemExit) as left:
-        cli.main(["run", str(suite), "--out", str(out), "--workers", "1"])
-    assert left.value.code == 130
+    assert ends("run", suite, "--out", out, "--workers", "1") == 130
     said = capsys.readouterr()
     assert f"interrupted; continue with --resume {out}" in said.err
     assert "1 of 2 trials" in said.out
     monkeypatch.undo()
-    with pytest.raises(SystemExit) as left:
-        cli.main(["run", "--resume", str(out), "--workers", "1"])
-    assert left.value.code == CODE_OF_REGRESSED
+    assert ends("run", "--resume", out, "--workers", "1") == CODE_OF_REGRESSED
 
 
 def test_a_progress_display_that_breaks_costs_the_display_and_nothing_else(capsys, monkeypatch):
@@ -165,7 +151,7 @@ def test_a_verdict_stands_whatever_becomes_of_its_print(regressed_run):
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_a_verdict_stands_on_a_screen_that_lacks_its_letters(regressed_run, encoding):
     left = end_of(
-        [*NW_EVAL, "report", str(regressed_run)],
+        [*NW_EVAL, "gate", str(regressed_run)],
         env={**os.environ, "PYTHONIOENCODING": encoding},
         stdout=subprocess.PIPE,
         encoding=encoding,
@@ -198,9 +184,7 @@ def test_words_that_stand_nowhere_else_need_a_screen(tmp_path):
 )
 def test_a_path_that_is_not_what_the_verb_takes_is_a_usage_error(capsys, regressed_run, argv):
     named = [word.format(run=regressed_run, folder=regressed_run.parent) for word in argv]
-    with pytest.raises(SystemExit) as left:
-        cli.main(named)
-    assert left.value.code == 2
+    assert ends(*named) == 2
     [line] = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ")
 
@@ -273,8 +257,7 @@ def test_what_threads_and_finalisers_raise_is_told_in_a_line(tmp_path):
 
 def test_main_within_another_program_leaves_its_signals_and_hooks_alone(capsys):
     before = signal.getsignal(signal.SIGINT), threading.excepthook, sys.unraisablehook, sys.stdout
-    with pytest.raises(SystemExit):
-        cli.main(["--version"])
+    assert ends("--version") == 0
     assert capsys.readouterr().out.startswith("nw-eval ")
     after = signal.getsignal(signal.SIGINT), threading.excepthook, sys.unraisablehook, sys.stdout
     assert after == before

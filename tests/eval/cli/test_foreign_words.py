@@ -1,14 +1,11 @@
 """One nasty name through every door of the real command line: nobody obeys it, nobody is called."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
 
 import pytest
-
-from nw_eval import cli
+from command_line import ends
 
 # A line of its own, a repainted screen, orders to CI runners, a turned name, a password, a call of
 # somebody, a link, and far too much of it.
@@ -70,9 +67,8 @@ def nw_eval(project, capfd, monkeypatch):
     """Run a command line; return all that it says, after looking at it."""
     monkeypatch.chdir(project)
 
-    def run(*arguments: object) -> str:
-        with pytest.raises(SystemExit):
-            cli.main([str(argument) for argument in arguments])
+    def run(*arguments):
+        ends(*arguments)
         said = capfd.readouterr()
         for stream in said:
             harmless(stream)
@@ -82,7 +78,7 @@ def nw_eval(project, capfd, monkeypatch):
     return run
 
 
-def harmless(said: str) -> None:
+def harmless(said):
     assert not re.search(r"^\s*::", said, re.MULTILINE), said
     for mark in ("\x1b", "\x07", "\r", "\u202e", "\u2066", "##[", "##vso[", "hunter2"):
         assert mark not in said, (mark, said)

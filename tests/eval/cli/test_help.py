@@ -12,9 +12,9 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
+from command_line import ends
 from tyro.extras import get_parser
 
-from nw_eval import cli
 from nw_eval.cli.verbs import _config, forms, parse, program_page, table
 from nw_eval.cli.verbs.help import options_of
 from nw_eval.cli.verbs.table import (
@@ -34,12 +34,6 @@ EXAMPLES = [
     for verb, known in VERBS.items()
     for words in [*known.examples, *(f"{part} {e}" for part, (_, e, _) in known.parts.items())]
 ]
-
-
-def end_of(words):
-    with pytest.raises(SystemExit) as left:
-        cli.main(shlex.split(words) if isinstance(words, str) else words)
-    return left.value.code
 
 
 def test_the_program_page_has_each_verb_once_under_a_title_within_80_columns():
@@ -77,7 +71,7 @@ def test_every_example_is_taken():
 def test_the_page_of_a_verb_says_each_thing_once_and_fits_the_terminal(name, capsys, monkeypatch):
     columns = 70
     monkeypatch.setenv("COLUMNS", str(columns))
-    assert end_of(f"{name} --help") == 0
+    assert ends(*f"{name} --help".split()) == 0
     page = capsys.readouterr().out
     assert "(default: None)" not in page
     assert "docs/" in page.splitlines()[-1]
@@ -91,7 +85,7 @@ def test_the_page_of_a_verb_says_each_thing_once_and_fits_the_terminal(name, cap
 
 
 def test_options_of_a_verb_that_has_many_are_listed_under_titles(capsys):
-    assert end_of("run --help") == 0
+    assert ends(*["run", "--help"]) == 0
     titles = re.findall(r"^(\w[\w ]*):$", capsys.readouterr().out, re.MULTILINE)
     assert titles == [
         *("Arguments", "Policy and robot", "Trials", "Comparison", "Machine", "Output"),
@@ -136,7 +130,7 @@ def test_the_same_letter_and_the_same_word_stand_for_one_option_in_all_verbs():
     ],
 )
 def test_wrong_arguments_are_answered_in_a_line_that_names_them(words, said, capsys):
-    assert end_of(words) == 2
+    assert ends(*words.split()) == 2
     shown = capsys.readouterr()
     [line] = shown.err.splitlines()
     assert line.startswith("error: ")
@@ -188,9 +182,9 @@ def test_a_switch_that_is_on_is_told_by_what_turns_it_off():
 
 
 def test_without_a_command_the_page_is_printed_and_the_exit_code_is_2(capsys):
-    assert end_of([]) == 2
+    assert ends() == 2
     assert capsys.readouterr().out.startswith("usage: nw-eval COMMAND")
-    assert end_of("help run") == 0
+    assert ends(*["help", "run"]) == 0
     assert capsys.readouterr().out.startswith("usage: nw-eval run")
 
 
@@ -246,7 +240,7 @@ echo "${COMPREPLY[@]}"
 
 
 def test_bash_completes_verbs_options_and_their_words(tmp_path, capsys):
-    assert end_of("completion bash") == 0
+    assert ends(*["completion", "bash"]) == 0
     script = tmp_path / "completion.bash"
     script.write_text(capsys.readouterr().out)
 
@@ -266,7 +260,7 @@ def test_bash_completes_verbs_options_and_their_words(tmp_path, capsys):
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="no fish here")
 def test_fish_completes_verbs_options_and_their_words(tmp_path, capsys):
-    assert end_of("completion fish") == 0
+    assert ends(*["completion", "fish"]) == 0
     script = tmp_path / "completion.fish"
     script.write_text(capsys.readouterr().out)
 
@@ -284,7 +278,7 @@ def test_fish_completes_verbs_options_and_their_words(tmp_path, capsys):
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_a_shell_reads_its_script(shell, tmp_path, capsys):
-    assert end_of(f"completion {shell}") == 0
+    assert ends(*f"completion {shell}".split()) == 0
     script = tmp_path / shell
     script.write_text(shown := capsys.readouterr().out)
     assert all(verb in shown for verb in VERBS)
@@ -297,11 +291,11 @@ def test_a_shell_reads_its_script(shell, tmp_path, capsys):
 def test_doctor_says_what_there_is_as_text_and_as_json(capsys):
     from nw_sim.warmup import warm_kernels
 
-    assert end_of("doctor") == 0
+    assert ends(*["doctor"]) == 0
     text = capsys.readouterr().out
     for word in ("nw-eval", "Python", "mujoco", "fence", "usable", "memory", "cache", "extras"):
         assert word in text
-    assert end_of("doctor --json") == 0
+    assert ends(*["doctor", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["problems"] == []
     assert found["kernels"] == list(warm_kernels())
@@ -312,9 +306,9 @@ def test_doctor_says_what_there_is_as_text_and_as_json(capsys):
 def test_doctor_names_what_is_broken_and_ends_with_4(tmp_path, capsys, monkeypatch):
     (tmp_path / "file").touch()
     monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path / "file" / "cache"))
-    assert end_of("doctor") == 4
+    assert ends(*["doctor"]) == 4
     assert re.search(r"PROBLEM +cannot write .*set NW_EVAL_CACHE", capsys.readouterr().out)
     monkeypatch.setenv("NW_EVAL_CACHE", str(tmp_path))
     monkeypatch.setattr("nw_eval.api.doctor._is_met", lambda need: need.name != "mujoco")
-    assert end_of("doctor --json") == 4
+    assert ends(*["doctor", "--json"]) == 4
     assert "mujoco" in json.loads(capsys.readouterr().out)["problems"][0]

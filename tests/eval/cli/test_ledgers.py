@@ -1,20 +1,13 @@
 """`--ledger` keeps the verdicts on runs, and `nw-eval ledger` reckons them up."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest
+from command_line import ends
 
 from nw_base.errors import StoreError
-from nw_eval import api, cli
+from nw_eval import api
 from nw_gate.ledger import read_ledger
-
-
-def left(*arguments):
-    with pytest.raises(SystemExit) as ended:
-        cli.main([str(word) for word in arguments])
-    return ended.value.code
 
 
 def test_verdicts_of_runs_and_gates_are_kept_and_reckoned_up(
@@ -22,20 +15,20 @@ def test_verdicts_of_runs_and_gates_are_kept_and_reckoned_up(
 ):
     shutil.copytree(regressed_run, tmp_path / "again")
     monkeypatch.chdir(tmp_path)
-    assert left("run", "--resume", "again", "-j", 1, "--ledger", "all/ledger.jsonl") == 1
-    assert left("gate", "again", "--ledger", "all/ledger.jsonl") == 1
+    assert ends("run", "--resume", "again", "-j", 1, "--ledger", "all/ledger.jsonl") == 1
+    assert ends("gate", "again", "--ledger", "all/ledger.jsonl") == 1
     first, second = read_ledger(tmp_path / "all/ledger.jsonl").entries
     assert (first.candidate, first.word, first.trials) == ("stand", "REGRESSED", 2)
     assert first.test == second.test, "the same trials by the same rules"
     report = api.read_ledger("all/ledger.jsonl")
     assert (report.entries, report.judged_again) == (2, 1)
     capsys.readouterr()
-    assert left("ledger", "all/ledger.jsonl") == 0
+    assert ends("ledger", "all/ledger.jsonl") == 0
     page = capsys.readouterr().out
     assert "2 verdicts (2 REGRESSED)" in page
     assert f"head {report.head}: kept elsewhere" in page
-    assert left("ledger", "all/ledger.jsonl", "--head", report.head) == 0
-    assert left("ledger", "all/ledger.jsonl", "--head", "0" * 16) == 4
+    assert ends("ledger", "all/ledger.jsonl", "--head", report.head) == 0
+    assert ends("ledger", "all/ledger.jsonl", "--head", "0" * 16) == 4
     assert "has the sum 0000000000000000: its end was cut off" in capsys.readouterr().err
     assert first.computes == second.computes != ""
     assert len(first.trajectories) == 2
@@ -44,7 +37,7 @@ def test_verdicts_of_runs_and_gates_are_kept_and_reckoned_up(
 
 def test_a_ledger_that_cannot_be_written_costs_no_verdict(regressed_run, tmp_path, capsys):
     (tmp_path / "ledger.jsonl").mkdir()
-    assert left("gate", regressed_run, "--ledger", tmp_path / "ledger.jsonl") == 4
+    assert ends("gate", regressed_run, "--ledger", tmp_path / "ledger.jsonl") == 4
     shown = capsys.readouterr()
     assert "REGRESSED" in shown.out
     assert "cannot write" in shown.err

@@ -4,8 +4,6 @@ The verbs and their options are those of the command line's own definition: one 
 here until it is in the tables below.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import threading
@@ -14,8 +12,8 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
+from command_line import ends
 
-from nw_eval import cli
 from nw_eval.cli.verbs import forms
 
 FILES = {
@@ -284,8 +282,7 @@ def things(regressed_run, tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("things")
     suite, part = regressed_run.parent / "suite.yaml", folder / "part"
-    with pytest.raises(SystemExit):
-        cli.main(["run", str(suite), "--shard", "1/1", "--out", str(part), "--workers", "1"])
+    ends("run", suite, "--shard", "1/1", "--out", part, "--workers", "1")
     shutil.copytree(regressed_run, folder / "again")
     onnx = shutil.copy(Path("policies/go1-parkour/policy.onnx").resolve(), folder / "net.onnx")
     rng = np.random.default_rng(0)
@@ -342,12 +339,6 @@ def typed(command, things, folder, **paths):
     ]
 
 
-def end_of(argv):
-    with pytest.raises(SystemExit) as left:
-        cli.main(argv)
-    return left.value.code
-
-
 def node(kind, path):
     """Make what a kind is at a path, and return what reads it."""
     if kind == "device":
@@ -390,7 +381,7 @@ def test_an_output_stays_what_it_is_and_gets_what_is_written(
     path = Path(word.format(out=place / "out"))
     reads = node(kind, path)
     before = path.lstat()
-    code = end_of(typed(FILES[option], things, tmp_path, out=place / "out"))
+    code = ends(*typed(FILES[option], things, tmp_path, out=place / "out"))
     said = capsys.readouterr().err
     after = path.lstat()
     assert (after.st_mode, after.st_ino, after.st_rdev) == (
@@ -423,7 +414,7 @@ def test_a_ledger_is_a_file_and_nothing_else_becomes_one(
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "ledger"
     os.mkfifo(path)
-    end_of(typed(APPENDED[option], things, tmp_path, out=path))
+    ends(*typed(APPENDED[option], things, tmp_path, out=path))
     assert f"cannot write {path}: it is no regular file" in capsys.readouterr().err
     assert path.is_fifo()
 
@@ -433,7 +424,7 @@ def test_no_folder_takes_the_place_of_anything_else(option, things, tmp_path, mo
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "out"
     os.mkfifo(path)
-    assert end_of(typed(FOLDERS[option], things, tmp_path, out=path)) in {2, 4}
+    assert ends(*typed(FOLDERS[option], things, tmp_path, out=path)) in {2, 4}
     assert path.is_fifo()
     [*_, said] = capsys.readouterr().err.splitlines()
     assert said.startswith("error: ")
@@ -447,6 +438,6 @@ def test_nothing_waits_for_a_pipe_that_is_named_as_a_file(
     monkeypatch.chdir(tmp_path)
     for suffix in ("", ".yaml", ".parquet", ".mcap", ".onnx", ".ply", ".mp4", ".xml"):
         os.mkfifo(tmp_path / f"in{suffix}")
-    code = end_of(typed(READ[option], things, tmp_path, **{"in": tmp_path / "in"}))
+    code = ends(*typed(READ[option], things, tmp_path, **{"in": tmp_path / "in"}))
     assert code in {2, 4}
     assert "unforeseen" not in capsys.readouterr().err

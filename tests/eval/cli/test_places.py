@@ -4,9 +4,10 @@ import os
 from contextlib import suppress
 
 import pytest
+from command_line import ends
 
 from nw_base.errors import NwEvalError, UsageError
-from nw_eval import api, cli
+from nw_eval import api
 from nw_eval.api.ledgers import check_ledger
 from nw_gate.results.evidence import log_sha256
 from nw_gate.results.run_folder import open_run_folder
@@ -59,10 +60,8 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_runs(
     monkeypatch.setattr(api, "record_verdict", lambda *_: pytest.fail("it ran"))
     before = sorted(places.rglob("*"))
     line = ["run", "tiny.yaml", "--in-process", *arguments]
-    with pytest.raises(SystemExit) as ended:
-        cli.main(line)
+    assert ends(*line) == 2
     said = capsys.readouterr().err
-    assert ended.value.code == 2, said
     assert arguments[1].partition("/")[0] in said
     assert "disk space" not in said
     assert sorted(places.rglob("*")) == before

@@ -1,23 +1,14 @@
 """`--track` says at once what is missing, and never costs a verdict or its exit code."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
 import sys
 
 import pytest
+from command_line import ends
 
-from nw_eval import cli
 from nw_eval.reporting.trackers import tracked as trackers
-
-
-def ends(*arguments: str) -> int:
-    """Type a command and return its exit code."""
-    with pytest.raises(SystemExit) as left:
-        cli.main(arguments)
-    return int(left.value.code)
 
 
 @pytest.fixture
@@ -31,7 +22,7 @@ def test_a_tracker_that_is_not_installed_is_named_with_its_extra_before_anything
 ):
     monkeypatch.setattr(trackers, "find_spec", lambda _: None)
     out = tmp_path / "out"
-    assert ends("run", "smoke", "--out", str(out), "--track", "wandb") == 2
+    assert ends("run", "smoke", "--out", out, "--track", "wandb") == 2
     told = capsys.readouterr().err
     assert told == (
         "error: --track wandb needs wandb, which is not installed; pip install 'nw-eval[wandb]'\n"
@@ -42,14 +33,14 @@ def test_a_tracker_that_is_not_installed_is_named_with_its_extra_before_anything
 @pytest.mark.parametrize("typed", [["--track", "wandbb"], ["--track", "mlflow,wandbb"]])
 def test_a_tracker_that_there_is_not_is_a_usage_error(typed, monkeypatch, capsys, run):
     monkeypatch.setattr(trackers, "find_spec", lambda _: object())
-    assert ends("gate", str(run), *typed) == 2
+    assert ends("gate", run, *typed) == 2
     assert "no such tracker; did you mean 'wandb'?" in capsys.readouterr().err
 
 
 def test_a_tracker_that_fails_is_a_warning_and_leaves_the_verdict(run, capsys):
     pytest.importorskip("tensorboard")
     (run / "events.out.tfevents.nw-eval").mkdir()  # Where its file would be.
-    assert ends("gate", str(run), "--track", "tensorboard") == 1
+    assert ends("gate", run, "--track", "tensorboard") == 1
     shown = capsys.readouterr()
     assert "REGRESSED" in shown.out
     assert shown.err.startswith("warning: no tensorboard run: cannot write ")

@@ -1,7 +1,5 @@
 """How the pictures of a run were drawn, as run.json and reports say it."""
 
-from __future__ import annotations
-
 import pytest
 
 from nw_base.files.shipped import available

@@ -1,12 +1,11 @@
 """Which scenes a policy was trained in, by its card: what run.json says and reports mark."""
 
-from __future__ import annotations
-
 import pytest
 
 from nw_base.files.shipped import available
 from nw_eval import api
-from nw_eval.engine.provenance import split_for
+from nw_eval.engine.provenance import run_info, split_for
+from nw_gate.results.run_folder import RunFolder
 from nw_policies import load_bundle
 from nw_policies.cards import load_card
 from nw_sim.catalogue import FoundScene
@@ -54,7 +53,8 @@ def test_the_shipped_students_say_where_they_were_trained_and_no_digest_moves(tm
         "scenes: [hurdles/one_low_carpet, hurdles/three_low, flat/carpet_room]\n"
     )
     (tmp_path / "two.yaml").write_text(text)
-    info = api.run(tmp_path / "two.yaml", out=tmp_path / "run", in_process=True).info
+    plan, folder = api.plan(tmp_path / "two.yaml"), RunFolder(path=tmp_path / "run")
+    info = run_info(plan, folder, workers=1, in_process=True, command=())
     assert {name: scene.split for name, scene in info.scenes.items()} == {
         "hurdles/one_low_carpet": "train",
         "hurdles/three_low": "eval",

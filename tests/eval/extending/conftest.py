@@ -7,6 +7,7 @@ from contextlib import contextmanager
 import pytest
 
 from nw_base.plugins import installed
+from nw_sim.rollout.confined import start
 
 collect_ignore = ["packages"]  # Tests of packages run where these are installed.
 
@@ -32,11 +33,13 @@ def _on_path(folder):
 
 
 @pytest.fixture
-def package(tmp_path):
+def package(tmp_path, monkeypatch):
     """A function that installs a package: its name, its entry points by group, its module's text.
 
-    What pip leaves is written: the module, and a folder with metadata and entry points.
+    What pip leaves is written: the module, and a folder with metadata and entry points. Trials run
+    in this process; who draws their pages needs no package, and is forked from where none is.
     """
+    monkeypatch.setattr(start, "_OURS", (*start._OURS, "PYTHONPATH"))
     site = tmp_path / "site"
     site.mkdir()
 

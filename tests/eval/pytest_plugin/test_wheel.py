@@ -1,7 +1,5 @@
 """A project of its own, where nw-eval is installed from its wheel and pytest finds the plugin."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

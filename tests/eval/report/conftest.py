@@ -1,7 +1,3 @@
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
-
 import pytest
 
 from nw_gate.results.provenance import CodeInfo, MachineInfo, PolicyInfo, RunInfo, SceneInfo
@@ -9,10 +5,6 @@ from nw_gate.results.row import Row
 from nw_gate.stats.bank.curve import CurvePoint
 from nw_gate.stats.interval import Interval
 from nw_gate.verdict import Comparison, SceneDrop
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 SUITE = """\
 nw-eval: 1
@@ -31,7 +23,7 @@ gate:
 
 
 @pytest.fixture
-def evil() -> str:
+def evil():
     """What a stranger may call a thing: escapes, a new line, an order, Markdown, HTML, a turn."""
     return (
         "\x1b[2Jred\u202e\u2066 a\n::error::owned\r\n##[error]x %0A::stop-commands::y "
@@ -41,7 +33,7 @@ def evil() -> str:
 
 
 @pytest.fixture
-def suite_file(tmp_path: Path) -> Path:
+def suite_file(tmp_path):
     """A suite in a repository, the folder of which is `suite_file.parents[1]`."""
     path = tmp_path / "repository" / "suites" / "hurdles.yaml"
     path.parent.mkdir(parents=True)
@@ -50,13 +42,13 @@ def suite_file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def of_suite(suite_file: Path) -> dict[str, Any]:
+def of_suite(suite_file):
     """What run.json says of that suite, for `make_run`."""
     return {"suite_file": "suites/hurdles.yaml", "suite_folder": str(suite_file.parent)}
 
 
 @pytest.fixture
-def regressed() -> Comparison:
+def regressed():
     """A comparison that is REGRESSED, by the mean and by its one scene, which is critical."""
     fell = SceneDrop(
         scene="hurdles/three_low", tier="critical", baseline=0.95, candidate=0.4, trials=5,
@@ -77,12 +69,12 @@ def regressed() -> Comparison:
 
 
 @pytest.fixture
-def make_row() -> Callable[..., Row]:
+def make_row():
     """A row of trial `index` in a scene, which reached some of four waypoints; None is a crash."""
 
-    def make(scene: str, index: int, reached: int | None, **changes: Any) -> Row:
+    def make(scene, index, reached, **changes):
         trial = f"{scene.replace('/', '-')}-{index:03d}"
-        columns: dict[str, Any] = {
+        columns = {
             "trial_id": trial,
             "suite": "hurdles",
             "scene": scene,
@@ -119,11 +111,11 @@ def make_row() -> Callable[..., Row]:
 
 
 @pytest.fixture
-def make_run() -> Callable[..., RunInfo]:
+def make_run():
     """Provenance of a run of two workers that took a minute."""
 
-    def make(planned: dict[str, int], **changes: Any) -> RunInfo:
-        facts: dict[str, Any] = {
+    def make(planned, **changes):
+        facts = {
             "id": "hurdles-go1-parkour-20261121T110005Z-01234567",
             "started": "2026-11-21T11:00:05Z",
             "finished": "2026-11-21T11:01:05Z",

@@ -1,12 +1,9 @@
 """What reports say of a comparison with a baseline."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import pytest
 from rich.console import Console
@@ -20,14 +17,7 @@ from nw_gate.absolute import judge
 from nw_gate.baseline.combine import combined
 from nw_gate.results.bank import Start
 from nw_gate.stats.interval import Interval
-from nw_gate.verdict import Comparison, Recheck, SceneDrop
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from nw_gate.verdict import Verdict
-
-    Make = Callable[..., Any]
+from nw_gate.verdict import Recheck, SceneDrop
 
 FINE = SceneDrop(
     scene="a",
@@ -51,16 +41,16 @@ TOY = SceneDrop(
 
 
 @pytest.fixture
-def found(regressed: Comparison) -> Comparison:
+def found(regressed):
     """That comparison, with a scene that did not regress and one that does not count besides."""
     return replace(regressed, scenes=(FINE, *regressed.scenes, TOY))
 
 
 @pytest.fixture
-def page(make_row: Make, make_run: Make) -> Callable[..., str]:
+def page(make_row, make_run):
     """The report of a run that was compared so; nothing ran where `rows` is 0."""
 
-    def make(found: Comparison, *, rows: int = 3, **facts: Any) -> str:
+    def make(found, *, rows=3, **facts):
         trials = [make_row("a", index, 4) for index in range(rows)]
         verdict = combined(judge(trials, Gate(), {"a": rows}, against=found), found)
         run = make_run({"a": rows}, suite={"name": "hurdles", "seed": 7}, **facts)
@@ -69,15 +59,13 @@ def page(make_row: Make, make_run: Make) -> Callable[..., str]:
     return make
 
 
-def table(text: str) -> list[list[str]]:
+def table(text):
     (section,) = re.findall(r"## Success by scene\n\n(.*?)\n## ", text, re.DOTALL)
     lines = [line for line in section.splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[:1] + lines[2:]]
 
 
-def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(
-    page: Make, found: Comparison
-) -> None:
+def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(page, found):
     first, _, second, *_ = page(found).splitlines()
     assert first.startswith(
         "# REGRESSED \u00b7 baseline shipped 0.925, drop 0.250 (99 % lower bound 0.120, 95 % "
@@ -91,9 +79,7 @@ def test_the_first_lines_say_what_fell_by_how_much_and_what_the_gate_can_see(
     )
 
 
-def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_last(
-    page: Make, found: Comparison
-) -> None:
+def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_last(page, found):
     text = page(found)
     assert table(text) == [
         ["scene", "tier", "trials", "success", "baseline", "change", "regressed"],
@@ -116,9 +102,7 @@ def test_scenes_are_shown_side_by_side_what_fell_first_and_what_does_not_count_l
         ({}, "it need not be the baseline's mean less the drop"),
     ],
 )  # fmt: skip
-def test_every_report_says_of_which_starts_it_speaks(
-    page: Make, changes: dict[str, Any], words: str, found: Comparison
-) -> None:
+def test_every_report_says_of_which_starts_it_speaks(page, changes, words, found):
     how_sure = page(replace(found, **changes)).split("## How sure")[1]
     assert words in how_sure.replace("\\", "")
     assert (
@@ -128,7 +112,7 @@ def test_every_report_says_of_which_starts_it_speaks(
     assert "The verdict is on this checkpoint, not on its training recipe" in how_sure
 
 
-def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make, found: Comparison) -> None:
+def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page, found):
     pinned, fresh = page(found), page(found, panel="fresh")
     assert "The seed set is pinned, the suite's own." in pinned
     assert "--seed-set fresh draws the checkpoint's own" in pinned
@@ -137,9 +121,7 @@ def test_a_report_says_whether_its_panel_is_pinned_or_fresh(page: Make, found: C
     assert "same starts), fresh |" in " ".join(fresh.split())
 
 
-def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again(
-    page: Make, found: Comparison
-) -> None:
+def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again(page, found):
     again = Recheck(compared=2, ran=2, equal=True, differing=(), taken_over=True)
     same = replace(
         found, basis="same", word="PASS", trials=1, drop=None, interval=None, curve=None,
@@ -157,8 +139,8 @@ def test_the_page_of_the_same_policy_says_what_was_taken_over_and_what_ran_again
 
 
 def test_a_policy_that_failed_by_itself_counts_as_nothing_and_the_page_says_so(
-    make_row: Make, make_run: Make, found: Comparison
-) -> None:
+    make_row, make_run, found
+):
     failed = {"outcome": "policy_failed", "end_reason": "action", "error_type": "policy_error"}
     rows = [make_row("a", 0, 2, **failed)]
     for against, end in ((None, "then."), (found, "then; against the baseline they count as 0.")):
@@ -167,17 +149,15 @@ def test_a_policy_that_failed_by_itself_counts_as_nothing_and_the_page_says_so(
         assert f"results, and count with the waypoints reached until {end}" in text
 
 
-def test_without_a_baseline_nothing_of_one_is_said(make_row: Make, make_run: Make) -> None:
+def test_without_a_baseline_nothing_of_one_is_said(make_row, make_run):
     rows = [make_row("a", 0, 4)]
     text = render_markdown(make_run({"a": 1}), rows, judge(rows, Gate(), {"a": 1}), Path("x"))
     assert "baseline" not in text
 
 
-def test_the_terminal_shows_the_same_table_and_the_verdict_last(
-    make_row: Make, make_run: Make, found: Comparison
-) -> None:
+def test_the_terminal_shows_the_same_table_and_the_verdict_last(make_row, make_run, found):
     rows = [make_row("a", index, 4) for index in range(3)]
-    verdict: Verdict = combined(judge(rows, Gate(), {"a": 3}, against=found), found)
+    verdict = combined(judge(rows, Gate(), {"a": 3}, against=found), found)
     stream = StringIO()
     console = Console(file=stream, width=140)
     print_summary(console, make_run({"a": 3}), rows, verdict, Path("x"))
@@ -187,9 +167,7 @@ def test_the_terminal_shows_the_same_table_and_the_verdict_last(
                                   "gate.success_rate")  # fmt: skip
 
 
-def test_a_scene_that_is_compared_has_the_interval_of_its_drop_and_no_other(
-    page: Make, found: Comparison
-) -> None:
+def test_a_scene_that_is_compared_has_the_interval_of_its_drop_and_no_other(page, found):
     scenes = tuple(replace(item, interval=Interval(-0.1, 0.3)) for item in found.scenes)
     text = page(replace(found, scenes=scenes))
     header, *lines = table(text)
@@ -203,20 +181,16 @@ def test_a_scene_that_is_compared_has_the_interval_of_its_drop_and_no_other(
     assert table(strict)[0][6] == "change, 90 % lower, 99.5 % upper"
 
 
-def test_a_scene_that_met_no_trial_beside_a_control_shows_no_baseline(
-    page: Make, found: Comparison
-) -> None:
+def test_a_scene_that_met_no_trial_beside_a_control_shows_no_baseline(page, found):
     fell = found.scenes[1]
-    none: dict[str, Any] = {"baseline": None, "candidate": None, "trials": 0}
+    none = {"baseline": None, "candidate": None, "trials": 0}
     unmet = replace(TOY, scene="unmet", tier="supporting", **none)
     text = page(replace(found, basis="control", scenes=(fell, unmet)))
     line = next(line for line in table(text) if line[0] == "unmet")
     assert line == ["unmet", "supporting", "0", "none", "", "none", "", ""]
 
 
-def test_a_worst_trial_says_what_the_baseline_s_policy_did_from_the_same_start(
-    make_row: Make,
-) -> None:
+def test_a_worst_trial_says_what_the_baseline_s_policy_did_from_the_same_start(make_row):
     fell = make_row("a", 0, 1, trial_id="t")
     times = {"waypoint_times": (1.0, 3.14, 4.0, 5.0), "sim_s": 6.26}
     completed = make_row("a", 0, 4, **times)
@@ -238,9 +212,7 @@ def test_a_worst_trial_says_what_the_baseline_s_policy_did_from_the_same_start(
     assert "baseline" not in worst_table([fell], Path("x")).columns
 
 
-def test_a_scene_of_which_some_trials_were_compared_says_of_how_many_the_change_is(
-    make_row: Make, found: Comparison
-) -> None:
+def test_a_scene_of_which_some_trials_were_compared_says_of_how_many_the_change_is(make_row, found):
     rows = [make_row("hurdles/three_low", index, 2) for index in range(8)]
     verdict = judge(rows, Gate(), {"hurdles/three_low": 8}, against=found)
     shown = scenes_table(replace(verdict, against=found))
@@ -248,7 +220,7 @@ def test_a_scene_of_which_some_trials_were_compared_says_of_how_many_the_change_
     assert (line["trials"], line["success"], line["change"]) == ("8", "0.500", "-0.550 (5 trials)")
 
 
-def test_short_words_of_a_table_stay_whole_in_a_terminal_of_120_columns(found: Comparison) -> None:
+def test_short_words_of_a_table_stay_whole_in_a_terminal_of_120_columns(found):
     fell = found.scenes[1]
     named = replace(fell, scene="hurdles/three_grassy_courtyard", tier="supporting")
     stream = StringIO()

@@ -1,8 +1,6 @@
-from __future__ import annotations
-
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import get_args
 
 from rich.console import Console
 
@@ -13,26 +11,17 @@ from nw_eval.suite import Gate
 from nw_gate.absolute import judge
 from nw_gate.verdict import EXIT_CODES, Word
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from nw_gate.results.provenance import RunInfo
-    from nw_gate.results.row import Row
-
-
 BAR = Gate(success_rate=0.75)
 
 
-def summary(rows: list[Row], run: RunInfo, width: int = 100, gate: Gate = BAR) -> list[str]:
+def summary(rows, run, width=100, gate=BAR):
     console = Console(file=StringIO(), width=width)
     verdict = judge(rows, gate, run.planned)
     print_summary(console, run, rows, verdict, Path("reports/r"))
     return console.file.getvalue().splitlines()
 
 
-def test_the_summary_ends_with_the_reports_first_lines(
-    make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
-) -> None:
+def test_the_summary_ends_with_the_reports_first_lines(make_row, make_run):
     rows = [make_row("a", k, 4) for k in range(20)]
     run = make_run({"a": 20})
     lines = summary(rows, run, width=200)
@@ -42,16 +31,14 @@ def test_the_summary_ends_with_the_reports_first_lines(
     assert lines[-1].startswith("* success is at least")
 
 
-def test_a_replay_command_is_one_whole_line_however_narrow_the_terminal(
-    make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
-) -> None:
+def test_a_replay_command_is_one_whole_line_however_narrow_the_terminal(make_row, make_run):
     lines = summary([make_row("hurdles/one", 0, 1)], make_run({"hurdles/one": 1}), width=40)
     assert "nw-eval replay reports/r/mcap/hurdles/one/hurdles-one-000.mcap" in lines
 
 
 def test_a_table_of_hundreds_of_scenes_shows_the_worst_and_says_how_many_more_there_are(
-    make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
-) -> None:
+    make_row, make_run
+):
     names = [f"place/{number:02d}" for number in range(70)]
     rows = [make_row(name, 0, 0 if name == "place/69" else 4) for name in names]
     lines = summary(rows, make_run(dict.fromkeys(names, 1)))
@@ -61,16 +48,12 @@ def test_a_table_of_hundreds_of_scenes_shows_the_worst_and_says_how_many_more_th
     assert "6 more lines in the report" in lines
 
 
-def test_brackets_in_an_error_are_text_not_markup(
-    make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
-) -> None:
+def test_brackets_in_an_error_are_text_not_markup(make_row, make_run):
     rows = [make_row("a", 0, None, error_text="bad key [bold]x[/nothing]")]
     assert any("[bold]x[/nothing]" in line for line in summary(rows, make_run({"a": 1}), 200))
 
 
-def test_a_suite_without_a_bar_ends_with_the_word_ran_and_never_with_pass(
-    make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
-) -> None:
+def test_a_suite_without_a_bar_ends_with_the_word_ran_and_never_with_pass(make_row, make_run):
     rows = [make_row("a", k, 0) for k in range(4)]
     lines = summary(rows, make_run({"a": 4}), 200, Gate())
     assert lines[-3].startswith("RAN · success 0.000 (95 % bounds 0.000 and 0.")
@@ -78,13 +61,11 @@ def test_a_suite_without_a_bar_ends_with_the_word_ran_and_never_with_pass(
     assert not any("PASS" in line for line in lines)
 
 
-def test_every_word_of_the_gate_has_a_colour_and_an_exit_code() -> None:
+def test_every_word_of_the_gate_has_a_colour_and_an_exit_code():
     assert set(_COLOURS) == set(EXIT_CODES) == set(get_args(Word))
 
 
-def test_a_task_without_waypoints_shows_success_in_place_of_waypoints(
-    make_row: Callable[..., Row],
-) -> None:
+def test_a_task_without_waypoints_shows_success_in_place_of_waypoints(make_row):
     row = make_row(
         "flat/a", 0, 1, task_kind="reach", waypoints_reached=0, waypoints_total=0, waypoint_times=()
     )

@@ -1,10 +1,7 @@
 """A run as JUnit: cases whose failures are the verdict's, and which any reader of XML can read."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import pytest
 from junitparser import JUnitXml
@@ -16,30 +13,27 @@ from nw_eval.suite import Gate
 from nw_gate.absolute import judge
 from nw_gate.baseline.combine import without_bank
 
-if TYPE_CHECKING:
-    from nw_gate.verdict import Verdict
-
 BAR = Gate(success_rate=0.75)
 FOLDER = Path("reports/r")
 
 
-def read(data: bytes) -> ET.Element:
+def read(data):
     (suite,) = ET.fromstring(data)
     return suite
 
 
-def cases(suite: ET.Element) -> dict[str, ET.Element]:
+def cases(suite):
     return {f"{case.get('classname')} {case.get('name')}": case for case in suite.iter("testcase")}
 
 
-def properties(of: ET.Element) -> dict[str, str]:
+def properties(of):
     found = of.find("properties")
     assert found is not None
     return {each.attrib["name"]: each.attrib["value"] for each in found}
 
 
 @pytest.fixture
-def regressed(make_row: Any) -> tuple[list[Any], dict[str, int], Verdict]:
+def regressed(make_row):
     rows = [make_row("hurdles/one", k, 4) for k in range(20)]
     rows += [make_row("gaps/wide", k, k % 2, wall_s=1.5) for k in range(20)]
     planned = {"hurdles/one": 20, "gaps/wide": 20}
@@ -47,8 +41,8 @@ def regressed(make_row: Any) -> tuple[list[Any], dict[str, int], Verdict]:
 
 
 def test_there_is_a_case_for_each_scene_and_one_for_the_verdict_with_their_places(
-    make_run: Any, regressed: Any, suite_file: Path, of_suite: dict[str, Any]
-) -> None:
+    make_run, regressed, suite_file, of_suite
+):
     rows, planned, verdict = regressed
     run = make_run(planned, **of_suite)
     lines = suite_lines(run, suite_file.parents[1])
@@ -65,9 +59,7 @@ def test_there_is_a_case_for_each_scene_and_one_for_the_verdict_with_their_place
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("3", "2", "0")
 
 
-def test_a_failure_has_one_sentence_and_the_commands_that_show_it(
-    make_run: Any, regressed: Any
-) -> None:
+def test_a_failure_has_one_sentence_and_the_commands_that_show_it(make_run, regressed):
     rows, planned, verdict = regressed
     suite = read(junit_xml(make_run(planned), rows, verdict, FOLDER, None))
     failure = cases(suite)["nw.hurdles.gaps/wide hurdles"].find("failure")
@@ -92,9 +84,7 @@ def test_a_failure_has_one_sentence_and_the_commands_that_show_it(
     assert float(of_scene["success"]) == pytest.approx(0.125)
 
 
-def test_success_is_also_called_effect_until_the_next_release(
-    make_run: Any, regressed: Any
-) -> None:
+def test_success_is_also_called_effect_until_the_next_release(make_run, regressed):
     rows, planned, verdict = regressed
     suite = read(junit_xml(make_run(planned), rows, verdict, FOLDER, None))
     for found in [properties(suite), properties(cases(suite)["nw.hurdles.gaps/wide hurdles"])]:
@@ -110,9 +100,7 @@ def test_success_is_also_called_effect_until_the_next_release(
         ([0] * 3, Gate(), None, "RAN"),
     ],
 )
-def test_the_kind_of_a_result_is_the_verdicts(
-    make_row: Any, make_run: Any, reached: list[int | None], gate: Gate, kind: str, word: str
-) -> None:
+def test_the_kind_of_a_result_is_the_verdicts(make_row, make_run, reached, gate, kind, word):
     rows = [make_row("a", k, to) for k, to in enumerate(reached)]
     verdict = judge(rows, gate, {"a": len(rows)})
     assert verdict.verdict == word
@@ -125,7 +113,7 @@ def test_the_kind_of_a_result_is_the_verdicts(
     assert text.startswith(word)
 
 
-def test_an_invalid_run_skips_its_scenes(make_row: Any, make_run: Any) -> None:
+def test_an_invalid_run_skips_its_scenes(make_row, make_run):
     rows = [make_row("a", k, 4) for k in range(3)]
     verdict = without_bank(judge(rows, BAR, {"a": 3}), "the bank is gone")
     suite = read(junit_xml(make_run({"a": 3}), rows, verdict, FOLDER, None))
@@ -136,7 +124,7 @@ def test_an_invalid_run_skips_its_scenes(make_row: Any, make_run: Any) -> None:
     assert "the bank is gone" in (error.text or "")
 
 
-def test_an_error_of_a_trial_is_told_in_its_scene(make_row: Any, make_run: Any) -> None:
+def test_an_error_of_a_trial_is_told_in_its_scene(make_row, make_run):
     rows = [make_row("a", 0, 4), make_row("a", 1, None)]
     verdict = judge(rows, BAR, {"a": 2})
     suite = read(junit_xml(make_run({"a": 2}), rows, verdict, FOLDER, None))
@@ -145,14 +133,14 @@ def test_an_error_of_a_trial_is_told_in_its_scene(make_row: Any, make_run: Any) 
     assert text.splitlines()[1] == "a-001: signal 11"
 
 
-def test_the_same_run_gives_the_same_bytes(make_run: Any, regressed: Any) -> None:
+def test_the_same_run_gives_the_same_bytes(make_run, regressed):
     rows, planned, verdict = regressed
     run = make_run(planned)
     ways = [junit_xml(run, order, verdict, FOLDER, None) for order in (rows, rows[::-1])]
     assert ways[0] == ways[1]
 
 
-def test_names_that_xml_forbids_are_shown_as_text(make_row: Any, make_run: Any, evil: str) -> None:
+def test_names_that_xml_forbids_are_shown_as_text(make_row, make_run, evil):
     scene = f"s{evil}"
     rows = [make_row(scene, 0, None, error_text=evil), make_row(scene, 1, 4)]
     run = make_run({rows[0].scene: 2}, suite={"name": evil})
@@ -166,7 +154,7 @@ def test_names_that_xml_forbids_are_shown_as_text(make_row: Any, make_run: Any, 
     assert [each.name for each in JUnitXml.fromstring(data.decode().partition("\n")[2])]
 
 
-def test_an_error_before_a_verdict_is_an_error_at_its_place() -> None:
+def test_an_error_before_a_verdict_is_an_error_at_its_place():
     fault = Problem(file="suites/a.yaml", line=3, column=1, message="no scene", fix="name one")
     suite = read(junit_of_error("suites/a.yaml", SuiteError([fault])))
     (case,) = suite.iter("testcase")

@@ -1,10 +1,7 @@
 """Reports count apart what left the captured volume, and charge nobody with it."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -17,24 +14,17 @@ from nw_eval.suite import Gate
 from nw_gate.absolute import judge
 from nw_gate.settings import Validity
 
-if TYPE_CHECKING:
-    from nw_gate.results.provenance import RunInfo
-    from nw_gate.results.row import Row
-    from nw_gate.verdict import Verdict
-
 FOLDER = Path("reports/r")
-FAR: dict[str, Any] = {
+FAR = {
     "capture_distance": (0.2,) * 5 + (1.75,) * 10,
     "capture_angle": (0.1,) * 14 + (0.5,),
     "capture_alpha": (1.0,) * 14 + (0.25,),
     "coverage_min": 0.25,
 }
 
-Judged = tuple["RunInfo", "list[Row]", "Verdict"]
-
 
 @pytest.fixture
-def judged(make_row: Any, make_run: Any) -> Judged:
+def judged(make_row, make_run):
     rows = [make_row("clear", k, 4) for k in range(30)]
     rows += [make_row("foggy", k, 0 if k < 4 else 4, **(FAR if k < 4 else {})) for k in range(10)]
     planned = {"clear": 30, "foggy": 10}
@@ -42,13 +32,13 @@ def judged(make_row: Any, make_run: Any) -> Judged:
     return make_run(planned), rows, judge(rows, gate, planned)
 
 
-def test_the_headline_counts_them(judged: Judged) -> None:
+def test_the_headline_counts_them(judged):
     run, _, verdict = judged
     assert verdict.verdict == "PASS"
     assert "36 of 40 trials in 2 scenes · 4 left the captured volume · " in headline(verdict, run)
 
 
-def test_tables_have_them_by_scene_and_one_by_one_and_not_among_the_worst(judged: Judged) -> None:
+def test_tables_have_them_by_scene_and_one_by_one_and_not_among_the_worst(judged):
     run, rows, verdict = judged
     page = render_markdown(run, rows, verdict, FOLDER)
     (foggy,) = [line for line in page.splitlines() if line.startswith("| foggy ")]
@@ -59,7 +49,7 @@ def test_tables_have_them_by_scene_and_one_by_one_and_not_among_the_worst(judged
     assert "Left the captured volume" in render_html(run, rows, verdict, FOLDER)
 
 
-def test_junit_skips_a_scene_that_nobody_could_see_and_says_why(judged: Judged) -> None:
+def test_junit_skips_a_scene_that_nobody_could_see_and_says_why(judged):
     run, rows, verdict = judged
     assert [item.state for item in scene_states(verdict)] == ["fine", "unseen"]
     (suite,) = ET.fromstring(junit_xml(run, rows, verdict, FOLDER, None))
@@ -77,7 +67,7 @@ def test_junit_skips_a_scene_that_nobody_could_see_and_says_why(judged: Judged) 
     assert counts == [{"name": "left_capture", "value": "4"}] * 2
 
 
-def test_a_run_in_which_nothing_left_says_nothing_of_it(make_row: Any, make_run: Any) -> None:
+def test_a_run_in_which_nothing_left_says_nothing_of_it(make_row, make_run):
     rows = [make_row("clear", k, 4) for k in range(30)]
     planned = {"clear": 30}
     gate = Gate(success_rate=0.5, validity=Validity(distance=0.5, at_most=0.0))

@@ -1,9 +1,6 @@
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -17,26 +14,20 @@ from nw_gate.absolute import judge
 from nw_gate.results.provenance import PolicyInfo
 from nw_gate.stats.betting import lower_bound, upper_bound
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from nw_gate.results.provenance import RunInfo
-    from nw_gate.results.row import Row
-
 FOLDER = Path("reports/run one")
 BAR = Gate(success_rate=0.75)
 
 
 @pytest.fixture
-def render(make_run: Callable[..., RunInfo]) -> Callable[..., str]:
-    def make(rows: list[Row], planned: dict[str, int], gate: Gate = BAR, **run: object) -> str:
+def render(make_run):
+    def make(rows, planned, gate=BAR, **run):
         info = make_run(planned, **run)
         return render_markdown(info, rows, judge(rows, gate, planned), FOLDER)
 
     return make
 
 
-def section(text: str, title: str) -> list[list[str]]:
+def section(text, title):
     """Cells of the table under a title, header first."""
     body = text.split(f"## {title}\n", 1)[1].split("\n## ", 1)[0]
     lines = [line for line in body.splitlines() if line.startswith("|")]
@@ -44,9 +35,7 @@ def section(text: str, title: str) -> list[list[str]]:
     return [cells[0], *cells[2:]]
 
 
-def test_the_first_line_is_the_verdict_and_the_second_what_it_speaks_of(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_the_first_line_is_the_verdict_and_the_second_what_it_speaks_of(make_row, render):
     rows = [make_row(scene, k, 4 - (k == 0)) for scene in ("a", "b") for k in range(20)]
     text = render(rows, {"a": 20, "b": 20}, suite={"seed": 7})
     first, _, second = text.splitlines()[:3]
@@ -58,9 +47,7 @@ def test_the_first_line_is_the_verdict_and_the_second_what_it_speaks_of(
     )
 
 
-def test_a_score_of_zero_claims_no_sight_of_drops(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_a_score_of_zero_claims_no_sight_of_drops(make_row, render):
     rows = [make_row("a", k, 0) for k in range(40)]
     for gate, word in ((BAR, "REGRESSED"), (Gate(), "RAN")):
         first, _, second = render(rows, {"a": 40}, gate).splitlines()[:3]
@@ -71,9 +58,7 @@ def test_a_score_of_zero_claims_no_sight_of_drops(
         assert "drops" not in second
 
 
-def test_what_completed_is_told_of_the_trials_that_count(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_what_completed_is_told_of_the_trials_that_count(make_row, render):
     rows = [make_row("a", k, 4) for k in range(3)] + [make_row("toy", k, 0) for k in range(2)]
     toy = Gate(success_rate=0.75, tiers={"toy": "informational"})
     assert "completed 3 of 3 · 5 trials in 2 scenes" in render(rows, {"a": 3, "toy": 2}, toy)
@@ -82,9 +67,7 @@ def test_what_completed_is_told_of_the_trials_that_count(
     assert "seed set" not in render(rows[:3], {"a": 9}).splitlines()[2]
 
 
-def test_how_sure_one_may_be_is_told_as_far_as_it_applies(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_how_sure_one_may_be_is_told_as_far_as_it_applies(make_row, render):
     rows = [make_row(scene, k, 4) for scene in ("a", "b") for k in range(20)]
     planned = {"a": 20, "b": 20}
     plain = render(rows, planned).split("## How sure")[1]
@@ -101,9 +84,7 @@ def test_how_sure_one_may_be_is_told_as_far_as_it_applies(
     assert "How sure" not in render([], {"a": 3})
 
 
-def test_two_suites_of_one_panel_are_told_apart_and_the_panel_explains_itself(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_two_suites_of_one_panel_are_told_apart_and_the_panel_explains_itself(make_row, render):
     rows = [make_row("a", 0, 4)]
     facts = [
         dict(section(render(rows, {"a": 1}, suite={"name": name}), "Provenance")[1:])
@@ -114,15 +95,13 @@ def test_two_suites_of_one_panel_are_told_apart_and_the_panel_explains_itself(
     assert facts[0]["seed set"].startswith("`aaaaaaaaaaaa` (same robot, protocol, seed")
 
 
-def test_a_run_without_results_says_that_it_saw_nothing(render: Callable[..., str]) -> None:
+def test_a_run_without_results_says_that_it_saw_nothing(render):
     first, _, second = render([], {"a": 3}).splitlines()[:3]
     assert first == "# INFRASTRUCTURE · 0 of 3 trials in 0 scenes · 60 s on 2 workers"
     assert "No trial has a result" in second
 
 
-def test_scenes_are_listed_worst_first_with_intervals_around_their_means(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_scenes_are_listed_worst_first_with_intervals_around_their_means(make_row, render):
     rows = [make_row("good", k, 4) for k in range(4)] + [make_row("bad", k, k) for k in range(4)]
     header, bad, good = section(render(rows, {"good": 4, "bad": 4}), "Success by scene")
     assert header == ["scene", "trials", "success", "95 % two-sided", "completed"]
@@ -133,9 +112,7 @@ def test_scenes_are_listed_worst_first_with_intervals_around_their_means(
     assert good[4:] == ["4 of 4"]
 
 
-def test_each_mean_has_one_interval_and_its_header_says_of_what_it_is(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_each_mean_has_one_interval_and_its_header_says_of_what_it_is(make_row, render):
     rows = [make_row("good", k, 4) for k in range(4)] + [make_row("bad", k, k) for k in range(4)]
     page = render(rows, {"good": 4, "bad": 4})
     header, *lines = section(page, "Success by scene")
@@ -146,8 +123,8 @@ def test_each_mean_has_one_interval_and_its_header_says_of_what_it_is(
 
 
 def test_the_only_scene_and_the_only_cell_have_the_interval_of_the_verdict_and_no_other(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+    make_row, render
+):
     """Their means are the run's, whose bounds stand in the first lines."""
     icy = [(("friction", 0.4),)] * 4
     rows = [make_row("a", k, k, perturbation=cell) for k, cell in enumerate(icy)]
@@ -162,9 +139,7 @@ def test_the_only_scene_and_the_only_cell_have_the_interval_of_the_verdict_and_n
     ]
 
 
-def test_tasks_have_bounds_like_the_verdicts_and_the_only_task_has_those_of_the_verdict(
-    make_row: Callable[..., Row],
-) -> None:
+def test_tasks_have_bounds_like_the_verdicts_and_the_only_task_has_those_of_the_verdict(make_row):
     rows = [make_row("a", k, k, task="gaps") for k in range(4)]
     only = judge(rows, BAR, {"a": 4})
     table = tasks_table(rows, only)
@@ -182,8 +157,8 @@ def test_tasks_have_bounds_like_the_verdicts_and_the_only_task_has_those_of_the_
 
 
 def test_cells_of_one_trial_in_a_scene_have_bounds_like_the_verdicts_with_room_above_the_mean(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+    make_row, render
+):
     rows = [
         make_row(scene, k, reached, perturbation=(("friction", friction),))
         for k, friction in enumerate((0.4, 1.0))
@@ -201,9 +176,7 @@ def test_cells_of_one_trial_in_a_scene_have_bounds_like_the_verdicts_with_room_a
     assert upper_bound(groups, 0.95) > 0.8125 + 0.05
 
 
-def test_a_scene_that_lacks_trials_says_so(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_a_scene_that_lacks_trials_says_so(make_row, render):
     text = render([make_row("a", 0, 4), make_row("a", 1, None)], {"a": 4, "b": 2})
     _, empty, partial = section(text, "Success by scene")
     assert empty[:3] == ["b", "0 of 2", "none"]
@@ -212,9 +185,7 @@ def test_a_scene_that_lacks_trials_says_so(
     assert "* 4 trials missing (a 2, b 2); --resume runs them" in text
 
 
-def test_failures_of_the_policy_and_of_the_machine_are_told_apart(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_failures_of_the_policy_and_of_the_machine_are_told_apart(make_row, render):
     failed = {
         "outcome": "policy_failed",
         "end_reason": "diverged",
@@ -232,9 +203,7 @@ def test_failures_of_the_policy_and_of_the_machine_are_told_apart(
     assert "Policy failures" not in render([make_row("a", 0, 4), make_row("a", 1, 2)], {"a": 2})
 
 
-def test_the_worst_trials_come_with_a_command_that_a_shell_understands(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_the_worst_trials_come_with_a_command_that_a_shell_understands(make_row, render):
     rows = [make_row("hurdles/one", k, reached) for k, reached in enumerate((4, 2, 0, 3))]
     header, *worst = section(render(rows, {"hurdles/one": 4}), "Worst trials")
     assert header[-1] == "replay"
@@ -247,17 +216,13 @@ def test_the_worst_trials_come_with_a_command_that_a_shell_understands(
     ]
 
 
-def test_a_long_list_is_cut_and_says_how_many_more_there_are(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_a_long_list_is_cut_and_says_how_many_more_there_are(make_row, render):
     text = render([make_row("a", k, 1) for k in range(11)], {"a": 11})
     assert len(section(text, "Worst trials")) == 1 + 8
     assert "3 more are in trials.parquet." in text
 
 
-def test_stages_add_up_to_the_time_of_all_workers(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_stages_add_up_to_the_time_of_all_workers(make_row, render):
     own = {"setup_s": 0.08, "sense_s": 0.08}
     rows = [make_row("a", k, 4, **own) for k in range(10)]
     rows.append(make_row("a", 10, 4, cached=True, wall_s=99.0))
@@ -278,9 +243,7 @@ def test_stages_add_up_to_the_time_of_all_workers(
     assert "11.0 trials per minute on 2 workers; 40 s simulated, 2.0 times real time" in text
 
 
-def test_a_camera_out_of_the_captured_volume_is_flagged(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_a_camera_out_of_the_captured_volume_is_flagged(make_row, render):
     rows = [make_row("a", 0, 4), make_row("a", 1, 4, coverage_min=0.2, coverage_mean=0.7)]
     assert section(render(rows, {"a": 2}), "Out of the captured volume")[1:] == [
         ["a-001", "0.20", "0.70", "completed"]
@@ -288,9 +251,7 @@ def test_a_camera_out_of_the_captured_volume_is_flagged(
     assert "captured volume" not in render(rows[:1], {"a": 1})
 
 
-def test_contacts_that_end_no_trial_are_counted_by_scene(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_contacts_that_end_no_trial_are_counted_by_scene(make_row, render):
     rows = [
         make_row("a", 0, 4, contact_s=0.5),
         make_row("a", 1, 4, contact_s=0.75),
@@ -307,9 +268,7 @@ def test_contacts_that_end_no_trial_are_counted_by_scene(
     assert "Contacts of head" not in render(rows, {"a": 3, "b": 1})
 
 
-def test_perturbations_get_a_table_of_their_own(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_perturbations_get_a_table_of_their_own(make_row, render):
     rows = [
         make_row(
             "a", k, 4 if mu > 0.7 else 2, perturbation=(("friction", mu),), trial_id=f"{k}{mu}"
@@ -322,9 +281,7 @@ def test_perturbations_get_a_table_of_their_own(
     assert rough[:3] == ["friction 1", "3", "1.000"]
 
 
-def test_words_from_outside_cannot_break_the_report(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_words_from_outside_cannot_break_the_report(make_row, render):
     evil = "x | y\n## Fake title\n<script>alert(1)</script> `code` [a](http://b)"
     text = render([make_row("a", 0, None, error_text=evil), make_row("a", 1, 4)], {"a": 2})
     assert "\n## Fake title" not in text
@@ -333,9 +290,7 @@ def test_words_from_outside_cannot_break_the_report(
     assert len(row) == 4
 
 
-def test_provenance_names_what_ran(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_provenance_names_what_ran(make_row, render):
     facts = dict(section(render([make_row("a", 0, 4)], {"a": 1}), "Provenance")[1:])
     assert facts["suite"] == f"suites/hurdles.yaml, `{digest_of({'name': 'hurdles'})[:12]}`"
     assert facts["policy"] == "go1-parkour, checkpoint `cccccccccccc`"
@@ -343,23 +298,19 @@ def test_provenance_names_what_ran(
     assert facts["versions"] == "mujoco 4.0.0"
 
 
-def test_an_interrupted_run_says_so(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_an_interrupted_run_says_so(make_row, render):
     text = render([make_row("a", 0, 4)], {"a": 2}, interrupted=True)
     assert "* the run was interrupted before its end" in text
 
 
-def test_a_run_that_was_killed_does_not_pretend_to_a_cost(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_a_run_that_was_killed_does_not_pretend_to_a_cost(make_row, render):
     text = render([make_row("a", k, 4) for k in range(3)], {"a": 9}, finished=None, wall_s=0.0)
     assert text.splitlines()[0].endswith("3 of 9 trials in 1 scene · not finished on 2 workers")
     # Three trials of 2 s on two workers take 3 s at least.
     assert "60.0 trials per minute" in text
 
 
-def test_a_report_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_a_report_appears_whole_or_not_at_all(tmp_path):
     write_report(tmp_path / "report.md", "# x\n")
     assert (tmp_path / "report.md").read_text() == "# x\n"
     (tmp_path / "file").touch()
@@ -367,9 +318,7 @@ def test_a_report_appears_whole_or_not_at_all(tmp_path: Path) -> None:
         write_report(tmp_path / "file" / "report.md", "# x\n")
 
 
-def test_a_policy_without_weights_is_not_shown_with_the_digest_of_nothing(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_a_policy_without_weights_is_not_shown_with_the_digest_of_nothing(make_row, render):
     rows = [make_row("a", 0, 4)]
     own = dict(section(render(rows, {"a": 1}), "Provenance")[1:])
     assert own["policy"] == "go1-parkour, checkpoint `cccccccccccc`"
@@ -386,9 +335,7 @@ EVIL = (
 )
 
 
-def test_strangers_words_notify_nobody_and_link_nowhere(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_strangers_words_notify_nobody_and_link_nowhere(make_row, render):
     rows = [
         make_row("a", 0, None, error_text=EVIL),
         make_row(f"s {EVIL[:300]}", 1, 2, end_reason=EVIL[:300]),
@@ -405,9 +352,7 @@ def test_strangers_words_notify_nobody_and_link_nowhere(
     assert max(map(len, text.splitlines())) < 10_000
 
 
-def test_a_forged_row_advises_no_command_outside_the_run(
-    make_row: Callable[..., Row], render: Callable[..., str]
-) -> None:
+def test_a_forged_row_advises_no_command_outside_the_run(make_row, render):
     text = render(
         [make_row("a", k, 1, mcap_path=p) for k, p in enumerate(("/x", "../x"))], {"a": 2}
     )

@@ -1,10 +1,7 @@
 """A run of some of its suite's scenes says so wherever it is shown, and where it was trained."""
 
-from __future__ import annotations
-
 from io import StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import pytest
 from rich.console import Console
@@ -17,19 +14,13 @@ from nw_eval.reporting.junit import junit_xml
 from nw_eval.reporting.markdown import render_markdown
 from nw_eval.suite import Gate
 from nw_gate.baseline.combine import judge_run
-from nw_gate.results.provenance import RunInfo, SceneInfo
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from nw_gate.results.row import Row
-    from nw_gate.verdict import Verdict
+from nw_gate.results.provenance import SceneInfo
 
 PART = "1 of the suite's 2 scenes"
 FOLDER = Path("reports/r")
 
 
-def surfaces(run: RunInfo, rows: list[Row], verdict: Verdict) -> dict[str, str]:
+def surfaces(run, rows, verdict):
     """What each place where a run is shown says of it."""
     console = Console(file=StringIO(), width=300)
     print_summary(console, run, rows, verdict, FOLDER)
@@ -48,9 +39,7 @@ def surfaces(run: RunInfo, rows: list[Row], verdict: Verdict) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("reached", [4, 1])
-def test_every_surface_says_that_scenes_of_the_suite_were_left_out(
-    make_row: Callable[..., Row], make_run: Callable[..., RunInfo], reached: int
-) -> None:
+def test_every_surface_says_that_scenes_of_the_suite_were_left_out(make_row, make_run, reached):
     rows = [make_row("a", k, reached) for k in range(40)]
     run = make_run({"a": 40}, left_out=("b",))
     verdict = judge_run(rows, run, Gate(success_rate=0.75), None)
@@ -62,7 +51,7 @@ def test_every_surface_says_that_scenes_of_the_suite_were_left_out(
         assert "of the suite's" not in text, name
 
 
-def splits(**of: Any) -> dict[str, SceneInfo]:
+def splits(**of):
     return {
         name: SceneInfo(digest="dd" * 32, task="hurdles", trials=20, split=split)
         for name, split in of.items()
@@ -70,8 +59,8 @@ def splits(**of: Any) -> dict[str, SceneInfo]:
 
 
 def test_scenes_are_marked_where_the_policy_was_trained_and_the_means_of_both_stand_under_them(
-    make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
-) -> None:
+    make_row, make_run
+):
     reached = {"a": 4, "b": 3, "c": 2, "d": 1}
     rows = [make_row(scene, k, to) for scene, to in reached.items() for k in range(20)]
     run = make_run({}, scenes=splits(a="train", b="train", c="eval", d=None))
@@ -91,9 +80,7 @@ def test_scenes_are_marked_where_the_policy_was_trained_and_the_means_of_both_st
     assert [cell.strip().strip("\\") for cell in cells[0]] == ["d", "-"]
 
 
-def test_a_policy_of_which_nothing_is_known_has_no_split(
-    make_row: Callable[..., Row], make_run: Callable[..., RunInfo]
-) -> None:
+def test_a_policy_of_which_nothing_is_known_has_no_split(make_row, make_run):
     rows = [make_row("a", k, 4) for k in range(20)]
     run = make_run({"a": 20})
     verdict = judge_run(rows, run, Gate(success_rate=0.75), None)

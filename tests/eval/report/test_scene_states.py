@@ -1,9 +1,6 @@
 """Lists of tests say what the verdict says: a scene fails only where the run is REGRESSED."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
@@ -12,22 +9,22 @@ from nw_eval.suite import Gate
 from nw_gate.absolute import judge
 from nw_gate.baseline.combine import combined, without_bank
 from nw_gate.stats.interval import Interval
-from nw_gate.verdict import Comparison, SceneDrop
+from nw_gate.verdict import SceneDrop
 
 BAR = Gate(success_rate=0.75)
 
 
-def states(verdict: Any) -> dict[str, str]:
+def states(verdict):
     return {item.scene: item.state for item in scene_states(verdict)}
 
 
-def rows_of(make_row: Any, **reached: list[int | None]) -> list[Any]:
+def rows_of(make_row, **reached):
     return [make_row(scene, k, to) for scene, each in reached.items() for k, to in enumerate(each)]
 
 
 def test_a_scene_below_the_bar_fails_where_the_run_is_regressed_and_is_weak_where_it_passes(
-    make_row: Any,
-) -> None:
+    make_row,
+):
     bad = rows_of(make_row, good=[4] * 20, bad=[0] * 20)
     regressed = judge(bad, Gate(success_rate=0.9), {"good": 20, "bad": 20})
     assert regressed.verdict == "REGRESSED"
@@ -41,9 +38,7 @@ def test_a_scene_below_the_bar_fails_where_the_run_is_regressed_and_is_weak_wher
     assert "failed" not in states(passing).values()
 
 
-def test_a_critical_scene_that_convicts_says_so_and_an_informational_one_never_fails(
-    make_row: Any,
-) -> None:
+def test_a_critical_scene_that_convicts_says_so_and_an_informational_one_never_fails(make_row):
     gate = Gate(success_rate=0.75, tiers={"bad": "critical", "toy": "informational"})
     rows = rows_of(make_row, good=[4] * 20, bad=[0] * 20, toy=[0] * 20)
     verdict = judge(rows, gate, {"good": 20, "bad": 20, "toy": 20})
@@ -53,7 +48,7 @@ def test_a_critical_scene_that_convicts_says_so_and_an_informational_one_never_f
     assert [item.scene for item in worst_first(scene_states(verdict))] == ["bad", "toy", "good"]
 
 
-def test_holes_are_errors_of_their_scenes_only(make_row: Any) -> None:
+def test_holes_are_errors_of_their_scenes_only(make_row):
     rows = rows_of(make_row, good=[4] * 4, torn=[4, None])
     verdict = judge(rows, BAR, {"good": 4, "torn": 4, "gone": 2})
     assert states(verdict) == {"gone": "error", "good": "undecided", "torn": "error"}
@@ -62,21 +57,21 @@ def test_holes_are_errors_of_their_scenes_only(make_row: Any) -> None:
     assert sentences["gone"] == "2 trials missing; no trial has a result"
 
 
-def test_nothing_of_an_invalid_run_is_judged(make_row: Any) -> None:
+def test_nothing_of_an_invalid_run_is_judged(make_row):
     verdict = judge(rows_of(make_row, good=[4] * 20, bad=[0] * 20), BAR, {"good": 20, "bad": 20})
     assert set(states(without_bank(verdict, "the bank moved")).values()) == {"unjudged"}
 
 
-def test_a_run_that_is_regressed_by_nothing_of_its_scenes_blames_none(make_row: Any) -> None:
+def test_a_run_that_is_regressed_by_nothing_of_its_scenes_blames_none(make_row):
     verdict = judge(rows_of(make_row, a=[4] * 20), BAR, {"a": 20})
     assert states(replace(verdict, verdict="REGRESSED")) == {"a": "undecided"}
 
 
 @pytest.fixture
-def against(regressed: Comparison) -> Any:
+def against(regressed):
     """A comparison with a baseline that reached everything, two rounds of each scene."""
 
-    def make(word: Any, now: dict[str, float], *, named: str = "") -> Comparison:
+    def make(word, now, *, named=""):
         drops = tuple(
             SceneDrop(
                 scene=scene, tier="supporting", baseline=1.0, candidate=success, trials=2,
@@ -94,10 +89,10 @@ def against(regressed: Comparison) -> Any:
 
 
 @pytest.fixture
-def results(make_row: Any, against: Any) -> Any:
+def results(make_row, against):
     """What becomes of the scenes `good`, at 1, and `bad`, at 0, in two rounds."""
 
-    def make(word: Any, *, named: str = "", gate: Gate | None = None) -> Any:
+    def make(word, *, named="", gate=None):
         rows = rows_of(make_row, good=[4, 4], bad=[0, 0])
         found = against(word, {"good": 1.0, "bad": 0.0}, named=named)
         planned = {"good": 2, "bad": 2}
@@ -108,7 +103,7 @@ def results(make_row: Any, against: Any) -> Any:
     return make
 
 
-def test_a_scene_that_the_gate_left_undecided_is_skipped_with_its_counts(results: Any) -> None:
+def test_a_scene_that_the_gate_left_undecided_is_skipped_with_its_counts(results):
     assert results("INCONCLUSIVE") == {
         "bad": (
             "skipped",
@@ -121,7 +116,7 @@ def test_a_scene_that_the_gate_left_undecided_is_skipped_with_its_counts(results
     }
 
 
-def test_a_scene_that_fell_fails_unless_the_whole_verdict_is_pass(results: Any) -> None:
+def test_a_scene_that_fell_fails_unless_the_whole_verdict_is_pass(results):
     for word in ("REGRESSED", "INCONCLUSIVE"):
         found = results(word, named="bad")
         assert [found["good"][0], found["bad"][0]] == ["skipped", "failed"]
@@ -133,7 +128,7 @@ def test_a_scene_that_fell_fails_unless_the_whole_verdict_is_pass(results: Any) 
     assert passed["bad"][1].endswith("; the verdict is PASS, and does not rest on this scene alone")
 
 
-def test_no_scene_passes_with_nothing_reached_where_the_baseline_reached_more(results: Any) -> None:
+def test_no_scene_passes_with_nothing_reached_where_the_baseline_reached_more(results):
     """With many scenes the mean may pass before a bad one is named."""
     found = results("PASS")
     assert found["good"][0] == "passed"
@@ -146,7 +141,7 @@ def test_no_scene_passes_with_nothing_reached_where_the_baseline_reached_more(re
     )
 
 
-def test_an_informational_scene_says_so_and_never_passes_or_fails(results: Any) -> None:
+def test_an_informational_scene_says_so_and_never_passes_or_fails(results):
     gate = Gate(tiers={"good": "informational"})
     for word in ("PASS", "REGRESSED", "INCONCLUSIVE"):
         result, sentence = results(word, gate=gate)["good"]

@@ -1,7 +1,5 @@
 """A comparison reads as it is: on the terminal, as Markdown, and as a picture."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """A tiny run whose trials all fail, with a camera's pictures in their logs."""
 
-from __future__ import annotations
-
 import shutil
 
 import pytest

@@ -1,7 +1,5 @@
 """Which of many trials a page shows."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 

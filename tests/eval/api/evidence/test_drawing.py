@@ -1,7 +1,5 @@
 """Places from above and clips, from pictures and meshes that are known."""
 
-from __future__ import annotations
-
 from io import BytesIO
 
 import numpy as np

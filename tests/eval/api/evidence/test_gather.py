@@ -1,7 +1,5 @@
 """What logs of a real run show, whole and damaged, forged and missing."""
 
-from __future__ import annotations
-
 import random
 import shutil
 import subprocess

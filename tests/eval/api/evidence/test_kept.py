@@ -1,7 +1,5 @@
 """What logs showed is kept: the same pages, and what is damaged or another's is not believed."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from dataclasses import replace

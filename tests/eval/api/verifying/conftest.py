@@ -1,11 +1,10 @@
 """A run that has ended, as a folder of rows and logs that no simulation has made."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from hashlib import sha256
 
 import pytest
+from saved_runs import info_of, row_of
 
 from nw_base.trials import Trial
 from nw_eval.suite import new_suite
@@ -13,14 +12,12 @@ from nw_gate.results.ended import write_trials
 from nw_gate.results.journal import Journal, JournalHeader, read_journal
 from nw_gate.results.provenance import (
     PolicyInfo,
-    RunInfo,
     SceneInfo,
     code_info,
     machine_info,
     read_run_info,
     write_run_info,
 )
-from nw_gate.results.row import Row
 from nw_gate.results.run_folder import RunFolder
 
 SUITE = new_suite(
@@ -54,32 +51,10 @@ def _row(folder, index):
     log = folder.mcap(trial.scene, trial.id)
     log.parent.mkdir(parents=True, exist_ok=True)
     log.write_bytes(f"what happened in {index}".encode() * 100)
-    return Row(
-        trial_id=trial.id,
-        suite="quick",
-        scene=trial.scene,
-        task=trial.task,
-        seed_index=index,
-        seed=trial.seed,
-        policy="stand",
-        status="ok",
-        outcome="fell",
+    return row_of(
+        trial,
+        1,
         end_reason="roll",
-        completed=False,
-        robot="go1",
-        success=0.25,
-        waypoints_reached=1,
-        waypoints_total=4,
-        waypoint_times=(1.0,),
-        steps=200,
-        sim_s=4.0,
-        physics_s=0.5,
-        render_s=1.0,
-        policy_s=0.1,
-        log_s=0.2,
-        wall_s=2.0,
-        checkpoint_digest="cc" * 32,
-        scene_digest=DIGEST,
         mcap_path=folder.relative(log),
         mcap_bytes=log.stat().st_size,
         mcap_sha256=sha256(log.read_bytes()).hexdigest(),
@@ -128,14 +103,10 @@ class EndedRun:
 @pytest.fixture
 def run(tmp_path):
     ran = EndedRun(tmp_path / "run")
-    info = RunInfo(
-        id="run",
-        started="2026-11-21T11:00:05Z",
-        suite_file="quick.yaml",
-        suite=SUITE.model_dump(by_alias=True, mode="json"),
-        suite_digest=SUITE.digest,
+    info = info_of(
+        SUITE,
+        {"hurdles/one": SceneInfo(digest=DIGEST, task="hurdles", trials=3)},
         policy=PolicyInfo(name="stand", checkpoint_digest="cc" * 32, card_digest="p"),
-        scenes={"hurdles/one": SceneInfo(digest=DIGEST, task="hurdles", trials=3)},
         code=code_info(),
         machine=machine_info(),
     )

@@ -1,18 +1,16 @@
 """Trials of a real run, run again: the same bits, and what was forged is found by them."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from hashlib import sha256
 
 import pytest
+from command_line import ends
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from nw_eval import api
 from nw_eval.api.verifying_again import partings, partings_apart
-from nw_eval.cli import main
 from nw_gate.results.ended import write_trials
 from nw_gate.results.journal import Journal, read_journal
 from nw_gate.results.provenance import read_run_info, write_run_info
@@ -108,9 +106,7 @@ def with_another_picture(run, trial):
 
 def test_a_run_gives_the_same_bits_again_and_says_so(run, capsys):
     before = {path: path.stat().st_mtime_ns for path in run.path.rglob("*")}
-    with pytest.raises(SystemExit) as left:
-        main(["verify", str(run.path), "--workers", "1"])
-    assert left.value.code == 0
+    assert ends("verify", run.path, "--workers", "1") == 0
     out = capsys.readouterr().out
     assert "as the run ended: 3 rows and 3 logs" in out
     assert "states, actions and the log, images included, byte for byte" in out
@@ -160,9 +156,7 @@ def test_logs_of_other_bytes_are_compared_message_by_message(run):
 def test_a_run_of_another_machine_or_version_is_looked_at_and_not_run_again(run, other, capsys):
     info = read_run_info(run.run_json)
     forge(run, engine={**info.engine, other: "another"})
-    with pytest.raises(SystemExit) as left:
-        main(["verify", str(run.path)])
-    assert left.value.code == 5
+    assert ends("verify", run.path) == 5
     out = capsys.readouterr().out
     assert "as the run ended: 3 rows" in out
     assert f"nothing was run again: trials cannot be compared bit for bit here: {other} " in out
@@ -178,7 +172,5 @@ def test_a_run_whose_policy_was_an_object_or_lies_nowhere_is_looked_at_and_not_r
 
 
 def test_options_that_only_running_needs_are_refused_offline(run, capsys):
-    with pytest.raises(SystemExit) as left:
-        main(["verify", str(run.path), "--offline", "--seed", "3"])
-    assert left.value.code == 2
+    assert ends("verify", run.path, "--offline", "--seed", "3") == 2
     assert "--offline runs none" in capsys.readouterr().err

@@ -1,7 +1,5 @@
 """Logs of trials that were taken over: also in `mcap/`, as links that lead into `cached/` only."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from dataclasses import replace

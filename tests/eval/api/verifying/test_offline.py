@@ -1,7 +1,5 @@
 """What somebody may do to a run's folder, and what `verify --offline` says of it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

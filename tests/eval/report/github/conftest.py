@@ -20,7 +20,7 @@ class Command:
     properties: dict[str, str]
 
 
-def unescaped(text: str, *pairs: str) -> str:
+def unescaped(text, *pairs):
     for pair in ("\r%0D", "\n%0A", *pairs, "%%25"):
         text = text.replace(pair[1:], pair[0])
     return text
@@ -30,8 +30,8 @@ class Runner:
     """What reads a log and the files of a step."""
 
     @staticmethod
-    def commands(log: str) -> list[Command]:
-        found: list[Command] = []
+    def commands(log):
+        found = []
         for line in log.splitlines():
             if not line.lstrip().startswith("::") or "::" not in line.lstrip()[2:]:
                 continue
@@ -43,8 +43,8 @@ class Runner:
         return found
 
     @staticmethod
-    def outputs(text: str) -> dict[str, str]:
-        found: dict[str, str] = {}
+    def outputs(text):
+        found = {}
         lines = iter(text.splitlines(keepends=True))
         for line in lines:
             equals, heredoc = line.find("="), line.find("<<")
@@ -56,7 +56,7 @@ class Runner:
             name, _, fence = line.rstrip("\n").partition("<<")
             assert name
             assert fence
-            value: list[str] = []
+            value = []
             for inner in lines:
                 if inner.rstrip("\n") == fence:
                     break
@@ -68,5 +68,5 @@ class Runner:
 
 
 @pytest.fixture
-def runner() -> type[Runner]:
+def runner():
     return Runner

@@ -1,9 +1,6 @@
 """Annotations stand at the suite's own lines, are few, and say one thing each."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -23,8 +20,8 @@ BAR = Gate(success_rate=0.75)
 
 
 def test_a_regressed_run_annotates_its_gate_and_its_worst_scenes_first(
-    runner: Any, make_row: Any, make_run: Any, suite_file: Path, of_suite: dict[str, Any]
-) -> None:
+    runner, make_row, make_run, suite_file, of_suite
+):
     reached = {"hurdles/one": 4, "gaps/wide": 0, "gaps/near": 1}
     rows = [make_row(scene, k, to) for scene, to in reached.items() for k in range(20)]
     run = make_run(dict.fromkeys(reached, 20), **of_suite)
@@ -48,7 +45,7 @@ def test_a_regressed_run_annotates_its_gate_and_its_worst_scenes_first(
     )
 
 
-def test_there_are_eight_at_most(runner: Any, make_row: Any, make_run: Any) -> None:
+def test_there_are_eight_at_most(runner, make_row, make_run):
     scenes = [f"gaps/g{k:02d}" for k in range(30)]
     rows = [make_row(scene, k, 0) for scene in scenes for k in range(5)]
     run = make_run(dict.fromkeys(scenes, 5))
@@ -57,9 +54,7 @@ def test_there_are_eight_at_most(runner: Any, make_row: Any, make_run: Any) -> N
     assert all(each.properties.keys() == {"title"} for each in runner.commands("\n".join(shown)))
 
 
-def test_a_run_that_passes_warns_of_weak_scenes_only(
-    runner: Any, make_row: Any, make_run: Any
-) -> None:
+def test_a_run_that_passes_warns_of_weak_scenes_only(runner, make_row, make_run):
     scenes = [f"s{k}" for k in range(8)]
     rows = [make_row(scene, k, 4) for scene in scenes for k in range(20)]
     run = make_run(dict.fromkeys(scenes, 20))
@@ -72,7 +67,7 @@ def test_a_run_that_passes_warns_of_weak_scenes_only(
     assert (shown.name, shown.properties["title"]) == ("warning", "below the bar: bad")
 
 
-def test_every_fault_of_a_suite_is_at_its_own_line(runner: Any, tmp_path: Path) -> None:
+def test_every_fault_of_a_suite_is_at_its_own_line(runner, tmp_path):
     files = [tmp_path / "suites" / "a.yaml", Path("/elsewhere/policy.yaml")]
     faults = [
         Problem(file=str(file), line=3, column=5, message="no scene 'x'", fix="name one")
@@ -91,23 +86,19 @@ def test_every_fault_of_a_suite_is_at_its_own_line(runner: Any, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("text", ["50 % of a, b: c", "%0A::error::x", "a%25b", "::x::y"])
-def test_what_a_command_says_comes_back_as_it_was_and_is_no_other_command(
-    runner: Any, text: str
-) -> None:
+def test_what_a_command_says_comes_back_as_it_was_and_is_no_other_command(runner, text):
     (shown,) = runner.commands(command("warning", f"m {text}", title=f"t {text}", file=None))
     assert (shown.message, shown.properties) == (f"m {text}", {"title": f"t {text}"})
 
 
-def test_a_group_is_one_line_whatever_it_is_called(runner: Any, evil: str) -> None:
+def test_a_group_is_one_line_whatever_it_is_called(runner, evil):
     (shown,) = runner.commands(begin_group(f"nw-eval run {evil}"))
     assert (shown.name, shown.properties) == ("group", {})
     assert shown.message.startswith("nw-eval run \\x1b[2Jred\\u202e")
     assert runner.commands(END_GROUP)[0].name == "endgroup"
 
 
-def test_strangers_names_are_text_in_an_annotation(
-    runner: Any, make_row: Any, make_run: Any, evil: str
-) -> None:
+def test_strangers_names_are_text_in_an_annotation(runner, make_row, make_run, evil):
     rows = [make_row(f"s{evil}", 0, None, error_text=evil)]
     run = make_run({rows[0].scene: 1}, suite={"name": evil})
     log = "\n".join(run_annotations(run, judge(rows, BAR, run.planned), None))

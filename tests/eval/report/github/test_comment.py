@@ -1,7 +1,5 @@
 """Comments of strangers' jobs, as GitHub's own renderer shows what post.py makes of them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from functools import partial
@@ -9,7 +7,6 @@ from html.parser import HTMLParser
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from random import Random
-from typing import Any
 
 import pytest
 from cmarkgfm.cmark import Options, github_flavored_markdown_to_html
@@ -21,7 +18,6 @@ from nw_eval.suite import Gate
 from nw_gate.absolute import judge
 from nw_gate.baseline.combine import combined, without_bank
 from nw_gate.results.provenance import PolicyInfo
-from nw_gate.verdict import Comparison
 
 ROOT = Path(__file__).parents[4]
 LINK = "https://github.example/o/r/actions/runs/12"
@@ -31,7 +27,7 @@ FENCE = "```"
 _SPEC = spec_from_file_location("post", ROOT / ".github/actions/nw-eval-comment/post.py")
 assert _SPEC is not None
 assert _SPEC.loader is not None
-post: Any = module_from_spec(_SPEC)
+post = module_from_spec(_SPEC)
 _SPEC.loader.exec_module(post)
 
 # HTML of raw texts is shown, as GitHub's sanitizer would meet it; a comment's line ends are breaks.
@@ -58,47 +54,47 @@ LIVE = (
 class Shown(HTMLParser):
     """A rendered comment: its elements with attributes, and its text outside of code."""
 
-    def __init__(self, html: str) -> None:
+    def __init__(self, html):
         super().__init__(convert_charrefs=True)
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.comments: list[str] = []
-        self.others: list[str] = []
+        self.elements = []
+        self.comments = []
+        self.others = []
         self.text, self.code = "", ""
         self._in_code = 0
         self.feed(html)
         self.close()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self.elements.append((tag, dict(attrs)))
         self._in_code += tag == "code"
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag):
         self._in_code -= tag == "code"
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         if self._in_code:
             self.code += data
         else:
             self.text += data
 
-    def handle_comment(self, data: str) -> None:
+    def handle_comment(self, data):
         self.comments.append(data)
 
-    def handle_decl(self, decl: str) -> None:
+    def handle_decl(self, decl):
         self.others.append(decl)
 
-    def handle_pi(self, data: str) -> None:
+    def handle_pi(self, data):
         self.others.append(data)
 
-    def unknown_decl(self, data: str) -> None:
+    def unknown_decl(self, data):
         self.others.append(data)
 
 
-def faults(body: str) -> list[str]:
+def faults(body):
     """What a comment shows or does that nw-eval's do not."""
     shown = Shown(rendered(body))
     found = [f"<{tag}>" for tag, _ in shown.elements if tag not in ELEMENTS | TABLES]
-    allowed: dict[str, list[dict[str, str | None]]] = {"a": [{"href": LINK}]}
+    allowed = {"a": [{"href": LINK}]}
     for tag in ("th", "td"):
         allowed[tag] = [{}, {"align": "right"}]
     found += [f"{tag} {has}" for tag, has in shown.elements if has not in allowed.get(tag, [{}])]
@@ -112,7 +108,7 @@ def faults(body: str) -> list[str]:
     return found + [found[0] for live in LIVE if (found := re.findall(live, shown.text))]
 
 
-def posted(text: str) -> str:
+def posted(text):
     """What is posted of a text under the suite's mark."""
     mark, words = post.text_of(f"{MARK}\n{text}".encode(errors="surrogatepass"))
     return post.body_of(mark, words, LINK)
@@ -356,7 +352,7 @@ TRICKS = [
 ]
 
 
-def test_there_are_tricks_enough() -> None:
+def test_there_are_tricks_enough():
     assert len(set(TRICKS)) == len(TRICKS) >= 200
 
 
@@ -373,12 +369,12 @@ WAYS = {
 
 
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS.keys())
-def test_no_trick_makes_a_comment_do_more_than_nw_evals_own_do(way: str) -> None:
+def test_no_trick_makes_a_comment_do_more_than_nw_evals_own_do(way):
     bad = {text: found for text in TRICKS if (found := faults(posted(way.format(text))))}
     assert bad == {}
 
 
-def test_the_renderer_shows_what_the_tricks_do_where_nobody_judges_them() -> None:
+def test_the_renderer_shows_what_the_tricks_do_where_nobody_judges_them():
     # Else the test above could not fail.
     texts = [text for text in TRICKS if text != "\ud800"]
     done = [text for text in texts if faults(post.body_of(MARK, text, LINK))]
@@ -418,7 +414,7 @@ PIECES = [
 ]
 
 
-def test_nothing_put_together_by_chance_is_posted_and_does_more() -> None:
+def test_nothing_put_together_by_chance_is_posted_and_does_more():
     random = Random(35)
     shown = 0
     for _ in range(6000):
@@ -429,7 +425,7 @@ def test_nothing_put_together_by_chance_is_posted_and_does_more() -> None:
     assert shown > 300
 
 
-def test_words_of_strangers_are_escaped_so_that_they_are_posted_and_do_nothing() -> None:
+def test_words_of_strangers_are_escaped_so_that_they_are_posted_and_do_nothing():
     random = Random(36)
     for number in range(3000):
         words = "".join(random.choices(PIECES, k=random.randint(1, 12)))
@@ -445,7 +441,7 @@ def test_words_of_strangers_are_escaped_so_that_they_are_posted_and_do_nothing()
 
 
 @pytest.fixture
-def comments(make_row: Any, make_run: Any, evil: str, regressed: Comparison) -> dict[str, str]:
+def comments(make_row, make_run, evil, regressed):
     """Comments on runs of every verdict, some with words of strangers in every place."""
     scenes = ("hurdles/one", "gaps/a_b", "places/kitchen")
     planned = dict.fromkeys(scenes, 20)
@@ -486,9 +482,7 @@ def comments(make_row: Any, make_run: Any, evil: str, regressed: Comparison) -> 
     return {name: comment_page(*facts, Path("reports/r|x @y")) for name, facts in judged.items()}
 
 
-def test_what_nw_eval_writes_is_posted_as_it_is_and_renders_to_nothing_else(
-    comments: dict[str, str],
-) -> None:
+def test_what_nw_eval_writes_is_posted_as_it_is_and_renders_to_nothing_else(comments):
     for verdict in ("PASS", "REGRESSED", "INCONCLUSIVE", "INFRASTRUCTURE", "RAN", "INVALID"):
         assert comments[verdict].startswith(f"{MARK}\n# {verdict}: ")
     for name, comment in comments.items():
@@ -497,9 +491,7 @@ def test_what_nw_eval_writes_is_posted_as_it_is_and_renders_to_nothing_else(
         assert faults(post.body_of(mark, text, LINK)) == [], name
 
 
-def test_the_step_summary_renders_to_nothing_else_either(
-    make_row: Any, make_run: Any, evil: str
-) -> None:
+def test_the_step_summary_renders_to_nothing_else_either(make_row, make_run, evil):
     rows = [make_row("a", k, None, error_text=evil, error_type=evil) for k in range(3)]
     run = make_run({"a": 3}, policy=PolicyInfo(name=evil, checkpoint_digest="cc" * 32))
     verdict = judge(rows, Gate(success_rate=0.75), {"a": 3})

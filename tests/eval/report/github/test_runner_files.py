@@ -1,9 +1,6 @@
 """The files of a step: outputs that the runner reads as they were meant, whatever stood there."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -11,7 +8,7 @@ from nw_base.errors import StoreError
 from nw_eval.reporting.github import append, outputs_text, room_in, runner_of
 
 
-def test_outputs_come_back_as_they_were_whatever_is_in_them(runner: Any, evil: str) -> None:
+def test_outputs_come_back_as_they_were_whatever_is_in_them(runner, evil):
     values = {
         "verdict": "PASS",
         "success": "",
@@ -21,7 +18,7 @@ def test_outputs_come_back_as_they_were_whatever_is_in_them(runner: Any, evil: s
     assert runner.outputs(outputs_text(values)) == values
 
 
-def test_what_another_step_left_unfinished_is_ended_first(runner: Any, tmp_path: Path) -> None:
+def test_what_another_step_left_unfinished_is_ended_first(runner, tmp_path):
     file = tmp_path / "output"
     file.write_text("other=1")
     append(file, outputs_text({"verdict": "PASS"}), "GITHUB_OUTPUT")
@@ -30,21 +27,21 @@ def test_what_another_step_left_unfinished_is_ended_first(runner: Any, tmp_path:
     assert "\n\n" not in file.read_text()
 
 
-def test_the_room_of_a_summary_is_what_all_runs_of_the_step_have_left(tmp_path: Path) -> None:
+def test_the_room_of_a_summary_is_what_all_runs_of_the_step_have_left(tmp_path):
     assert room_in(None) == room_in(tmp_path / "none") == 2**20 - 1
     full = tmp_path / "full"
     full.write_bytes(b"x" * 2**20)
     assert room_in(full) == 0
 
 
-def test_a_file_that_is_not_named_or_cannot_be_written_is_said(tmp_path: Path) -> None:
+def test_a_file_that_is_not_named_or_cannot_be_written_is_said(tmp_path):
     with pytest.raises(StoreError, match="the environment has no GITHUB_OUTPUT"):
         append(None, "x", "GITHUB_OUTPUT")
     with pytest.raises(StoreError, match="cannot write GITHUB_OUTPUT: Is a directory"):
         append(tmp_path, "x", "GITHUB_OUTPUT")
 
 
-def test_the_environment_says_where_the_files_are() -> None:
+def test_the_environment_says_where_the_files_are():
     environment = {"GITHUB_STEP_SUMMARY": "/s", "GITHUB_OUTPUT": "", "GITHUB_WORKSPACE": "/w"}
     found = runner_of(environment)
     assert (found.summary, found.output, found.workspace) == (Path("/s"), None, Path("/w"))

@@ -1,20 +1,13 @@
 """Chromium without a screen, driven by its DevTools protocol: a page in a real browser."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
 import tempfile
 from base64 import b64decode
 from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from websockets.sync.client import ClientConnection, connect
-
-if TYPE_CHECKING:
-    from collections.abc import Generator
+from websockets.sync.client import connect
 
 CHROMIUM = shutil.which("chromium")
 SECONDS = 240.0
@@ -23,14 +16,14 @@ SECONDS = 240.0
 class Browser:
     """One tab of a browser, and all that it said of the page that it shows."""
 
-    def __init__(self, socket: ClientConnection) -> None:
+    def __init__(self, socket):
         self._socket = socket
         self._count = 0
-        self.events: list[dict[str, Any]] = []
+        self.events = []
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
 
-    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+    def call(self, method, **parameters):
         self._count += 1
         self._socket.send(json.dumps({"id": self._count, "method": method, "params": parameters}))
         while True:
@@ -41,7 +34,7 @@ class Browser:
                 return message["result"]
             self.events.append(message)
 
-    def show(self, page: Path, *, width: int = 1280, height: int = 900, dark: bool = False) -> None:
+    def show(self, page, *, width=1280, height=900, dark=False):
         """Open a page and wait until it has loaded."""
         scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.call("Emulation.setEmulatedMedia", features=scheme)
@@ -53,7 +46,7 @@ class Browser:
         self.call("Page.navigate", url=page.as_uri())
         self._wait_for("Page.loadEventFired")
 
-    def run(self, expression: str) -> Any:
+    def run(self, expression):
         """Return what an expression of JavaScript comes to, awaited."""
         found = self.call(
             "Runtime.evaluate", expression=expression, awaitPromise=True, returnByValue=True
@@ -62,7 +55,7 @@ class Browser:
             raise RuntimeError(found["exceptionDetails"]["exception"].get("description"))
         return found["result"].get("value")
 
-    def picture(self, path: Path, *, most: int = 20000) -> None:
+    def picture(self, path, *, most=20000):
         """Write a picture of the whole page, or of its upper part."""
         size = self.call("Page.getLayoutMetrics")["cssContentSize"]
         # What lies outside the window is not drawn, to save time.
@@ -78,10 +71,10 @@ class Browser:
         path.write_bytes(b64decode(shot["data"]))
 
     @property
-    def complaints(self) -> list[str]:
+    def complaints(self):
         """Errors and warnings of the console, exceptions, and what the page's policy forbade."""
         self.call("Runtime.evaluate", expression="0")  # All events before its answer are here.
-        found: list[str] = []
+        found = []
         for event in self.events:
             what = event["params"]
             if event["method"] == "Runtime.exceptionThrown":
@@ -93,19 +86,19 @@ class Browser:
         return found
 
     @property
-    def requests(self) -> list[str]:
+    def requests(self):
         """Addresses that were asked for, but for those that hold their data themselves."""
         sent = [event for event in self.events if event["method"] == "Network.requestWillBeSent"]
         urls = [event["params"]["request"]["url"] for event in sent]
         return [url for url in urls if not url.startswith("data:")]
 
-    def _wait_for(self, method: str) -> None:
+    def _wait_for(self, method):
         while not any(event["method"] == method for event in self.events):
             self.events.append(json.loads(self._socket.recv(timeout=SECONDS)))
 
 
 @contextmanager
-def browser() -> Generator[Browser]:
+def browser():
     """Start a browser, and end it and forget its profile when done."""
     assert CHROMIUM is not None
     with tempfile.TemporaryDirectory() as profile:

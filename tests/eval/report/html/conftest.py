@@ -1,12 +1,10 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from saved_runs import save
 
 from nw_eval.api.saved_run import saved_suite, saved_trials
 from nw_eval.reporting.html.evidence import (
@@ -18,20 +16,11 @@ from nw_eval.reporting.html.evidence import (
     WalkedPath,
 )
 from nw_eval.reporting.html.page import render_html
-from nw_eval.reporting.tables import NO_RIVALS, Rivals
+from nw_eval.reporting.tables import NO_RIVALS
 from nw_eval.suite import Gate, new_suite
 from nw_gate.absolute import judge
 from nw_gate.baseline.combine import combined
-from nw_gate.results.ended import write_trials
-from nw_gate.results.journal import Journal, JournalHeader
-from nw_gate.results.provenance import write_run_info
-from nw_gate.results.run_folder import RunFolder
-from nw_gate.verdict import Comparison, SceneDrop
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from nw_gate.results.row import Row
+from nw_gate.verdict import SceneDrop
 
 _EMPTY = {"meta", "link", "img", "br", "input"}
 
@@ -39,12 +28,12 @@ _EMPTY = {"meta", "link", "img", "br", "input"}
 class Element:
     """An element of a page, with its children and the text right within it."""
 
-    def __init__(self, tag: str, attributes: dict[str, str | None]) -> None:
+    def __init__(self, tag, attributes):
         self.tag = tag
         self.attributes = attributes
-        self.parts: list[Element | str] = []
+        self.parts = []
 
-    def all(self, tag: str | None = None, **attributes: str) -> list[Element]:
+    def all(self, tag=None, **attributes):
         return [
             each
             for each in self._below()
@@ -55,22 +44,22 @@ class Element:
             )
         ]
 
-    def one(self, tag: str | None = None, **attributes: str) -> Element:
+    def one(self, tag=None, **attributes):
         (found,) = self.all(tag, **attributes)
         return found
 
     @property
-    def text(self) -> str:
+    def text(self):
         return "".join(part if isinstance(part, str) else part.text for part in self.parts).strip()
 
     @property
-    def cells(self) -> list[list[str]]:
+    def cells(self):
         """Of a table: its rows, the header first."""
         return [
             [cell.text for cell in row.all() if cell.tag in {"th", "td"}] for row in self.all("tr")
         ]
 
-    def _below(self) -> Iterator[Element]:
+    def _below(self):
         for part in self.parts:
             if isinstance(part, Element):
                 yield part
@@ -82,32 +71,32 @@ NO_BREAK = "\u00a0"
 
 
 class _Reader(HTMLParser):
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.open = [Element("", {})]
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         assert len(dict(attrs)) == len(attrs), (tag, attrs)
         told = {name: value and value.replace(NO_BREAK, " ") for name, value in attrs}
         self.open[-1].parts.append(element := Element(tag, told))
         if tag not in _EMPTY:
             self.open.append(element)
 
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_startendtag(self, tag, attrs):
         self.open[-1].parts.append(Element(tag, dict(attrs)))
 
-    def handle_endtag(self, tag: str) -> None:
+    def handle_endtag(self, tag):
         assert self.open.pop().tag == tag, f"</{tag}> closes another element"
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         self.open[-1].parts.append(data.replace(NO_BREAK, " "))
 
 
 @pytest.fixture
-def read() -> Callable[[str], Element]:
+def read():
     """Parse a page; every element must be closed where it ought to be."""
 
-    def reading(text: str) -> Element:
+    def reading(text):
         reader = _Reader()
         reader.feed(text)
         reader.close()
@@ -118,18 +107,10 @@ def read() -> Callable[[str], Element]:
 
 
 @pytest.fixture
-def make_page(make_run: Callable[..., Any]) -> Callable[..., str]:
+def make_page(make_run):
     """The page of some rows, judged by a bar."""
 
-    def make(
-        rows: Sequence[Row],
-        evidence: LogEvidence = NO_EVIDENCE,
-        *,
-        gate: Gate | None = None,
-        against: Comparison | None = None,
-        rivals: Rivals = NO_RIVALS,
-        **facts: Any,
-    ) -> str:
+    def make(rows, evidence=NO_EVIDENCE, *, gate=None, against=None, rivals=NO_RIVALS, **facts):
         planned = {scene: sum(row.scene == scene for row in rows) for scene in _scenes(rows)}
         verdict = judge(rows, gate or Gate(success_rate=0.75), planned, against=against)
         verdict = verdict if against is None else combined(verdict, against)
@@ -146,7 +127,7 @@ def make_page(make_run: Callable[..., Any]) -> Callable[..., str]:
 
 
 @pytest.fixture
-def compared(regressed: Comparison) -> Comparison:
+def compared(regressed):
     """What five rounds in two scenes show: one fell at its second waypoint, the other did not."""
     high = SceneDrop(
         scene="hurdles/high", tier="critical", baseline=0.95, candidate=0.45, trials=5,
@@ -163,10 +144,10 @@ def compared(regressed: Comparison) -> Comparison:
 
 
 @pytest.fixture
-def full_evidence() -> Callable[[Sequence[Row]], LogEvidence]:
+def full_evidence():
     """As much as logs could ever hold of some trials: long paths, large pictures and clips."""
 
-    def make(rows: Sequence[Row]) -> LogEvidence:
+    def make(rows):
         rng = np.random.Generator(np.random.PCG64(7))
         return LogEvidence(
             paths=tuple(
@@ -201,17 +182,15 @@ def full_evidence() -> Callable[[Sequence[Row]], LogEvidence]:
     return make
 
 
-def _scenes(rows: Sequence[Row]) -> list[str]:
+def _scenes(rows):
     return sorted({row.scene for row in rows})
 
 
 @pytest.fixture
-def save_run(
-    make_run: Callable[..., Any], make_row: Callable[..., Row]
-) -> Callable[[Path, Sequence[int]], Path]:
+def save_run(make_run, make_row):
     """Write the folder of a run in scene `a` that has ended, from the waypoints of its trials."""
 
-    def save(path: Path, reached: Sequence[int], **facts: Any) -> Path:
+    def saved(path, reached, **facts):
         suite = new_suite(
             {
                 "nw-eval": 1, "name": "hurdles", "robot": "go1", "policy": "go1-parkour",
@@ -230,18 +209,6 @@ def save_run(
             make_row("a", index, count, trial_id=trial.id, seed=trial.seed, mcap_path="")
             for index, (count, trial) in enumerate(zip(reached, trials, strict=True))
         ]
-        folder = RunFolder(path=path)
-        folder.path.mkdir(parents=True)
-        header = JournalHeader(
-            suite_digest=run.suite_digest,
-            policy_digest=run.policy.card_digest,
-            scene_digests={name: scene.digest for name, scene in run.scenes.items()},
-            engine=run.engine,
-        )
-        with Journal.create(folder.journal, header) as journal:
-            for row in rows:
-                journal.append(row)
-        write_run_info(folder.run_json, write_trials(folder, run, rows))
-        return path
+        return save(path, run, rows).path
 
-    return save
+    return saved

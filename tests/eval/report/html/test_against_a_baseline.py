@@ -1,28 +1,18 @@
 """What report.html shows of a comparison with a baseline."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
 
 import pytest
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from nw_gate.verdict import Comparison
-
-    Make = Callable[..., Any]
-
 
 @pytest.fixture
-def page(make_page: Make, make_row: Make, read: Make, compared: Comparison) -> Any:
+def page(make_page, make_row, read, compared):
     rows = [make_row("hurdles/low", index, 4) for index in range(5)]
     rows += [make_row("hurdles/high", index, 1 if index < 4 else 4) for index in range(5)]
     return read(make_page(rows, against=compared))
 
 
-def test_the_effect_against_the_baseline_comes_before_all_else(page: Any) -> None:
+def test_the_effect_against_the_baseline_comes_before_all_else(page):
     assert page.one("h1").text == "REGRESSED"
     assert page.one("ul", class_="facts").all("li")[0].text == (
         "baseline shipped 0.925, drop 0.200 in 10 of 40 trials"
@@ -42,7 +32,7 @@ def test_the_effect_against_the_baseline_comes_before_all_else(page: Any) -> Non
     assert good < left_open < bad < float(drop.one("circle").attributes["cx"])
 
 
-def test_scenes_are_shown_beside_the_baseline_what_fell_first(page: Any) -> None:
+def test_scenes_are_shown_beside_the_baseline_what_fell_first(page):
     table = page.one("section", id="scenes").all("table")[0]
     header, high, low = table.cells
     assert [name for name in header if name][-8:] == [
@@ -57,7 +47,7 @@ def test_scenes_are_shown_beside_the_baseline_what_fell_first(page: Any) -> None
     assert (lost.attributes["class"], won.attributes["class"]) == ("lost", "won")
 
 
-def test_the_course_shows_whom_each_waypoint_stopped_and_where_they_part(page: Any) -> None:
+def test_the_course_shows_whom_each_waypoint_stopped_and_where_they_part(page):
     section = page.one("section", id="course")
     together = section.all("table")[0].cells
     # Of 40 starts of the bank 38 reached the first waypoint, and 37 the second as well.
@@ -71,9 +61,7 @@ def test_the_course_shows_whom_each_waypoint_stopped_and_where_they_part(page: A
     assert "Baseline: 95 %, 92 %" in section.one("figure").one("svg").attributes["aria-label"]
 
 
-def test_beside_a_control_the_course_is_of_its_trials(
-    make_page: Make, make_row: Make, read: Make, compared: Comparison
-) -> None:
+def test_beside_a_control_the_course_is_of_its_trials(make_page, make_row, read, compared):
     rows = [make_row("hurdles/low", index, 4) for index in range(5)]
     page = read(make_page(rows, against=replace(compared, basis="control")))
     words = page.one("section", id="course").text

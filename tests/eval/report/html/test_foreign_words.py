@@ -1,12 +1,9 @@
 """Names and texts of strangers: a page shows them, and none of them becomes a part of it."""
 
-from __future__ import annotations
-
 import re
 from base64 import b64encode
 from dataclasses import replace
 from hashlib import sha256
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -14,11 +11,6 @@ import pytest
 from nw_eval.reporting.html.evidence import Clip, LogEvidence, PlaceView, WalkedPath
 from nw_eval.reporting.html.runs import ListedRun, render_index
 from nw_gate.results.provenance import PolicyInfo
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Make = Callable[..., Any]
 
 NASTY = (
     "</title></script></style><script>alert(1)</script>\"' onload='x' <img src=http://evil/x>\n"
@@ -28,7 +20,7 @@ VISIBLE = "\\u202etxt\\u2066 ws://host/x {{ 7 * 7 }} &amp; --> ]]>"
 
 
 @pytest.fixture
-def nasty_page(make_page: Make, make_row: Make) -> str:
+def nasty_page(make_page, make_row):
     failed = {"outcome": "policy_failed", "end_reason": "exception", "error_text": NASTY}
     rows = [
         make_row(NASTY, 0, 1, trial_id=f"{NASTY}-0", end_reason=NASTY, mcap_path="mcap/a.mcap"),
@@ -53,7 +45,7 @@ def nasty_page(make_page: Make, make_row: Make) -> str:
     )
 
 
-def check_harmless(page: str, read: Make) -> None:
+def check_harmless(page, read):
     for mark in ("\x1b", "\u202e", "\u2066", "hunter2"):
         assert mark not in page
     parsed = read(page)
@@ -68,7 +60,7 @@ def check_harmless(page: str, read: Make) -> None:
             assert re.match(r"#|data:|[\w.%/-]+$", where), where
 
 
-def test_every_surface_of_the_page_shows_them_as_text(nasty_page: str, read: Make) -> None:
+def test_every_surface_of_the_page_shows_them_as_text(nasty_page, read):
     check_harmless(nasty_page, read)
     page = read(nasty_page)
     places = [
@@ -90,9 +82,7 @@ def test_every_surface_of_the_page_shows_them_as_text(nasty_page: str, read: Mak
     assert VISIBLE in page.one("section", id="worst").one("img").attributes["alt"]
 
 
-def test_the_page_over_many_runs_shows_them_as_text(
-    make_run: Make, make_row: Make, read: Make
-) -> None:
+def test_the_page_over_many_runs_shows_them_as_text(make_run, make_row, read):
     from nw_eval.suite import Gate
     from nw_gate.absolute import judge
 
@@ -104,9 +94,7 @@ def test_the_page_over_many_runs_shows_them_as_text(
     assert VISIBLE in read(page).one("section", id="suite-1").text
 
 
-def test_the_page_forbids_itself_all_but_its_own_script_and_style(
-    nasty_page: str, read: Make
-) -> None:
+def test_the_page_forbids_itself_all_but_its_own_script_and_style(nasty_page, read):
     page = read(nasty_page)
     policy = page.one("meta", http_equiv="Content-Security-Policy").attributes["content"]
     rules = dict(rule.split(" ", 1) for rule in policy.split("; "))

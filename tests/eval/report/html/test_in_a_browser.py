@@ -1,13 +1,10 @@
 """The page in a real browser: nothing is complained of, nothing asked for, and all can read it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -20,14 +17,7 @@ from nw_gate.baseline.combine import combined
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from browser import CHROMIUM, Browser, browser
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from nw_gate.verdict import Comparison
-
-    Make = Callable[..., Any]
+from browser import CHROMIUM, browser
 
 AXE = "axe-core@4.10.3"
 
@@ -35,20 +25,13 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromiu
 
 
 @pytest.fixture(scope="module")
-def tab() -> Iterator[Browser]:
+def tab():
     with browser() as found:
         yield found
 
 
 @pytest.fixture(params=[150])
-def page(
-    request: pytest.FixtureRequest,
-    make_page: Make,
-    make_row: Make,
-    full_evidence: Make,
-    compared: Comparison,
-    tmp_path: Path,
-) -> Path:
+def page(request, make_page, make_row, full_evidence, compared, tmp_path):
     """A page with all that one can have: a baseline, many outcomes, paths, pictures and clips."""
     rows = [
         make_row(
@@ -65,7 +48,7 @@ def page(
 
 
 @pytest.fixture(scope="session")
-def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+def axe(tmp_path_factory):
     """The source of axe-core, from npm."""
     npm, folder = shutil.which("npm"), tmp_path_factory.mktemp("axe")
     if npm is None:
@@ -77,9 +60,7 @@ def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
     return (folder / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
 
 
-def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(
-    tab: Browser, page: Path
-) -> None:
+def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(tab, page):
     tab.show(page)
     assert tab.complaints == []
     assert tab.requests == [page.as_uri()]
@@ -101,7 +82,7 @@ def test_a_browser_has_nothing_to_complain_of_and_asks_for_nothing(
     assert tab.complaints == []
 
 
-def test_a_stranger_s_script_would_not_run_even_in_the_page(tab: Browser, page: Path) -> None:
+def test_a_stranger_s_script_would_not_run_even_in_the_page(tab, page):
     """Should escaping ever fail, the page's own policy is the second fence."""
     text = page.read_text(encoding="utf-8")
     held = "<script>document.title = 'owned'</script><img src='http://127.0.0.1:9/x'>"
@@ -112,7 +93,7 @@ def test_a_stranger_s_script_would_not_run_even_in_the_page(tab: Browser, page: 
 
 
 @pytest.fixture
-def index_page(make_run: Make, make_row: Make, compared: Comparison, tmp_path: Path) -> Path:
+def index_page(make_run, make_row, compared, tmp_path):
     """A page over two runs, one of which cannot be read."""
     rows = [make_row("hurdles/high", index, index % 5) for index in range(20)]
     verdict = combined(judge(rows, Gate(), {"hurdles/high": 20}, against=compared), compared)
@@ -127,9 +108,7 @@ def index_page(make_run: Make, make_row: Make, compared: Comparison, tmp_path: P
     return path
 
 
-def test_two_runs_of_an_index_stand_side_by_side_and_runs_are_filtered(
-    tab: Browser, index_page: Path
-) -> None:
+def test_two_runs_of_an_index_stand_side_by_side_and_runs_are_filtered(tab, index_page):
     tab.show(index_page)
     heads = "[...document.querySelectorAll('[data-compares] thead > tr > *')]"
     shown = f"{heads}.filter((head) => !head.hidden).map((head) => head.innerText.split(/\\s/)[0])"
@@ -156,9 +135,7 @@ def test_two_runs_of_an_index_stand_side_by_side_and_runs_are_filtered(
 @pytest.mark.parametrize("width", [1280, 390], ids=["desktop", "phone"])
 @pytest.mark.parametrize("shown", ["page", "index_page"])
 @pytest.mark.parametrize("page", [10], indirect=True, ids=["small"])
-def test_axe_finds_nothing_serious(
-    tab: Browser, axe: str, page: Path, index_page: Path, shown: str, width: int, dark: bool
-) -> None:
+def test_axe_finds_nothing_serious(tab, axe, page, index_page, shown, width, dark):
     path = page if shown == "page" else index_page
     tab.show(path, width=width, dark=dark)
     assert tab.complaints == []

@@ -1,10 +1,7 @@
 """The page over many runs: a line for each policy, named as people know it, with where it is of."""
 
-from __future__ import annotations
-
 import re
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -13,11 +10,6 @@ from nw_eval.suite import Gate
 from nw_gate.absolute import judge
 from nw_gate.results.provenance import PolicyInfo
 from nw_gate.stats.interval import Interval
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Make = Callable[..., Any]
 
 COMMIT = "0a1b2c3d4e5f60718293a4b5c6d7e8f901234567"
 CI = {
@@ -28,8 +20,8 @@ CI = {
 
 
 @pytest.fixture
-def listed(make_run: Make, make_row: Make) -> Callable[..., ListedRun]:
-    def make(name: str, policy: str, reached: int, day: int, **labels: str) -> ListedRun:
+def listed(make_run, make_row):
+    def make(name, policy, reached, day, **labels):
         verdict = judge([make_row("a", k, reached) for k in range(20)], Gate(), {"a": 20})
         info = make_run(
             {"a": 20}, id=name, started=f"2026-11-{day}T11:00:05Z", labels=labels,
@@ -40,9 +32,7 @@ def listed(make_run: Make, make_row: Make) -> Callable[..., ListedRun]:
     return make
 
 
-def test_a_training_is_a_line_over_its_steps_and_other_policies_are_lines_over_dates(
-    listed: Make, read: Make
-) -> None:
+def test_a_training_is_a_line_over_its_steps_and_other_policies_are_lines_over_dates(listed, read):
     runs = [
         listed("b", "walker", 4, 20, training_run="seed-1", step="1000"),
         listed("a", "walker", 1, 21, training_run="seed-1", step="500"),
@@ -79,7 +69,7 @@ def test_a_training_is_a_line_over_its_steps_and_other_policies_are_lines_over_d
     ]
 
 
-def test_a_run_leads_to_its_commit_and_its_job(listed: Make, read: Make) -> None:
+def test_a_run_leads_to_its_commit_and_its_job(listed, read):
     page = read(render_index([listed("x", "stand", 2, 22, **CI), listed("y", "stand", 2, 23)], []))
     links = [each for each in page.one("section", id="runs").all("a") if "rel" in each.attributes]
     assert [each.attributes["href"] for each in links] == [
@@ -93,7 +83,7 @@ def test_a_run_leads_to_its_commit_and_its_job(listed: Make, read: Make) -> None
     assert "commit" not in bare.one("section", id="runs").one("table").cells[0]
 
 
-def test_the_server_of_a_job_is_named_where_readers_may_not_expect_it(listed: Make) -> None:
+def test_the_server_of_a_job_is_named_where_readers_may_not_expect_it(listed):
     own = {"repository": "acme/dogs", "job_url": "https://ci.acme.dev/acme/dogs/-/jobs/7"}
     assert listed("x", "stand", 2, 22, **own).links["job"].host == "ci.acme.dev"
     assert listed("x", "stand", 2, 22, **CI).links["job"].host == ""
@@ -101,15 +91,13 @@ def test_the_server_of_a_job_is_named_where_readers_may_not_expect_it(listed: Ma
     assert listed("x", "stand", 2, 22, pull_request="javascript:x").links["pull_request"].href == ""
 
 
-def test_a_folder_s_name_that_nobody_chose_is_the_time_of_its_run(listed: Make) -> None:
+def test_a_folder_s_name_that_nobody_chose_is_the_time_of_its_run(listed):
     given = listed("hurdles-stand-20261122T110005Z-1a2b3c4d", "stand", 2, 22)
     assert (given.name, listed("mine", "stand", 2, 22).name) == ("2026-11-22 11:00", "mine")
 
 
 @pytest.mark.parametrize("started", ["never", "0001-01-01T00:00:00+23:59", "9999-12-31", ""])
-def test_a_run_of_no_time_is_in_the_table_only(
-    make_run: Make, make_row: Make, read: Make, started: str
-) -> None:
+def test_a_run_of_no_time_is_in_the_table_only(make_run, make_row, read, started):
     verdict = judge([make_row("a", 0, 4)], Gate(), {"a": 1})
     run = ListedRun(
         folder="x", href=None, info=make_run({"a": 1}, started=started), verdict=verdict
@@ -119,7 +107,7 @@ def test_a_run_of_no_time_is_in_the_table_only(
     assert started in page.one("section", id="runs").text
 
 
-def test_names_of_lines_that_end_together_stand_below_each_other() -> None:
+def test_names_of_lines_that_end_together_stand_below_each_other():
     results = [
         (f"policy {k}", [Result(at=1.0, success=0.5, interval=Interval(0.2, 0.8), name="x")])
         for k in range(MOST + 3)
@@ -134,7 +122,7 @@ def test_names_of_lines_that_end_together_stand_below_each_other() -> None:
 
 
 @pytest.mark.parametrize("span", [0.0, 0.4, 7, 50, 170, 2000, 9000, 40_000, 3e5, 4e6, 9e7, 1e9])
-def test_ticks_of_dates_are_within_the_axis_and_no_two_are_alike(span: float) -> None:
+def test_ticks_of_dates_are_within_the_axis_and_no_two_are_alike(span):
     """Of a run every minute each tick says another minute."""
     first = 1_764_234_567.25
     runs = [
@@ -149,7 +137,7 @@ def test_ticks_of_dates_are_within_the_axis_and_no_two_are_alike(span: float) ->
     assert all(LEFT <= x <= RIGHT for x, _ in drawn.ticks)
 
 
-def test_ticks_are_round_steps_within_the_axis() -> None:
+def test_ticks_are_round_steps_within_the_axis():
     found = [
         Result(at=at, success=1.0, interval=Interval(0.9, 1.0), name="x") for at in (130.0, 4870.0)
     ]

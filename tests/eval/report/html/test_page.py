@@ -1,14 +1,11 @@
 """What stands in report.html, read by a parser of HTML."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
 import sys
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -16,20 +13,15 @@ import pytest
 from nw_eval.reporting.html.evidence import Clip, Film, LogEvidence, PlaceView, WalkedPath
 from nw_eval.suite import Gate
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Make = Callable[..., Any]
-
 
 @pytest.fixture
-def rows(make_row: Make) -> list[Any]:
+def rows(make_row):
     """Two scenes of ten trials; in the second most trials miss the third waypoint."""
     good = [make_row("hurdles/low", index, 4) for index in range(10)]
     return good + [make_row("hurdles/high", index, 2 if index < 8 else 4) for index in range(10)]
 
 
-def walked(trial: str) -> WalkedPath:
+def walked(trial):
     return WalkedPath(trial_id=trial, points=np.array([[0.0, 0.0], [0.5, 0.1], [1.0, -0.2]]))
 
 
@@ -45,9 +37,7 @@ CLIP = Clip(
 )
 
 
-def test_the_verdict_comes_first_with_what_it_rests_on(
-    make_page: Make, read: Make, rows: list[Any]
-) -> None:
+def test_the_verdict_comes_first_with_what_it_rests_on(make_page, read, rows):
     page = read(make_page(rows))
     heading = next(each for each in page.all() if each.tag in {"h1", "h2"})
     assert (heading.tag, heading.text) == ("h1", "INCONCLUSIVE")
@@ -58,9 +48,7 @@ def test_the_verdict_comes_first_with_what_it_rests_on(
     assert drawing.attributes["aria-label"].startswith("Mean success is 0.800, for new starts")
 
 
-def test_a_reader_without_eyes_finds_a_way_through(
-    make_page: Make, read: Make, rows: list[Any], full_evidence: Make
-) -> None:
+def test_a_reader_without_eyes_finds_a_way_through(make_page, read, rows, full_evidence):
     page = read(make_page(rows, full_evidence(rows)))
     ids = [each.attributes["id"] for each in page.all() if "id" in each.attributes]
     assert len(ids) == len(set(ids))
@@ -85,9 +73,7 @@ def test_a_reader_without_eyes_finds_a_way_through(
     assert page.one("html").attributes["lang"] == "en"
 
 
-def test_no_number_is_parted_from_its_unit_and_commands_keep_their_spaces(
-    make_page: Make, rows: list[Any]
-) -> None:
+def test_no_number_is_parted_from_its_unit_and_commands_keep_their_spaces(make_page, rows):
     body = make_page(rows, LogEvidence(clips=(CLIP,))).partition("</style>")[2]
     text = re.sub(r"<script>.*?</script>|<[^>]*>", "\n", body, flags=re.DOTALL)
     text = text.replace("&nbsp;", "\u00a0")
@@ -96,9 +82,7 @@ def test_no_number_is_parted_from_its_unit_and_commands_keep_their_spaces(
     assert "nw-eval replay &#39;reports/run one/mcap" in text
 
 
-def test_every_trial_has_a_line_with_the_command_that_replays_it(
-    make_page: Make, read: Make, rows: list[Any]
-) -> None:
+def test_every_trial_has_a_line_with_the_command_that_replays_it(make_page, read, rows):
     header, *lines = read(make_page(rows)).one("table", id="all").cells
     assert header[:2] == ["trial", "scene"]
     worst_first = sorted(rows, key=lambda row: (row.completed, row.success, row.trial_id))
@@ -109,9 +93,7 @@ def test_every_trial_has_a_line_with_the_command_that_replays_it(
     assert lines[0][4] == "2/4"
 
 
-def test_where_trials_fail_is_told_waypoint_by_waypoint(
-    make_page: Make, read: Make, rows: list[Any]
-) -> None:
+def test_where_trials_fail_is_told_waypoint_by_waypoint(make_page, read, rows):
     page = read(make_page(rows))
     scenes = page.one("table", class_="heat").cells
     assert scenes[1] == ["hurdles/high", "0 of 10", "0 of 10", "8 of 10", "0 of 2"]
@@ -122,9 +104,7 @@ def test_where_trials_fail_is_told_waypoint_by_waypoint(
     assert "100 % waypoint 1, 100 % waypoint 2, 60 % waypoint 3, 60 % waypoint 4" in survival
 
 
-def test_of_many_trials_those_that_failed_are_listed_first(
-    make_page: Make, read: Make, rows: list[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_many_trials_those_that_failed_are_listed_first(make_page, read, rows, monkeypatch):
     monkeypatch.setattr("nw_eval.reporting.html.page.MOST_LINES", 10)
     section = read(make_page(rows)).one("section", id="trials")
     listed = [line[0] for line in section.one("table").cells[1:]]
@@ -134,9 +114,7 @@ def test_of_many_trials_those_that_failed_are_listed_first(
     assert f"10 of {len(rows)} trials, those that failed before" in section.text
 
 
-def test_a_page_without_logs_is_whole_and_claims_none(
-    make_page: Make, read: Make, rows: list[Any]
-) -> None:
+def test_a_page_without_logs_is_whole_and_claims_none(make_page, read, rows):
     page = read(make_page([replace(row, mcap_path="") for row in rows]))
     assert not page.all("img")
     assert not page.all("section", id="course")[0].all("figure", class_="view")
@@ -154,16 +132,14 @@ def test_a_page_without_logs_is_whole_and_claims_none(
     ]
 
 
-def test_a_run_of_which_nothing_came_says_so(make_page: Make, read: Make, make_row: Make) -> None:
+def test_a_run_of_which_nothing_came_says_so(make_page, read, make_row):
     page = read(make_page([make_row("a", 0, None)]))
     assert page.one("h1").text == "INFRASTRUCTURE"
     assert "signal 11" in page.one("section", id="outcomes").text
     assert "No trial has a row." in read(make_page([])).one("section", id="outcomes").text
 
 
-def test_paths_are_drawn_on_their_scene_in_the_colour_of_their_outcome(
-    make_page: Make, read: Make, rows: list[Any]
-) -> None:
+def test_paths_are_drawn_on_their_scene_in_the_colour_of_their_outcome(make_page, read, rows):
     place = PlaceView(scene="hurdles/high", waypoints=np.array([[1.0, 0.0]]), reach=0.3)
     evidence = LogEvidence(
         paths=(walked("hurdles-high-003"), walked("hurdles-high-009"), walked("not-of-this-run")),
@@ -178,9 +154,7 @@ def test_paths_are_drawn_on_their_scene_in_the_colour_of_their_outcome(
     assert view.one("circle").attributes["r"] == "30"
 
 
-def test_a_clip_stands_still_until_somebody_plays_it(
-    make_page: Make, read: Make, rows: list[Any]
-) -> None:
+def test_a_clip_stands_still_until_somebody_plays_it(make_page, read, rows):
     page = read(make_page(rows, LogEvidence(clips=(CLIP,), remarks=("One log is cut short.",))))
     worst = page.one("section", id="worst")
     (card,) = [each for each in worst.all("li") if each.all("img")]
@@ -193,8 +167,8 @@ def test_a_clip_stands_still_until_somebody_plays_it(
 
 
 def test_the_three_worst_trials_are_shown_before_others_from_outside_and_as_the_policy_saw(
-    make_page: Make, read: Make, rows: list[Any]
-) -> None:
+    make_page, read, rows
+):
     film = Film(data=b"outside", still=b"standing outside", width=256, height=144)
     failed = [row for row in rows if not row.completed][:5]
     clips = tuple(replace(CLIP, trial_id=row.trial_id, outside=film) for row in failed)
@@ -213,9 +187,7 @@ def test_the_three_worst_trials_are_shown_before_others_from_outside_and_as_the_
     assert page.one("main").all("section")[-1].attributes["id"] == "trials"
 
 
-def test_scenes_have_their_picture_from_above_in_colours_once(
-    make_page: Make, read: Make, rows: list[Any], full_evidence: Make
-) -> None:
+def test_scenes_have_their_picture_from_above_in_colours_once(make_page, read, rows, full_evidence):
     evidence = full_evidence(rows)
     coloured = [
         replace(place, picture=replace(place.picture, is_coloured=True))
@@ -228,9 +200,7 @@ def test_scenes_have_their_picture_from_above_in_colours_once(
     assert sorted(used) == sorted(f"#{each.attributes['id']}" for each in pictures)
 
 
-def test_labels_of_a_run_lead_its_provenance_and_link_the_job_s_server_alone(
-    make_page: Make, read: Make, rows: list[Any]
-) -> None:
+def test_labels_of_a_run_lead_its_provenance_and_link_the_job_s_server_alone(make_page, read, rows):
     labels = {
         "repository": "legs/walker", "commit": "a1" * 20, "branch": 'x"><script>',
         "job_url": "https://ci.example/legs/walker/actions/runs/7", "note": "<b>bold</b>",
@@ -249,24 +219,20 @@ def test_labels_of_a_run_lead_its_provenance_and_link_the_job_s_server_alone(
     assert not page.all("b")
 
 
-def test_what_the_page_has_no_room_for_is_left_out_and_said(
-    make_page: Make, read: Make, rows: list[Any]
-) -> None:
+def test_what_the_page_has_no_room_for_is_left_out_and_said(make_page, read, rows):
     large = [replace(CLIP, trial_id=row.trial_id, data=bytes(900_000)) for row in rows[10:13]]
     page = read(make_page(rows, LogEvidence(clips=tuple(large))))
     assert len(page.one("section", id="worst").all("details", class_="clip")) == 2
     assert "1 clip left out: the page is full." in page.one("section", id="worst").text
 
 
-def test_the_same_run_gives_the_same_page_byte_for_byte(
-    make_page: Make, rows: list[Any], full_evidence: Make
-) -> None:
+def test_the_same_run_gives_the_same_page_byte_for_byte(make_page, rows, full_evidence):
     evidence = full_evidence(rows)
     turned = replace(evidence, paths=evidence.paths[::-1], places=evidence.places[::-1])
     assert make_page(rows, evidence) == make_page(rows[::-1], turned)
 
 
-def test_no_process_draws_a_page_otherwise() -> None:
+def test_no_process_draws_a_page_otherwise():
     script = "from nw_eval.reporting.html.runs import render_index; print(render_index([], ['x']))"
     pages = {
         subprocess.run(
@@ -281,9 +247,7 @@ def test_no_process_draws_a_page_otherwise() -> None:
     assert len(pages) == 1
 
 
-def test_scenes_that_do_not_count_are_in_no_task(
-    make_page: Make, read: Make, rows: list[Any]
-) -> None:
+def test_scenes_that_do_not_count_are_in_no_task(make_page, read, rows):
     gate = Gate(success_rate=0.75, tiers={"hurdles/high": "informational"})
     more = [replace(row, task="gaps") for row in rows if row.scene == "hurdles/low"]
     more = [replace(row, scene="gaps/one", trial_id=f"gaps-{row.trial_id}") for row in more]
@@ -293,9 +257,7 @@ def test_scenes_that_do_not_count_are_in_no_task(
 
 
 @pytest.mark.parametrize(("trials", "scenes", "most"), [(160, 16, 5e6), (3200, 64, 15e6)])
-def test_a_page_stays_small(
-    make_page: Make, make_row: Make, full_evidence: Make, trials: int, scenes: int, most: float
-) -> None:
+def test_a_page_stays_small(make_page, make_row, full_evidence, trials, scenes, most):
     drawn = [
         make_row(f"hurdles/scene_with_a_name_{index % scenes:02d}", index, index % 5)
         for index in range(trials)

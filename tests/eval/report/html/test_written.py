@@ -1,40 +1,23 @@
 """Where pages are written, and what becomes of a run when they cannot be."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import pytest
+from command_line import ends
 
 from nw_eval import api
-from nw_eval.cli import main
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Make = Callable[..., Any]
 
 
 @pytest.fixture(autouse=True)
-def _somewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _somewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def nw_eval(*words: str) -> int:
-    with pytest.raises(SystemExit) as ended:
-        main(list(words))
-    assert isinstance(ended.value.code, int)
-    return ended.value.code
-
-
-def test_a_run_gets_a_page_for_the_browser_beside_the_markdown(
-    save_run: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_gets_a_page_for_the_browser_beside_the_markdown(save_run, capsys):
     save_run(Path("runs/one"), [4] * 20)
-    assert nw_eval("report", "runs/one") == 0
+    assert ends("report", "runs/one") == 0
     assert capsys.readouterr().out.endswith("report: runs/one/report.md and report.html\n")
     page = Path("runs/one/report.html").read_text(encoding="utf-8")
     assert page.startswith("<!doctype html>")
@@ -49,9 +32,7 @@ def test_a_run_gets_a_page_for_the_browser_beside_the_markdown(
         ("v1.2", "v1.2", "v1.2.html"),
     ],
 )
-def test_either_page_may_be_named_and_the_other_one_lies_beside_it(
-    save_run: Make, out: str, markdown: str, html: str
-) -> None:
+def test_either_page_may_be_named_and_the_other_one_lies_beside_it(save_run, out, markdown, html):
     judged = api.report(save_run(Path("one"), [4] * 20), out=Path(out))
     assert (judged.page, judged.html) == (Path(markdown), Path(html))
     assert Path(markdown).read_text(encoding="utf-8").startswith("# PASS")
@@ -59,13 +40,11 @@ def test_either_page_may_be_named_and_the_other_one_lies_beside_it(
     assert not Path("one/report.html").exists()
 
 
-def test_a_page_that_cannot_be_written_is_an_error_and_the_rows_stay(
-    save_run: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_page_that_cannot_be_written_is_an_error_and_the_rows_stay(save_run, capsys):
     run = save_run(Path("one"), [4] * 20)
     (run / "report.html").mkdir()
     before = (run / "trials.parquet").read_bytes()
-    assert nw_eval("report", "one") == 4
+    assert ends("report", "one") == 4
     error = capsys.readouterr().err
     assert re.fullmatch(r"error: cannot write \S*report\.html: it is a folder; .+\n", error)
     assert (run / "trials.parquet").read_bytes() == before
@@ -73,24 +52,20 @@ def test_a_page_that_cannot_be_written_is_an_error_and_the_rows_stay(
 
 
 @pytest.mark.parametrize("verb", ["report", "gate"])
-def test_a_pipe_in_place_of_the_rows_file_does_not_hold_up_a_report(
-    save_run: Make, capsys: pytest.CaptureFixture[str], verb: str
-) -> None:
+def test_a_pipe_in_place_of_the_rows_file_does_not_hold_up_a_report(save_run, capsys, verb):
     run = save_run(Path("one"), [4] * 20)
     (run / "trials.parquet").unlink()
     os.mkfifo(run / "trials.parquet")
-    assert nw_eval(verb, "one") == 0
+    assert ends(verb, "one") == 0
     assert "judged from the journal" in "".join(capsys.readouterr())
     assert (run / "trials.parquet").is_fifo()
 
 
-def test_the_page_is_opened_in_the_readers_browser(
-    save_run: Make, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    opened: list[str] = []
+def test_the_page_is_opened_in_the_readers_browser(save_run, monkeypatch, capsys):
+    opened = []
     monkeypatch.setattr("webbrowser.open", lambda address: bool(opened.append(address)))
     run = save_run(Path("one"), [0] * 20)
-    assert nw_eval("report", "one", "--open") == 1
+    assert ends("report", "one", "--open") == 1
     assert opened == [(run / "report.html").resolve().as_uri()]
     # Here it opened nothing: that is said, and changes no verdict.
     assert capsys.readouterr().err == (
@@ -98,13 +73,11 @@ def test_the_page_is_opened_in_the_readers_browser(
     )
 
 
-def test_many_runs_get_one_page_with_trends_by_scene(
-    save_run: Make, read: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_many_runs_get_one_page_with_trends_by_scene(save_run, read, capsys):
     save_run(Path("runs/new"), [2] * 20, started="2026-11-22T11:00:05Z")
     save_run(Path("runs/old"), [4] * 20)
     api.report(Path("runs/old"))
-    assert nw_eval("report", "runs/new", "runs/old", "runs/old") == 0
+    assert ends("report", "runs/new", "runs/old", "runs/old") == 0
     assert capsys.readouterr().out == "index of 2 runs: runs/index.html\n"
     assert not Path("runs/new/report.html").exists()
     page = read(Path("runs/index.html").read_text(encoding="utf-8"))
@@ -129,24 +102,22 @@ def test_many_runs_get_one_page_with_trends_by_scene(
 
 
 def test_a_damaged_run_is_named_on_the_page_of_many_and_costs_the_others_nothing(
-    save_run: Make, read: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+    save_run, read, capsys
+):
     save_run(Path("good"), [4] * 20)
     save_run(Path("bad"), [4] * 20)
     Path("bad/run.json").write_text("{", encoding="utf-8")
-    assert nw_eval("report", "good", "bad", "--out", "list.html") == 4
+    assert ends("report", "good", "bad", "--out", "list.html") == 4
     assert "warning: not read: bad: " in capsys.readouterr().err
     page = read(Path("list.html").read_text(encoding="utf-8"))
     assert page.one("h1").text == "1 run"
     assert "run.json is damaged" in page.one("header").one("li").text
 
 
-def test_what_is_no_run_is_a_mistake_of_whoever_typed_it(
-    save_run: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_run_is_a_mistake_of_whoever_typed_it(save_run, capsys):
     save_run(Path("one"), [4] * 20)
-    assert nw_eval("report", "one", "elsewhere") == 2
+    assert ends("report", "one", "elsewhere") == 2
     assert "elsewhere is not the folder of a run" in capsys.readouterr().err
     assert not Path("index.html").exists()
-    assert nw_eval("report") == 2
-    assert nw_eval("report", "one", "one", "--junit", "x.xml") == 2
+    assert ends("report") == 2
+    assert ends("report", "one", "one", "--junit", "x.xml") == 2

@@ -1,7 +1,5 @@
 """One judged run for all trackers, whose names are a stranger's; nothing leaves the machine."""
 
-from __future__ import annotations
-
 from io import BytesIO
 
 import pytest

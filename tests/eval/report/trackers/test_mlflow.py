@@ -1,7 +1,5 @@
 """MLflow's own client finds what was written, in a store of files."""
 
-from __future__ import annotations
-
 import pytest
 
 from nw_eval.reporting.trackers.tracked import track

@@ -1,7 +1,5 @@
 """TensorBoard's own reader finds what was written."""
 
-from __future__ import annotations
-
 from io import BytesIO
 
 import pytest

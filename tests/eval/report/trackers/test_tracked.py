@@ -1,7 +1,5 @@
 """What trackers get of a run is the verdict's, under keys that every tracker takes."""
 
-from __future__ import annotations
-
 import re
 from pathlib import PurePosixPath
 

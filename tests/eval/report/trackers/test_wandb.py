@@ -1,7 +1,5 @@
 """What W&B keeps for its next upload is what was to be shown."""
 
-from __future__ import annotations
-
 import json
 import struct
 
