@@ -9,10 +9,10 @@ import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_gate.results.evidence import row_leaf, row_leaves
+from nw_gate.results.evidence import row_leaf
 from nw_gate.results.journal import Journal, JournalHeader, read_journal
 from nw_gate.results.parquet import read_rows, write_rows
-from nw_gate.results.row import Row, from_dict, rows_digest, texts_of, to_dict
+from nw_gate.results.row import Row, from_dict, rows_digest, to_dict
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,10 +49,6 @@ def test_a_row_of_an_older_file_is_read_as_one_without_them(make_row: Callable[.
 def test_a_row_with_them_is_another_result(make_row: Callable[..., Row]) -> None:
     rows = [make_row(), *(make_row(**{name: value}) for name, value in SEEN.items())]
     assert len({row.digest for row in rows}) == len({row_leaf(row) for row in rows}) == 4
-    seen = [make_row(trial_id=f"t{k}", **(SEEN if k else {})) for k in range(3)]
-    (texts,) = texts_of(seen)
-    assert row_leaves(texts) == {row.trial_id: row_leaf(row) for row in seen}
-    assert texts.digests() == [row.digest for row in seen]
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25)

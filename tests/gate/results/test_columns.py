@@ -75,18 +75,6 @@ def test_a_field_that_says_nothing_or_came_later_without_a_default_is_no_column(
         columns_of(Late)
 
 
-def test_a_column_that_came_later_is_in_no_digest_of_an_older_row() -> None:
-    @dataclass
-    class Grown:
-        falls: Annotated[int, Column("how often the robot fell", added=True)] = 0
-        fan_s: Annotated[float, Column("wall s of the fan", added=True, measured=True)] = 0.0
-
-    columns = columns_of(Grown)
-    assert not columns["falls"].in_digest(0)
-    assert columns["falls"].in_digest(2)
-    assert not columns["fan_s"].in_digest(7.0)
-
-
 def test_the_columns_are_known_without_arrow() -> None:
     code = "import sys, nw_gate.results.row; print('pyarrow' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

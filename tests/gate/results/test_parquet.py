@@ -1,9 +1,6 @@
 from __future__ import annotations
 
-import json
 import sqlite3
-import subprocess
-import sys
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,8 +14,8 @@ from hypothesis import strategies as st
 from nw_base.errors import StoreError
 from nw_base.words import FAULTS, OUTCOMES
 from nw_gate.results import parquet
-from nw_gate.results.parquet import SCHEMA, array_of, read_rows, write_rows
-from nw_gate.results.row import Row, rows_digest, to_dict
+from nw_gate.results.parquet import SCHEMA, read_rows, write_rows
+from nw_gate.results.row import Row, rows_digest
 from nw_gate.results.sealed import sealed
 
 if TYPE_CHECKING:
@@ -56,40 +53,6 @@ def test_equal_rows_give_equal_bytes(tmp_path: Path, make_row: Callable[..., Row
     assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()
 
 
-def test_columns_are_those_that_arrow_makes_of_the_same_values(
-    make_row: Callable[..., Row],
-) -> None:
-    rows = [
-        make_row(trial_id="b", perturbation=(("friction", 0.6), ("load", 2.0))),
-        make_row(trial_id="é", waypoint_times=(), error_text="größer\nals 漢", coverage_min=0.25),
-        make_row(
-            trial_id="c", seed=2**64 - 1, cached=True, waypoint_times=(0.5, 1.25), mcap_path=""
-        ),
-    ]
-    for count in (0, 1, 3):
-        plain = [{**to_dict(row), "seed": str(row.seed)} for row in rows[:count]]
-        for field in SCHEMA:
-            values = [row[field.name] for row in plain]
-            array = array_of(values, field.type)
-            array.validate(full=True)
-            assert array.equals(pa.array(values, field.type)), field.name
-
-
-def test_pandas_is_not_imported_to_write_rows(tmp_path: Path, make_row: Callable[..., Row]) -> None:
-    code = """
-import json, sys
-from pathlib import Path
-from nw_gate.results.parquet import write_rows
-from nw_gate.results.row import from_dict
-write_rows(Path(sys.argv[1]), [from_dict(json.loads(sys.argv[2]))], {})
-sys.exit("pandas" in sys.modules)
-"""
-    row = json.dumps(to_dict(make_row(perturbation=(("friction", 0.6),))))
-    command = [sys.executable, "-c", code, str(tmp_path / "t.parquet"), row]
-    subprocess.run(command, check=True, timeout=120)
-    assert len(read_rows(tmp_path / "t.parquet")[0]) == 1
-
-
 def test_metadata_that_readers_look_for_carry_the_prefix(
     tmp_path: Path, make_row: Callable[..., Row]
 ) -> None:
@@ -108,6 +71,18 @@ def test_the_file_itself_says_what_each_column_holds(
     assert set(told) == set(Row.__dataclass_fields__)
     assert "share of the course's waypoints reached" in told["success"]
     assert all(len(words) > 5 for words in told.values())
+
+
+def test_rows_in_several_groups_of_a_file_are_read_in_order(
+    make_row: Callable[..., Row], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [make_row(trial_id=f"t{k:04d}") for k in range(70)]
+    monkeypatch.setattr(parquet, "_GROUP", 30)
+    monkeypatch.setattr(parquet, "_MANY_GROUP", 25)
+    path = tmp_path / "trials.parquet"
+    write_rows(path, reversed(rows), {"rows_digest": rows_digest(rows)})
+    assert pq.read_metadata(path).num_row_groups == 3
+    assert read_rows(path)[0] == rows
 
 
 def test_a_file_whose_columns_had_other_names_is_refused(

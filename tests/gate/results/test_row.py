@@ -1,25 +1,18 @@
 from __future__ import annotations
 
 import json
-import re
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_gate.results import row as row_module
-from nw_gate.results.evidence import row_leaf, row_leaves
 from nw_gate.results.row import (
-    COLUMNS,
     MEASURED,
     Row,
     from_dict,
-    from_dicts,
     rows_digest,
     self_contradiction,
-    texts_of,
     to_dict,
 )
 
@@ -63,99 +56,6 @@ def test_a_row_that_contradicts_itself_is_refused(
 def test_an_error_has_no_fraction_that_one_could_average(make_row: Callable[..., Row]) -> None:
     row = make_row(status="error", outcome="hung", success=None, error_text="no step for 60 s")
     assert row.success is None
-
-
-VALUES = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.integers(-2, 2**65),
-    st.floats(),
-    st.text(max_size=12),
-    st.sampled_from(["ok", "error", "completed", "crashed", "candidate", "\x1b[2J", "::error::"]),
-    st.lists(st.floats(), max_size=3),
-    st.lists(st.tuples(st.text(max_size=4), st.floats()).map(list), max_size=2),
-    st.dictionaries(st.text(max_size=2), st.integers(), max_size=1),
-)
-
-
-@settings(max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    changes=st.lists(
-        st.dictionaries(st.sampled_from(sorted(COLUMNS)), VALUES, max_size=2), max_size=3
-    )
-)
-def test_many_rows_at_once_are_what_they_are_one_by_one(
-    make_row: Callable[..., Row], changes: list[dict[str, Any]]
-) -> None:
-    kept = json.loads(json.dumps(to_dict(make_row(perturbation=(("friction", 0.5),)))))
-    values = [kept, *({**kept, **change} for change in changes)]
-    try:
-        one_by_one = [from_dict(one) for one in values]
-    except ValueError as error:
-        with pytest.raises(ValueError, match=re.escape(str(error))):
-            from_dicts(values)
-    else:
-        at_once = from_dicts(values)
-        assert [to_dict(row) for row in at_once] == [to_dict(row) for row in one_by_one]
-        assert [row.digest for row in at_once] == [row.digest for row in one_by_one]
-        assert [list(map(type, to_dict(row).values())) for row in at_once] == [
-            list(map(type, to_dict(row).values())) for row in one_by_one
-        ]
-
-
-NUMBERS = st.one_of(st.floats(allow_nan=False, allow_infinity=False), st.integers(0, 9))
-SINGLE = st.floats(width=32, allow_nan=False, allow_infinity=False)
-SOME = st.fixed_dictionaries(
-    {},
-    optional={
-        "trial_id": st.text(max_size=9),
-        "error_text": st.sampled_from(["", 'a, "b"\\', "é\u2028\U0001f600"]),
-        "seed": st.integers(0, 2**64 - 1),
-        "sim_s": NUMBERS,
-        "wall_s": NUMBERS,
-        "setup_s": st.sampled_from([0.0, -0.0, 0, 1.5]),
-        "contact_s": st.sampled_from([0.0, -0.0, 0, 1e-7, 1e22]),
-        "coverage_min": st.one_of(st.none(), NUMBERS),
-        "waypoint_times": st.lists(SINGLE, max_size=3).map(tuple),
-        "perturbation": st.lists(st.tuples(st.text(max_size=3), NUMBERS), max_size=2).map(tuple),
-        "outcome": st.sampled_from(["fell", "policy_failed"]),
-        "mcap_sha256": st.sampled_from(["", "ff" * 32]),
-        "tier": st.sampled_from(["critical", "supporting"]),
-    },
-)
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(changes=st.lists(SOME, max_size=20))
-def test_the_texts_of_many_rows_are_those_of_each(
-    make_row: Callable[..., Row], changes: list[dict[str, Any]]
-) -> None:
-    rows = [make_row(**change) for change in changes]
-    encode = json.JSONEncoder(separators=(",", ":")).encode
-    for texts in texts_of(rows):
-        assert list(texts.records()) == [encode({"row": to_dict(row)}) for row in texts.rows]
-        assert texts.digests() == [row.digest for row in texts.rows]
-        assert row_leaves(texts) == {row.trial_id: row_leaf(row) for row in texts.rows}
-    assert [row for texts in texts_of(rows) for row in texts.rows] == rows
-
-
-def test_a_column_that_came_later_is_in_the_digest_of_many_rows_where_it_is_not_its_default(
-    make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rows = [make_row(seed_index=k, coverage_min=c) for k, c in enumerate((None, 0.5))]
-    later = replace(COLUMNS["coverage_min"], added=True)
-    monkeypatch.setitem(COLUMNS, "coverage_min", later)
-    monkeypatch.setattr(row_module, "_CAME_LATER", ("coverage_min",))
-    (texts,) = texts_of(rows)
-    assert texts.digests() == [row.digest for row in rows]
-
-
-def test_many_rows_that_are_fine_are_not_looked_at_one_by_one(
-    make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kept = [to_dict(make_row(seed_index=number)) for number in range(3)]
-    monkeypatch.setattr(Row, "__post_init__", lambda _: pytest.fail("one by one"))
-    assert [row.seed_index for row in from_dicts(kept)] == [0, 1, 2]
 
 
 def test_a_row_survives_json_exactly(make_row: Callable[..., Row]) -> None:
