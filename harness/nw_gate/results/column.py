@@ -174,7 +174,11 @@ def as_kept(values: Mapping[str, Any], columns: NamedColumns) -> dict[str, Any]:
     Raises:
         struct.error, OverflowError: a list holds something that is no such number.
     """
-    kept: dict[str, Any] = {name: _harmless(values[name]) for name in columns.texts}
+    # What `clean` has left once stays, cut or not.
+    kept: dict[str, Any] = {
+        name: _harmless_word(text) if len(text := values[name]) <= _WORD else _cleaned(text)
+        for name in columns.texts
+    }
     for name, column in columns.lists:
         if column.kind == Numbers:
             form = f"{len(values[name])}f"
@@ -197,11 +201,6 @@ def out_of_bounds(values: Mapping[str, Any], columns: NamedColumns) -> str | Non
             if not math.isfinite(number):
                 return f"{clean(of, at_most=60)} is not finite"
     return None
-
-
-def _harmless(text: str) -> str:
-    """Return a text as `clean` leaves it; what it has left once stays, cut or not."""
-    return _harmless_word(text) if len(text) <= _WORD else _cleaned(text)
 
 
 @lru_cache(maxsize=4096)  # Most words of a run are in every one of its rows.

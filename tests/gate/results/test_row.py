@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -9,15 +8,11 @@ from hypothesis import strategies as st
 
 from nw_gate.results.row import (
     MEASURED,
-    Row,
     from_dict,
     rows_digest,
     self_contradiction,
     to_dict,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 @pytest.mark.parametrize(
@@ -46,44 +41,38 @@ if TYPE_CHECKING:
         ({"wall_s": "\x1b[2J"}, r"wall_s is '\\x1b\[2J'"),
     ],
 )
-def test_a_row_that_contradicts_itself_is_refused(
-    make_row: Callable[..., Row], changes: dict[str, Any], words: str
-) -> None:
+def test_a_row_that_contradicts_itself_is_refused(make_row, changes, words):
     with pytest.raises(ValueError, match=words):
         make_row(**changes)
 
 
-def test_an_error_has_no_fraction_that_one_could_average(make_row: Callable[..., Row]) -> None:
+def test_an_error_has_no_fraction_that_one_could_average(make_row):
     row = make_row(status="error", outcome="hung", success=None, error_text="no step for 60 s")
     assert row.success is None
 
 
-def test_a_row_survives_json_exactly(make_row: Callable[..., Row]) -> None:
+def test_a_row_survives_json_exactly(make_row):
     row = make_row(perturbation=(("friction", 0.6),), success=1 / 3, coverage_min=0.1)
     again = from_dict(json.loads(json.dumps(to_dict(row))))
     assert again == row
     assert again.digest == row.digest
 
 
-def test_the_digest_is_that_of_the_first_rows_whatever_columns_are_called_or_added(
-    make_row: Callable[..., Row],
-) -> None:
+def test_the_digest_is_that_of_the_first_rows_whatever_columns_are_called_or_added(make_row):
     # As it was when `success` was called `fraction`, and neither robot nor tier was told.
     digest = "01cd5974f4e41df18fb28295e18eb91e72bc005aaa5713e4fb287fe7b59d0635"
     assert make_row().digest == digest
     assert make_row(robot="go2", tier="critical").digest == digest
 
 
-def test_a_tier_that_is_none_is_refused(make_row: Callable[..., Row]) -> None:
+def test_a_tier_that_is_none_is_refused(make_row):
     with pytest.raises(ValueError, match="tier 'vital' is none of critical, supporting, info"):
         make_row(tier="vital")
 
 
 @pytest.mark.parametrize("column", sorted(MEASURED))
-def test_the_digest_ignores_what_differs_between_runs(
-    make_row: Callable[..., Row], column: str
-) -> None:
-    changed: dict[str, Any] = {"cached": True, "host": "other", "mcap_path": "mcap/x.mcap"}
+def test_the_digest_ignores_what_differs_between_runs(make_row, column):
+    changed = {"cached": True, "host": "other", "mcap_path": "mcap/x.mcap"}
     changed["mcap_sha256"] = "ff" * 32
     assert make_row(**{column: changed.get(column, 7)}).digest == make_row().digest
 
@@ -101,19 +90,17 @@ def test_the_digest_ignores_what_differs_between_runs(
         {"outcome": "timeout"},
     ],
 )
-def test_the_digest_sees_every_part_of_the_result(
-    make_row: Callable[..., Row], change: dict[str, Any]
-) -> None:
+def test_the_digest_sees_every_part_of_the_result(make_row, change):
     assert make_row(**change).digest != make_row().digest
 
 
-def test_the_digest_of_rows_ignores_their_order(make_row: Callable[..., Row]) -> None:
+def test_the_digest_of_rows_ignores_their_order(make_row):
     rows = [make_row(trial_id=f"t-{k}") for k in range(3)]
     assert rows_digest(rows) == rows_digest(rows[::-1])
     assert rows_digest(rows) != rows_digest(rows[:2])
 
 
-def test_unknown_or_missing_columns_are_named(make_row: Callable[..., Row]) -> None:
+def test_unknown_or_missing_columns_are_named(make_row):
     values = to_dict(make_row())
     with pytest.raises(ValueError, match="unknown columns colour"):
         from_dict({**values, "colour": 1})
@@ -124,9 +111,7 @@ def test_unknown_or_missing_columns_are_named(make_row: Callable[..., Row]) -> N
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.text(max_size=60), st.integers(1, 100_000))
-def test_texts_from_anywhere_become_harmless_once_and_for_all(
-    make_row: Callable[..., Row], text: str, times: int
-) -> None:
+def test_texts_from_anywhere_become_harmless_once_and_for_all(make_row, text, times):
     row = make_row(end_reason=text * times, host=text)
     assert row.end_reason.isprintable()
     assert len(row.end_reason) <= 1060
@@ -136,9 +121,7 @@ def test_texts_from_anywhere_become_harmless_once_and_for_all(
     assert again.digest == row.digest
 
 
-def test_an_error_of_millions_of_characters_is_told_in_a_thousand(
-    make_row: Callable[..., Row],
-) -> None:
+def test_an_error_of_millions_of_characters_is_told_in_a_thousand(make_row):
     row = make_row(
         status="error", outcome="policy_error", success=None, error_text="no\n" * 2_000_000
     )
@@ -148,7 +131,7 @@ def test_an_error_of_millions_of_characters_is_told_in_a_thousand(
 
 
 @pytest.mark.parametrize("times", [[1e300], ["soon"], [None], 7])
-def test_times_that_are_none_are_one_sentence(make_row: Callable[..., Row], times: Any) -> None:
+def test_times_that_are_none_are_one_sentence(make_row, times):
     with pytest.raises(ValueError, match=r"\w"):
         from_dict({**to_dict(make_row()), "waypoint_times": times})
 
@@ -193,7 +176,7 @@ def test_times_that_are_none_are_one_sentence(make_row: Callable[..., Row], time
     ],
 )
 def test_a_row_whose_values_are_right_alone_and_make_no_result_together_says_so(
-    make_row: Callable[..., Row], changes: dict[str, Any], said: str
-) -> None:
+    make_row, changes, said
+):
     assert self_contradiction(make_row()) is None
     assert self_contradiction(make_row(**changes)) == said
