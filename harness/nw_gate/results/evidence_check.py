@@ -70,6 +70,7 @@ def check_files(
         info: its run.json.
         planned: ids of the trials of its plan.
     """
+    planned = frozenset(planned)
     kept, findings = _kept(folder) if info.merkle_root else (None, [])
     copies = _copies_of(folder, planned, ended=bool(info.rows_digest))
     remarks = [copy.remark for copy in copies if copy.remark]
