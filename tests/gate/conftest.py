@@ -7,11 +7,11 @@ import pytest
 from nw_gate.results.row import Row
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
 
 @pytest.fixture
-def run_scene() -> Callable[..., list[Row]]:
+def run_scene():
     """Rows of one scene from the waypoints (of four) that its trials reached; None is a crash."""
 
     def make(scene: str, reached: Sequence[int | None]) -> list[Row]:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from math import comb
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +13,6 @@ from nw_eval.suite import Gate
 from nw_gate.absolute import courses, judge
 from nw_gate.stats.betting import lower_bound, upper_bound
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-
 BAR = Gate(success_rate=0.75)
 
 
@@ -24,7 +20,7 @@ def gate(**settings: Any) -> Gate:
     return Gate(success_rate=0.75, **settings)
 
 
-def test_a_run_whose_lower_bound_reaches_the_bar_passes(run_scene: Callable[..., Any]) -> None:
+def test_a_run_whose_lower_bound_reaches_the_bar_passes(run_scene):
     rows = run_scene("a", [4] * 20) + run_scene("b", [4] * 20)
     verdict = judge(rows, BAR, {"a": 20, "b": 20})
     assert (verdict.verdict, verdict.exit_code) == ("PASS", 0)
@@ -35,17 +31,13 @@ def test_a_run_whose_lower_bound_reaches_the_bar_passes(run_scene: Callable[...,
     assert "bar is 0.75" in verdict.reasons[0]
 
 
-def test_a_run_whose_upper_bound_misses_the_bar_is_regressed(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_a_run_whose_upper_bound_misses_the_bar_is_regressed(run_scene):
     verdict = judge(run_scene("a", [1] * 20 + [2] * 20), BAR, {"a": 40})
     assert (verdict.verdict, verdict.exit_code) == ("REGRESSED", 1)
     assert verdict.interval.high == upper_bound([np.r_[[0.25] * 20, [0.5] * 20]]) < 0.75
 
 
-def test_anything_between_is_inconclusive_and_gives_the_chance_that_more_would_decide(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_anything_between_is_inconclusive_and_gives_the_chance_that_more_would_decide(run_scene):
     poor, good = [4] * 8 + [1] * 2, [4] * 9 + [2]
     verdict = judge(run_scene("a", poor) + run_scene("b", good), BAR, {"a": 10, "b": 10})
     assert (verdict.verdict, verdict.exit_code) == ("INCONCLUSIVE", 3)
@@ -56,18 +48,14 @@ def test_anything_between_is_inconclusive_and_gives_the_chance_that_more_would_d
     assert 20 < twice < four_times < 95
 
 
-def test_trials_that_scenes_have_unequal_numbers_of_are_told_in_all(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_trials_that_scenes_have_unequal_numbers_of_are_told_in_all(run_scene):
     rows = run_scene("a", [4] * 8 + [1] * 2) + run_scene("b", [4] * 6 + [2])
     verdict = judge(rows, BAR, {"a": 10, "b": 7}, drawn=rows)
     assert verdict.verdict == "INCONCLUSIVE"
     assert verdict.reasons[1].startswith("34 trials (now 17) decide the bar with ")
 
 
-def test_too_few_trials_for_the_bar_are_told_even_if_perfect(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_too_few_trials_for_the_bar_are_told_even_if_perfect(run_scene):
     verdict = judge(run_scene("a", [4] * 4), BAR, {"a": 4})
     assert verdict.verdict == "INCONCLUSIVE"
     assert (
@@ -76,9 +64,7 @@ def test_too_few_trials_for_the_bar_are_told_even_if_perfect(
     )
 
 
-def test_success_at_the_bar_is_told_as_unlikely_to_be_decided_soon(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_success_at_the_bar_is_told_as_unlikely_to_be_decided_soon(run_scene):
     verdict = judge(
         run_scene("a", [0] * 5 + [1] * 3 + [2] * 4 + [3] * 3 + [4] * 25), BAR, {"a": 40}
     )
@@ -88,12 +74,12 @@ def test_success_at_the_bar_is_told_as_unlikely_to_be_decided_soon(
     assert four_times < 50
 
 
-def test_scenes_weigh_equally(run_scene: Callable[..., Any]) -> None:
+def test_scenes_weigh_equally(run_scene):
     rows = run_scene("a", [4] * 90) + run_scene("b", [0] * 10)
     assert judge(rows, BAR, {"a": 90, "b": 10}).success == 0.5
 
 
-def test_an_error_that_is_left_blocks_whatever_the_score(run_scene: Callable[..., Any]) -> None:
+def test_an_error_that_is_left_blocks_whatever_the_score(run_scene):
     verdict = judge(run_scene("a", [4] * 60 + [None]), BAR, {"a": 61})
     assert (verdict.verdict, verdict.exit_code) == ("INFRASTRUCTURE", 4)
     assert verdict.success == 1.0  # The error does not count as a failure.
@@ -103,14 +89,14 @@ def test_an_error_that_is_left_blocks_whatever_the_score(run_scene: Callable[...
     assert "--resume" in reason
 
 
-def test_missing_trials_block_and_are_counted_by_scene(run_scene: Callable[..., Any]) -> None:
+def test_missing_trials_block_and_are_counted_by_scene(run_scene):
     verdict = judge(run_scene("a", [4] * 60), BAR, {"a": 62, "b": 3})
     assert verdict.exit_code == 4
     assert verdict.reasons == ("5 trials missing (a 2, b 3); --resume runs them",)
 
 
 @pytest.mark.parametrize("planned", [{}, {"a": 0}])
-def test_no_trials_can_never_pass(planned: dict[str, int]) -> None:
+def test_no_trials_can_never_pass(planned):
     for settings in (BAR, Gate()):
         verdict = judge([], settings, planned)
         assert verdict.exit_code == 4
@@ -118,7 +104,7 @@ def test_no_trials_can_never_pass(planned: dict[str, int]) -> None:
         assert "nothing can pass without trials" in verdict.reasons[0]
 
 
-def test_a_critical_scene_without_a_result_blocks(run_scene: Callable[..., Any]) -> None:
+def test_a_critical_scene_without_a_result_blocks(run_scene):
     critical = gate(tiers={"b": "critical"})
     absent = judge(run_scene("a", [4] * 60), critical, {"a": 60})
     assert absent.exit_code == 4
@@ -128,9 +114,7 @@ def test_a_critical_scene_without_a_result_blocks(run_scene: Callable[..., Any])
     assert any("critical scene b has no result" in reason for reason in crashed.reasons)
 
 
-def test_a_critical_scene_far_below_the_bar_convicts_though_the_mean_passes(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_a_critical_scene_far_below_the_bar_convicts_though_the_mean_passes(run_scene):
     rows = [row for k in range(9) for row in run_scene(f"s{k}", [4] * 20)]
     rows += run_scene("weak", [1] * 20)
     planned = {row.scene: 20 for row in rows}
@@ -144,9 +128,7 @@ def test_a_critical_scene_far_below_the_bar_convicts_though_the_mean_passes(
     assert judge(few, gate(tiers={"weak": "critical"}), planned).verdict != "REGRESSED"
 
 
-def test_informational_scenes_are_reported_and_do_not_count(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_informational_scenes_are_reported_and_do_not_count(run_scene):
     rows = run_scene("a", [4] * 40) + run_scene("toy", [0] * 40)
     verdict = judge(rows, gate(tiers={"toy": "informational"}), {"a": 40, "toy": 40})
     assert verdict.verdict == "PASS"
@@ -157,7 +139,7 @@ def test_informational_scenes_are_reported_and_do_not_count(
     assert alone.exit_code == 4
 
 
-def test_without_a_bar_nothing_passes_it_only_ran(run_scene: Callable[..., Any]) -> None:
+def test_without_a_bar_nothing_passes_it_only_ran(run_scene):
     verdict = judge(run_scene("a", [0] * 4), Gate(), {"a": 4})
     assert (verdict.verdict, verdict.exit_code, verdict.bar) == ("RAN", 0, None)
     assert verdict.reasons == (
@@ -165,9 +147,7 @@ def test_without_a_bar_nothing_passes_it_only_ran(run_scene: Callable[..., Any])
     )
 
 
-def test_without_a_bar_errors_and_missing_trials_still_block(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_without_a_bar_errors_and_missing_trials_still_block(run_scene):
     assert judge(run_scene("a", [0] * 4), Gate(), {"a": 5}).verdict == "INFRASTRUCTURE"
     assert judge(run_scene("a", [4, None]), Gate(), {"a": 2}).verdict == "INFRASTRUCTURE"
 
@@ -179,8 +159,8 @@ WEAK = "1 scene below the bar by itself: weak 0.250 (95 % "
     ("good", "word"), [([4] * 20, "PASS"), ([2] * 20, "REGRESSED"), ([4, None], "INFRASTRUCTURE")]
 )
 def test_a_scene_whose_whole_interval_lies_below_the_bar_is_named_whatever_the_verdict(
-    run_scene: Callable[..., Any], good: list[int | None], word: str
-) -> None:
+    run_scene, good, word
+):
     rows = [row for k in range(9) for row in run_scene(f"s{k}", good)]
     rows += run_scene("weak", [1] * 20)
     planned = {row.scene: len(good) for row in rows} | {"weak": 20}
@@ -197,18 +177,14 @@ def test_a_scene_whose_whole_interval_lies_below_the_bar_is_named_whatever_the_v
         assert reason.endswith("completed 0 of 20")
 
 
-def test_a_scene_whose_interval_reaches_the_bar_is_not_named(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_a_scene_whose_interval_reaches_the_bar_is_not_named(run_scene):
     rows = run_scene("a", [4] * 40) + run_scene("b", [4, 4, 2, 1])
     verdict = judge(rows, BAR, {"a": 40, "b": 4})
     assert verdict.per_scene[1].interval.low < 0.75 < verdict.per_scene[1].interval.high
     assert not any("below the bar" in reason for reason in verdict.reasons)
 
 
-def test_a_critical_scene_that_was_left_out_is_a_hole_however_its_tier_names_it(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_a_critical_scene_that_was_left_out_is_a_hole_however_its_tier_names_it(run_scene):
     rows = run_scene("b", [4] * 40)
     for pattern in ("a", "a*", "*", "[ab]"):
         judged = judge(rows, gate(tiers={pattern: "critical"}), {"b": 40}, left_out=("a",))
@@ -221,9 +197,7 @@ def test_a_critical_scene_that_was_left_out_is_a_hole_however_its_tier_names_it(
         assert judge(rows, gate(tiers=tiers), {"b": 40}, left_out=("a",)).verdict == "PASS"
 
 
-def test_the_trials_that_a_bar_needs_are_told_in_the_unit_of_trials(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_the_trials_that_a_bar_needs_are_told_in_the_unit_of_trials(run_scene):
     rows = run_scene("a", [4] * 2) + run_scene("b", [4] * 2)
     (told,) = judge(rows, BAR, {"a": 2, "b": 2}).reasons[1:2]
     assert told.endswith("run 8 trials in each scene at least (--trials 8)")
@@ -236,9 +210,7 @@ def test_the_trials_that_a_bar_needs_are_told_in_the_unit_of_trials(
     assert judge(cells, BAR, {"a": 4}).reasons[1].endswith("(--trials 8)")
 
 
-def test_a_critical_scene_of_ten_coins_is_convicted_as_often_as_the_gate_says(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_a_critical_scene_of_ten_coins_is_convicted_as_often_as_the_gate_says(run_scene):
     # "One run of six": exactly, over all numbers of heads, (45 + 10 + ...) / 1024.
     critical = gate(tiers={"weak": "critical"})
     rest = [row for k in range(9) for row in run_scene(f"s{k}", [4] * 20)]
@@ -250,21 +222,21 @@ def test_a_critical_scene_of_ten_coins_is_convicted_as_often_as_the_gate_says(
     assert flagged == pytest.approx(1 / 6, abs=0.01)
 
 
-def test_a_trial_that_appears_twice_is_refused(run_scene: Callable[..., Any]) -> None:
+def test_a_trial_that_appears_twice_is_refused(run_scene):
     rows = run_scene("a", [4] * 3)
     with pytest.raises(StoreError, match="trial a-001 appears twice"):
         judge([*rows, rows[1]], BAR, {"a": 4})
 
 
-def test_a_scene_score_counts_everything_once(run_scene: Callable[..., Any]) -> None:
+def test_a_scene_score_counts_everything_once(run_scene):
     (item,) = judge(run_scene("a", [4, 4, 2, None]), BAR, {"a": 6}).per_scene
     assert (item.planned, item.n, item.errors, item.missing, item.completed) == (6, 3, 1, 2, 2)
     assert item.mean == pytest.approx(2.5 / 3)
 
 
 def test_a_policy_that_only_fails_has_regressed_and_one_fault_of_the_machine_hides_nothing(
-    run_scene: Callable[..., Any],
-) -> None:
+    run_scene,
+):
     failed = [
         replace(row, outcome="policy_failed", end_reason="exception", error_type="policy_error")
         for row in run_scene("a", [0] * 12)
@@ -279,7 +251,7 @@ def test_a_policy_that_only_fails_has_regressed_and_one_fault_of_the_machine_hid
 
 
 @pytest.mark.nightly
-def test_a_policy_at_the_bar_rarely_passes(run_scene: Callable[..., Any]) -> None:
+def test_a_policy_at_the_bar_rarely_passes(run_scene):
     rng = np.random.default_rng(5)
     passed = 0
     for _ in range(200):
@@ -294,17 +266,13 @@ def test_a_policy_at_the_bar_rarely_passes(run_scene: Callable[..., Any]) -> Non
     assert passed / 200 <= 0.09
 
 
-def test_success_is_still_found_under_its_old_name_which_warns(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_success_is_still_found_under_its_old_name_which_warns(run_scene):
     verdict = judge(run_scene("a", [4, 2]), BAR, {"a": 2})
     with pytest.warns(DeprecationWarning, match="Verdict.effect is now Verdict.success"):
         assert verdict.effect == verdict.success == 0.75
 
 
-def test_trials_of_a_task_without_waypoints_count_as_done_or_not(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_trials_of_a_task_without_waypoints_count_as_done_or_not(run_scene):
     rows = [
         replace(row, task_kind="reach", waypoints_reached=0, waypoints_total=0)
         for row in run_scene("a", [4, 4, 0])

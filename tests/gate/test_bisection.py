@@ -40,7 +40,7 @@ class Series:
 
 
 @given(good=st.integers(0, 40), bad=st.integers(1, 40))
-def test_the_first_that_fell_is_found_by_halving(good: int, bad: int) -> None:
+def test_the_first_that_fell_is_found_by_halving(good, bad):
     series = Series("+" * good + "-" * bad)
     found = bisect(good + bad, series.judge)
     assert found.first_fallen == good
@@ -52,20 +52,20 @@ def test_the_first_that_fell_is_found_by_halving(good: int, bad: int) -> None:
     assert len(series.questions) <= 1 + ceil(log2(good + bad)) + 1 + 2
 
 
-def test_a_series_whose_last_one_is_as_good_as_ever_costs_one_verdict() -> None:
+def test_a_series_whose_last_one_is_as_good_as_ever_costs_one_verdict():
     series = Series("++++++++")
     found = bisect(8, series.judge)
     assert series.questions == [7]
     assert (found.first_fallen, found.last_good, list(found.suspects)) == (None, 7, [])
 
 
-def test_a_checkpoint_that_is_left_open_is_passed_over_for_its_neighbours() -> None:
+def test_a_checkpoint_that_is_left_open_is_passed_over_for_its_neighbours():
     found = bisect(8, Series("+++??---").judge)
     assert (found.last_good, found.first_fallen) == (2, 5)
     assert list(found.suspects) == [3, 4, 5], "any of them may have fallen first"
 
 
-def test_a_series_that_recovers_is_said_not_to_be_monotone() -> None:
+def test_a_series_that_recovers_is_said_not_to_be_monotone():
     found = bisect(9, Series("+++---++-").judge, everyone=True)
     assert found.first_fallen == 3
     assert found.recovered == (6, 7)
@@ -75,7 +75,7 @@ def test_a_series_that_recovers_is_said_not_to_be_monotone() -> None:
 
 
 @given(words=st.text("+-?", min_size=1, max_size=30))
-def test_whatever_the_series_nobody_is_asked_twice_and_what_is_said_was_seen(words: str) -> None:
+def test_whatever_the_series_nobody_is_asked_twice_and_what_is_said_was_seen(words):
     series = Series(words)
     found = bisect(len(words), series.judge)
     assert sorted(series.questions) == list(found.words)
@@ -131,9 +131,7 @@ def page_of(words: str, run_scene: Callable[..., Any], **changes: Any) -> str:
     )
 
 
-def test_the_first_flagged_and_the_last_that_passed_are_told_with_their_intervals(
-    run_scene: Callable[..., Any],
-) -> None:
+def test_the_first_flagged_and_the_last_that_passed_are_told_with_their_intervals(run_scene):
     page = page_of("++--", run_scene)
     flagged = (
         "the first flagged: step-2, 0.03 (99 % sure) to 0.12 (95 % sure) worse than the good one"
@@ -148,7 +146,7 @@ def test_the_first_flagged_and_the_last_that_passed_are_told_with_their_interval
     assert "up to" not in page_of("++--", run_scene, basis="same"), "it is the good one itself"
 
 
-def test_what_is_left_open_before_the_first_flagged_is_named(run_scene: Callable[..., Any]) -> None:
+def test_what_is_left_open_before_the_first_flagged_is_named(run_scene):
     page = page_of("+??-", run_scene)
     assert "not passed and not flagged before it: step-1, step-2" in page
     assert "it is the first of the series" in page_of("----", run_scene)

@@ -121,9 +121,7 @@ def made_or_refused(make: Callable[[], Any]) -> Any:
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("value", ODD)
-def test_a_number_of_a_suite_is_refused_or_decides_nothing(
-    name: str, value: float, run_scene: Callable[..., list[Row]]
-) -> None:
+def test_a_number_of_a_suite_is_refused_or_decides_nothing(name, value, run_scene):
     suite = made_or_refused(lambda: new_suite({**SUITE, **NUMBERS[name](value)}))
     if isinstance(suite, ValidationError):
         assert suite.errors()[0]["loc"], "the place is said"
@@ -137,7 +135,7 @@ def test_a_number_of_a_suite_is_refused_or_decides_nothing(
 
 @pytest.mark.parametrize("value", ODD)
 @pytest.mark.parametrize("name", ["max_drop", "tolerate"])
-def test_an_option_of_the_gate_is_refused_by_its_name(name: str, value: float) -> None:
+def test_an_option_of_the_gate_is_refused_by_its_name(name, value):
     suite = new_suite({**SUITE, "gate": {"success_rate": 0.5}})
     changed = made_or_refused(lambda: override_gate(suite, **{name: value}))
     if isinstance(changed, UsageError):
@@ -148,9 +146,7 @@ def test_an_option_of_the_gate_is_refused_by_its_name(name: str, value: float) -
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_row_holds_finite_numbers_alone(
-    value: float, run_scene: Callable[..., list[Row]]
-) -> None:
+def test_a_row_holds_finite_numbers_alone(value, run_scene):
     (row,) = run_scene("a", [4])
     held = [name for name, column in COLUMNS.items() if column.is_real]
     assert len(held) > 10
@@ -168,8 +164,8 @@ def test_a_row_holds_finite_numbers_alone(
 @quiet
 @given(ends=st.tuples(either, either), bar=either, value=either, better=st.booleans())
 def test_a_score_passes_by_values_that_reach_its_bar_and_by_nothing_else(
-    ends: tuple[float, float], bar: float, value: float, *, better: bool, run_info: Any
-) -> None:
+    ends, bar, value, *, better, run_info
+):
     own = {"python": "a.py:own", "better": "higher" if better else "lower", "range": list(ends)}
     try:
         suite = new_suite({**SUITE, "scores": [own], "gate": {"scores": {"own": {"bar": bar}}}})
@@ -185,7 +181,7 @@ def test_a_score_passes_by_values_that_reach_its_bar_and_by_nothing_else(
 
 
 @pytest.fixture
-def run_info(run_scene: Callable[..., list[Row]]) -> Callable[..., tuple[list[Row], Any]]:
+def run_info(run_scene):
     """Rows of 100 trials with one value of a score, as far as rows can hold it; and their run."""
 
     class Run:
@@ -213,7 +209,7 @@ ENTRY: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("word", ["NaN", "Infinity", "-Infinity", "1e999"])
-def test_a_ledger_holds_finite_numbers_alone(word: str) -> None:
+def test_a_ledger_holds_finite_numbers_alone(word):
     assert LedgerEntry.model_validate_json(json.dumps(ENTRY))
     real = {name for name, field in LedgerEntry.model_fields.items() if "float" in str(field)}
     nested = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from nw_gate.stats.betting import lower_bound, upper_bound
 from nw_gate.validity import has_left, seconds_outside
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from nw_gate.results.row import Row
 
@@ -36,7 +36,7 @@ def seen(row: Row, far: Sequence[float]) -> Row:
 
 
 @pytest.fixture
-def rows(run_scene: Callable[..., list[Row]]) -> Callable[..., list[Row]]:
+def rows(run_scene):
     """Rows of a scene, of which some trials, by their numbers, left for a second."""
 
     def make(scene: str, reached: Sequence[int | None], left: Sequence[int] = ()) -> list[Row]:
@@ -59,15 +59,13 @@ def rows(run_scene: Callable[..., list[Row]]) -> Callable[..., list[Row]]:
         ({"capture_distance": (0.6, 0.6, 0, 0, 0, 0), "capture_angle": (0, 0, 1, 1, 0, 0)}, 0.4),
     ],
 )
-def test_the_longest_time_in_a_row_beyond_any_limit_counts(
-    run_scene: Any, change: dict[str, Any], seconds: float
-) -> None:
+def test_the_longest_time_in_a_row_beyond_any_limit_counts(run_scene, change, seconds):
     (row,) = run_scene("a", [4])
     row = replace(seen(row, [0.1] * 6), **change)
     assert seconds_outside(row, Validity(distance=0.5, angle=0.6, alpha=0.85)) == seconds
 
 
-def test_half_a_second_may_be_and_not_a_tenth_more(run_scene: Any) -> None:
+def test_half_a_second_may_be_and_not_a_tenth_more(run_scene):
     (row,) = run_scene("a", [4])
     assert not has_left(seen(row, [1.0] * 5 + [0.1]), GATE)
     assert has_left(seen(row, [1.0] * 6 + [0.1]), GATE)
@@ -80,9 +78,7 @@ def test_half_a_second_may_be_and_not_a_tenth_more(run_scene: Any) -> None:
     limit=st.floats(0.1, 1.9),
     wider=st.floats(0.0, 1.0),
 )
-def test_wider_limits_never_make_a_trial_leave(
-    far: list[float], limit: float, wider: float
-) -> None:
+def test_wider_limits_never_make_a_trial_leave(far, limit, wider):
     from nw_gate.results.row import Row
 
     row = Row(
@@ -96,13 +92,13 @@ def test_wider_limits_never_make_a_trial_leave(
     assert seconds_outside(row, Validity(distance=limit + wider)) <= narrow <= len(far) / 10
 
 
-def test_a_policy_that_fails_by_itself_has_failed_wherever_it_was(rows: Any) -> None:
+def test_a_policy_that_fails_by_itself_has_failed_wherever_it_was(rows):
     (row,) = rows("a", [2], left=[0])
     assert has_left(row, GATE)
     assert not has_left(replace(row, outcome="policy_failed", end_reason="action"), GATE)
 
 
-def test_a_trial_that_left_counts_against_each_bound_and_in_no_mean(rows: Any) -> None:
+def test_a_trial_that_left_counts_against_each_bound_and_in_no_mean(rows):
     # The first is a success, the second none: nobody looks which.
     verdict = judge(rows("a", [4, 1, 4, 4, 4, 4, 4, 4, 4, 4], left=[0, 1]), GATE, {"a": 10})
     assert verdict.success == 1.0
@@ -115,7 +111,7 @@ def test_a_trial_that_left_counts_against_each_bound_and_in_no_mean(rows: Any) -
     assert any(reason.startswith("2 trials left the captured volume") for reason in verdict.reasons)
 
 
-def test_who_leaves_where_it_would_fail_does_not_pass_by_it(rows: Any) -> None:
+def test_who_leaves_where_it_would_fail_does_not_pass_by_it(rows):
     # Truth: 4 of 5 fail at 0.5; of 50 trials the 10 that fail worst walk into the fog.
     reached = [4] * 40 + [0] * 10
     gate = Gate(success_rate=0.85, validity=LIMITS)
@@ -125,7 +121,7 @@ def test_who_leaves_where_it_would_fail_does_not_pass_by_it(rows: Any) -> None:
     assert judge(rows("a", reached[:40]), gate, {"a": 40}).verdict == "PASS"
 
 
-def test_who_leaves_where_it_would_succeed_is_not_convicted_by_it(rows: Any) -> None:
+def test_who_leaves_where_it_would_succeed_is_not_convicted_by_it(rows):
     reached = [4] * 10 + [2] * 40
     gate = Gate(success_rate=0.6, validity=LIMITS)
     assert judge(rows("a", reached[10:]), gate, {"a": 40}).verdict == "REGRESSED"
@@ -134,14 +130,14 @@ def test_who_leaves_where_it_would_succeed_is_not_convicted_by_it(rows: Any) -> 
 
 
 @pytest.mark.parametrize(("left", "word"), [(12, "PASS"), (13, "INCONCLUSIVE")])
-def test_over_the_cap_nothing_passes(rows: Any, left: int, word: str) -> None:
+def test_over_the_cap_nothing_passes(rows, left, word):
     verdict = judge(rows("a", [4] * 60, left=range(left)), GATE, {"a": 60})
     assert verdict.verdict == word
     over = f"{left} of 60 trials left the captured volume, over gate.validity.at_most 0.2"
     assert verdict.reasons[0].startswith(over) is (word == "INCONCLUSIVE")
 
 
-def test_over_the_cap_nothing_convicts_and_nothing_merely_ran(rows: Any) -> None:
+def test_over_the_cap_nothing_convicts_and_nothing_merely_ran(rows):
     worst = rows("a", [0] * 60, left=range(20))
     assert judge(worst, GATE, {"a": 60}).verdict == "INCONCLUSIVE"
     assert judge(worst, Gate(validity=LIMITS), {"a": 60}).verdict == "INCONCLUSIVE"
@@ -149,7 +145,7 @@ def test_over_the_cap_nothing_convicts_and_nothing_merely_ran(rows: Any) -> None
     assert judge(worst + rows("b", [None]), GATE, {"a": 60, "b": 1}).verdict == "INFRASTRUCTURE"
 
 
-def test_informational_scenes_may_be_left_as_one_likes(rows: Any) -> None:
+def test_informational_scenes_may_be_left_as_one_likes(rows):
     found = rows("a", [4] * 60) + rows("toy", [4] * 60, left=range(60))
     gate = Gate(success_rate=0.6, validity=LIMITS, tiers={"toy": "informational"})
     verdict = judge(found, gate, {"a": 60, "toy": 60})
@@ -157,7 +153,7 @@ def test_informational_scenes_may_be_left_as_one_likes(rows: Any) -> None:
     assert verdict.per_scene[1].outside == 60
 
 
-def test_a_critical_scene_that_was_left_keeps_a_run_from_passing(rows: Any) -> None:
+def test_a_critical_scene_that_was_left_keeps_a_run_from_passing(rows):
     found = rows("a", [4] * 90) + rows("b", [4] * 10, left=range(10))
     tiers = {"b": "critical"}
     supporting = judge(found, GATE, {"a": 90, "b": 10})
@@ -173,19 +169,19 @@ def test_a_critical_scene_that_was_left_keeps_a_run_from_passing(rows: Any) -> N
 
 
 @pytest.mark.parametrize("left", [(), range(30)])
-def test_without_the_key_nothing_changes(rows: Any, run_scene: Any, left: Sequence[int]) -> None:
+def test_without_the_key_nothing_changes(rows, run_scene, left):
     reached = [4, 3, 2, 4] * 15
     verdict = judge(rows("a", reached, left=left), BARE, {"a": 60})
     assert verdict == judge(run_scene("a", reached), BARE, {"a": 60})
 
 
-def test_scenes_in_which_nobody_can_look_are_counted(run_scene: Any, rows: Any) -> None:
+def test_scenes_in_which_nobody_can_look_are_counted(run_scene, rows):
     blind = [replace(row, coverage_min=0.5, coverage_mean=0.9) for row in run_scene("b", [4] * 5)]
     verdict = judge(rows("a", [4] * 5) + blind, GATE, {"a": 5, "b": 5})
     assert any("was not looked at in 1 scene" in reason for reason in verdict.reasons)
 
 
-def test_a_limit_must_be_there_and_within_bounds() -> None:
+def test_a_limit_must_be_there_and_within_bounds():
     with pytest.raises(ValidationError, match="set distance, angle or alpha"):
         Validity(longer_than=1.0)
     for wrong in ({"distance": 0.0}, {"alpha": 1.0}, {"angle": 7.0}, {"at_most": 1.0}):

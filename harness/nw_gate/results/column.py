@@ -1,19 +1,16 @@
 """What an annotation of `Row` says about its column, what follows from it, and what is checked.
 
 The Arrow schema, the digest, what older files may lack, the bounds of values, the table of
-docs/reference/columns.md and the words in the file itself are all made from these. Of many rows at
-once a column is looked at as a whole, which takes a tenth of the time.
+docs/reference/columns.md and the words in the file itself are all made from these.
 """
 
 from __future__ import annotations
 
 import math
-import re
 import struct
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import chain
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -91,12 +88,6 @@ class Column:
     def nullable(self) -> bool:
         """Whether there may be no value."""
         return NoneType in get_args(self.kind)
-
-    def in_digest(self, value: Any) -> bool:
-        """Whether a row's digest covers its value of this column."""
-        if self.measured or self.of_the_plan:
-            return False
-        return not self.added or value != self.default
 
     def of_plain(self, value: Any) -> Any:
         """Return a value as a row has it; JSON and Arrow have lists in place of tuples."""
@@ -183,7 +174,11 @@ def as_kept(values: Mapping[str, Any], columns: NamedColumns) -> dict[str, Any]:
     Raises:
         struct.error, OverflowError: a list holds something that is no such number.
     """
-    kept: dict[str, Any] = {name: _harmless(values[name]) for name in columns.texts}
+    # What `clean` has left once stays, cut or not.
+    kept: dict[str, Any] = {
+        name: _harmless_word(text) if len(text := values[name]) <= _WORD else _cleaned(text)
+        for name in columns.texts
+    }
     for name, column in columns.lists:
         if column.kind == Numbers:
             form = f"{len(values[name])}f"
@@ -208,16 +203,6 @@ def out_of_bounds(values: Mapping[str, Any], columns: NamedColumns) -> str | Non
     return None
 
 
-def _is_harmless(text: str) -> bool:
-    """Say whether `as_kept` leaves a text as it is."""
-    return _harmless(text) == text
-
-
-def _harmless(text: str) -> str:
-    """Return a text as `clean` leaves it; what it has left once stays, cut or not."""
-    return _harmless_word(text) if len(text) <= _WORD else _cleaned(text)
-
-
 @lru_cache(maxsize=4096)  # Most words of a run are in every one of its rows.
 def _harmless_word(text: str) -> str:
     return _cleaned(text)
@@ -237,64 +222,3 @@ def _none_of(words: tuple[str, ...]) -> str:
 def _numbers(name: str, value: Any, column: Column) -> Iterable[tuple[str, float]]:
     """Return the numbers of a list, each with what it is called."""
     return value if column.kind == Settings else [(name, number) for number in value]
-
-
-_NAMES = re.compile(r"[A-Za-z0-9_./ -]*")
-"""Characters of which `clean` leaves every text as it is."""
-
-
-def all_as_kept(table: Mapping[str, Sequence[Any]], columns: NamedColumns) -> bool:
-    """Say whether no value needs a second look: all are as a file keeps them, and within bounds.
-
-    It may say no of values that are good, such as NumPy's numbers, but never yes of others: what
-    is wrong, and with which row, `mistyped`, `as_kept` and `out_of_bounds` say.
-
-    Args:
-        table: a value of each row by column.
-        columns: all of them.
-    """
-    return all(_is_as_kept(table[name], column) for name, column in columns.items())
-
-
-def _is_as_kept(values: Sequence[Any], column: Column) -> bool:
-    if not set(map(type, values)) <= column.exact:
-        return False
-    if column.types is str:
-        distinct = set(values)
-        return distinct.issubset(column.words) if column.words else _are_harmless(distinct)
-    if column.kind is int:
-        return not values or (min(values) >= 0 and max(values) < 2**column.bits)
-    if column.is_real:
-        return all(math.isfinite(value) for value in set(values) if value is not None)
-    if not column.is_list:
-        return True
-    return _are_numbers(values) if column.kind == Numbers else all(map(_are_settings, set(values)))
-
-
-def _are_harmless(texts: Collection[str]) -> bool:
-    """Say whether texts are as `clean` leaves them: most are digests and names."""
-    if max(map(len, texts), default=0) <= LONGEST and _NAMES.fullmatch("".join(texts)):
-        return True
-    return all(map(_is_harmless, texts))
-
-
-def _are_numbers(lists: Sequence[tuple[Any, ...]]) -> bool:
-    """Say whether lists have finite numbers alone, of single precision."""
-    numbers = tuple(chain.from_iterable(lists))
-    if not set(map(type, numbers)) <= {float}:
-        return False
-    form = f"{len(numbers)}f"
-    try:
-        kept = struct.unpack(form, struct.pack(form, *numbers))
-    except (struct.error, OverflowError):
-        return False
-    return kept == numbers and all(map(math.isfinite, numbers))
-
-
-def _are_settings(values: tuple[Any, ...]) -> bool:
-    """Say whether a list has names with finite numbers alone."""
-    pairs = all(type(pair) is tuple and len(pair) == 2 for pair in values)
-    return pairs and all(
-        type(name) is str and type(number) in {int, float} and math.isfinite(number)
-        for name, number in values
-    )

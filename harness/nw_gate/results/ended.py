@@ -17,15 +17,10 @@ from typing import Protocol, TypeVar
 from nw_base.errors import StoreError
 from nw_base.files.inside import regular
 from nw_base.plural import plural
-from nw_gate.results.evidence import Gathered, run_leaf, write_digests
+from nw_gate.results.evidence import Digests, row_leaf, run_leaf, write_digests
 from nw_gate.results.journal import last_sum, read_journal
 from nw_gate.results.provenance import RunInfo, StopInfo, write_run_info
-from nw_gate.results.row import (
-    Row,
-    rows_digest,
-    self_contradiction,
-    texts_of,
-)
+from nw_gate.results.row import Row, rows_digest, self_contradiction
 from nw_gate.results.run_folder import RunFolder
 
 _NAMED = 3  # trials that a sentence names before it says "and more"
@@ -45,29 +40,16 @@ def write_trials(folder: RunFolder, info: RunInfo, rows: Iterable[Row]) -> RunIn
     Raises:
         StoreError: a file cannot be written.
     """
-    gathered = Gathered()
-    for _ in gathered.passing(texts_of(list(rows))):
-        pass
-    return write_gathered(folder, info, gathered)
-
-
-def write_gathered(folder: RunFolder, info: RunInfo, gathered: Gathered) -> RunInfo:
-    """Write rows of which all is known that is written; as `write_trials`.
-
-    Raises:
-        StoreError: a file cannot be written.
-    """
-    digests = gathered.digests(run_leaf(info), gathered.results.order)
+    kept = list(rows)
+    leaves = {row.trial_id: row_leaf(row) for row in kept}
+    digests = Digests(run=run_leaf(info), rows=leaves)
     write_digests(folder.digests, digests)
-    rows = list(map(gathered.rows.__getitem__, gathered.results.order))
-    ended = _write_table(folder, info, rows, gathered.results.digest, is_sorted=True)
+    ended = _write_table(folder, info, kept, rows_digest(kept))
     sums = {"journal_sum": last_sum(folder.journal), "merkle_root": digests.root}
     return ended.model_copy(update=sums)
 
 
-def _write_table(
-    folder: RunFolder, info: RunInfo, rows: Sequence[Row], digest: str, *, is_sorted: bool = False
-) -> RunInfo:
+def _write_table(folder: RunFolder, info: RunInfo, rows: Sequence[Row], digest: str) -> RunInfo:
     """Write trials.parquet alone: what a run was when it ended is not said anew."""
     from nw_gate.results.parquet import write_rows
 
@@ -82,7 +64,7 @@ def _write_table(
         "rows_digest": ended.rows_digest,
         **({"labels": json.dumps(ended.labels)} if ended.labels else {}),
     }
-    write_rows(folder.trials, rows, metadata, is_sorted=is_sorted)
+    write_rows(folder.trials, rows, metadata)
     return ended.model_copy(update={"trials_sha256": _sha256(folder)})
 
 

@@ -17,12 +17,10 @@ judged, the SHA-256 of its log. A log needs no entry of its own.
 from __future__ import annotations
 
 import json
-from bisect import bisect_left
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import file_digest, sha256
-from json.encoder import encode_basestring_ascii
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -32,8 +30,8 @@ from nw_base.errors import StoreError
 from nw_base.files.cache import atomic_path
 from nw_base.files.inside import bounded_bytes, regular
 from nw_gate.results.provenance import RunInfo
-from nw_gate.results.row import COLUMNS, Results, Row, RowTexts
-from nw_gate.results.seal import sealed_pieces, unseal
+from nw_gate.results.row import COLUMNS, Row
+from nw_gate.results.seal import seal, unseal
 
 _ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 _VALUES = attrgetter(*COLUMNS)
@@ -79,25 +77,6 @@ def row_leaf(row: Row) -> str:
     return leaf_hash(_ENCODE(values[: _without_defaults(values)]).encode()).hex()
 
 
-def row_leaves(texts: RowTexts) -> dict[str, str]:
-    """Return the `row_leaf` of each of some rows, by trial."""
-    leaves = (leaf.hex() for leaf in _leaves(texts))
-    return dict(zip(texts.values["trial_id"], leaves, strict=True))
-
-
-def _leaves(texts: RowTexts) -> list[bytes]:
-    """Return the `row_leaf` of each of some rows, 32 bytes."""
-    values = texts.values
-    if any(int in set(map(type, values[name])) for name in COLUMNS.reals):
-        return [bytes.fromhex(row_leaf(row)) for row in texts.rows]
-    counts = map(_without_defaults, zip(*values.values(), strict=True))
-    entries = zip(*texts.texts.values(), strict=True)
-    return [
-        leaf_hash(f"[{','.join(entry[:count])}]".encode())
-        for entry, count in zip(entries, counts, strict=True)
-    ]
-
-
 def _without_defaults(values: Sequence[Any]) -> int:
     """Return how many values there are but for the last that came later, and are as they would."""
     count = len(values)
@@ -140,18 +119,10 @@ def write_digests(path: Path, digests: Digests) -> None:
     Raises:
         StoreError: it cannot be written.
     """
-    with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        stream.writelines(sealed_pieces(_pieces(digests)))
-
-
-def _pieces(digests: Digests) -> Iterator[str]:
-    """Yield the JSON of digests as `indent=2` has it, without the brace that closes it."""
-    yield f'{{\n  "digests": 1,\n  "run": {json.dumps(digests.run)},\n  "rows": {{'
-    between = "\n    "
-    for name in sorted(digests.rows):
-        yield f'{between}{encode_basestring_ascii(name)}: "{digests.rows[name]}"'
-        between = ",\n    "
-    yield "\n  }" if digests.rows else "}"
+    rows = {name: digests.rows[name] for name in sorted(digests.rows)}
+    text = json.dumps({"digests": 1, "run": digests.run, "rows": rows}, indent=2)
+    with atomic_path(path) as temporary:
+        temporary.write_text(seal(text)[0], encoding="ascii")
 
 
 def read_digests(path: Path) -> Digests:
@@ -181,61 +152,6 @@ def _digests(record: Any) -> Digests:
 
 def _is_hash(text: object) -> bool:
     return isinstance(text, str) and len(text) == _HEX and not set(text) - set("0123456789abcdef")
-
-
-class Gathered:
-    """What digests.json, run.json and trials.parquet are made of.
-
-    Attributes:
-        results: what `rows_digest` is the digest of.
-        leaves: the hash of each row, 32 bytes, in the order of `results`.
-        rows: in that order.
-    """
-
-    def __init__(self) -> None:
-        self.results = Results()
-        self.leaves = bytearray()
-        self.rows: list[Row] = []
-
-    def passing(self, portions: Iterable[RowTexts]) -> Iterator[RowTexts]:
-        """Yield portions of rows as they are."""
-        for texts in portions:
-            self.results.extend(texts)
-            self.leaves += b"".join(_leaves(texts))
-            self.rows += texts.rows
-            yield texts
-
-    def digests(self, run: str, order: Sequence[int]) -> Digests:
-        """Return the digests of a run.
-
-        Args:
-            run: of what it is of.
-            order: places of the rows by trial.
-        """
-        trials, leaves = self.results.trials, self.leaves
-        ordered = bytearray()
-        for place in order:  # To join them would hold each as an object of its own.
-            ordered += leaves[32 * place : 32 * place + 32]
-        return Digests(run=run, rows=_Leaves([trials[place] for place in order], ordered))
-
-
-class _Leaves(Mapping[str, str]):
-    """Hashes of many rows by trial: 32 bytes each, behind one another in the order of names."""
-
-    def __init__(self, names: Sequence[str], leaves: bytearray) -> None:
-        self._names, self._leaves = names, leaves
-
-    def __getitem__(self, name: str) -> str:
-        place = bisect_left(self._names, name)
-        if place == len(self._names) or self._names[place] != name:
-            raise KeyError(name)
-        return self._leaves[32 * place : 32 * place + 32].hex()
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
 
 
 def leaf_hash(entry: bytes) -> bytes:

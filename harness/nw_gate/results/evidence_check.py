@@ -8,11 +8,10 @@ again.
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import chain, compress, islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Literal
 
@@ -20,14 +19,13 @@ from nw_base.clean import clean
 from nw_base.errors import StoreError
 from nw_base.files.inside import OutsideError, inside, what_is
 from nw_base.plural import plural
-from nw_gate.results.evidence import Digests, log_sha256, read_digests, row_leaves, run_leaf
+from nw_gate.results.evidence import Digests, log_sha256, read_digests, row_leaf, run_leaf
 from nw_gate.results.journal import read_journal
 from nw_gate.results.log_links import is_own_link, linked_name
 from nw_gate.results.provenance import RunInfo
-from nw_gate.results.row import COLUMNS, Row, rows_digest, texts_of
+from nw_gate.results.row import COLUMNS, Row, rows_digest
 from nw_gate.results.run_folder import RunFolder
-from nw_gate.results.stored import stored
-from nw_gate.results.tables import rows_apart
+from nw_gate.results.tables import read_rows_apart
 
 What = Literal["changed", "missing", "extra", "unreadable"]
 
@@ -67,16 +65,14 @@ def check_files(
 ) -> tuple[CheckedFiles, Mapping[str, Row]]:
     """Return what a run's files show, and the rows of its plan, as far as they can be believed.
 
-    The rows of one file are held in little memory, of the other one those that differ.
-
     Args:
         folder: of the run.
         info: its run.json.
         planned: ids of the trials of its plan.
     """
-    places = {name: place for place, name in enumerate(sorted(planned))}
-    kept, findings = _kept(folder, places) if info.merkle_root else (None, [])
-    copies = _copies_of(folder, places, ended=bool(info.rows_digest))
+    planned = frozenset(planned)
+    kept, findings = _kept(folder) if info.merkle_root else (None, [])
+    copies = _copies_of(folder, planned, ended=bool(info.rows_digest))
     remarks = [copy.remark for copy in copies if copy.remark]
     sealed = None
     if info.merkle_root:
@@ -88,7 +84,7 @@ def check_files(
         remarks.append(_without_root(info))
         findings += _by_rows_digest(copies, info)
     rows = believed(copies, sealed)
-    if absent := sum(name not in rows for name in places):
+    if absent := sum(name not in rows for name in planned):
         remarks.append(f"{plural(absent, 'planned trial')} without a row")
     # In a run that goes on, a trial that ended in an error may be running again.
     still = (row for row in rows.values() if info.merkle_root or row.status == "ok")
@@ -110,20 +106,17 @@ def check_files(
         log_bytes=looked.bytes,
         root=info.merkle_root,
     )
-    return evidence, rows.of(places)
+    return evidence, {name: row for name, row in rows.items() if name in planned}
 
 
-def _kept(folder: RunFolder, places: Mapping[str, int]) -> tuple[Digests | None, list[Discrepancy]]:
+def _kept(folder: RunFolder) -> tuple[Digests | None, list[Discrepancy]]:
     """Return what digests.json has, or None and why it cannot be read."""
     try:
-        read = read_digests(folder.digests)
+        return read_digests(folder.digests), []
     except StoreError as error:
         what = "unreadable" if what_is(folder.digests) == "file" else "missing"
         about = error.message if what == "unreadable" else ""
         return None, [Discrepancy(what=what, file=folder.digests.name, about=about)]
-    leaves = _Leaves(places)
-    leaves.update(read.rows)
-    return Digests(run=read.run, rows=leaves), []
 
 
 def _sealed(
@@ -183,100 +176,12 @@ def _by_rows_digest(copies: Sequence[Copy], info: RunInfo) -> Iterator[Discrepan
     for copy in copies:
         if copy.fault:
             yield Discrepancy(what="unreadable", file=copy.file, about=copy.fault)
-        elif info.rows_digest not in {"", actual := rows_digest(copy.all_rows())}:
+        elif info.rows_digest not in {"", actual := rows_digest(copy.rows.values())}:
             about = f"rows_digest is {info.rows_digest[:12]}, its rows give {actual[:12]}"
             yield Discrepancy(what="changed", file=copy.file, about=about)
 
 
 _SHOWN = 4  # columns that a sentence names
-
-
-class _Leaves(Mapping[str, str]):
-    """Hashes of rows by trial: 32 bytes for each trial of a plan, whether it has a row or not.
-
-    Args:
-        places: of the plan's trials, by name.
-    """
-
-    def __init__(self, places: Mapping[str, int]) -> None:
-        self._places = places
-        self._hashes, self._known = bytearray(32 * len(places)), bytearray(len(places))
-        self._others: dict[str, str] = {}
-
-    def update(self, leaves: Mapping[str, str]) -> None:
-        """Add hashes."""
-        for name, leaf in leaves.items():
-            place = self._places.get(name)
-            if place is None:
-                self._others[name] = leaf
-            else:
-                self._hashes[32 * place : 32 * place + 32] = bytes.fromhex(leaf)
-                self._known[place] = True
-
-    def __getitem__(self, name: str) -> str:
-        place = self._places.get(name)
-        if place is None:
-            return self._others[name]
-        if not self._known[place]:
-            raise KeyError(name)
-        return self._hashes[32 * place : 32 * place + 32].hex()
-
-    def __iter__(self) -> Iterator[str]:
-        yield from compress(self._places, self._known)
-        yield from self._others
-
-    def __len__(self) -> int:
-        return sum(self._known) + len(self._others)
-
-
-class _Rows(Mapping[str, Row]):
-    """Rows by trial, in their order, those of a plan.
-
-    Args:
-        rows: one of each trial.
-        places: of the plan's trials, by name.
-    """
-
-    def __init__(self, rows: Sequence[Row], places: Mapping[str, int]) -> None:
-        self._rows, self._places = rows, places
-        self._at = array("q", [-1]) * len(places)
-        for at, row in enumerate(rows):
-            if (place := places.get(row.trial_id)) is not None:
-                self._at[place] = at
-
-    def __getitem__(self, name: str) -> Row:
-        at = self._at[self._places[name]]
-        if at < 0:
-            raise KeyError(name)
-        return self._rows[at]
-
-    def __iter__(self) -> Iterator[str]:
-        return (name for row in self._rows if (name := row.trial_id) in self._places)
-
-    def __len__(self) -> int:
-        return len(self._at) - self._at.count(-1)
-
-
-class _Either(Mapping[str, Row]):
-    """Rows by trial: some, and for all other trials those of a copy."""
-
-    def __init__(self, some: Mapping[str, Row], copy: Mapping[str, Row]) -> None:
-        self._some, self._copy = some, copy
-
-    def of(self, names: Collection[str]) -> Mapping[str, Row]:
-        """Return it without other trials, of which the copy has none."""
-        return _Either({n: row for n, row in self._some.items() if n in names}, self._copy)
-
-    def __getitem__(self, name: str) -> Row:
-        row = self._some.get(name)
-        return self._copy[name] if row is None else row
-
-    def __iter__(self) -> Iterator[str]:
-        yield from self._copy
-        yield from (name for name in self._some if name not in self._copy)
-
-    def __len__(self) -> int:
-        return len(self._copy) + sum(name not in self._copy for name in self._some)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -285,8 +190,8 @@ class Copy:
 
     file: str
     rows: Mapping[str, Row]
-    """By trial; of the journal only those of the run's plan. It may have some of another copy, of
-    trials that have no hash here."""
+    """By trial; of the journal only those of the run's plan. A row that another copy has as well is
+    the same object."""
     leaves: Mapping[str, str]
     """The hashes of its rows, by trial."""
     others: tuple[Row, ...] = ()
@@ -298,15 +203,11 @@ class Copy:
     last_sum: str = ""
     """Of the journal's last line."""
 
-    def all_rows(self) -> Iterator[Row]:
-        """Return its rows."""
-        return map(self.rows.__getitem__, self.leaves)
 
-
-def _copies_of(folder: RunFolder, places: Mapping[str, int], *, ended: bool) -> tuple[Copy, ...]:
+def _copies_of(folder: RunFolder, planned: Collection[str], *, ended: bool) -> tuple[Copy, ...]:
     """Return the journal's rows and, once the run has ended, those of trials.parquet."""
-    journal = _journal(folder, places)
-    return (journal, _parquet(folder, places, journal)) if ended else (journal,)
+    journal = _journal(folder, planned)
+    return (journal, _parquet(folder, journal)) if ended else (journal,)
 
 
 def _row_findings(copies: Collection[Copy], sealed: Digests) -> Iterator[Discrepancy]:
@@ -332,64 +233,47 @@ def _row_findings(copies: Collection[Copy], sealed: Digests) -> Iterator[Discrep
                 yield Discrepancy(what="changed", file=copy.file, trial=trial, about=about)
 
 
-def believed(copies: Sequence[Copy], sealed: Digests | None) -> _Either:
+def believed(copies: Sequence[Copy], sealed: Digests | None) -> dict[str, Row]:
     """Return the row of each trial that the digests speak for, or else what any copy says."""
     first, *others = copies
-    instead: dict[str, Row] = {}
+    rows = dict(first.rows)
     for copy in others:
         for trial, leaf in copy.leaves.items():
             is_sealed = sealed is not None and sealed.rows.get(trial) == leaf
             if trial not in first.leaves or (is_sealed and first.leaves[trial] != leaf):
-                instead[trial] = copy.rows[trial]
-    return _Either(instead, first.rows)
+                rows[trial] = copy.rows[trial]
+    return rows
 
 
-def _journal(folder: RunFolder, places: Mapping[str, int]) -> Copy:
+def _journal(folder: RunFolder, planned: Collection[str]) -> Copy:
     name = folder.journal.name
     try:
         contents = read_journal(folder.journal)
     except StoreError as error:
         return Copy(file=name, rows={}, leaves={}, fault=error.message)
-    leaves, others = _Leaves(places), list[Row]()
-    for texts in texts_of(contents.rows):
-        found = row_leaves(texts)
-        leaves.update({trial: leaf for trial, leaf in found.items() if trial in places})
-        if not places.keys() >= found.keys():
-            others += (row for row in texts.rows if row.trial_id not in places)
+    rows = {row.trial_id: row for row in contents.rows if row.trial_id in planned}
     return Copy(
         file=name,
-        rows=_Rows(contents.rows, places),
-        leaves=leaves,
-        others=tuple(others),
+        rows=rows,
+        leaves={trial: row_leaf(row) for trial, row in rows.items()},
+        others=tuple(row for row in contents.rows if row.trial_id not in planned),
         remark=contents.dropped or "",
         last_sum=contents.last_sum,
     )
 
 
-def _parquet(folder: RunFolder, places: Mapping[str, int], journal: Copy) -> Copy:
-    """Return the rows of trials.parquet; what the journal has of them is not held once more."""
-    name, leaves, count = folder.trials.name, _Leaves(places), 0
-
-    def others() -> Iterator[list[Row]]:
-        nonlocal count
-        for rows in rows_apart(folder.trials):
-            count += len(rows)
-            for texts in texts_of(rows):
-                found = row_leaves(texts)
-                leaves.update(found)
-                yield [
-                    row
-                    for row in texts.rows
-                    if journal.leaves.get(row.trial_id) != found[row.trial_id]
-                ]
-
+def _parquet(folder: RunFolder, journal: Copy) -> Copy:
+    name, rows, leaves = folder.trials.name, dict[str, Row](), dict[str, str]()
+    fault = ""
     try:
-        differing = {row.trial_id: row for row in stored(others())}
-    except (StoreError, ValueError) as error:
-        return Copy(file=name, rows={}, leaves={}, fault=clean(error))
-    if count != len(leaves):
-        return Copy(file=name, rows={}, leaves={}, fault="it has two rows of one trial")
-    return Copy(file=name, rows=_Either(differing, journal.rows), leaves=leaves)
+        for row in read_rows_apart(folder.trials):
+            trial, leaf = row.trial_id, row_leaf(row)
+            fault = fault or ("it has two rows of one trial" if trial in leaves else "")
+            leaves[trial] = leaf
+            rows[trial] = journal.rows[trial] if journal.leaves.get(trial) == leaf else row
+    except StoreError as error:
+        fault = error.message
+    return Copy(file=name, rows={} if fault else rows, leaves={} if fault else leaves, fault=fault)
 
 
 def _against_the_other(copy: Copy, trial: str, leaf: str, copies: Collection[Copy]) -> str:

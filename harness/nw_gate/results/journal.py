@@ -14,23 +14,20 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Self
 
-from pydantic_core import from_json
-
 from nw_base.clean import clean
 from nw_base.errors import IncomparableError, StoreError
 from nw_base.files.cache import atomic_path, open_own, sync_folder
 from nw_base.files.inside import regular
 from nw_gate.results.provenance import RunInfo
-from nw_gate.results.row import Row, RowTexts, from_dicts, texts_of
+from nw_gate.results.row import Row, from_dict, to_dict
 from nw_gate.results.seal import seal, sum_of, unseal
-from nw_gate.results.stored import RowStore
 
 VERSION = 3
 _ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
@@ -108,7 +105,7 @@ class Journal:
         self.path = path
         self.dropped: str | None = None
         self._handle = handle
-        self._rows = _store(path)
+        self._rows: dict[str, Row] = {}
         self._last_sum = ""
 
     @classmethod
@@ -152,17 +149,16 @@ class Journal:
         try:
             journal = cls(path, handle)
             journal._lock()
-            contents, journal._rows = _read_journal(path)
-            journal._take_up(contents, header)
+            journal._take_up(read_journal(path), header)
         except BaseException:
             handle.close()
             raise
         return journal
 
     @property
-    def rows(self) -> Sequence[Row]:
+    def rows(self) -> tuple[Row, ...]:
         """The latest row of every finished trial, in the order of their first finish."""
-        return self._rows.rows()
+        return tuple(self._rows.values())
 
     def append(self, row: Row) -> None:
         """Write one finished trial and wait until it is on disk; as `extend`."""
@@ -182,8 +178,8 @@ class Journal:
         for row in rows:
             earlier = kept.get(row.trial_id) or self._rows.get(row.trial_id)
             kept[row.trial_id] = later(earlier, row, self.path)
-        self._write(texts.records() for texts in texts_of(rows))
-        self._rows.extend(rows)
+        self._write(map(_record, rows))
+        self._rows |= kept
 
     def close(self) -> None:
         """Release the file. Closing twice does no harm."""
@@ -195,17 +191,19 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _write(self, portions: Iterable[Iterable[str]]) -> None:
+    def _write(self, records: Iterable[str]) -> None:
         """Write the lines of records, all of them or none."""
         if self._handle.closed:
             raise StoreError(f"journal {self.path} is closed", fix="append within its `with` block")
         before, last_sum = self._handle.tell(), self._last_sum
         try:
-            for records in portions:
-                lines, last_sum = _sealed(records, last_sum)
-                written = 0
-                while written < len(lines):
-                    written += self._handle.write(lines[written:])
+            text = ""
+            for record in records:
+                line, last_sum = seal(record, last_sum)
+                text += line
+            lines, written = text.encode(), 0
+            while written < len(lines):
+                written += self._handle.write(lines[written:])
             os.fsync(self._handle.fileno())
         except BaseException as error:
             # Half a line is of no use; take it back so that what is there stays whole.
@@ -222,7 +220,7 @@ class Journal:
         if has_begun(self.path):
             raise StoreError(f"{self.path} exists already", fix="continue with --resume")
         self._handle.truncate(0)
-        self._write([[header.record()]])
+        self._write([header.record()])
 
     def _take_up(self, contents: JournalContents, header: JournalHeader) -> None:
         """Stand at the end of what is whole, with its rows, if it is of the same run."""
@@ -231,13 +229,14 @@ class Journal:
                 f"cannot resume {self.path.parent}: {', '.join(differences)} changed",
                 fix="start a new run without --resume",
             )
+        self._rows = {row.trial_id: row for row in contents.rows}
         self.dropped = contents.dropped
         self._last_sum = contents.last_sum
         self._handle.truncate(contents.good_bytes)
         self._handle.seek(0, os.SEEK_END)
         known = contents.header.scene_digests
         if set(header.scene_digests) - set(known):
-            self._write([[header.widened(known).record()]])
+            self._write([header.widened(known).record()])
 
     def _lock(self) -> None:
         import fcntl  # Not on Windows, where the judgement wing still runs.
@@ -251,32 +250,27 @@ class Journal:
             ) from None
 
 
-def write_journal(path: Path, header: JournalHeader, portions: Iterable[RowTexts]) -> None:
+def write_journal(path: Path, header: JournalHeader, rows: Iterable[Row]) -> None:
     """Write the journal of a run that has ended elsewhere: all of it, or nothing.
 
     Args:
         path: where to.
         header: its first line.
-        portions: of rows, one of each trial, in the order of the lines.
+        rows: one of each trial, in the order of the lines.
 
     Raises:
         StoreError: it cannot be written.
     """
-    records = chain([[header.record()]], (texts.records() for texts in portions))
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         last_sum = ""
-        for some in records:
-            lines, last_sum = _sealed(some, last_sum)
-            stream.write(lines)
+        for record in chain([header.record()], map(_record, rows)):
+            line, last_sum = seal(record, last_sum)
+            stream.write(line.encode())
 
 
-def _sealed(records: Iterable[str], last_sum: str) -> tuple[bytes, str]:
-    """Return the lines of records, and the last one's sum; each covers that of the line before."""
-    lines: list[str] = []
-    for record in records:
-        line, last_sum = seal(record, last_sum)
-        lines.append(line)
-    return "".join(lines).encode(), last_sum
+def _record(row: Row) -> str:
+    """Return the line of a row, without its sum."""
+    return _ENCODE({"row": to_dict(row)})
 
 
 def _unwritable(path: Path, error: OSError) -> StoreError:
@@ -289,7 +283,6 @@ def _unwritable(path: Path, error: OSError) -> StoreError:
 _MOST = 4 * 2**30
 """Bytes of a journal that is read: a million trials with up to four thousand bytes each."""
 _LONGEST_LINE = 4 * 2**20  # bytes; a row has about a thousand
-_AT_ONCE = 500  # lines that are parsed together
 _DAMAGED = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
 
 
@@ -298,7 +291,7 @@ class JournalContents:
     """What a journal holds: one row per trial, the latest, and what had to be left out."""
 
     header: JournalHeader
-    rows: Sequence[Row]
+    rows: tuple[Row, ...]
     dropped: str | None = None  # A sentence about a torn last line.
     good_bytes: int = 0  # Length of the file up to the last whole line.
     last_sum: str = ""  # Of that line, which the next one's covers.
@@ -325,14 +318,6 @@ def read_journal(path: Path) -> JournalContents:
     Raises:
         StoreError: it is missing, too large, or damaged before its last line.
     """
-    return _read_journal(path)[0]
-
-
-def _store(path: Path) -> RowStore:
-    return RowStore(lambda earlier, row: later(earlier, row, path))
-
-
-def _read_journal(path: Path) -> tuple[JournalContents, RowStore]:
     try:
         if not path.is_file():
             raise StoreError(f"no journal at {path}", fix="name the folder of a run")
@@ -374,78 +359,35 @@ def later(earlier: Row | None, row: Row, path: Path) -> Row:
     return row if row.status == "ok" and earlier.lost_its_log else earlier
 
 
-def _read(path: Path, stream: IO[bytes]) -> tuple[JournalContents, RowStore]:
-    waiting: list[bytes] = []  # Lines without their sums, which are parsed together.
-    dropped: str | None = None
+def _read(path: Path, stream: IO[bytes]) -> JournalContents:
     header: JournalHeader | None = None
-    rows, last_sum = _store(path), ""
-    good = number = 0
-    for line in iter(lambda: stream.readline(_LONGEST_LINE), b""):
-        number += 1
+    rows: dict[str, Row] = {}
+    dropped: str | None = None
+    last_sum, good = "", 0
+    for number, line in enumerate(iter(lambda: stream.readline(_LONGEST_LINE), b""), start=1):
         if not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
             dropped = f"{path}:{number}: dropped a line that was cut off after {len(line)} bytes"
-            number -= 1
             break  # Only the last line can lack its end.
         try:
             body, last_sum = _unsealed(line, last_sum)
+            record = json.loads(body)
+            if "row" in record:
+                row = from_dict(record["row"])
+                rows[row.trial_id] = later(rows.get(row.trial_id), row, path)
+            else:
+                header = header_of(record)
         except _DAMAGED as error:
-            _parsed(path, waiting, number - len(waiting))  # What is wrong before it is said first.
             raise _damaged(path, number, error) from None
-        waiting.append(body)
         good += len(line)
-        if len(waiting) == _AT_ONCE:
-            header = _taken(path, waiting, number, rows) or header
-            waiting = []
-    header = _taken(path, waiting, number, rows) or header
     if header is None:
         raise StoreError(f"{path} is empty", fix="start the run again; nothing of it is lost")
-    contents = JournalContents(
-        header=header, rows=rows.rows(), dropped=dropped, good_bytes=good, last_sum=last_sum
+    return JournalContents(
+        header=header,
+        rows=tuple(rows.values()),
+        dropped=dropped,
+        good_bytes=good,
+        last_sum=last_sum,
     )
-    return contents, rows
-
-
-def _taken(path: Path, lines: Sequence[bytes], last: int, rows: RowStore) -> JournalHeader | None:
-    """Keep the rows of lines, of which the last has that number; return their last header."""
-    headers, found = _parsed(path, lines, last + 1 - len(lines))
-    rows.extend(found)
-    return headers[-1] if headers else None
-
-
-def _parsed(
-    path: Path, lines: Sequence[bytes], first: int
-) -> tuple[list[JournalHeader], list[Row]]:
-    """Return the headers and rows of lines, the first of which has that number."""
-    try:
-        return _records(lines)
-    except _DAMAGED:
-        return _one_by_one(path, lines, first)
-
-
-def _records(
-    lines: Sequence[bytes], parse: Callable[[bytes], Any] = from_json
-) -> tuple[list[JournalHeader], list[Row]]:
-    """Return the headers and rows of lines, which are read twice as fast together."""
-    records = parse(b"[" + b",".join(lines) + b"]")
-    if len(records) != len(lines):
-        raise ValueError("a line is not one record")
-    rows = from_dicts([record["row"] for record in records if "row" in record])
-    return [header_of(record) for record in records if "row" not in record], rows
-
-
-def _one_by_one(
-    path: Path, lines: Sequence[bytes], first: int
-) -> tuple[list[JournalHeader], list[Row]]:
-    """Return the headers and rows of lines, and say which of them is damaged."""
-    found: tuple[list[JournalHeader], list[Row]] = ([], [])
-    for number, line in enumerate(lines, start=first):
-        try:
-            headers, rows = _records([line], json.loads)
-        except _DAMAGED as error:
-            raise _damaged(path, number, error) from None
-        found[0].extend(headers)
-        found[1].extend(rows)
-    return found
 
 
 def _damaged(path: Path, number: int, error: Exception) -> StoreError:

@@ -29,8 +29,7 @@ from nw_base.files.cache import sync_folder
 from nw_base.files.inside import OutsideError, bounded_bytes, checked, inside
 from nw_base.plural import plural
 from nw_gate.results.bank import Against
-from nw_gate.results.ended import PlannedTrial, write_gathered
-from nw_gate.results.evidence import Gathered
+from nw_gate.results.ended import PlannedTrial, write_trials
 from nw_gate.results.journal import JournalHeader, write_journal
 from nw_gate.results.log_links import link_logs
 from nw_gate.results.provenance import (
@@ -40,7 +39,7 @@ from nw_gate.results.provenance import (
     read_run_info,
     write_run_info,
 )
-from nw_gate.results.row import Row, rows_digest, texts_of, to_dict
+from nw_gate.results.row import Row, rows_digest, to_dict
 from nw_gate.results.run_folder import RunFolder
 
 
@@ -415,9 +414,8 @@ def _fill(
             folder.layout.write_bytes(bounded_bytes(layout, _LAYOUT_BYTES))
             break
     rows = [one.row for one in arm.held]
-    gathered = Gathered()
-    write_journal(folder.journal, JournalHeader.of_run(info), gathered.passing(texts_of(rows)))
-    ended = write_gathered(folder, info, gathered)
+    write_journal(folder.journal, JournalHeader.of_run(info), rows)
+    ended = write_trials(folder, info, rows)
     write_run_info(folder.run_json, ended)
     link_logs(folder.path, rows)
     return ended, lost

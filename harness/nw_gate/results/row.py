@@ -1,19 +1,14 @@
-"""One trial's result: what a run is made of, and all that gate and report read.
-
-Many rows become the JSON that is written and hashed a column at a time, once for all that needs
-it.
-"""
+"""One trial's result: what a run is made of, and all that gate and report read."""
 
 from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
 from itertools import pairwise
-from json.encoder import encode_basestring_ascii
 from operator import attrgetter
 from typing import Annotated, Any
 
@@ -23,7 +18,6 @@ from nw_gate.results.column import (
     Column,
     Numbers,
     Settings,
-    all_as_kept,
     as_kept,
     columns_of,
     mistyped,
@@ -214,7 +208,7 @@ class Row:
         if fault is not None:
             raise ValueError(f"row of trial {clean(self.trial_id, at_most=100)!r}: {fault}")
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Hex sha256 of the result: all columns but the measured ones and the plan's.
 
@@ -222,12 +216,10 @@ class Row:
         time. How it failed, where and after which actions, is. Nor is a column that came later,
         where it has its default.
         """
-        kept = dict(zip(_OF_THE_RESULT, _RESULT(self), strict=True))
-        for name in _CAME_LATER:
-            if not COLUMNS[name].in_digest(kept[name]):
+        kept = dict(zip(_WORDS, _RESULT(self), strict=True))
+        for name, default in _CAME_LATER:
+            if kept[name] == default:
                 del kept[name]
-        for name, word in _CALLED.items():
-            kept[word] = kept.pop(name)
         if self.outcome == "policy_failed":
             kept["error_text"] = ""
         return sha256(_ENCODE(kept).encode()).hexdigest()
@@ -374,42 +366,30 @@ OF_THE_PLAN = frozenset(name for name, column in COLUMNS.items() if column.of_th
 VIEW_RATE = 10
 """Numbers of `capture_distance`, `capture_angle` and `capture_alpha` in a simulated second."""
 
-_AT_ONCE = 1000
-"""Rows that are turned into columns together: few enough for a processor's cache."""
-
-_OF_THE_RESULT = tuple(name for name in COLUMNS if name not in MEASURED | OF_THE_PLAN)
-"""The columns of a row's digest."""
-
-# `contact_s` came before later ones were left out.
-_CAME_LATER = tuple(name for name in _OF_THE_RESULT if COLUMNS[name].added and name != "contact_s")
-"""Those that the digest leaves out while they have their defaults."""
-
 _CALLED = {"success": "fraction"}
 """What the digest calls a column: as it was called when the first digests were published."""
 
-_RESULT, _ALL = attrgetter(*_OF_THE_RESULT), attrgetter(*COLUMNS)
-_ENCODE = json.JSONEncoder(sort_keys=True, separators=(",", ":"), allow_nan=False).encode
+_DIGESTED = sorted(
+    (_CALLED.get(name, name), name) for name in COLUMNS if name not in MEASURED | OF_THE_PLAN
+)
+"""The columns of a row's digest, in its order."""
+_WORDS = tuple(word for word, _ in _DIGESTED)
+
+# `contact_s` came before later ones were left out.
+_CAME_LATER = tuple(
+    (name, COLUMNS[name].default)
+    for _, name in _DIGESTED
+    if COLUMNS[name].added and name != "contact_s"
+)
+"""Those that the digest leaves out while they have their defaults."""
+
+_RESULT, _ALL = attrgetter(*(name for _, name in _DIGESTED)), attrgetter(*COLUMNS)
+_ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
 def to_dict(row: Row) -> dict[str, Any]:
     """Return a row as plain JSON values."""
     return dict(zip(COLUMNS, _ALL(row), strict=True))
-
-
-def by_column(rows: Sequence[Row], names: Collection[str] = COLUMNS) -> dict[str, list[Any]]:
-    """Return values of rows by column: faster by far than one column after the other.
-
-    Args:
-        rows: in any order.
-        names: of two columns or more.
-    """
-    columns: dict[str, list[Any]] = {name: [] for name in names}
-    values_of = attrgetter(*names)
-    for first in range(0, len(rows), _AT_ONCE):
-        some = map(values_of, rows[first : first + _AT_ONCE])
-        for name, values in zip(names, zip(*some, strict=True), strict=True):
-            columns[name].extend(values)
-    return columns
 
 
 def from_dict(values: dict[str, Any]) -> Row:
@@ -429,166 +409,30 @@ def from_dict(values: dict[str, Any]) -> Row:
         raise ValueError(clean(error)) from error
 
 
-def from_dicts(values: Sequence[dict[str, Any]]) -> list[Row]:
-    """Make many rows of plain values; the same as `from_dict` of each, in a tenth of the time.
-
-    The dictionaries become the rows' own.
-
-    Raises:
-        ValueError: as the first of them that is no row.
-    """
-    return _quickly(values) or [from_dict(one) for one in values]
-
-
-def _quickly(values: Sequence[dict[str, Any]]) -> list[Row] | None:
-    """Return rows whose columns alone show that they are valid; None where one is not."""
-    if not values or (names := list(values[0])) != list(COLUMNS):
-        return None  # The columns of another version, or in another order.
-    if not all(list(one) == names for one in values):
-        return None
-    columns = zip(*(one.values() for one in values), strict=True)
-    table: dict[str, Sequence[Any]] = dict(zip(names, columns, strict=True))
-    try:
-        for name, column in COLUMNS.lists:
-            table[name] = [column.of_plain(value) for value in table[name]]
-        if not all_as_kept(table, COLUMNS):
-            return None
-    except (TypeError, ValueError, OverflowError):
-        return None
-    if any(_contradiction(*end) for end in set(zip(*map(table.__getitem__, _END), strict=True))):
-        return None
-    lists = [name for name, _ in COLUMNS.lists]
-    tuples = zip(*map(table.__getitem__, lists), strict=True)
-    for one, of_row in zip(values, tuples, strict=True):
-        one.update(zip(lists, of_row, strict=True))
-    return [_of_kept(one) for one in values]
-
-
-def _of_kept(values: dict[str, Any]) -> Row:
-    """Return the row of values that are as `__post_init__` would leave them."""
-    row = object.__new__(Row)
-    object.__setattr__(row, "__dict__", values)
-    return row
-
-
-_FEW = 8  # values for each different one, from which on each is encoded once
-_VALUE = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
-_LINES = json.JSONEncoder(separators=("\n", ":"), allow_nan=False).encode
-"""JSON holds no line's end but between values: a column of it can be split into those."""
-
-_DIGESTED = tuple(
-    sorted((_CALLED.get(name, name), name) for name in _OF_THE_RESULT if name not in _CAME_LATER)
-)
-_RECORD = '{"row":{' + ",".join(f'"{name}":%s' for name in COLUMNS) + "}}"
-_DIGEST = "{" + ",".join(f'"{word}":%s' for word, _ in _DIGESTED) + "}"
-
-
-@dataclass(frozen=True)
-class RowTexts:
-    """Some rows, and the JSON of each of their values, by column in the order of the file."""
-
-    rows: Sequence[Row]
-    values: Mapping[str, Sequence[Any]]
-    texts: Mapping[str, Sequence[str]]
-
-    def records(self) -> Iterator[str]:
-        """Return each row as a line of the journal has it, without its sum."""
-        return map(_RECORD.__mod__, zip(*self.texts.values(), strict=True))
-
-    def digests(self) -> list[str]:
-        """Return the `digest` of each row."""
-        for name in _CAME_LATER:
-            if any(map(COLUMNS[name].in_digest, self.values[name])):
-                return [row.digest for row in self.rows]
-        texts = {**self.texts, "error_text": self._error_texts()}
-        columns = (texts[name] for _, name in _DIGESTED)
-        return [
-            sha256((_DIGEST % of_row).encode()).hexdigest() for of_row in zip(*columns, strict=True)
-        ]
-
-    def _error_texts(self) -> Sequence[str]:
-        """Return what digests have of them: nothing of what a policy said as it failed."""
-        texts, outcomes = self.texts["error_text"], self.values["outcome"]
-        if "policy_failed" not in outcomes:
-            return texts
-        pairs = zip(texts, outcomes, strict=True)
-        return ['""' if outcome == "policy_failed" else text for text, outcome in pairs]
-
-
 def rows_digest(rows: Iterable[Row]) -> str:
     """Return one hex sha256 for a set of rows, whatever their order and wall times."""
-    results = Results()
-    for texts in texts_of(list(rows)):
-        results.extend(texts)
-    return results.digest
+    return _digest_of([(row.trial_id, row.arm, row.digest) for row in rows])
 
 
-class Results:
-    """What the `rows_digest` of rows covers, in a hundred bytes a row. Ask once all are there.
+def rows_of(values: Iterable[dict[str, Any]], digest: str | None) -> Iterator[Row]:
+    """Yield the rows of plain values; as `from_dict`.
 
-    Attributes:
-        trials: names, in the order of the rows.
-        arms: as above.
-        digests: 32 bytes of each.
+    Args:
+        values: of each row.
+        digest: the `rows_digest` that they must have, which shows at the end; None = any.
+
+    Raises:
+        ValueError: as `from_dict`, or they have another digest.
     """
-
-    def __init__(self) -> None:
-        self.trials: list[str] = []
-        self.arms: list[str] = []
-        self.digests = bytearray()
-
-    def extend(self, texts: RowTexts) -> None:
-        """Add rows."""
-        self.trials += texts.values["trial_id"]
-        self.arms += texts.values["arm"]
-        self.digests += bytes.fromhex("".join(texts.digests()))
-
-    @cached_property
-    def order(self) -> list[int]:
-        """Places of the rows, sorted by trial, arm and digest."""
-        order = sorted(range(len(self.trials)), key=self.trials.__getitem__)
-        if all(self.trials[one] != self.trials[two] for one, two in pairwise(order)):
-            return order  # A run has one row of each trial: nothing else need be compared.
-        return sorted(order, key=self._result)
-
-    @property
-    def digest(self) -> str:
-        """The hex sha256 of the JSON list of trial, arm and digest of all rows, sorted."""
-        found, order = sha256(b"["), self.order
-        for first in range(0, len(order), _AT_ONCE):
-            some = json.dumps(list(map(self._result, order[first : first + _AT_ONCE])))
-            found.update(f"{', ' if first else ''}{some[1:-1]}".encode())
-        found.update(b"]")
-        return found.hexdigest()
-
-    def _result(self, place: int) -> tuple[str, str, str]:
-        digest = self.digests[32 * place : 32 * place + 32].hex()
-        return self.trials[place], self.arms[place], digest
+    results: list[tuple[str, str, str]] = []
+    for one in values:
+        row = from_dict(one)
+        results.append((row.trial_id, row.arm, row.digest))
+        yield row
+    if digest is not None and digest != _digest_of(results):
+        raise ValueError("its rows are not those of its rows_digest")
 
 
-def texts_of(rows: Sequence[Row]) -> Iterator[RowTexts]:
-    """Yield rows in portions, in their order."""
-    for first in range(0, len(rows), _AT_ONCE):
-        some = rows[first : first + _AT_ONCE]
-        values = by_column(some)
-        texts = {name: _encoded(values[name], column) for name, column in COLUMNS.items()}
-        yield RowTexts(some, values, texts)
-
-
-def _encoded(values: Sequence[Any], column: Column) -> Sequence[str]:
-    """Return the JSON of each value of a column."""
-    if column.types is str:
-        return _encoded_words(values)
-    if not column.is_list:
-        return _LINES(values)[1:-1].split("\n")
-    if column.kind == Numbers:
-        return [f"[{numbers}]" for numbers in _VALUE(values)[2:-2].split("],[")]
-    return [_VALUE(value) if value else "[]" for value in values]
-
-
-def _encoded_words(words: Sequence[str]) -> Sequence[str]:
-    distinct = set(words)
-    if _FEW * len(distinct) > len(words):
-        return list(map(encode_basestring_ascii, words))
-    encoded = {word: encode_basestring_ascii(word) for word in distinct}
-    return [encoded[word] for word in words]
+def _digest_of(results: list[tuple[str, str, str]]) -> str:
+    """Return the hex sha256 of trial, arm and digest of all rows, sorted."""
+    return sha256(json.dumps(sorted(results)).encode()).hexdigest()

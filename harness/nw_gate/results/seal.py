@@ -10,7 +10,6 @@ signature: whoever can write the file can write its sums.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
 from hashlib import sha256
 
 _DIGITS = 16
@@ -32,21 +31,6 @@ def seal(text: str, before: str = "") -> tuple[str, str]:
     if "\n" in text:
         return f'{head},\n  "sum": "{value}"\n}}\n', value
     return f'{head},"sum":"{value}"}}\n', value
-
-
-def sealed_pieces(pieces: Iterable[str]) -> Iterator[bytes]:
-    """Yield a large object with its sum as the last key, piece by piece; as `seal`.
-
-    Args:
-        pieces: an object indented by two spaces, up to the end of its last value: without the
-            brace that closes it.
-    """
-    digest = sha256()
-    for piece in pieces:
-        data = piece.encode()
-        digest.update(data)
-        yield data
-    yield f',\n  "sum": "{digest.hexdigest()[:_DIGITS]}"\n}}\n'.encode()
 
 
 def sum_of(data: bytes) -> str:

@@ -14,7 +14,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
@@ -26,8 +26,7 @@ from nw_base.confinement.family import inherited
 from nw_base.errors import StoreError
 from nw_base.files.cache import atomic_path
 from nw_base.files.inside import bounded_bytes
-from nw_gate.results.row import Row, from_dicts, to_dict
-from nw_gate.results.stored import stored
+from nw_gate.results.row import Row, rows_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -104,19 +103,18 @@ def read_foreign_table(path: Path, *, fix: str) -> dict[str, list[Any]]:
     return content
 
 
-def read_rows_apart(path: Path) -> Sequence[Row]:
-    """Return the rows of a Parquet file; as `parquet.read_rows`.
+def read_rows_apart(path: Path) -> Iterator[Row]:
+    """Yield the rows of a Parquet file, read in a process of its own; as `parquet.read_rows`.
 
     Raises:
         StoreError: as there; or reading took too long, or ended its process.
     """
-    return stored(rows_apart(path))
-
-
-def rows_apart(path: Path) -> Iterator[list[Row]]:
-    """Yield the rows of a Parquet file in portions; as `read_rows_apart`."""
     fix = "restore the run's folder from a copy, or run again"
-    return map(from_dicts, _values_apart("rows", path, fix=fix))
+    values = chain.from_iterable(_values_apart("rows", path, fix=fix))
+    try:
+        yield from rows_of(values, next(values).get("rows_digest"))
+    except ValueError as error:
+        raise StoreError(f"{path} is damaged: {clean(error, at_most=200)}", fix=fix) from None
 
 
 def _foreign_table(path: Path) -> dict[str, list[Any]]:
@@ -233,10 +231,9 @@ def _read(what: str, path: Path) -> Iterable[dict[str, Any]]:
     if what == "foreign":
         yield _foreign_table(path)
         return
-    from nw_gate.results.parquet import read_groups
+    from nw_gate.results.parquet import plain_rows
 
-    for rows in read_groups(path):
-        yield from map(to_dict, rows)
+    yield from plain_rows(path)
 
 
 def _answer() -> None:

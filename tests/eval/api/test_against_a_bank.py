@@ -31,7 +31,7 @@ from nw_gate.results.bank_file import bank_of_run, read_bank, write_bank
 from nw_gate.results.ended import write_trials
 from nw_gate.results.journal import read_journal, write_journal
 from nw_gate.results.provenance import StopInfo, read_run_info
-from nw_gate.results.row import rows_digest, texts_of
+from nw_gate.results.row import rows_digest
 from nw_gate.results.run_folder import RunFolder
 
 SUITE = """\
@@ -760,7 +760,7 @@ def rewritten(folder, change):
     folder = RunFolder(path=folder)
     contents = read_journal(folder.journal)
     rows = change(contents.rows)
-    write_journal(folder.journal, contents.header, texts_of(rows))
+    write_journal(folder.journal, contents.header, rows)
     session.write_run_info(
         folder.run_json, write_trials(folder, read_run_info(folder.run_json), rows)
     )

@@ -31,7 +31,7 @@ from nw_gate.results.provenance import (
 from nw_gate.results.row import Row
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from nw_gate.results.bank import Stratum
 
@@ -46,7 +46,7 @@ def stratum_of(name: str | Stratum) -> Stratum:
 
 
 @pytest.fixture
-def make_run() -> Callable[..., RunInfo]:
+def make_run():
     """Provenance of a candidate's run: the first trials of each scene, or drawn from a bank."""
 
     def make(scenes: Sequence[str], trials: int, **changes: Any) -> RunInfo:
@@ -100,7 +100,7 @@ def make_run() -> Callable[..., RunInfo]:
 
 
 @pytest.fixture
-def make_bank() -> Callable[..., BaselineResults]:
+def make_bank():
     """A bank that holds for a run, from the baseline's successes on every start of each scene."""
 
     def make(
@@ -148,7 +148,7 @@ def make_bank() -> Callable[..., BaselineResults]:
 
 
 @pytest.fixture
-def run_rows() -> Callable[..., list[Row]]:
+def run_rows():
     """Rows of a run from the candidate's successes by start; None is a crash."""
 
     def make(run: RunInfo, scores: Scores) -> list[Row]:
@@ -162,7 +162,7 @@ def run_rows() -> Callable[..., list[Row]]:
 
 
 @pytest.fixture
-def drawn_rows() -> Callable[..., list[Row]]:
+def drawn_rows():
     """Rows of a run in the order in which its trials were drawn, as `drawn` gives them."""
     return drawn
 
@@ -190,7 +190,7 @@ def drawn(run: RunInfo, scores: Visits, first: int | None = None) -> list[Row]:
 
 
 @pytest.fixture
-def make_against() -> Callable[..., Against]:
+def make_against():
     """A bank as runs are compared with it."""
 
     def make(bank: BaselineResults, control: ControlArm | None = None) -> Against:
@@ -201,7 +201,7 @@ def make_against() -> Callable[..., Against]:
 
 
 @pytest.fixture
-def make_control() -> Callable[..., ControlArm]:
+def make_control():
     """Trials of a bank's own policy beside a candidate; arguments as for `drawn`."""
 
     def make(

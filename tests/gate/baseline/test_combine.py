@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from nw_gate.results.bank import BaselineResults
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
-    from nw_gate.verdict import Comparison, Verdict
+    from nw_gate.verdict import Verdict
 
     Make = Callable[..., Any]
 
 
 @pytest.fixture
-def against(make_run: Make, make_bank: Make, make_against: Make) -> Comparison:
+def against(make_run, make_bank, make_against):
     run = make_run(["a"], 20, drawn_from=60)
     return compare([], run, make_against(make_bank(run, {"a": [1.0] * 60})), Gate())
 
@@ -52,8 +52,8 @@ def against(make_run: Make, make_bank: Make, make_against: Make) -> Comparison:
     ],
 )
 def test_bar_and_baseline_must_both_pass_and_either_convicts(
-    run_scene: Make, against: Comparison, bar: str, baseline: str, word: str, exit_code: int
-) -> None:  # fmt: skip
+    run_scene, against, bar, baseline, word, exit_code
+):  # fmt: skip
     verdict = replace(judge(run_scene("a", [4] * 20), Gate(), {"a": 20}), verdict=bar)
     comparison = replace(against, word=baseline, reasons=("of the baseline",))
     both = combined(verdict, comparison)
@@ -61,7 +61,7 @@ def test_bar_and_baseline_must_both_pass_and_either_convicts(
     assert {"of the baseline", *verdict.reasons} == set(both.reasons)
 
 
-def test_what_decides_speaks_first(run_scene: Make, against: Comparison) -> None:
+def test_what_decides_speaks_first(run_scene, against):
     verdict = judge(run_scene("a", [4] * 20), Gate(success_rate=0.75), {"a": 20})
     fell = replace(against, word="REGRESSED", reasons=("it fell",))
     assert combined(verdict, fell).reasons[0] == "it fell"
@@ -70,9 +70,7 @@ def test_what_decides_speaks_first(run_scene: Make, against: Comparison) -> None
     assert combined(low, fine).reasons == (*low.reasons, "no worse")
 
 
-def test_how_many_more_trials_would_decide_is_said_only_where_they_would(
-    run_scene: Make, against: Comparison
-) -> None:
+def test_how_many_more_trials_would_decide_is_said_only_where_they_would(run_scene, against):
     still = replace(against, word="INCONCLUSIVE", reasons=("it is open",), more="8 more decide")
     good = judge(run_scene("a", [4] * 20), Gate(success_rate=0.75), {"a": 20})
     assert combined(good, still).reasons == ("it is open", "8 more decide", *good.reasons)
@@ -82,8 +80,8 @@ def test_how_many_more_trials_would_decide_is_said_only_where_they_would(
 
 
 def test_the_same_policy_passes_neither_though_nothing_ran_nor_though_the_bar_fails(
-    run_scene: Make, against: Comparison
-) -> None:
+    run_scene, against
+):
     same = replace(against, basis="same", word="PASS", reasons=("the same policy",))
     nothing = judge([], Gate(success_rate=0.75), {"a": 0})
     assert combined(nothing, same).verdict == "INFRASTRUCTURE"
@@ -115,7 +113,7 @@ def in_bits(rows: list[Row], bank: BaselineResults) -> BaselineResults:
 
 
 @pytest.fixture
-def judged_by(make_against: Make) -> Make:
+def judged_by(make_against):
     """The verdict on rows against a bank."""
 
     def judged(bank: BaselineResults, rows: list[Row], run: RunInfo, gate: Gate) -> Verdict:
@@ -125,8 +123,8 @@ def judged_by(make_against: Make) -> Make:
 
 
 def test_a_baseline_is_taken_over_where_one_start_of_every_scene_ran_again_and_is_equal(
-    make_run: Make, make_bank: Make, drawn_rows: Make, judged_by: Make
-) -> None:
+    make_run, make_bank, drawn_rows, judged_by
+):
     run, gate = of_the_baseline_itself(make_run, ran=0.75)
     rows = drawn_rows(run, {"a": [1.0], "b": [1.0]})
     bank = in_bits(rows, make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
@@ -146,12 +144,8 @@ def test_a_baseline_is_taken_over_where_one_start_of_every_scene_ran_again_and_i
     [{"success": 0.5}, {"outcome": "fell"}, {"waypoints_reached": 3}, {"trajectory": "f" * 16}],
 )
 def test_a_start_that_ran_again_otherwise_than_the_baseline_says_is_invalid_and_named(
-    make_run: Make,
-    make_bank: Make,
-    drawn_rows: Make,
-    judged_by: Make,
-    change: dict[str, Any],
-) -> None:
+    make_run, make_bank, drawn_rows, judged_by, change
+):
     run, gate = of_the_baseline_itself(make_run, ran=0.75)
     rows = drawn_rows(run, {"a": [1.0], "b": [1.0]})
     bank = in_bits(rows, make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
@@ -172,8 +166,8 @@ def test_a_start_that_ran_again_otherwise_than_the_baseline_says_is_invalid_and_
 
 
 def test_where_bits_are_others_an_honest_baseline_is_not_invalid_and_nothing_is_taken_over(
-    make_run: Make, make_bank: Make, drawn_rows: Make, judged_by: Make
-) -> None:
+    make_run, make_bank, drawn_rows, judged_by
+):
     run, gate = of_the_baseline_itself(make_run, ran=0.25)
     bank = make_bank(run, dict.fromkeys("ab", [1.0] * 50 + [0.5] * 10))
     changes = {
@@ -199,8 +193,8 @@ def test_where_bits_are_others_an_honest_baseline_is_not_invalid_and_nothing_is_
 
 
 def test_the_same_bits_with_another_result_are_invalid_on_every_class_of_machine(
-    make_run: Make, make_bank: Make, drawn_rows: Make, judged_by: Make
-) -> None:
+    make_run, make_bank, drawn_rows, judged_by
+):
     run, gate = of_the_baseline_itself(make_run, ran=0.01)
     rows = drawn_rows(run, {"a": [0.5], "b": [0.5]})
     forged = in_bits(rows, make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
@@ -217,8 +211,8 @@ def test_the_same_bits_with_another_result_are_invalid_on_every_class_of_machine
 
 
 def test_of_another_candidate_a_bank_that_its_own_policy_contradicted_makes_the_run_invalid(
-    make_run: Make, make_bank: Make, make_against: Make
-) -> None:
+    make_run, make_bank, make_against
+):
     moved = ("the bank is not what its own policy does: the same bits, other results", "scene a")
     there = make_run(["a"], 20, drawn_from=60)
     against = make_against(make_bank(there, {"a": [1.0] * 60}))
@@ -237,8 +231,8 @@ def test_of_another_candidate_a_bank_that_its_own_policy_contradicted_makes_the_
 
 
 def test_a_second_panel_that_is_true_does_not_speak_for_a_first_one_that_is_forged(
-    make_run: Make, make_bank: Make, drawn_rows: Make, judged_by: Make
-) -> None:
+    make_run, make_bank, drawn_rows, judged_by
+):
     run, gate = of_the_baseline_itself(make_run, ran=0.9)
     rows = drawn_rows(run, {"a": [0.5], "b": [0.5]})
     true = in_bits(rows, make_bank(run, dict.fromkeys("ab", [0.5] * 60)))
@@ -259,8 +253,8 @@ def test_a_second_panel_that_is_true_does_not_speak_for_a_first_one_that_is_forg
 
 
 def test_the_bar_rests_on_the_first_trials_alone_and_on_none_that_were_followed(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run("ab", 20, drawn_from=60)
     against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
     gate = Gate(success_rate=0.8)
@@ -297,8 +291,8 @@ def order_of(run: RunInfo) -> list[Any]:
 
 
 def test_informational_scenes_bear_on_no_bar_of_a_draw(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run(["a", "toy"], 20, drawn_from=60)
     against = make_against(make_bank(run, {"a": [1.0] * 60, "toy": [1.0] * 60}))
     gate = Gate(success_rate=0.7, tiers={"toy": "informational"})
@@ -315,9 +309,7 @@ def test_informational_scenes_bear_on_no_bar_of_a_draw(
 
 @pytest.mark.parametrize("tiers", [{}, {"a": "critical"}, {"b": "informational"}])
 @pytest.mark.parametrize("level", [1.0, 0.75, 0.25, 0.0])
-def test_the_bar_after_each_trial_is_the_bar_of_the_verdict(
-    make_run: Make, drawn_rows: Make, tiers: dict[str, str], level: float
-) -> None:
+def test_the_bar_after_each_trial_is_the_bar_of_the_verdict(make_run, drawn_rows, tiers, level):
     run = make_run("abc", 12, drawn_from=60)
     gate = Gate(success_rate=0.6, tiers=tiers)
     rows = drawn_rows(run, {"a": [0.0, 0.5, 1.0] * 20, "b": level, "c": level})
@@ -335,8 +327,8 @@ def test_the_bar_after_each_trial_is_the_bar_of_the_verdict(
 
 
 def test_what_was_found_out_of_a_bank_on_this_machine_is_of_that_bank_alone(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make, make_control: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against, make_control
+):
     there = make_run(["a"], 20, drawn_from=60)
     bank = make_bank(there, {"a": [1.0] * 60})
     begun = make_against(bank).info.model_copy(update={"checked": "control"})
@@ -355,8 +347,8 @@ def test_what_was_found_out_of_a_bank_on_this_machine_is_of_that_bank_alone(
 
 
 def test_an_open_run_says_about_how_many_more_trials_would_settle_it(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run(["a", "b"], 4, drawn_from=60)
     against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 55 + [0.5] * 5)))
     verdict = judge_run(drawn_rows(run, dict.fromkeys("ab", 1.0)), run, Gate(), against)
@@ -369,8 +361,8 @@ def test_an_open_run_says_about_how_many_more_trials_would_settle_it(
 
 
 def test_a_run_whose_control_has_not_begun_misses_trials_and_is_not_refused(
-    make_run: Make, make_bank: Make, make_against: Make
-) -> None:
+    make_run, make_bank, make_against
+):
     there = make_run(["a"], 20, drawn_from=60)
     against = make_against(make_bank(there, {"a": [1.0] * 60}))
     elsewhere = {**there.engine, "cpu": "haswell"}

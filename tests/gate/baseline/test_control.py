@@ -19,12 +19,8 @@ from nw_gate.results.bank import trajectory
 from nw_gate.settings import Validity
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from nw_gate.results.bank import Against
 
-    from nw_gate.results.bank import Against, BaselineResults, ControlArm
-    from nw_gate.results.provenance import RunInfo
-
-    Make = Callable[..., Any]
 
 SCENES = ("a", "b", "c", "d")
 GATE = Gate(max_drop=0.2)
@@ -33,13 +29,13 @@ LOW = dict.fromkeys(SCENES, [1.0, 0.5] * 30)
 
 
 @pytest.fixture
-def bank(make_run: Make, make_bank: Make) -> BaselineResults:
+def bank(make_run, make_bank):
     """A baseline that was perfect on the machine that it was saved on."""
     return make_bank(make_run(SCENES, 20, drawn_from=60), dict.fromkeys(SCENES, [1.0] * 60))
 
 
 @pytest.fixture
-def run(make_run: Make, bank: BaselineResults, make_against: Make) -> RunInfo:
+def run(make_run, bank, make_against):
     """A run on another class of machine, on which the baseline's policy has shown other bits."""
     here = make_run(SCENES, 20, drawn_from=60)
     info = make_against(bank).info.model_copy(update={"checked": "control"})
@@ -48,7 +44,7 @@ def run(make_run: Make, bank: BaselineResults, make_against: Make) -> RunInfo:
 
 
 @pytest.fixture
-def beside(run: RunInfo, bank: BaselineResults, make_against: Make, make_control: Make) -> Make:
+def beside(run, bank, make_against, make_control):
     """The baseline as the run is compared with it, by what its policy scores there."""
 
     def make(scores: Any, first: int | None = None) -> Against:
@@ -58,8 +54,8 @@ def beside(run: RunInfo, bank: BaselineResults, make_against: Make, make_control
 
 
 def test_an_equal_policy_where_both_drifted_is_not_regressed_though_the_bank_would_convict_it(
-    run: RunInfo, bank: BaselineResults, beside: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    run, bank, beside, drawn_rows, make_against
+):
     rows = drawn_rows(run, LOW)
     info = make_against(bank).info.model_copy(update={"checked": "bits"})
     by_bank = compare(rows, run.model_copy(update={"baseline": info}), make_against(bank), GATE)
@@ -76,9 +72,7 @@ def test_an_equal_policy_where_both_drifted_is_not_regressed_though_the_bank_wou
     assert found.interval.low < 0.0 < found.interval.high < GATE.most_drop
 
 
-def test_a_policy_that_is_worse_than_the_control_is_regressed(
-    run: RunInfo, beside: Make, drawn_rows: Make
-) -> None:
+def test_a_policy_that_is_worse_than_the_control_is_regressed(run, beside, drawn_rows):
     found = compare(drawn_rows(run, dict.fromkeys(SCENES, 0.25)), run, beside(PERFECT), GATE)
     assert (found.basis, found.word, found.mean_regressed) == ("control", "REGRESSED", True)
     assert (found.drop, found.baseline) == (0.75, 1.0)
@@ -88,8 +82,8 @@ def test_a_policy_that_is_worse_than_the_control_is_regressed(
 
 
 def test_a_scene_that_met_no_trial_has_no_score_of_the_control_and_means_are_of_the_pairs(
-    run: RunInfo, beside: Make, drawn_rows: Make
-) -> None:
+    run, beside, drawn_rows
+):
     scores = {name: 0.25 * (k + 1) for k, name in enumerate(SCENES)}
     rows = drawn_rows(run, dict.fromkeys(SCENES, 0.25))[:2]
     found = compare(rows, run, beside(scores), GATE, power_forecast=True)
@@ -102,7 +96,7 @@ def test_a_scene_that_met_no_trial_has_no_score_of_the_control_and_means_are_of_
     assert found.drop == pytest.approx(found.baseline - 0.25)
 
 
-def test_what_was_compared_with_what_is_said(run: RunInfo, beside: Make, drawn_rows: Make) -> None:
+def test_what_was_compared_with_what_is_said(run, beside, drawn_rows):
     found = compare(drawn_rows(run, PERFECT), run, beside(PERFECT), GATE)
     assert found.reasons[-1] == (
         "this machine or version gives other bits than the baseline's: its policy go1-act-rgb ran "
@@ -119,9 +113,7 @@ def test_what_was_compared_with_what_is_said(run: RunInfo, beside: Make, drawn_r
     max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(data=st.data())
-def test_trials_of_the_control_that_are_missing_hold_the_ruling_back(
-    run: RunInfo, beside: Make, drawn_rows: Make, data: st.DataObject
-) -> None:
+def test_trials_of_the_control_that_are_missing_hold_the_ruling_back(run, beside, drawn_rows, data):
     score = st.lists(st.sampled_from([0.0, 0.5, 1.0, 1.0]), min_size=60, max_size=60)
     rows = drawn_rows(run, {name: data.draw(score) for name in SCENES})
     scores = {name: data.draw(score) for name in SCENES}
@@ -138,9 +130,7 @@ def test_trials_of_the_control_that_are_missing_hold_the_ruling_back(
         assert (settled.word, settled.trials) == (both.word, both.trials)
 
 
-def test_without_a_control_s_trials_nothing_is_ruled(
-    run: RunInfo, bank: BaselineResults, drawn_rows: Make, make_against: Make, beside: Make
-) -> None:
+def test_without_a_control_s_trials_nothing_is_ruled(run, bank, drawn_rows, make_against, beside):
     rows = drawn_rows(run, dict.fromkeys(SCENES, 0.0))
     for against in (make_against(bank), beside(PERFECT, first=0)):
         found = compare(rows, run, against, GATE)
@@ -148,9 +138,7 @@ def test_without_a_control_s_trials_nothing_is_ruled(
         assert (found.basis, found.control) == ("control", 0)
 
 
-def test_an_error_of_either_arm_counts_worst_for_each_side(
-    run: RunInfo, beside: Make, drawn_rows: Make
-) -> None:
+def test_an_error_of_either_arm_counts_worst_for_each_side(run, beside, drawn_rows):
     rows = drawn_rows(run, PERFECT)
     scene = rows[0].scene
 
@@ -180,9 +168,7 @@ FOG = {
 IN_VIEW = GATE.model_copy(update={"validity": Validity(distance=0.5, at_most=0.2)})
 
 
-def test_a_trial_that_left_the_captured_volume_is_no_pair(
-    run: RunInfo, beside: Make, drawn_rows: Make
-) -> None:
+def test_a_trial_that_left_the_captured_volume_is_no_pair(run, beside, drawn_rows):
     gate = IN_VIEW
     rows = drawn_rows(run, PERFECT)
     gone = [replace(rows[0], **FOG), *rows[1:]]
@@ -194,13 +180,8 @@ def test_a_trial_that_left_the_captured_volume_is_no_pair(
 
 @pytest.mark.parametrize("arm", ["candidate", "control", "both"])
 def test_where_one_arm_left_the_captured_volume_the_pair_is_in_no_mean_and_the_other_arm_is_known(
-    arm: str,
-    run: RunInfo,
-    bank: BaselineResults,
-    beside: Make,
-    drawn_rows: Make,
-    make_against: Make,
-) -> None:
+    arm, run, bank, beside, drawn_rows, make_against
+):
     rows, control = drawn_rows(run, {**PERFECT, "b": [0.5] * 60}), beside(PERFECT).control
     scene = rows[0].scene
     assert scene != "b"
@@ -234,9 +215,7 @@ def test_where_one_arm_left_the_captured_volume_the_pair_is_in_no_mean_and_the_o
     )
 
 
-def test_a_scene_that_regressed_is_named_by_the_trials_beside_it(
-    run: RunInfo, beside: Make, drawn_rows: Make
-) -> None:
+def test_a_scene_that_regressed_is_named_by_the_trials_beside_it(run, beside, drawn_rows):
     gate = Gate(max_drop=0.24, tolerate=0.2)
     rows = drawn_rows(run, {**PERFECT, "b": 0.25})
     found = compare(rows, run, beside(PERFECT), gate, power_forecast=True)
@@ -251,9 +230,7 @@ def test_a_scene_that_regressed_is_named_by_the_trials_beside_it(
     assert {item.scene: item.waypoint for item in alike.scenes}["b"] is None
 
 
-def test_a_claim_about_the_panel_alone_has_no_control(
-    run: RunInfo, beside: Make, drawn_rows: Make
-) -> None:
+def test_a_claim_about_the_panel_alone_has_no_control(run, beside, drawn_rows):
     with pytest.raises(IncomparableError, match=r"gate\.claim is panel"):
         compare(
             drawn_rows(run, PERFECT), run, beside(PERFECT),
@@ -261,10 +238,8 @@ def test_a_claim_about_the_panel_alone_has_no_control(
         )  # fmt: skip
 
 
-def test_rows_of_a_candidate_are_no_control(
-    run: RunInfo, bank: BaselineResults, beside: Make, make_against: Make
-) -> None:
-    control: ControlArm | None = beside(PERFECT).control
+def test_rows_of_a_candidate_are_no_control(run, bank, beside, make_against):
+    control = beside(PERFECT).control
     assert control is not None
     for wrong in (
         tuple(replace(row, arm="candidate") for row in control.rows),
@@ -274,10 +249,8 @@ def test_rows_of_a_candidate_are_no_control(
             compare([], run, make_against(bank, replace(control, rows=wrong)), GATE)
 
 
-def test_the_same_bits_with_another_result_contradict_a_bank_and_other_bits_do_not(
-    bank: BaselineResults, beside: Make
-) -> None:
-    control: ControlArm | None = beside(dict.fromkeys(SCENES, 0.5), first=4).control
+def test_the_same_bits_with_another_result_contradict_a_bank_and_other_bits_do_not(bank, beside):
+    control = beside(dict.fromkeys(SCENES, 0.5), first=4).control
     assert control is not None
     assert contradictions(control.rows, bank, bank.panels[0]) == ()
     first = control.rows[0]

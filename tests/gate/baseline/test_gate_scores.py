@@ -17,7 +17,6 @@ from nw_gate.results.row import Row
 from nw_gate.scores import specs_of
 from nw_gate.settings import Gate
 
-Make = Callable[..., Any]
 WAYS = {"drawn_from": 60}
 COT = {"cost_of_transport": {"bar": 1.6, "max_drop": 0.3, "range": (0.0, 2.0)}}
 
@@ -47,7 +46,7 @@ def bank_with(bank: BaselineResults, **values: float) -> BaselineResults:
 
 
 @pytest.fixture
-def judged(make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make) -> Make:
+def judged(make_run, make_bank, drawn_rows, make_against):
     """Judge a run whose every trial completed, by the values of its scores and the baseline's."""
 
     def judge(
@@ -85,9 +84,7 @@ def judged(make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
     return judge
 
 
-def test_a_policy_that_gets_as_far_at_a_higher_cost_is_regressed_and_the_score_is_named(
-    judged: Make,
-) -> None:
+def test_a_policy_that_gets_as_far_at_a_higher_cost_is_regressed_and_the_score_is_named(judged):
     found = judged(
         {"success_rate": 0.5, "scores": COT},
         {"cost_of_transport": 1.5},
@@ -102,11 +99,11 @@ def test_a_policy_that_gets_as_far_at_a_higher_cost_is_regressed_and_the_score_i
     assert item.drops.low > 0.06, "a fifth of max_drop"
 
 
-def test_without_the_scores_the_same_trials_pass(judged: Make) -> None:
+def test_without_the_scores_the_same_trials_pass(judged):
     assert judged({"success_rate": 0.5}, {"cost_of_transport": 1.5}, {}).verdict == "PASS"
 
 
-def test_the_same_cost_passes_bar_and_baseline(judged: Make) -> None:
+def test_the_same_cost_passes_bar_and_baseline(judged):
     found = judged(
         {"success_rate": 0.5, "scores": COT},
         {"cost_of_transport": 0.92},
@@ -120,7 +117,7 @@ def test_the_same_cost_passes_bar_and_baseline(judged: Make) -> None:
     assert item.interval.low <= 0.92 <= item.interval.high
 
 
-def test_of_a_score_of_which_more_is_better_less_is_a_drop(judged: Make) -> None:
+def test_of_a_score_of_which_more_is_better_less_is_a_drop(judged):
     gate = {"scores": {"distance_before_fall": {"max_drop": 4.0}}}
     assert judged(gate, {"distance_before_fall": 9.0}, {"distance_before_fall": 18.0}).verdict == (
         "REGRESSED"
@@ -130,7 +127,7 @@ def test_of_a_score_of_which_more_is_better_less_is_a_drop(judged: Make) -> None
     ).verdict == ("PASS")
 
 
-def test_a_bar_alone_makes_a_verdict_where_success_has_none(judged: Make) -> None:
+def test_a_bar_alone_makes_a_verdict_where_success_has_none(judged):
     gate = {"scores": {"mean_power": {"bar": 300.0}}}
     assert judged(gate, {"mean_power": 120.0}).verdict == "PASS"
     found = judged(gate, {"mean_power": 500.0})
@@ -140,7 +137,7 @@ def test_a_bar_alone_makes_a_verdict_where_success_has_none(judged: Make) -> Non
     assert judged(gate, {"mean_power": 290.0}).verdict == "INCONCLUSIVE"
 
 
-def test_a_trial_without_a_value_counts_as_the_declaration_says(judged: Make) -> None:
+def test_a_trial_without_a_value_counts_as_the_declaration_says(judged):
     gate = {"scores": {"time_to_finish": {"bar": 30.0}}}
     rows = {"time_to_finish": lambda row: None if row.seed_index % 2 else 4.0}
     found = judged(gate, rows)
@@ -153,7 +150,7 @@ def test_a_trial_without_a_value_counts_as_the_declaration_says(judged: Make) ->
     assert judged(gate, {"time_to_finish": lambda _: None}).verdict == "REGRESSED"
 
 
-def test_success_still_convicts_beside_scores(judged: Make) -> None:
+def test_success_still_convicts_beside_scores(judged):
     found = judged(
         {"success_rate": 0.9, "scores": COT},
         {"cost_of_transport": 0.9},
@@ -164,7 +161,7 @@ def test_success_still_convicts_beside_scores(judged: Make) -> None:
     assert "success is at most" in " ".join(found.reasons)
 
 
-def test_a_score_that_no_trial_was_measured_by_is_invalid(judged: Make) -> None:
+def test_a_score_that_no_trial_was_measured_by_is_invalid(judged):
     found = judged({"scores": {"mean_power": {"bar": 300.0}}}, {})
     assert found.verdict == "INVALID"
     assert found.reasons[0] == (
@@ -172,7 +169,7 @@ def test_a_score_that_no_trial_was_measured_by_is_invalid(judged: Make) -> None:
     )
 
 
-def test_a_baseline_without_the_score_is_invalid(judged: Make) -> None:
+def test_a_baseline_without_the_score_is_invalid(judged):
     found = judged({"scores": COT}, {"cost_of_transport": 0.9}, {})
     assert found.verdict == "INVALID"
     (told,) = [reason for reason in found.reasons if "has no cost_of_transport" in reason]
@@ -181,18 +178,18 @@ def test_a_baseline_without_the_score_is_invalid(judged: Make) -> None:
     assert "--renew" in told
 
 
-def test_a_baseline_at_the_end_of_the_range_is_invalid(judged: Make) -> None:
+def test_a_baseline_at_the_end_of_the_range_is_invalid(judged):
     found = judged({"scores": COT}, {"cost_of_transport": 1.9}, {"cost_of_transport": 1.9})
     assert found.verdict == "INVALID"
     assert "so near is the end of its range: lower max_drop" in " ".join(found.reasons)
 
 
-def test_a_run_with_holes_stays_infrastructure(judged: Make) -> None:
+def test_a_run_with_holes_stays_infrastructure(judged):
     found = judged({"scores": {"mean_power": {"bar": 300.0}}}, {"mean_power": 900.0}, success=None)
     assert found.verdict == "INFRASTRUCTURE"
 
 
-def test_what_is_measured_and_not_gated_is_reported_and_judges_nothing(judged: Make) -> None:
+def test_what_is_measured_and_not_gated_is_reported_and_judges_nothing(judged):
     found = judged({}, {"mean_power": 120.0, "foot_slip": 0.1})
     assert found.verdict == "RAN"
     assert [(item.spec.name, item.mean, item.word) for item in found.scores] == [
@@ -201,7 +198,7 @@ def test_what_is_measured_and_not_gated_is_reported_and_judges_nothing(judged: M
     ]
 
 
-def test_errors_of_regressed_are_split_over_all_that_is_gated() -> None:
+def test_errors_of_regressed_are_split_over_all_that_is_gated():
     assert Gate().shared == 1
     assert Gate(scores=COT).shared == 2
 
@@ -221,7 +218,7 @@ def test_errors_of_regressed_are_split_over_all_that_is_gated() -> None:
         ({"foot_slip": {"max_drop": 0.1, "tolerate": 0.2}}, "tolerate 0.2 is over max_drop"),
     ],
 )
-def test_what_cannot_be_gated_is_told(scores: dict[str, Any], said: str) -> None:
+def test_what_cannot_be_gated_is_told(scores, said):
     with pytest.raises(ValidationError, match=said):
         Gate(scores=scores)
 
@@ -230,9 +227,7 @@ CRITICAL = {"success_rate": 0.5, "tiers": {"a": "critical"}}
 
 
 @pytest.mark.parametrize("tier", ["critical", "supporting"])
-def test_a_critical_scene_convicts_by_a_score_that_is_worse_there_alone(
-    judged: Make, tier: str
-) -> None:
+def test_a_critical_scene_convicts_by_a_score_that_is_worse_there_alone(judged, tier):
     """Worse by 1 in scene a, and better by 0.9 in b: the mean has hardly changed."""
     found = judged(
         {
@@ -254,7 +249,7 @@ def test_a_critical_scene_convicts_by_a_score_that_is_worse_there_alone(
         assert "critical scene b" not in alone[0]
 
 
-def test_the_bar_of_a_score_is_in_the_sum_of_what_convicts_wrongly(judged: Make) -> None:
+def test_the_bar_of_a_score_is_in_the_sum_of_what_convicts_wrongly(judged):
     now, before = {"cost_of_transport": 0.9}, {"cost_of_transport": 0.92}
     asked = {"cost_of_transport": {"max_drop": 0.3, "range": (0.0, 2.0)}}
     alone = judged({"scores": asked}, now, before)
@@ -265,7 +260,7 @@ def test_the_bar_of_a_score_is_in_the_sum_of_what_convicts_wrongly(judged: Make)
 
 
 @pytest.mark.parametrize("tier", ["critical", "supporting"])
-def test_a_critical_scene_convicts_by_the_bar_of_a_score_alone(judged: Make, tier: str) -> None:
+def test_a_critical_scene_convicts_by_the_bar_of_a_score_alone(judged, tier):
     found = judged(
         {"tiers": {"a": tier}, "scores": {"cost_of_transport": {"bar": 1.4, "range": (0.0, 2.0)}}},
         {"cost_of_transport": lambda row: 2.0 if row.scene == "a" else 0.0},
@@ -275,8 +270,8 @@ def test_a_critical_scene_convicts_by_the_bar_of_a_score_alone(judged: Make, tie
 
 
 def test_a_critical_scene_in_which_a_score_is_worse_by_no_more_than_max_drop_convicts_nobody(
-    judged: Make,
-) -> None:
+    judged,
+):
     found = judged(
         {**CRITICAL, "scores": {"cost_of_transport": {"max_drop": 0.3, "range": (0.0, 2.0)}}},
         {"cost_of_transport": lambda row: 1.22 if row.scene == "a" else 0.62},

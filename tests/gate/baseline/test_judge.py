@@ -19,11 +19,8 @@ from nw_gate.results.request import Request
 from nw_gate.stats.bank.trials import CRITICAL_TRIALS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from nw_gate.results.provenance import RunInfo
 
-    Make = Callable[..., Any]
 
 GATE = Gate(max_drop=0.1, scene_drop=0.1)
 WAYS = {"drawn_from": 60}
@@ -33,9 +30,9 @@ STRETCH = {"suppress_health_check": [HealthCheck.function_scoped_fixture], "dead
 @pytest.mark.parametrize(("alpha", "trials"), [(1 / 2.17, 10), (1 / 4.88, 20), (0.05, 37)])
 @pytest.mark.parametrize("scenes", ["a", "abcd"])
 def test_an_unchanged_policy_passes_after_the_trials_that_the_figures_say(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make, scenes: str,
-    alpha: float, trials: int,
-) -> None:  # fmt: skip
+    make_run, make_bank, drawn_rows, make_against, scenes,
+    alpha, trials
+):  # fmt: skip
     # E_pass of perfect trials against a perfect baseline: 2.1732 after 10, 4.8890 after 20, and 20
     # is reached after 37. They are of fresh starts: that the bank has 60 changes nothing.
     rounds = 40 // len(scenes)
@@ -61,8 +58,8 @@ def test_an_unchanged_policy_passes_after_the_trials_that_the_figures_say(
 
 @pytest.mark.parametrize(("alpha", "trials"), [(1 / 8.88, 1), (1 / 8.89, 2), (1 / 221, 2)])
 def test_a_policy_that_always_fails_is_convicted_as_soon_as_the_figures_say(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make, alpha: float, trials: int
-) -> None:
+    make_run, make_bank, drawn_rows, make_against, alpha, trials
+):
     # E_regr: (0) 8.8871; (0, 0) 221.7623.
     run = make_run("abcd", 20, **WAYS)
     against = make_against(make_bank(run, dict.fromkeys("abcd", [1.0] * 60)))
@@ -84,8 +81,8 @@ def test_a_policy_that_always_fails_is_convicted_as_soon_as_the_figures_say(
 @settings(max_examples=40, **STRETCH)
 @given(data=st.data())
 def test_neither_the_order_of_rows_nor_what_is_known_beyond_changes_what_is_found(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make, data: st.DataObject
-) -> None:
+    make_run, make_bank, drawn_rows, make_against, data
+):
     """The rule of the order: its first trials, and later ones of scenes that are waited for."""
     score = st.sampled_from([0.0, 0.5, 1.0, 1.0, 1.0, None])
     names = ["a", "b", "toy"]
@@ -127,8 +124,8 @@ def often_met(run: RunInfo, trials: int) -> str:
 
 
 def test_a_pass_waits_for_a_scene_that_may_have_regressed_and_follows_its_trials_alone(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     names = [f"s{number:02d}" for number in range(12)]
     run = make_run(names, 20, **WAYS)
     against = make_against(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
@@ -156,8 +153,8 @@ def test_a_pass_waits_for_a_scene_that_may_have_regressed_and_follows_its_trials
 
 
 def test_on_fresh_starts_evidence_is_that_of_a_panel_without_end(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     pinned = make_run(["a"], 3)
     against = make_against(make_bank(pinned, {"a": [1.0] * 60}))
     run = make_run(["a"], 3, panel="fresh", suite={"seed": 77}, baseline=against.info)
@@ -173,8 +170,8 @@ def test_on_fresh_starts_evidence_is_that_of_a_panel_without_end(
 
 
 def test_a_scene_that_regressed_is_named_even_under_pass_and_convicts_if_critical(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     names = [f"s{number:02d}" for number in range(12)]
     run = make_run(names, 20, **WAYS)
     against = make_against(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
@@ -195,8 +192,8 @@ def test_a_scene_that_regressed_is_named_even_under_pass_and_convicts_if_critica
 
 
 def test_a_report_bounds_how_often_a_policy_that_is_good_enough_is_regressed(
-    make_run: Make, make_bank: Make, make_against: Make
-) -> None:
+    make_run, make_bank, make_against
+):
     run = make_run("abcd", 20, **WAYS)
     against = make_against(make_bank(run, dict.fromkeys("abcd", [1.0] * 60)))
     for changes, bound in (
@@ -211,8 +208,8 @@ def test_a_report_bounds_how_often_a_policy_that_is_good_enough_is_regressed(
 
 
 def test_a_report_has_the_drops_that_each_scene_s_own_trials_leave_possible(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     names = ["fell", "held", "seen"]
     run = make_run(names, 20, **WAYS)
     against = make_against(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
@@ -237,8 +234,8 @@ def test_a_report_has_the_drops_that_each_scene_s_own_trials_leave_possible(
 
 
 def test_informational_scenes_are_in_the_order_and_in_the_table_and_in_no_evidence(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run(["a", "toy"], 20, **WAYS)
     against = make_against(make_bank(run, {"a": [1.0] * 60, "toy": [0.5] * 60}))
     gate = GATE.model_copy(update={"max_drop": 0.2, "tiers": {"toy": "informational"}})
@@ -260,8 +257,8 @@ def test_informational_scenes_are_in_the_order_and_in_the_table_and_in_no_eviden
 
 
 def test_what_is_changed_in_a_scene_makes_strata_of_their_own(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run(["a"], 20, suite={"perturb": {"friction": (0.6, 1.25)}}, **WAYS)
     icy, dry = ("a", (("friction", 0.6),)), ("a", (("friction", 1.25),))
     against = make_against(make_bank(run, {icy: [0.75] * 60, dry: [1.0] * 60}))
@@ -274,9 +271,7 @@ def test_what_is_changed_in_a_scene_makes_strata_of_their_own(
     assert found.scenes[1].evidence <= 1
 
 
-def test_the_policy_of_the_baseline_passes_without_a_trial(
-    make_run: Make, make_bank: Make, make_against: Make
-) -> None:
+def test_the_policy_of_the_baseline_passes_without_a_trial(make_run, make_bank, make_against):
     run = make_run(["a"], 10, policy=PolicyInfo(
         name="renamed", card_digest="b1" * 32, checkpoint_digest="bb" * 32
     ))  # fmt: skip
@@ -309,8 +304,8 @@ def test_the_policy_of_the_baseline_passes_without_a_trial(
     ],
 )
 def test_a_policy_that_nobody_can_identify_is_tested_even_against_itself(
-    make_run: Make, make_bank: Make, make_against: Make, policy: PolicyInfo
-) -> None:
+    make_run, make_bank, make_against, policy
+):
     run = make_run(["a"], 20, policy=policy, **WAYS)
     bank = make_bank(run, {"a": [1.0] * 60})
     named = bank.manifest.policy.model_copy(
@@ -321,8 +316,8 @@ def test_a_policy_that_nobody_can_identify_is_tested_even_against_itself(
 
 
 def test_a_policy_that_failed_by_itself_scores_nothing_wherever_it_got_to(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run(["a"], 20, **WAYS)
     rows = [
         replace(row, outcome="policy_failed", end_reason="action", error_type="policy_error")
@@ -336,8 +331,8 @@ def test_a_policy_that_failed_by_itself_scores_nothing_wherever_it_got_to(
 
 
 def test_a_trial_that_ended_in_an_error_counts_worst_for_each_side(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run(["a", "b"], 20, **WAYS)
     against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
     gate = Gate(max_drop=0.3)
@@ -360,8 +355,8 @@ def test_a_trial_that_ended_in_an_error_counts_worst_for_each_side(
 
 
 def test_trials_beyond_one_that_has_not_ended_are_not_looked_at(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run(["a", "b"], 20, **WAYS)
     against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
     rows = drawn_rows(run, {"a": 0.5, "b": 1.0})
@@ -372,8 +367,8 @@ def test_trials_beyond_one_that_has_not_ended_are_not_looked_at(
 
 
 def test_the_waypoint_from_which_a_scene_that_regressed_parts_is_named(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run(["a", "b"], 20, **WAYS)
     against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 60)))
     found = compare(drawn_rows(run, {"a": 0.5, "b": 1.0}), run, against, GATE)
@@ -386,8 +381,8 @@ def test_the_waypoint_from_which_a_scene_that_regressed_parts_is_named(
 
 
 def test_what_is_not_decided_says_what_is_known_of_the_drop(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run(["a"], 20, **WAYS)
     against = make_against(make_bank(run, {"a": [1.0] * 60}))
     found = compare(
@@ -415,7 +410,7 @@ def test_what_is_not_decided_says_what_is_known_of_the_drop(
 
 
 @pytest.fixture
-def perfect(make_run: Make, make_bank: Make, make_against: Make) -> Make:
+def perfect(make_run, make_bank, make_against):
     """A run of some scenes with so many rounds, against a baseline that never failed there."""
 
     def make(names: list[str], rounds: int) -> tuple[RunInfo, Any]:
@@ -425,9 +420,7 @@ def perfect(make_run: Make, make_bank: Make, make_against: Make) -> Make:
     return make
 
 
-def test_scenes_that_no_trial_has_met_are_told_and_shown_as_such(
-    perfect: Make, drawn_rows: Make
-) -> None:
+def test_scenes_that_no_trial_has_met_are_told_and_shown_as_such(perfect, drawn_rows):
     names = [f"s{number:02d}" for number in range(30)]
     run, against = perfect(names, 2)
     rows = drawn_rows(run, dict.fromkeys(names, 0.0))
@@ -448,7 +441,7 @@ def test_scenes_that_no_trial_has_met_are_told_and_shown_as_such(
     assert page.bars[lines.index(line)] is None
 
 
-def test_no_pass_before_every_critical_scene_has_been_met(perfect: Make, drawn_rows: Make) -> None:
+def test_no_pass_before_every_critical_scene_has_been_met(perfect, drawn_rows):
     names = [f"s{number:02d}" for number in range(30)]
     run, against = perfect(names, 10)
     rows = drawn_rows(run, dict.fromkeys(names, 1.0))
@@ -469,8 +462,8 @@ def test_no_pass_before_every_critical_scene_has_been_met(perfect: Make, drawn_r
 
 
 def test_a_candidate_that_is_better_so_far_is_said_to_have_risen(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run(["a"], 20, **WAYS)
     against = make_against(make_bank(run, {"a": [0.5] * 60}))
     found = compare(drawn_rows(run, {"a": [1.0] * 2}), run, against, GATE, power_forecast=True)
@@ -484,8 +477,8 @@ def test_a_candidate_that_is_better_so_far_is_said_to_have_risen(
 
 
 def test_a_run_of_some_scenes_is_compared_in_those_and_says_so(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     whole = make_run(["a", "b"], 20, **WAYS)
     against = make_against(make_bank(whole, {"a": [1.0] * 60, "b": [0.5] * 60}))
     run = make_run(["a"], 20, request=Request(scenes=("a",)), **WAYS)
@@ -497,8 +490,8 @@ def test_a_run_of_some_scenes_is_compared_in_those_and_says_so(
 
 
 def test_rows_of_a_run_without_a_baseline_are_compared_in_an_order_of_their_own(
-    make_run: Make, make_bank: Make, run_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, run_rows, make_against
+):
     run = make_run(["a", "b", "c"], 15)
     perfect = {name: [1.0] * 15 for name in "abc"}
     against = make_against(make_bank(run, {name: [1.0] * 45 for name in "abc"}))
@@ -518,8 +511,8 @@ def test_rows_of_a_run_without_a_baseline_are_compared_in_an_order_of_their_own(
 
 
 def test_no_claim_about_fresh_starts_takes_a_small_bank_for_all_there_is(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     # Six starts, all met. Of these six the drop could be .1 only if all but none of the rest
     # failed: one failure makes that "impossible" of the panel. Of fresh starts it says little.
     run = make_run("ab", 6, drawn_from=6)
@@ -534,8 +527,8 @@ def test_no_claim_about_fresh_starts_takes_a_small_bank_for_all_there_is(
 
 
 def test_a_claim_about_the_panel_alone_is_a_suite_s_choice_takes_fewer_trials_and_is_said(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run("ab", 20, drawn_from=20)
     against = make_against(make_bank(run, dict.fromkeys("ab", [1.0] * 20)))
     rows = drawn_rows(run, dict.fromkeys("ab", 1.0))
@@ -562,8 +555,8 @@ def test_a_claim_about_the_panel_alone_is_a_suite_s_choice_takes_fewer_trials_an
 
 
 def test_a_bank_needs_as_many_starts_as_rounds_and_says_how_many_to_save(
-    make_run: Make, make_bank: Make, make_against: Make
-) -> None:
+    make_run, make_bank, make_against
+):
     drawn = make_run(["a"], 20, drawn_from=20)
     few = make_against(make_bank(drawn, {"a": [1.0] * 10}))
     with pytest.raises(
@@ -579,9 +572,7 @@ def test_a_bank_needs_as_many_starts_as_rounds_and_says_how_many_to_save(
         assert compare([], run, enough, GATE).claim == "fresh"
 
 
-def test_a_baseline_that_nobody_can_fall_short_of_is_refused(
-    make_run: Make, make_bank: Make, make_against: Make
-) -> None:
+def test_a_baseline_that_nobody_can_fall_short_of_is_refused(make_run, make_bank, make_against):
     run = make_run(["a"], 20, **WAYS)
     against = make_against(make_bank(run, {"a": [0.1] * 60}))
     with pytest.raises(IncomparableError, match=r"mean success is 0.100: no policy can be worse"):
@@ -589,8 +580,8 @@ def test_a_baseline_that_nobody_can_fall_short_of_is_refused(
 
 
 def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     run = make_run(["a"], 20, **WAYS)
     against = make_against(make_bank(run, {"a": [1.0] * 60}))
     rows = drawn_rows(run, {"a": 1.0})
@@ -606,8 +597,8 @@ def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused(
 
 
 def test_on_another_class_of_machine_the_baseline_must_have_been_checked(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+    make_run, make_bank, drawn_rows, make_against
+):
     here = make_run(["a"], 40, **WAYS)
     against = make_against(make_bank(here, {"a": [1.0] * 60}))
     elsewhere = {**here.engine, "cpu": "haswell"}
@@ -629,9 +620,7 @@ def test_on_another_class_of_machine_the_baseline_must_have_been_checked(
             compare(rows, other, against, GATE)
 
 
-def test_rows_that_are_not_of_the_run_are_refused(
-    make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make
-) -> None:
+def test_rows_that_are_not_of_the_run_are_refused(make_run, make_bank, drawn_rows, make_against):
     run = make_run(["a"], 20, **WAYS)
     against = make_against(make_bank(run, {"a": [1.0] * 60}))
     rows = drawn_rows(run, {"a": 1.0}, first=3)

@@ -13,11 +13,10 @@ from nw_gate.baseline.judge import compare
 from nw_gate.settings import Validity
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from nw_gate.results.row import Row
 
-    Make = Callable[..., Any]
 
 BARE = Gate(max_drop=0.1)
 GATE = BARE.model_copy(update={"validity": Validity(distance=0.5, at_most=0.2)})
@@ -33,7 +32,7 @@ def gone(rows: Sequence[Row], places: Sequence[int]) -> list[Row]:
 
 
 @pytest.fixture
-def meet(make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make) -> Make:
+def meet(make_run, make_bank, drawn_rows, make_against):
     """A candidate's rows in two scenes, by the successes of their trials, beside a perfect bank."""
 
     def make(
@@ -47,9 +46,7 @@ def meet(make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make) 
 
 
 @pytest.mark.parametrize("success", [1.0, 0.0])
-def test_it_counts_as_a_trial_without_result_does_whatever_it_scored(
-    meet: Make, success: float
-) -> None:
+def test_it_counts_as_a_trial_without_result_does_whatever_it_scored(meet, success):
     crashed, run, against = meet([1.0, None, *[1.0] * 58], 1.0)
     known, _, _ = meet([1.0, success, *[1.0] * 58], 1.0)
     place = next(place for place, row in enumerate(crashed) if row.status == "error")
@@ -65,7 +62,7 @@ def test_it_counts_as_a_trial_without_result_does_whatever_it_scored(
     assert [item.ends for item in left.scenes] == [item.ends for item in lost.scenes]
 
 
-def test_no_candidate_passes_or_falls_by_what_left(meet: Make) -> None:
+def test_no_candidate_passes_or_falls_by_what_left(meet):
     rows, run, against = meet(1.0, 1.0)
     assert compare(rows, run, against, GATE).word == "PASS"
     assert compare(gone(rows, range(0, 40, 6)), run, against, GATE).word == "INCONCLUSIVE"
@@ -74,7 +71,7 @@ def test_no_candidate_passes_or_falls_by_what_left(meet: Make) -> None:
     assert compare(gone(worse, range(3)), run, against, GATE).word == "INCONCLUSIVE"
 
 
-def test_over_the_cap_not_even_a_policy_that_always_falls_is_convicted(meet: Make) -> None:
+def test_over_the_cap_not_even_a_policy_that_always_falls_is_convicted(meet):
     rows, run, against = meet(0.0, 0.0)
     assert compare(rows, run, against, GATE).word == "REGRESSED"
     far = gone(rows, range(9))
@@ -86,6 +83,6 @@ def test_over_the_cap_not_even_a_policy_that_always_falls_is_convicted(meet: Mak
     assert sum("over gate.validity.at_most" in reason for reason in verdict.reasons) == 1
 
 
-def test_without_the_key_the_bank_is_met_as_ever(meet: Make) -> None:
+def test_without_the_key_the_bank_is_met_as_ever(meet):
     rows, run, against = meet([1.0, 0.5] * 30, 1.0)
     assert compare(gone(rows, range(15)), run, against, BARE) == compare(rows, run, against, BARE)

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,12 +12,9 @@ from nw_gate.results.provenance import SceneInfo
 from nw_gate.results.request import Request
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from nw_gate.results.bank import BaselineResults
     from nw_gate.results.provenance import RunInfo
 
-    Make = Callable[..., Any]
 
 RENEW = (
     "; renew the baseline with `nw-eval baseline save hurdles --policy go1-act-rgb --renew "
@@ -26,12 +23,12 @@ RENEW = (
 
 
 @pytest.fixture
-def run(make_run: Make) -> RunInfo:
+def run(make_run):
     return make_run(["a", "b"], 10)
 
 
 @pytest.fixture
-def bank(run: RunInfo, make_bank: Make) -> BaselineResults:
+def bank(run, make_bank):
     return make_bank(run, {"a": [1.0] * 30, "b": [1.0] * 30})
 
 
@@ -47,7 +44,7 @@ def refusal(run: RunInfo, bank: BaselineResults) -> str:
     return message.removeprefix(prefix).removesuffix(RENEW)
 
 
-def test_a_bank_of_the_same_world_matches(run: RunInfo, bank: BaselineResults) -> None:
+def test_a_bank_of_the_same_world_matches(run, bank):
     check_match(run, bank)
     # The class of machine is no part of it, nor are the number of trials and the gate.
     elsewhere = {**run.engine, "cpu": "haswell", "torch": "2.9", "code": "0" * 16}
@@ -62,9 +59,7 @@ def test_a_bank_of_the_same_world_matches(run: RunInfo, bank: BaselineResults) -
         ({"protocol": "neverwhere-2026"}, "its protocol is neverwhere-2026, the baseline's strict"),
     ],
 )
-def test_what_names_the_starts_is_named_with_both_values(
-    make_run: Make, bank: BaselineResults, settings: dict[str, Any], words: str
-) -> None:
+def test_what_names_the_starts_is_named_with_both_values(make_run, bank, settings, words):
     assert refusal(make_run(["a", "b"], 10, suite=settings), bank) == words
 
 
@@ -83,17 +78,15 @@ def test_what_names_the_starts_is_named_with_both_values(
     ],
 )
 def test_of_a_suite_of_which_a_bank_knows_the_digest_only_what_can_be_told_is_told(
-    make_run: Make, bank: BaselineResults, settings: dict[str, Any], words: str
-) -> None:
+    make_run, bank, settings, words
+):
     run = make_run(["a", "b"], 10, suite=settings)
     digests = f"{run.suite_digest[:8]}, the baseline's {bank.manifest.key.suite_digest[:8]}"
     assert refusal(run, bank).startswith(f"its suite digest is {digests}: {words}")
 
 
 @pytest.mark.parametrize("name", ["mujoco", "rays", "renderer"])
-def test_another_version_of_the_simulator_is_another_world(
-    run: RunInfo, bank: BaselineResults, name: str
-) -> None:
+def test_another_version_of_the_simulator_is_another_world(run, bank, name):
     newer = run.model_copy(update={"engine": {**run.engine, name: "9.9"}})
     assert refusal(newer, bank) == f"its {name} is 9.9, the baseline's {run.engine[name]}"
     without = {key: value for key, value in run.engine.items() if key != name}
@@ -102,9 +95,7 @@ def test_another_version_of_the_simulator_is_another_world(
     )
 
 
-def test_scenes_are_named_that_are_in_one_and_not_in_the_other_or_have_changed(
-    run: RunInfo, bank: BaselineResults, make_run: Make
-) -> None:
+def test_scenes_are_named_that_are_in_one_and_not_in_the_other_or_have_changed(run, bank, make_run):
     assert refusal(make_run(["a", "b", "c"], 10), bank) == "scene c is not in the baseline"
     fewer = make_run(["a"], 10)
     assert refusal(fewer, bank) == "scene b is in the baseline and not in the run"
@@ -114,23 +105,19 @@ def test_scenes_are_named_that_are_in_one_and_not_in_the_other_or_have_changed(
     )
 
 
-def test_a_run_that_was_asked_for_some_scenes_is_compared_in_those(
-    make_run: Make, bank: BaselineResults
-) -> None:
+def test_a_run_that_was_asked_for_some_scenes_is_compared_in_those(make_run, bank):
     run = make_run(["a"], 10, request=Request(suite="hurdles", scenes=("a",)))
     check_match(run, bank)
 
 
-def test_every_fault_is_told_at_once(make_run: Make, bank: BaselineResults) -> None:
+def test_every_fault_is_told_at_once(make_run, bank):
     run = make_run(["a", "c"], 10, suite={"seed": 5}, engine={})
     words = refusal(run, bank)
     for part in ("seed is 5", "scene c is not", "scene b is in the baseline", "mujoco is none"):
         assert part in words
 
 
-def test_fresh_starts_are_of_another_seed_and_of_no_other_difference(
-    make_run: Make, bank: BaselineResults
-) -> None:
+def test_fresh_starts_are_of_another_seed_and_of_no_other_difference(make_run, bank):
     check_match(make_run(["a", "b"], 10, panel="fresh", suite={"seed": 5}), bank)
     same = refusal(make_run(["a", "b"], 10, panel="fresh"), bank)
     assert same == "its seed 20261 is the baseline's, so its starts are not fresh"
@@ -140,9 +127,7 @@ def test_fresh_starts_are_of_another_seed_and_of_no_other_difference(
     )
 
 
-def test_the_command_names_the_suite_and_the_policy_as_they_can_be_typed_here(
-    make_run: Make, make_bank: Make
-) -> None:
+def test_the_command_names_the_suite_and_the_policy_as_they_can_be_typed_here(make_run, make_bank):
     run = make_run(["a"], 10, request=Request(suite="my suites/own.yaml"))
     bank = make_bank(run, {"a": [1.0]})
     policy = bank.manifest.policy.model_copy(update={"card": "policies/own/policy.yaml"})
@@ -156,9 +141,7 @@ def test_the_command_names_the_suite_and_the_policy_as_they_can_be_typed_here(
 
 
 @pytest.mark.parametrize("whose", [f"leaning 1.1 {'a' * 64}", f"leaning 1.0 {'b' * 64}"])
-def test_a_score_of_another_version_or_code_than_the_baselines_is_not_compared(
-    run: RunInfo, bank: BaselineResults, whose: str
-) -> None:
+def test_a_score_of_another_version_or_code_than_the_baselines_is_not_compared(run, bank, whose):
     before = run.model_copy(update={"plugins": {"scores.lean": f"leaning 1.0 {'a' * 64}"}})
     manifest = bank.manifest.model_copy(update={"key": key_of(before), "scores": ("lean",)})
     measured = replace(bank, manifest=manifest)

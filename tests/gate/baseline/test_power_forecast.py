@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -18,22 +17,17 @@ from nw_gate.baseline.power_forecast import (
 from nw_gate.settings import Gate
 from nw_gate.stats.bank.curve import CurvePoint, Progress
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Make = Callable[..., Any]
-
 GOOD = [1.0] * 29 + [0.75]
 GATE = Gate.model_validate({"max_drop": 0.2, "tiers": {"d": "informational", "b": "critical"}})
 
 
 @pytest.fixture
-def panel(make_run: Make, make_bank: Make) -> Any:
+def panel(make_run, make_bank):
     run = make_run("abcd", 30)
     return make_bank(run, dict.fromkeys("abcd", GOOD)).panels[0]
 
 
-def test_a_bank_is_counted_by_waypoints_without_scenes_that_are_not_judged(panel: Any) -> None:
+def test_a_bank_is_counted_by_waypoints_without_scenes_that_are_not_judged(panel):
     outset = outset_of_bank(panel, GATE)
     assert [course.counts.tolist() for course in outset.seen] == [[0, 0, 0, 1, 29]] * 3
     assert outset.rules.tiers == ("supporting", "critical", "supporting")
@@ -43,20 +37,18 @@ def test_a_bank_is_counted_by_waypoints_without_scenes_that_are_not_judged(panel
     assert (outset.rules.margins.max_drop, outset.budget) == (0.2, 60)
 
 
-def test_no_more_trials_are_foreseen_than_a_bank_has_starts(
-    make_run: Make, make_bank: Make
-) -> None:
+def test_no_more_trials_are_foreseen_than_a_bank_has_starts(make_run, make_bank):
     small = make_bank(make_run("ab", 8), {name: [1.0] * 8 for name in "ab"}).panels[0]
     assert outset_of_bank(small, GATE).budget == 16
 
 
-def test_a_policy_that_failed_by_itself_counts_as_in_a_comparison(panel: Any) -> None:
+def test_a_policy_that_failed_by_itself_counts_as_in_a_comparison(panel):
     failed = dataclasses.replace(panel.starts[0], outcome="policy_failed", success=0.5)
     changed = dataclasses.replace(panel, starts=(failed, *panel.starts[1:]))
     assert outset_of_bank(changed, GATE).seen[0].counts.tolist() == [1, 0, 0, 1, 28]
 
 
-def test_a_task_without_waypoints_counts_what_was_completed(panel: Any) -> None:
+def test_a_task_without_waypoints_counts_what_was_completed(panel):
     ends = [1.0, 0.0, *[1.0] * 28]
     starts = [
         dataclasses.replace(
@@ -69,7 +61,7 @@ def test_a_task_without_waypoints_counts_what_was_completed(panel: Any) -> None:
     assert outset.baseline == pytest.approx(29 / 30)
 
 
-def test_rows_are_counted_where_they_have_a_result(make_run: Make, run_rows: Make) -> None:
+def test_rows_are_counted_where_they_have_a_result(make_run, run_rows):
     rows = run_rows(make_run("ab", 5), {"a": [1.0, None, 0.5, 1.0, 1.0], "b": [1.0] * 5})
     outset = outset_of_rows(rows, GATE, starts=60)
     assert [course.counts.tolist() for course in outset.seen] == [[0, 0, 1, 0, 3], [0, 0, 0, 0, 5]]
@@ -80,7 +72,7 @@ def test_rows_are_counted_where_they_have_a_result(make_run: Make, run_rows: Mak
         outset_of_rows(crashed, GATE, starts=60)
 
 
-def test_cells_of_perturbations_are_scenes_of_their_own(make_run: Make, run_rows: Make) -> None:
+def test_cells_of_perturbations_are_scenes_of_their_own(make_run, run_rows):
     icy = ("a", (("friction", 0.5),))
     run = make_run("a", 2, suite={"perturb": {"friction": (0.5, 1.0)}})
     rows = run_rows(run, {icy: [0.5, 0.5], ("a", (("friction", 1.0),)): [1.0, 1.0]})
@@ -88,14 +80,14 @@ def test_cells_of_perturbations_are_scenes_of_their_own(make_run: Make, run_rows
     assert [course.counts.tolist() for course in outset.seen] == [[0, 0, 2, 0, 0], [0, 0, 0, 0, 2]]
 
 
-def test_what_nobody_can_drop_from_is_refused(panel: Any) -> None:
+def test_what_nobody_can_drop_from_is_refused(panel):
     with pytest.raises(IncomparableError, match="no scene counts"):
         outset_of_bank(panel, Gate.model_validate({"tiers": {"*": "informational"}}))
     with pytest.raises(IncomparableError, match=r"mean success is 0\.992: no policy can be worse"):
         outset_of_bank(panel, Gate.model_validate({"max_drop": 0.995}))
 
 
-def test_three_points_are_foreseen_and_said(panel: Any) -> None:
+def test_three_points_are_foreseen_and_said(panel):
     outset = outset_of_bank(panel, GATE)
     same, half, worse = outset.power_forecast()
     assert (same.drop, half.drop, worse.drop) == (0.0, 0.1, 0.2)
@@ -114,7 +106,7 @@ def test_three_points_are_foreseen_and_said(panel: Any) -> None:
     )
 
 
-def test_a_budget_and_what_is_compared_with_can_be_said(panel: Any) -> None:
+def test_a_budget_and_what_is_compared_with_can_be_said(panel):
     few = outset_of_bank(panel, GATE, budget=12)
     assert (few.budget, few.against) == (12, "fresh")
     assert few.power_forecast()[0].undecided == 1.0
@@ -139,6 +131,6 @@ def test_a_budget_and_what_is_compared_with_can_be_said(panel: Any) -> None:
         ((0.1, 0.95), "2 more trials decide with 90 % probability"),
     ],
 )
-def test_about_how_many_more_trials_is_a_spread(passed: tuple[float, ...], words: str) -> None:
+def test_about_how_many_more_trials_is_a_spread(passed, words):
     progress = Progress(passed=passed, regressed=tuple(0.0 for _ in passed))
     assert about_more_trials(progress) == words

@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -22,13 +22,12 @@ from nw_gate.results.provenance import BaselineInfo, StopInfo, read_run_info, wr
 from nw_gate.results.run_folder import RunFolder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
 
     from nw_gate.results.bank import BaselineResults
     from nw_gate.results.provenance import RunInfo
     from nw_gate.results.row import Row
 
-    Make = Callable[..., Any]
 
 BANK = Path("reports/baselines/hurdles/shipped.parquet")
 GATE = {"gate": {"max_drop": 0.1}}
@@ -61,17 +60,17 @@ def keep(bank: BaselineResults, path: Path = BANK) -> None:
 
 
 @pytest.fixture(autouse=True)
-def _somewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _somewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture
-def run(make_run: Make) -> RunInfo:
+def run(make_run):
     return make_run(["a", "b", "c", "d"], 20, drawn_from=60, suite=GATE)
 
 
 @pytest.fixture
-def bank(run: RunInfo, make_bank: Make) -> BaselineResults:
+def bank(run, make_bank):
     return make_bank(run, {"a": [1.0] * 60, "b": [1.0] * 60, "c": [0.5, 1.0] * 30, "d": [1.0] * 60})
 
 
@@ -87,8 +86,8 @@ def gate(*words: str) -> int:
 
 
 def test_rows_that_exist_are_judged_against_a_bank_and_a_page_is_written_where_asked_for(
-    run: RunInfo, bank: BaselineResults, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+    run, bank, drawn_rows, capsys
+):
     keep(bank)
     folder = write_run(run, drawn_rows(run, like()))
     assert gate(folder, "--baseline", str(BANK), "--out", "page.md") == 0
@@ -99,9 +98,7 @@ def test_rows_that_exist_are_judged_against_a_bank_and_a_page_is_written_where_a
     assert not Path("run/report.md").exists()
 
 
-def test_a_drop_regresses_and_names_the_scene(
-    run: RunInfo, bank: BaselineResults, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_drop_regresses_and_names_the_scene(run, bank, drawn_rows, capsys):
     keep(bank)
     folder = write_run(run, drawn_rows(run, like(low=0.25)))
     assert gate(folder, "--baseline", "shipped") == 1
@@ -121,9 +118,7 @@ def test_a_drop_regresses_and_names_the_scene(
         api.judge(folder, baseline="shipped", max_drop=2.0)
 
 
-def test_without_a_baseline_only_the_bar_is_judged_and_the_fix_is_named(
-    run: RunInfo, drawn_rows: Make
-) -> None:
+def test_without_a_baseline_only_the_bar_is_judged_and_the_fix_is_named(run, drawn_rows):
     folder = write_run(run, drawn_rows(run, like()))
     for judged in (api.judge(folder), api.judge(folder, baseline="none"), api.report(folder)):
         assert (judged.verdict.verdict, judged.verdict.against) == ("RAN", None)
@@ -134,8 +129,8 @@ def test_without_a_baseline_only_the_bar_is_judged_and_the_fix_is_named(
 
 
 def test_a_suites_baseline_counts_for_its_own_policy_and_for_others_the_bar_alone(
-    make_run: Make, make_bank: Make, drawn_rows: Make
-) -> None:
+    make_run, make_bank, drawn_rows
+):
     run = make_run(
         ["a"], 20, drawn_from=60, suite={"gate": {"baseline": "shipped", "success_rate": 0.5}}
     )
@@ -154,9 +149,7 @@ def test_a_suites_baseline_counts_for_its_own_policy_and_for_others_the_bar_alon
     assert named.against.bank == "shipped"
 
 
-def test_the_bank_that_a_suite_names_is_the_default(
-    make_run: Make, make_bank: Make, drawn_rows: Make
-) -> None:
+def test_the_bank_that_a_suite_names_is_the_default(make_run, make_bank, drawn_rows):
     run = make_run(["a"], 20, drawn_from=60, suite={"gate": {"baseline": "shipped"}})
     keep(make_bank(run, {"a": [1.0] * 60}))
     folder = write_run(run, drawn_rows(run, {"a": 1.0}))
@@ -167,8 +160,8 @@ def test_the_bank_that_a_suite_names_is_the_default(
 
 
 def test_a_report_shows_the_verdict_against_the_bank_that_the_run_was_begun_with(
-    run: RunInfo, bank: BaselineResults, drawn_rows: Make, make_bank: Make
-) -> None:
+    run, bank, drawn_rows, make_bank
+):
     keep(bank)
     content = BANK.read_bytes()
     info = BaselineInfo(
@@ -194,9 +187,7 @@ def test_a_report_shows_the_verdict_against_the_bank_that_the_run_was_begun_with
         api.judge(folder)
 
 
-def test_a_bank_that_its_own_policy_contradicted_makes_a_run_invalid(
-    run: RunInfo, bank: BaselineResults, drawn_rows: Make
-) -> None:
+def test_a_bank_that_its_own_policy_contradicted_makes_a_run_invalid(run, bank, drawn_rows):
     keep(bank)
     digest = sha256(BANK.read_bytes()).hexdigest()
     moved = ("the bank is not what its own policy does: the same bits, other results",)
@@ -207,9 +198,7 @@ def test_a_bank_that_its_own_policy_contradicted_makes_a_run_invalid(
     assert judged.verdict.reasons[:-1] == moved
 
 
-def test_a_short_run_shows_the_scenes_that_it_has_not_met(
-    make_run: Make, make_bank: Make, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_short_run_shows_the_scenes_that_it_has_not_met(make_run, make_bank, drawn_rows, capsys):
     names = [f"s{number}" for number in range(9)]
     run = make_run(names, 20, drawn_from=60, suite={"gate": {"success_rate": 0.5}})
     keep(make_bank(run, dict.fromkeys(names, [1.0] * 60)))
@@ -238,8 +227,8 @@ def test_a_short_run_shows_the_scenes_that_it_has_not_met(
 
 
 def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused_in_a_sentence(
-    run: RunInfo, bank: BaselineResults, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+    run, bank, drawn_rows, capsys
+):
     keep(bank)
     folder = write_run(run, drawn_rows(run, like()))
     written = read_run_info(Path("run/run.json"))
@@ -256,12 +245,8 @@ def test_a_run_that_an_older_nw_eval_drew_round_by_round_is_refused_in_a_sentenc
 
 @pytest.mark.parametrize("rounds", [3, 20])
 def test_a_run_on_fresh_starts_that_an_older_nw_eval_ended_early_is_refused_in_a_sentence(
-    rounds: int,
-    bank: BaselineResults,
-    make_run: Make,
-    run_rows: Make,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    rounds, bank, make_run, run_rows, capsys
+):
     keep(bank)
     scores = like()
     known = BaselineInfo(
@@ -285,9 +270,7 @@ def test_a_run_on_fresh_starts_that_an_older_nw_eval_ended_early_is_refused_in_a
         assert "run it again" in err
 
 
-def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(
-    run: RunInfo, bank: BaselineResults, drawn_rows: Make, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(run, bank, drawn_rows, capsys):
     key = bank.manifest.key
     newer = key.model_copy(update={"simulator": {**key.simulator, "mujoco": "9.9"}})
     keep(replace(bank, manifest=bank.manifest.model_copy(update={"key": newer})))
@@ -301,9 +284,7 @@ def test_what_does_not_match_ends_with_five_and_never_with_a_verdict(
     assert gate("nowhere", "--baseline", "shipped") == 2
 
 
-def test_damaged_rows_and_rows_that_are_none_are_named(
-    run: RunInfo, bank: BaselineResults, drawn_rows: Make
-) -> None:
+def test_damaged_rows_and_rows_that_are_none_are_named(run, bank, drawn_rows):
     keep(bank)
     folder = write_run(run, drawn_rows(run, like()))
     journal = Path("run/journal.jsonl")
@@ -316,7 +297,7 @@ def test_damaged_rows_and_rows_that_are_none_are_named(
         api.judge(folder, baseline="shipped")
 
 
-def test_judging_needs_no_simulator(run: RunInfo, bank: BaselineResults, drawn_rows: Make) -> None:
+def test_judging_needs_no_simulator(run, bank, drawn_rows):
     keep(bank)
     folder = write_run(run, drawn_rows(run, like()))
     code = (

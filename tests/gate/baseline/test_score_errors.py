@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +16,6 @@ from nw_gate.results.bank import BaselineResults
 from nw_gate.scores import specs_of
 from nw_gate.settings import Gate
 
-Make = Callable[..., Any]
 NAMES = ("torque_rms_share", "limit_time", "foot_slip", "base_roll_rms", "base_pitch_rms")
 """Of the range 0 to 1, so that a value is a share, and less is better."""
 LEVEL, DROP, TOLERATE, BAR = 0.4, 0.25, 0.05, 0.5
@@ -46,7 +45,7 @@ def panel(rng: np.random.Generator, count: int, kind: str) -> np.ndarray:
 
 
 @pytest.fixture
-def gates(make_run: Make, make_bank: Make, drawn_rows: Make, make_against: Make) -> Make:
+def gates(make_run, make_bank, drawn_rows, make_against):
     """Words of simulated gates, each with a baseline of its own, from the candidate's means."""
 
     def simulate(
@@ -112,8 +111,8 @@ def at_most(share: float, nominal: float, count: int) -> bool:
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", ["all or nothing", "spread"])
 def test_five_scores_that_are_just_tolerated_are_regressed_at_most_as_often_as_the_gate_says(
-    gates: Make, kind: str
-) -> None:
+    gates, kind
+):
     count = 300
     found = gates(
         dict.fromkeys(NAMES, LEVEL + TOLERATE), kind, what="baseline", count=count, seed=1
@@ -126,8 +125,8 @@ def test_five_scores_that_are_just_tolerated_are_regressed_at_most_as_often_as_t
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", ["all or nothing", "spread"])
 def test_one_score_of_five_that_is_worse_by_max_drop_passes_at_most_as_often_as_the_gate_says(
-    gates: Make, kind: str
-) -> None:
+    gates, kind
+):
     count = 300
     means = dict.fromkeys(NAMES, LEVEL - 0.2) | {NAMES[2]: LEVEL + DROP}
     found = gates(means, kind, what="baseline", count=count, seed=2)
@@ -141,8 +140,8 @@ def test_one_score_of_five_that_is_worse_by_max_drop_passes_at_most_as_often_as_
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", ["all or nothing", "spread"])
 def test_at_their_bars_five_scores_convict_and_one_passes_at_most_as_often_as_the_gate_says(
-    gates: Make, kind: str
-) -> None:
+    gates, kind
+):
     count = 400
     at_the_bar = gates(dict.fromkeys(NAMES, BAR), kind, what="bar", count=count, seed=4)
     wrong = sum(word == "REGRESSED" for word in at_the_bar)
@@ -158,8 +157,8 @@ def test_at_their_bars_five_scores_convict_and_one_passes_at_most_as_often_as_th
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", ["all or nothing", "spread"])
 def test_a_critical_scene_that_is_worse_by_max_drop_in_five_scores_convicts_at_most_by_its_share(
-    gates: Make, kind: str
-) -> None:
+    gates, kind
+):
     count = 300
     rest = (len(SCENES) * TOLERATE - DROP) / (len(SCENES) - 1)  # The mean is just tolerated.
     moved = dict.fromkeys(SCENES, rest) | {"a": DROP}
@@ -175,9 +174,7 @@ def test_a_critical_scene_that_is_worse_by_max_drop_in_five_scores_convicts_at_m
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", ["all or nothing", "spread"])
-def test_a_critical_scene_at_the_bars_of_five_scores_convicts_at_most_by_its_share(
-    gates: Make, kind: str
-) -> None:
+def test_a_critical_scene_at_the_bars_of_five_scores_convicts_at_most_by_its_share(gates, kind):
     count = 400
     moved = dict.fromkeys(SCENES, -0.3) | {"a": 0.0}
     at_the_bar = dict.fromkeys(NAMES, BAR)

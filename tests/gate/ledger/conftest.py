@@ -1,20 +1,17 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from nw_gate.ledger import BaselineEntry, LedgerEntry, SeenScene
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 FIRST = datetime(2026, 11, 1, 9, tzinfo=UTC)
 
 
 @pytest.fixture
-def make_entry() -> Callable[..., LedgerEntry]:
+def make_entry():
     """A verdict on four scenes of ten trials, against a baseline unless that is None."""
 
     def make(*, days: float = 0.0, checkpoint: int = 0, **changes: Any) -> LedgerEntry:

@@ -10,14 +10,10 @@ from nw_eval.cli.verbs.ledger import ledger_page
 from nw_gate.ledger_report import ledger_report
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from nw_gate.ledger import LedgerEntry
 
 
-def test_false_alarms_are_at_most_the_sum_of_what_each_test_was_set_to(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_false_alarms_are_at_most_the_sum_of_what_each_test_was_set_to(make_entry):
     report = ledger_report([make_entry(days=day, checkpoint=day) for day in range(101)])
     assert report.against_baselines.tests == 101
     assert report.against_baselines.regressed == pytest.approx(1.01)
@@ -30,9 +26,7 @@ def test_false_alarms_are_at_most_the_sum_of_what_each_test_was_set_to(
     assert "5 false PASS if every candidate is worse by max_drop" in page
 
 
-def test_a_bar_with_critical_scenes_convicts_wrongly_twice_as_often(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_a_bar_with_critical_scenes_convicts_wrongly_twice_as_often(make_entry):
     plain = make_entry(bar=0.75, baseline=None)
     alone = tuple(scene.model_copy(update={"alone": True}) for scene in plain.seen)
     critical = make_entry(bar=0.75, baseline=None, seen=alone, checkpoint=1)
@@ -41,9 +35,7 @@ def test_a_bar_with_critical_scenes_convicts_wrongly_twice_as_often(
     assert ledger_report([critical]).against_bars.passed == pytest.approx(0.05)
 
 
-def test_critical_scenes_of_a_baseline_convict_wrongly_up_to_twice_as_often(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_critical_scenes_of_a_baseline_convict_wrongly_up_to_twice_as_often(make_entry):
     baseline = make_entry().baseline
     for critical, expected in ((0, 0.01), (1, 0.0125), (4, 0.02)):
         against = baseline.model_copy(update={"scenes": 4, "critical": critical})
@@ -55,9 +47,7 @@ def test_critical_scenes_of_a_baseline_convict_wrongly_up_to_twice_as_often(
     assert older.against_baselines.regressed == pytest.approx(0.02)
 
 
-def test_gated_scores_convict_wrongly_too_and_share_the_error_of_success(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_gated_scores_convict_wrongly_too_and_share_the_error_of_success(make_entry):
     half = make_entry().baseline.model_copy(update={"alpha_regr": 0.005})
     power = {"mean_power": (None, 60.0, 0.0, 300.0)}
     report = ledger_report([make_entry(baseline=half, scores=power)])
@@ -66,9 +56,7 @@ def test_gated_scores_convict_wrongly_too_and_share_the_error_of_success(
     assert ledger_report([barred]).against_bars.regressed == pytest.approx(0.05)
 
 
-def test_scenes_that_were_picked_after_a_look_are_a_test_of_their_own(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_scenes_that_were_picked_after_a_look_are_a_test_of_their_own(make_entry):
     all_four = dict.fromkeys("abcd", "supporting")
     first = make_entry(word="REGRESSED", tiers=all_four)
     picked = make_entry(days=1, tiers={"a": "supporting", "b": "supporting"})
@@ -81,9 +69,7 @@ def test_scenes_that_were_picked_after_a_look_are_a_test_of_their_own(
     assert report.rerolls[0].words == ("REGRESSED", "PASS", "PASS", "PASS")
 
 
-def test_exports_of_one_network_are_one_candidate(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_exports_of_one_network_are_one_candidate(make_entry):
     entries = [
         make_entry(days=day, checkpoint=day, computes="cc" * 32, panel="pinned") for day in range(4)
     ]
@@ -99,9 +85,7 @@ def test_exports_of_one_network_are_one_candidate(
     )
 
 
-def test_candidates_that_went_the_same_way_from_every_start_they_share_are_one(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_candidates_that_went_the_same_way_from_every_start_they_share_are_one(make_entry):
     def told(number: int, **ways: str) -> LedgerEntry:
         return make_entry(
             days=number, checkpoint=number, computes=f"{number:064x}", trajectories=ways
@@ -119,9 +103,7 @@ def test_candidates_that_went_the_same_way_from_every_start_they_share_are_one(
     assert best.candidates == 3
 
 
-def test_a_verdict_of_an_older_version_is_of_the_candidate_with_its_files(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_a_verdict_of_an_older_version_is_of_the_candidate_with_its_files(make_entry):
     older = make_entry(word="REGRESSED")
     newer = make_entry(days=1, computes="cc" * 32)
     again = make_entry(days=2, checkpoint=7, computes="cc" * 32, suite_digest="ab" * 32)
@@ -129,7 +111,7 @@ def test_a_verdict_of_an_older_version_is_of_the_candidate_with_its_files(
     assert (reroll.tests, reroll.exports) == (3, 2)
 
 
-def test_what_chance_has_no_part_in_is_no_test(make_entry: Callable[..., LedgerEntry]) -> None:
+def test_what_chance_has_no_part_in_is_no_test(make_entry):
     same = make_entry().baseline.model_copy(update={"basis": "same"})
     entries = [
         make_entry(baseline=same),
@@ -141,9 +123,7 @@ def test_what_chance_has_no_part_in_is_no_test(make_entry: Callable[..., LedgerE
     assert report.against_baselines.regressed == 0.0
 
 
-def test_judging_the_same_trials_again_is_no_reroll_and_another_panel_or_rule_is(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_judging_the_same_trials_again_is_no_reroll_and_another_panel_or_rule_is(make_entry):
     first = make_entry(word="REGRESSED")
     again = make_entry(word="REGRESSED", days=1, run="resumed", trials=80)
     report = ledger_report([first, again])
@@ -164,9 +144,7 @@ def test_judging_the_same_trials_again_is_no_reroll_and_another_panel_or_rule_is
     assert "REGRESSED at most 3 %, PASS at most 15 %" in page
 
 
-def test_another_rule_for_a_score_is_another_test(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_another_rule_for_a_score_is_another_test(make_entry):
     plain, gated = make_entry(), make_entry(scores={"mean_power": (None, 60.0, 0.0, 300.0)})
     again = make_entry(days=1.0, scores={"mean_power": (None, 60.0, 0.0, 300.0)})
     wider = make_entry(scores={"mean_power": (None, 80.0, 0.0, 300.0)})
@@ -174,18 +152,14 @@ def test_another_rule_for_a_score_is_another_test(
     assert len({plain.test, gated.test, wider.test}) == 3
 
 
-def test_with_bar_and_baseline_either_convicts_and_both_must_pass(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_with_bar_and_baseline_either_convicts_and_both_must_pass(make_entry):
     tries = [make_entry(bar=0.75), make_entry(bar=0.75, suite_digest="ab" * 32)]
     (reroll,) = ledger_report(tries).rerolls
     assert reroll.false_regressed == pytest.approx(2 * (0.05 + 0.01))
     assert reroll.false_passed == pytest.approx(2 * 0.05)
 
 
-def test_the_best_of_many_on_one_panel_shows_more_than_it_is(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_the_best_of_many_on_one_panel_shows_more_than_it_is(make_entry):
     entries = [
         make_entry(checkpoint=number, bar=0.75, success=0.9 + 0.01 * (number == 3))
         for number in range(8)
@@ -203,9 +177,7 @@ def test_the_best_of_many_on_one_panel_shows_more_than_it_is(
     assert ledger_report(entries[:1]).best_of_many == ()
 
 
-def test_candidates_on_panels_of_their_own_are_no_choice(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_candidates_on_panels_of_their_own_are_no_choice(make_entry):
     entries = [
         make_entry(checkpoint=number, panel="fresh", suite_digest=f"{number:064x}")
         for number in range(3)
@@ -213,9 +185,7 @@ def test_candidates_on_panels_of_their_own_are_no_choice(
     assert ledger_report(entries).best_of_many == ()
 
 
-def test_an_empty_ledger_says_so_and_a_short_one_foretells_no_year(
-    make_entry: Callable[..., LedgerEntry],
-) -> None:
+def test_an_empty_ledger_says_so_and_a_short_one_foretells_no_year(make_entry):
     assert ledger_page(ledger_report([])) == "no verdicts"
     headed = ledger_page(ledger_report([make_entry()], head="0123456789abcdef"))
     assert headed.endswith(

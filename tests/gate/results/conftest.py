@@ -1,19 +1,16 @@
 from __future__ import annotations
 
 import random
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from nw_gate.results.provenance import PolicyInfo, RunInfo, SceneInfo, code_info, machine_info
 from nw_gate.results.row import Row
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 
 @pytest.fixture
-def make_row() -> Callable[..., Row]:
+def make_row():
     """A row of a trial that reached three of four waypoints, with some columns changed."""
 
     def make(**changes: Any) -> Row:
@@ -50,13 +47,13 @@ def make_row() -> Callable[..., Row]:
 
 
 @pytest.fixture
-def mutated() -> Callable[[bytes, random.Random], bytes]:
+def mutated():
     """Damage as disks, networks and editors do it: flipped bits, cuts, exchanged parts."""
     return _mutated
 
 
 @pytest.fixture
-def run_json() -> RunInfo:
+def run_json():
     """What a run of one scene says of itself."""
     return RunInfo(
         id="r",

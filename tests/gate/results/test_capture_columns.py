@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_gate.results.evidence import row_leaf, row_leaves
+from nw_gate.results.evidence import row_leaf
 from nw_gate.results.journal import Journal, JournalHeader, read_journal
 from nw_gate.results.parquet import read_rows, write_rows
-from nw_gate.results.row import Row, from_dict, rows_digest, texts_of, to_dict
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
+from nw_gate.results.row import Row, from_dict, rows_digest, to_dict
 
 SEEN: dict[str, Any] = {
     "capture_distance": (0.1, 0.25, 2.0),
@@ -25,7 +21,7 @@ SEEN: dict[str, Any] = {
 }
 
 
-def test_a_row_without_them_has_the_digests_that_it_had_before_there_were_any() -> None:
+def test_a_row_without_them_has_the_digests_that_it_had_before_there_were_any():
     row = Row(
         trial_id="a-000", suite="s", scene="a", task="gaps", robot="go1", seed_index=0, seed=7,
         policy="p", status="ok", outcome="completed", end_reason="all waypoints", completed=True,
@@ -39,28 +35,22 @@ def test_a_row_without_them_has_the_digests_that_it_had_before_there_were_any() 
     assert row_leaf(row) == "62b32a24596ec9099a78a4be239096d287d69eb4e5b42aa77c56830b4575ae08"
 
 
-def test_a_row_of_an_older_file_is_read_as_one_without_them(make_row: Callable[..., Row]) -> None:
+def test_a_row_of_an_older_file_is_read_as_one_without_them(make_row):
     values = to_dict(make_row())
     for name in SEEN:
         del values[name]
     assert from_dict(values) == make_row()
 
 
-def test_a_row_with_them_is_another_result(make_row: Callable[..., Row]) -> None:
+def test_a_row_with_them_is_another_result(make_row):
     rows = [make_row(), *(make_row(**{name: value}) for name, value in SEEN.items())]
     assert len({row.digest for row in rows}) == len({row_leaf(row) for row in rows}) == 4
-    seen = [make_row(trial_id=f"t{k}", **(SEEN if k else {})) for k in range(3)]
-    (texts,) = texts_of(seen)
-    assert row_leaves(texts) == {row.trial_id: row_leaf(row) for row in seen}
-    assert texts.digests() == [row.digest for row in seen]
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=25)
 @given(numbers=st.lists(st.floats(0.0, 100.0), max_size=30))
-def test_journal_and_parquet_keep_them(
-    tmp_path_factory: Any, make_row: Callable[..., Row], numbers: list[float]
-) -> None:
-    folder: Path = tmp_path_factory.mktemp("rows")
+def test_journal_and_parquet_keep_them(tmp_path_factory, make_row, numbers):
+    folder = tmp_path_factory.mktemp("rows")
     row = make_row(**{name: tuple(numbers) for name in SEEN})
     assert row.capture_angle == tuple(np.float32(numbers).tolist())
     header = JournalHeader(suite_digest="a", policy_digest="b", scene_digests={}, engine={})

@@ -1,12 +1,8 @@
 from __future__ import annotations
 
-import json
 import sqlite3
-import subprocess
-import sys
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -17,12 +13,9 @@ from hypothesis import strategies as st
 from nw_base.errors import StoreError
 from nw_base.words import FAULTS, OUTCOMES
 from nw_gate.results import parquet
-from nw_gate.results.parquet import SCHEMA, array_of, read_rows, write_rows
-from nw_gate.results.row import Row, rows_digest, to_dict
+from nw_gate.results.parquet import SCHEMA, read_rows, write_rows
+from nw_gate.results.row import Row, rows_digest
 from nw_gate.results.sealed import sealed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 def write_as_another_version(path: Path, table: pa.Table) -> None:
@@ -31,9 +24,7 @@ def write_as_another_version(path: Path, table: pa.Table) -> None:
     path.write_bytes(sealed(path.read_bytes()))
 
 
-def test_rows_come_back_equal_sorted_and_with_their_metadata(
-    tmp_path: Path, make_row: Callable[..., Row]
-) -> None:
+def test_rows_come_back_equal_sorted_and_with_their_metadata(tmp_path, make_row):
     error = make_row(
         trial_id="c", status="error", outcome="crashed", success=None, error_text="signal 11"
     )
@@ -49,59 +40,21 @@ def test_rows_come_back_equal_sorted_and_with_their_metadata(
     assert metadata == {"schema_version": "2", "suite_digest": "ab", "engine": "mujoco 4.0.0"}
 
 
-def test_equal_rows_give_equal_bytes(tmp_path: Path, make_row: Callable[..., Row]) -> None:
+def test_equal_rows_give_equal_bytes(tmp_path, make_row):
     rows = [make_row(trial_id=f"t{k}") for k in range(5)]
     write_rows(tmp_path / "one.parquet", rows, {"b": "2", "a": "1"})
     write_rows(tmp_path / "two.parquet", rows[::-1], {"a": "1", "b": "2"})
     assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()
 
 
-def test_columns_are_those_that_arrow_makes_of_the_same_values(
-    make_row: Callable[..., Row],
-) -> None:
-    rows = [
-        make_row(trial_id="b", perturbation=(("friction", 0.6), ("load", 2.0))),
-        make_row(trial_id="é", waypoint_times=(), error_text="größer\nals 漢", coverage_min=0.25),
-        make_row(
-            trial_id="c", seed=2**64 - 1, cached=True, waypoint_times=(0.5, 1.25), mcap_path=""
-        ),
-    ]
-    for count in (0, 1, 3):
-        plain = [{**to_dict(row), "seed": str(row.seed)} for row in rows[:count]]
-        for field in SCHEMA:
-            values = [row[field.name] for row in plain]
-            array = array_of(values, field.type)
-            array.validate(full=True)
-            assert array.equals(pa.array(values, field.type)), field.name
-
-
-def test_pandas_is_not_imported_to_write_rows(tmp_path: Path, make_row: Callable[..., Row]) -> None:
-    code = """
-import json, sys
-from pathlib import Path
-from nw_gate.results.parquet import write_rows
-from nw_gate.results.row import from_dict
-write_rows(Path(sys.argv[1]), [from_dict(json.loads(sys.argv[2]))], {})
-sys.exit("pandas" in sys.modules)
-"""
-    row = json.dumps(to_dict(make_row(perturbation=(("friction", 0.6),))))
-    command = [sys.executable, "-c", code, str(tmp_path / "t.parquet"), row]
-    subprocess.run(command, check=True, timeout=120)
-    assert len(read_rows(tmp_path / "t.parquet")[0]) == 1
-
-
-def test_metadata_that_readers_look_for_carry_the_prefix(
-    tmp_path: Path, make_row: Callable[..., Row]
-) -> None:
+def test_metadata_that_readers_look_for_carry_the_prefix(tmp_path, make_row):
     write_rows(tmp_path / "t.parquet", [make_row()], {"run_id": "r1"})
     raw = pq.read_schema(tmp_path / "t.parquet").metadata
     assert raw[b"nw.run_id"] == b"r1"
     assert raw[b"nw.schema_version"] == b"2"
 
 
-def test_the_file_itself_says_what_each_column_holds(
-    tmp_path: Path, make_row: Callable[..., Row]
-) -> None:
+def test_the_file_itself_says_what_each_column_holds(tmp_path, make_row):
     write_rows(tmp_path / "t.parquet", [make_row()], {})
     schema = pq.read_schema(tmp_path / "t.parquet")
     told = {field.name: field.metadata[b"about"].decode() for field in schema}
@@ -110,9 +63,17 @@ def test_the_file_itself_says_what_each_column_holds(
     assert all(len(words) > 5 for words in told.values())
 
 
-def test_a_file_whose_columns_had_other_names_is_refused(
-    tmp_path: Path, make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_in_several_groups_of_a_file_are_read_in_order(make_row, tmp_path, monkeypatch):
+    rows = [make_row(trial_id=f"t{k:04d}") for k in range(70)]
+    monkeypatch.setattr(parquet, "_GROUP", 30)
+    monkeypatch.setattr(parquet, "_MANY_GROUP", 25)
+    path = tmp_path / "trials.parquet"
+    write_rows(path, reversed(rows), {"rows_digest": rows_digest(rows)})
+    assert pq.read_metadata(path).num_row_groups == 3
+    assert read_rows(path)[0] == rows
+
+
+def test_a_file_whose_columns_had_other_names_is_refused(tmp_path, make_row, monkeypatch):
     monkeypatch.setattr(parquet, "SCHEMA_VERSION", "1")
     write_rows(tmp_path / "t.parquet", [make_row()], {})
     monkeypatch.undo()
@@ -120,14 +81,12 @@ def test_a_file_whose_columns_had_other_names_is_refused(
         read_rows(tmp_path / "t.parquet")
 
 
-def test_a_run_without_rows_is_still_a_readable_file(tmp_path: Path) -> None:
+def test_a_run_without_rows_is_still_a_readable_file(tmp_path):
     write_rows(tmp_path / "t.parquet", [], {})
     assert read_rows(tmp_path / "t.parquet")[0] == []
 
 
-def test_files_from_before_a_column_was_added_have_what_it_is_by_default(
-    tmp_path: Path, make_row: Callable[..., Row]
-) -> None:
+def test_files_from_before_a_column_was_added_have_what_it_is_by_default(tmp_path, make_row):
     path = tmp_path / "t.parquet"
     write_rows(path, [make_row(contact_s=0.5)], {})
     write_as_another_version(path, pq.read_table(path).drop_columns(["contact_s"]))
@@ -135,9 +94,7 @@ def test_files_from_before_a_column_was_added_have_what_it_is_by_default(
     assert row == make_row(contact_s=0.0)
 
 
-def test_columns_of_later_versions_do_not_disturb(
-    tmp_path: Path, make_row: Callable[..., Row]
-) -> None:
+def test_columns_of_later_versions_do_not_disturb(tmp_path, make_row):
     path = tmp_path / "t.parquet"
     write_rows(path, [make_row()], {})
     table = pq.read_table(path)
@@ -145,9 +102,7 @@ def test_columns_of_later_versions_do_not_disturb(
     assert read_rows(path)[0] == [make_row()]
 
 
-def test_a_missing_damaged_or_foreign_file_is_told_apart(
-    tmp_path: Path, make_row: Callable[..., Row]
-) -> None:
+def test_a_missing_damaged_or_foreign_file_is_told_apart(tmp_path, make_row):
     with pytest.raises(StoreError, match="no rows at"):
         read_rows(tmp_path / "none.parquet")
     good = tmp_path / "good.parquet"
@@ -165,16 +120,14 @@ def test_a_missing_damaged_or_foreign_file_is_told_apart(
         read_rows(foreign)
 
 
-def test_rows_that_are_not_those_of_the_digest_beside_them_are_refused(
-    tmp_path: Path, make_row: Callable[..., Row]
-) -> None:
+def test_rows_that_are_not_those_of_the_digest_beside_them_are_refused(tmp_path, make_row):
     path = tmp_path / "t.parquet"
     write_rows(path, [make_row()], {"rows_digest": rows_digest([make_row(seed=1)])})
     with pytest.raises(StoreError, match="not those of its rows_digest; `nw-eval report`"):
         read_rows(path)
 
 
-def test_measured_columns_are_covered_too(tmp_path: Path, make_row: Callable[..., Row]) -> None:
+def test_measured_columns_are_covered_too(tmp_path, make_row):
     path = tmp_path / "t.parquet"
     write_rows(path, [make_row(wall_s=2.0)], {})
     table = pq.read_table(path)
@@ -184,9 +137,7 @@ def test_measured_columns_are_covered_too(tmp_path: Path, make_row: Callable[...
         read_rows(path)
 
 
-def test_a_file_of_more_rows_than_any_run_has_is_not_unpacked(
-    tmp_path: Path, make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_of_more_rows_than_any_run_has_is_not_unpacked(tmp_path, make_row, monkeypatch):
     path = tmp_path / "t.parquet"
     write_rows(path, [make_row(trial_id=f"t{k}") for k in range(5)], {})
     monkeypatch.setattr("nw_gate.results.parquet._MOST_ROWS", 4)
@@ -195,9 +146,7 @@ def test_a_file_of_more_rows_than_any_run_has_is_not_unpacked(
         read_rows(path)
 
 
-def test_a_failed_write_leaves_the_older_file_whole(
-    tmp_path: Path, make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_write_leaves_the_older_file_whole(tmp_path, make_row, monkeypatch):
     path = tmp_path / "t.parquet"
     write_rows(path, [make_row()], {})
 
@@ -244,15 +193,7 @@ def outcomes(draw: st.DrawFn) -> dict[str, object]:
     st.text(st.characters(exclude_categories=("Cs",)), max_size=40),
     st.lists(st.tuples(st.sampled_from(["friction", "payload"]), st.floats(0, 9)), max_size=2),
 )
-def test_any_row_comes_back_equal(
-    tmp_path: Path,
-    make_row: Callable[..., Row],
-    outcome: dict[str, object],
-    seed: int,
-    times: list[float],
-    text: str,
-    cell: list[tuple[str, float]],
-) -> None:
+def test_any_row_comes_back_equal(tmp_path, make_row, outcome, seed, times, text, cell):
     row = make_row(
         **outcome,
         seed=seed,
@@ -267,9 +208,7 @@ def test_any_row_comes_back_equal(
     assert back.digest == row.digest
 
 
-def test_a_seed_of_64_bits_comes_whole_through_sqlite(
-    make_row: Callable[..., Row], tmp_path: Path
-) -> None:
+def test_a_seed_of_64_bits_comes_whole_through_sqlite(make_row, tmp_path):
     row = make_row(seed=2**64 - 1)
     write_rows(tmp_path / "rows.parquet", [row], {})
     table = pq.read_table(tmp_path / "rows.parquet", columns=["trial_id", "seed"])
@@ -280,9 +219,7 @@ def test_a_seed_of_64_bits_comes_whole_through_sqlite(
     assert read_rows(tmp_path / "rows.parquet")[0] == [row]
 
 
-def test_a_file_of_before_that_has_the_seed_as_a_number_is_read(
-    make_row: Callable[..., Row], tmp_path: Path
-) -> None:
+def test_a_file_of_before_that_has_the_seed_as_a_number_is_read(make_row, tmp_path):
     path, row = tmp_path / "rows.parquet", make_row(seed=2**64 - 1)
     write_rows(path, [row], {"rows_digest": rows_digest([row])})
     table = pq.read_table(path)

@@ -11,8 +11,6 @@ from nw_base.trials import Trial
 from nw_gate.results.ended import of_plan
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from nw_gate.results.row import Row
 
 TRIALS = [
@@ -30,7 +28,7 @@ TRIALS = [
 
 
 @pytest.fixture
-def row_of(make_row: Callable[..., Row]) -> Callable[..., Row]:
+def row_of(make_row):
     def make(trial: Trial, **changes: Any) -> Row:
         columns = {"trial_id": trial.id, "seed_index": trial.index, "seed": trial.seed}
         return make_row(**{**columns, **changes})
@@ -38,7 +36,7 @@ def row_of(make_row: Callable[..., Row]) -> Callable[..., Row]:
     return make
 
 
-def test_rows_of_other_trials_are_set_apart(row_of: Callable[..., Row]) -> None:
+def test_rows_of_other_trials_are_set_apart(row_of):
     rows = [row_of(trial) for trial in TRIALS]
     mine, others = of_plan(rows, TRIALS[:1], checkpoint="cc" * 32)
     assert mine == rows[:1]
@@ -57,9 +55,7 @@ def test_rows_of_other_trials_are_set_apart(row_of: Callable[..., Row]) -> None:
         ({"perturbation": (("friction", 0.5),)}, "its perturbation"),
     ],
 )
-def test_a_row_that_only_bears_the_name_of_a_planned_trial_is_refused(
-    row_of: Callable[..., Row], change: dict[str, Any], words: str
-) -> None:
+def test_a_row_that_only_bears_the_name_of_a_planned_trial_is_refused(row_of, change, words):
     rows = [row_of(TRIALS[0], **change)]
     with pytest.raises(StoreError, match=f"hurdles-one-000 is not of this run: {words}"):
         of_plan(rows, TRIALS, checkpoint="cc" * 32)

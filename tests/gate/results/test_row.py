@@ -1,30 +1,18 @@
 from __future__ import annotations
 
 import json
-import re
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from nw_gate.results import row as row_module
-from nw_gate.results.evidence import row_leaf, row_leaves
 from nw_gate.results.row import (
-    COLUMNS,
     MEASURED,
-    Row,
     from_dict,
-    from_dicts,
     rows_digest,
     self_contradiction,
-    texts_of,
     to_dict,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 @pytest.mark.parametrize(
@@ -53,137 +41,38 @@ if TYPE_CHECKING:
         ({"wall_s": "\x1b[2J"}, r"wall_s is '\\x1b\[2J'"),
     ],
 )
-def test_a_row_that_contradicts_itself_is_refused(
-    make_row: Callable[..., Row], changes: dict[str, Any], words: str
-) -> None:
+def test_a_row_that_contradicts_itself_is_refused(make_row, changes, words):
     with pytest.raises(ValueError, match=words):
         make_row(**changes)
 
 
-def test_an_error_has_no_fraction_that_one_could_average(make_row: Callable[..., Row]) -> None:
+def test_an_error_has_no_fraction_that_one_could_average(make_row):
     row = make_row(status="error", outcome="hung", success=None, error_text="no step for 60 s")
     assert row.success is None
 
 
-VALUES = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.integers(-2, 2**65),
-    st.floats(),
-    st.text(max_size=12),
-    st.sampled_from(["ok", "error", "completed", "crashed", "candidate", "\x1b[2J", "::error::"]),
-    st.lists(st.floats(), max_size=3),
-    st.lists(st.tuples(st.text(max_size=4), st.floats()).map(list), max_size=2),
-    st.dictionaries(st.text(max_size=2), st.integers(), max_size=1),
-)
-
-
-@settings(max_examples=400, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    changes=st.lists(
-        st.dictionaries(st.sampled_from(sorted(COLUMNS)), VALUES, max_size=2), max_size=3
-    )
-)
-def test_many_rows_at_once_are_what_they_are_one_by_one(
-    make_row: Callable[..., Row], changes: list[dict[str, Any]]
-) -> None:
-    kept = json.loads(json.dumps(to_dict(make_row(perturbation=(("friction", 0.5),)))))
-    values = [kept, *({**kept, **change} for change in changes)]
-    try:
-        one_by_one = [from_dict(one) for one in values]
-    except ValueError as error:
-        with pytest.raises(ValueError, match=re.escape(str(error))):
-            from_dicts(values)
-    else:
-        at_once = from_dicts(values)
-        assert [to_dict(row) for row in at_once] == [to_dict(row) for row in one_by_one]
-        assert [row.digest for row in at_once] == [row.digest for row in one_by_one]
-        assert [list(map(type, to_dict(row).values())) for row in at_once] == [
-            list(map(type, to_dict(row).values())) for row in one_by_one
-        ]
-
-
-NUMBERS = st.one_of(st.floats(allow_nan=False, allow_infinity=False), st.integers(0, 9))
-SINGLE = st.floats(width=32, allow_nan=False, allow_infinity=False)
-SOME = st.fixed_dictionaries(
-    {},
-    optional={
-        "trial_id": st.text(max_size=9),
-        "error_text": st.sampled_from(["", 'a, "b"\\', "é\u2028\U0001f600"]),
-        "seed": st.integers(0, 2**64 - 1),
-        "sim_s": NUMBERS,
-        "wall_s": NUMBERS,
-        "setup_s": st.sampled_from([0.0, -0.0, 0, 1.5]),
-        "contact_s": st.sampled_from([0.0, -0.0, 0, 1e-7, 1e22]),
-        "coverage_min": st.one_of(st.none(), NUMBERS),
-        "waypoint_times": st.lists(SINGLE, max_size=3).map(tuple),
-        "perturbation": st.lists(st.tuples(st.text(max_size=3), NUMBERS), max_size=2).map(tuple),
-        "outcome": st.sampled_from(["fell", "policy_failed"]),
-        "mcap_sha256": st.sampled_from(["", "ff" * 32]),
-        "tier": st.sampled_from(["critical", "supporting"]),
-    },
-)
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(changes=st.lists(SOME, max_size=20))
-def test_the_texts_of_many_rows_are_those_of_each(
-    make_row: Callable[..., Row], changes: list[dict[str, Any]]
-) -> None:
-    rows = [make_row(**change) for change in changes]
-    encode = json.JSONEncoder(separators=(",", ":")).encode
-    for texts in texts_of(rows):
-        assert list(texts.records()) == [encode({"row": to_dict(row)}) for row in texts.rows]
-        assert texts.digests() == [row.digest for row in texts.rows]
-        assert row_leaves(texts) == {row.trial_id: row_leaf(row) for row in texts.rows}
-    assert [row for texts in texts_of(rows) for row in texts.rows] == rows
-
-
-def test_a_column_that_came_later_is_in_the_digest_of_many_rows_where_it_is_not_its_default(
-    make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rows = [make_row(seed_index=k, coverage_min=c) for k, c in enumerate((None, 0.5))]
-    later = replace(COLUMNS["coverage_min"], added=True)
-    monkeypatch.setitem(COLUMNS, "coverage_min", later)
-    monkeypatch.setattr(row_module, "_CAME_LATER", ("coverage_min",))
-    (texts,) = texts_of(rows)
-    assert texts.digests() == [row.digest for row in rows]
-
-
-def test_many_rows_that_are_fine_are_not_looked_at_one_by_one(
-    make_row: Callable[..., Row], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kept = [to_dict(make_row(seed_index=number)) for number in range(3)]
-    monkeypatch.setattr(Row, "__post_init__", lambda _: pytest.fail("one by one"))
-    assert [row.seed_index for row in from_dicts(kept)] == [0, 1, 2]
-
-
-def test_a_row_survives_json_exactly(make_row: Callable[..., Row]) -> None:
+def test_a_row_survives_json_exactly(make_row):
     row = make_row(perturbation=(("friction", 0.6),), success=1 / 3, coverage_min=0.1)
     again = from_dict(json.loads(json.dumps(to_dict(row))))
     assert again == row
     assert again.digest == row.digest
 
 
-def test_the_digest_is_that_of_the_first_rows_whatever_columns_are_called_or_added(
-    make_row: Callable[..., Row],
-) -> None:
+def test_the_digest_is_that_of_the_first_rows_whatever_columns_are_called_or_added(make_row):
     # As it was when `success` was called `fraction`, and neither robot nor tier was told.
     digest = "01cd5974f4e41df18fb28295e18eb91e72bc005aaa5713e4fb287fe7b59d0635"
     assert make_row().digest == digest
     assert make_row(robot="go2", tier="critical").digest == digest
 
 
-def test_a_tier_that_is_none_is_refused(make_row: Callable[..., Row]) -> None:
+def test_a_tier_that_is_none_is_refused(make_row):
     with pytest.raises(ValueError, match="tier 'vital' is none of critical, supporting, info"):
         make_row(tier="vital")
 
 
 @pytest.mark.parametrize("column", sorted(MEASURED))
-def test_the_digest_ignores_what_differs_between_runs(
-    make_row: Callable[..., Row], column: str
-) -> None:
-    changed: dict[str, Any] = {"cached": True, "host": "other", "mcap_path": "mcap/x.mcap"}
+def test_the_digest_ignores_what_differs_between_runs(make_row, column):
+    changed = {"cached": True, "host": "other", "mcap_path": "mcap/x.mcap"}
     changed["mcap_sha256"] = "ff" * 32
     assert make_row(**{column: changed.get(column, 7)}).digest == make_row().digest
 
@@ -201,19 +90,17 @@ def test_the_digest_ignores_what_differs_between_runs(
         {"outcome": "timeout"},
     ],
 )
-def test_the_digest_sees_every_part_of_the_result(
-    make_row: Callable[..., Row], change: dict[str, Any]
-) -> None:
+def test_the_digest_sees_every_part_of_the_result(make_row, change):
     assert make_row(**change).digest != make_row().digest
 
 
-def test_the_digest_of_rows_ignores_their_order(make_row: Callable[..., Row]) -> None:
+def test_the_digest_of_rows_ignores_their_order(make_row):
     rows = [make_row(trial_id=f"t-{k}") for k in range(3)]
     assert rows_digest(rows) == rows_digest(rows[::-1])
     assert rows_digest(rows) != rows_digest(rows[:2])
 
 
-def test_unknown_or_missing_columns_are_named(make_row: Callable[..., Row]) -> None:
+def test_unknown_or_missing_columns_are_named(make_row):
     values = to_dict(make_row())
     with pytest.raises(ValueError, match="unknown columns colour"):
         from_dict({**values, "colour": 1})
@@ -224,9 +111,7 @@ def test_unknown_or_missing_columns_are_named(make_row: Callable[..., Row]) -> N
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.text(max_size=60), st.integers(1, 100_000))
-def test_texts_from_anywhere_become_harmless_once_and_for_all(
-    make_row: Callable[..., Row], text: str, times: int
-) -> None:
+def test_texts_from_anywhere_become_harmless_once_and_for_all(make_row, text, times):
     row = make_row(end_reason=text * times, host=text)
     assert row.end_reason.isprintable()
     assert len(row.end_reason) <= 1060
@@ -236,9 +121,7 @@ def test_texts_from_anywhere_become_harmless_once_and_for_all(
     assert again.digest == row.digest
 
 
-def test_an_error_of_millions_of_characters_is_told_in_a_thousand(
-    make_row: Callable[..., Row],
-) -> None:
+def test_an_error_of_millions_of_characters_is_told_in_a_thousand(make_row):
     row = make_row(
         status="error", outcome="policy_error", success=None, error_text="no\n" * 2_000_000
     )
@@ -248,7 +131,7 @@ def test_an_error_of_millions_of_characters_is_told_in_a_thousand(
 
 
 @pytest.mark.parametrize("times", [[1e300], ["soon"], [None], 7])
-def test_times_that_are_none_are_one_sentence(make_row: Callable[..., Row], times: Any) -> None:
+def test_times_that_are_none_are_one_sentence(make_row, times):
     with pytest.raises(ValueError, match=r"\w"):
         from_dict({**to_dict(make_row()), "waypoint_times": times})
 
@@ -293,7 +176,7 @@ def test_times_that_are_none_are_one_sentence(make_row: Callable[..., Row], time
     ],
 )
 def test_a_row_whose_values_are_right_alone_and_make_no_result_together_says_so(
-    make_row: Callable[..., Row], changes: dict[str, Any], said: str
-) -> None:
+    make_row, changes, said
+):
     assert self_contradiction(make_row()) is None
     assert self_contradiction(make_row(**changes)) == said

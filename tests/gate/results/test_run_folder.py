@@ -1,15 +1,11 @@
 from __future__ import annotations
 
 from datetime import datetime, timedelta, timezone
-from typing import TYPE_CHECKING
 
 import pytest
 
 from nw_base.errors import StoreError, UsageError
 from nw_gate.results.provenance import (
-    PolicyInfo,
-    RunInfo,
-    SceneInfo,
     code_info,
     library_versions,
     machine_info,
@@ -18,29 +14,10 @@ from nw_gate.results.provenance import (
 )
 from nw_gate.results.run_folder import create_run_folder, open_run_folder
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 NOON = datetime(2026, 11, 21, 12, 0, 5, tzinfo=timezone(timedelta(hours=1)))
 
 
-def info() -> RunInfo:
-    return RunInfo(
-        id="r",
-        started="2026-11-21T11:00:05Z",
-        suite_file="suites/hurdles.yaml",
-        suite={"nw-eval": 1, "name": "hurdles"},
-        suite_digest="aa" * 32,
-        policy=PolicyInfo(name="p", checkpoint_digest="bb" * 32),
-        scenes={"hurdles/one": SceneInfo(digest="cc" * 32, task="hurdles", trials=10)},
-        command=("nw-eval", "run", "hurdles"),
-        code=code_info(),
-        machine=machine_info(),
-        versions=library_versions(),
-    )
-
-
-def test_a_folder_is_named_by_suite_policy_utc_time_and_digest(tmp_path: Path) -> None:
+def test_a_folder_is_named_by_suite_policy_utc_time_and_digest(tmp_path):
     folder = create_run_folder(
         tmp_path / "reports", suite="hurdles", policy="go1-parkour", digest="0123456789", now=NOON
     )
@@ -51,7 +28,7 @@ def test_a_folder_is_named_by_suite_policy_utc_time_and_digest(tmp_path: Path) -
     )
 
 
-def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path: Path) -> None:
+def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path):
     paths = {
         create_run_folder(tmp_path, suite="s", policy="p", digest="0" * 8, now=NOON).path
         for _ in range(3)
@@ -59,7 +36,7 @@ def test_two_runs_of_one_second_get_folders_of_their_own(tmp_path: Path) -> None
     assert len(paths) == 3
 
 
-def test_a_policy_given_as_a_path_makes_a_plain_name(tmp_path: Path) -> None:
+def test_a_policy_given_as_a_path_makes_a_plain_name(tmp_path):
     folder = create_run_folder(
         tmp_path, suite="s", policy="../my policies/é/", digest="0" * 8, now=NOON
     )
@@ -67,7 +44,7 @@ def test_a_policy_given_as_a_path_makes_a_plain_name(tmp_path: Path) -> None:
     assert folder.id == "s-my-policies-20261121T110005Z-00000000"
 
 
-def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(StoreError, match=r"choose .* with --out"):
         create_run_folder(tmp_path / "file", suite="s", policy="p", digest="0" * 8)
@@ -75,35 +52,35 @@ def test_a_place_that_cannot_be_written_is_told(tmp_path: Path) -> None:
         create_run_folder(tmp_path / "file" / "deeper", suite="s", policy="p", digest="0" * 8)
 
 
-def test_a_run_opens_by_its_folder_or_a_file_in_it_and_nothing_else_does(tmp_path: Path) -> None:
+def test_a_run_opens_by_its_folder_or_a_file_in_it_and_nothing_else_does(tmp_path, run_json):
     folder = create_run_folder(tmp_path, suite="s", policy="p", digest="0" * 8)
     with pytest.raises(UsageError, match="is not the folder of a run"):
         open_run_folder(folder.path)
-    write_run_info(folder.run_json, info())
+    write_run_info(folder.run_json, run_json)
     assert open_run_folder(folder.path) == folder
     assert open_run_folder(folder.run_json) == folder
     with pytest.raises(UsageError, match="is not the folder of a run"):
         open_run_folder(tmp_path)
 
 
-def test_provenance_reads_back_equal_and_says_what_was_planned(tmp_path: Path) -> None:
-    write_run_info(tmp_path / "run.json", info())
+def test_provenance_reads_back_equal_and_says_what_was_planned(tmp_path, run_json):
+    write_run_info(tmp_path / "run.json", run_json)
     again = read_run_info(tmp_path / "run.json")
-    assert again == info()
+    assert again == run_json
     assert again.planned == {"hurdles/one": 10}
 
 
-def test_provenance_names_the_code_and_the_libraries_that_ran() -> None:
+def test_provenance_names_the_code_and_the_libraries_that_ran():
     assert len(code_info().digest) == 64
     assert {"mujoco", "numpy", "torch"} <= set(library_versions())
     assert machine_info().cores >= 1
 
 
-def test_a_damaged_run_json_is_told_with_the_place(tmp_path: Path) -> None:
+def test_a_damaged_run_json_is_told_with_the_place(tmp_path, run_json):
     path = tmp_path / "run.json"
     with pytest.raises(StoreError, match="no run at"):
         read_run_info(path)
-    path.write_text(info().model_dump_json().replace('"trials":10', '"trials":"ten"'))
+    path.write_text(run_json.model_dump_json().replace('"trials":10', '"trials":"ten"'))
     with pytest.raises(StoreError, match=r"damaged: scenes\.hurdles/one\.trials"):
         read_run_info(path)
     path.write_text("{")

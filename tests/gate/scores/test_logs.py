@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import pairwise
 
@@ -13,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 from mcap_ros2.writer import Writer
+from ros_kinds import KINDS, PARTS
 
 import nw_eval
 from nw_base.errors import StoreError, UsageError
@@ -27,55 +26,6 @@ from nw_sim.rollout.record import attachments
 from nw_sim.rollout.trial import run_trial
 
 GO1 = get_robot("go1")
-HEADER = "std_msgs/Header header\n"
-PARTS = f"""
-{"=" * 80}
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-{"=" * 80}
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
-{"=" * 80}
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-{"=" * 80}
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-{"=" * 80}
-MSG: geometry_msgs/Vector3
-float64 x
-float64 y
-float64 z
-{"=" * 80}
-MSG: geometry_msgs/Twist
-geometry_msgs/Vector3 linear
-geometry_msgs/Vector3 angular
-{"=" * 80}
-MSG: geometry_msgs/Pose
-geometry_msgs/Point position
-geometry_msgs/Quaternion orientation
-{"=" * 80}
-MSG: geometry_msgs/PoseWithCovariance
-geometry_msgs/Pose pose
-float64[36] covariance
-{"=" * 80}
-MSG: geometry_msgs/TwistWithCovariance
-geometry_msgs/Twist twist
-float64[36] covariance
-"""
-JOINT_STATE = HEADER + "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
-ODOMETRY = (
-    HEADER + "string child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
-    "geometry_msgs/TwistWithCovariance twist\n"
-)
-TWIST = "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n"
 STAMP = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
 STEPS, SUBSTEPS, T = 100, 4, 0.02
 
@@ -100,9 +50,14 @@ class Walk:
         names = [GO1.joints[index] for index in order]
         with path.open("wb") as stream:
             writer = Writer(stream)
-            joint = writer.register_msgdef("sensor_msgs/msg/JointState", JOINT_STATE + PARTS)
-            odom = writer.register_msgdef("nav_msgs/msg/Odometry", ODOMETRY + PARTS)
-            twist = writer.register_msgdef("geometry_msgs/msg/Twist", TWIST + PARTS)
+            joint, odom, twist = (
+                writer.register_msgdef(kind, KINDS[kind] + PARTS)
+                for kind in (
+                    "sensor_msgs/msg/JointState",
+                    "nav_msgs/msg/Odometry",
+                    "geometry_msgs/msg/Twist",
+                )
+            )
 
             def at(time, topic, schema, message):
                 writer.write_message(topic, schema, message, log_time=round(time * 1e9) + 10**9)
@@ -184,16 +139,33 @@ def own_log(path, **more):
     return run_trial(job(mcap=path, attachments=attachments(card, ""), **more))
 
 
-@pytest.mark.parametrize("scores", [tuple(BUILT_IN), ()])
-def test_a_runs_log_gives_the_scores_of_the_run_whether_it_declared_them_or_not(tmp_path, scores):
-    expected = dict(run_trial(job(BUILT_IN)).scores)
-    own_log(tmp_path / "log.mcap", scores=scores)
-    found = nw_eval.log_scores(tmp_path / "log.mcap")
-    assert found.values == pytest.approx(expected, rel=1e-9, abs=1e-9)
-    assert set(found.values) == set(expected)
-    assert set(found.missing) == {"tracking_error_linear", "tracking_error_angular"}
-    assert dict(found.recorded) == (expected if scores else {})
-    assert found.restored == 0
+@pytest.fixture(scope="module")
+def undeclared(tmp_path_factory):
+    """The log of a run whose suite declared no scores."""
+    path = tmp_path_factory.mktemp("run") / "log.mcap"
+    own_log(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """A walk that a robot logged, with all of its topics."""
+    path = tmp_path_factory.mktemp("walk") / "bag.mcap"
+    Walk().write(path)
+    return path
+
+
+def test_a_runs_log_gives_the_scores_of_the_run_whether_it_declared_them_or_not(
+    tmp_path, undeclared
+):
+    expected = dict(own_log(tmp_path / "log.mcap", scores=BUILT_IN).scores)
+    for path, recorded in ((tmp_path / "log.mcap", expected), (undeclared, {})):
+        found = nw_eval.log_scores(path)
+        assert found.values == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        assert set(found.values) == set(expected)
+        assert set(found.missing) == {"tracking_error_linear", "tracking_error_angular"}
+        assert dict(found.recorded) == recorded
+        assert found.restored == 0
 
 
 def test_a_runs_log_gives_them_under_perturbations_too(tmp_path):
@@ -254,9 +226,8 @@ def test_a_score_without_its_topic_says_which_one_is_missing(tmp_path, capsys):
     assert float(lines["action_rate"].split()[1]) > 0.0
 
 
-def test_json_has_numbers_and_topics(tmp_path, capsys):
-    Walk().write(tmp_path / "bag.mcap")
-    cli_exit(["scores", str(tmp_path / "bag.mcap"), "--robot", "go1", "--json"])
+def test_json_has_numbers_and_topics(bag, capsys):
+    cli_exit(["scores", str(bag), "--robot", "go1", "--json"])
     found = json.loads(capsys.readouterr().out)
     assert found["topics"] == {
         "joints": "/joint_states",
@@ -286,10 +257,9 @@ def cli_exit(arguments, code=0):
         ({"robot": "go1", "scores": ["nothing"]}, "'nothing' is no score"),
     ],
 )
-def test_what_cannot_be_meant_is_named(tmp_path, more, message):
-    Walk().write(tmp_path / "bag.mcap")
+def test_what_cannot_be_meant_is_named(bag, more, message):
     with pytest.raises(UsageError, match=message):
-        nw_eval.log_scores(tmp_path / "bag.mcap", **more)
+        nw_eval.log_scores(bag, **more)
 
 
 def test_joints_that_are_logged_too_seldom_are_refused(tmp_path):
@@ -298,9 +268,8 @@ def test_joints_that_are_logged_too_seldom_are_refused(tmp_path):
         nw_eval.log_scores(tmp_path / "bag.mcap", robot="go1")
 
 
-def test_a_damaged_log_is_an_error_of_one_line(tmp_path):
-    Walk().write(tmp_path / "bag.mcap")
-    whole = (tmp_path / "bag.mcap").read_bytes()
+def test_a_damaged_log_is_an_error_of_one_line(tmp_path, bag):
+    whole = bag.read_bytes()
     rng = np.random.Generator(np.random.PCG64(1))
     for _ in range(20):
         damaged = bytearray(whole)
@@ -311,14 +280,6 @@ def test_a_damaged_log_is_an_error_of_one_line(tmp_path):
             nw_eval.log_scores(tmp_path / "cut.mcap", robot="go1")
 
 
-def test_a_runs_log_takes_no_robot(tmp_path):
-    own_log(tmp_path / "log.mcap")
-    done = subprocess.run(
-        [sys.executable, "-m", "nw_eval", "scores", "log.mcap", "--robot", "go1"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert "is the log of a run" in done.stderr
+def test_a_runs_log_takes_no_robot(undeclared, capsys):
+    cli_exit(["scores", str(undeclared), "--robot", "go1"], code=2)
+    assert "is the log of a run" in capsys.readouterr().err

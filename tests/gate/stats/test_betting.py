@@ -16,7 +16,7 @@ def mixed(successes: int, n: int) -> np.ndarray:
     return np.r_[np.ones(successes), np.zeros(n - successes)]
 
 
-def test_one_trial_gives_the_wealth_that_one_can_work_out_by_hand() -> None:
+def test_one_trial_gives_the_wealth_that_one_can_work_out_by_hand():
     # A success at odds 1/m = 4 turns a bet of share b into 1 + 3 b: the mean of that over bets
     # 0.1, 0.25, 0.5, 0.75, 0.99 with weights 1, 2, 2, 1, 2 eighths is 1 + 3 * 0.54125.
     assert evidence_above([np.ones(1)], 0.25) == pytest.approx(2.62375, rel=1e-12)
@@ -24,7 +24,7 @@ def test_one_trial_gives_the_wealth_that_one_can_work_out_by_hand() -> None:
     assert evidence_above([np.zeros(1)], 0.25) == pytest.approx(0.45875, rel=1e-12)
 
 
-def test_evidence_is_fair_when_the_claim_is_just_true() -> None:
+def test_evidence_is_fair_when_the_claim_is_just_true():
     # The expectation over all 2^6 outcomes of six trials of mean m is exactly one.
     m, total = 0.3, 0.0
     for outcome in range(64):
@@ -33,7 +33,7 @@ def test_evidence_is_fair_when_the_claim_is_just_true() -> None:
     assert total == pytest.approx(1.0, rel=1e-9)
 
 
-def test_evidence_is_fair_or_less_when_trials_differ_in_difficulty() -> None:
+def test_evidence_is_fair_or_less_when_trials_differ_in_difficulty():
     means = np.array([0.9, 0.5, 0.1, 0.7])
     total = 0.0
     for outcome in range(16):
@@ -56,14 +56,12 @@ def test_evidence_is_fair_or_less_when_trials_differ_in_difficulty() -> None:
         (270, 300, 0.8668),
     ],
 )
-def test_the_bound_is_below_the_exact_binomial_one_but_not_far(
-    successes: int, n: int, exact: float
-) -> None:
+def test_the_bound_is_below_the_exact_binomial_one_but_not_far(successes, n, exact):
     bound = lower_bound([mixed(successes, n)])
     assert exact - 0.08 < bound < exact
 
 
-def test_without_trials_or_successes_nothing_is_certain() -> None:
+def test_without_trials_or_successes_nothing_is_certain():
     assert lower_bound([]) == 0.0
     assert upper_bound([]) == 1.0
     assert lower_bound([np.zeros(5)]) == 0.0
@@ -71,13 +69,13 @@ def test_without_trials_or_successes_nothing_is_certain() -> None:
     assert evidence_above([], 0.5) == 1.0
 
 
-def test_the_upper_bound_is_the_lower_bound_of_the_failures() -> None:
+def test_the_upper_bound_is_the_lower_bound_of_the_failures():
     assert upper_bound([mixed(10, 90)]) == pytest.approx(1.0 - lower_bound([mixed(80, 90)]))
 
 
 @settings(deadline=None, max_examples=60)
 @given(groups)
-def test_the_bounds_hold_the_mean_between_them(values: list[np.ndarray]) -> None:
+def test_the_bounds_hold_the_mean_between_them(values):
     mean = float(np.mean([group.mean() for group in values]))
     assert 0.0 <= lower_bound(values) <= mean + 1e-12
     assert mean - 1e-12 <= upper_bound(values) <= 1.0
@@ -85,9 +83,7 @@ def test_the_bounds_hold_the_mean_between_them(values: list[np.ndarray]) -> None
 
 @settings(deadline=None, max_examples=60)
 @given(groups, st.data())
-def test_a_better_trial_never_lowers_the_bound(
-    values: list[np.ndarray], data: st.DataObject
-) -> None:
+def test_a_better_trial_never_lowers_the_bound(values, data):
     better = [group.copy() for group in values]
     which = data.draw(st.integers(0, len(values) - 1))
     better[which][0] = data.draw(st.floats(float(better[which][0]), 1.0))
@@ -96,22 +92,18 @@ def test_a_better_trial_never_lowers_the_bound(
 
 @settings(deadline=None, max_examples=30)
 @given(groups)
-def test_less_confidence_is_a_higher_bound(values: list[np.ndarray]) -> None:
+def test_less_confidence_is_a_higher_bound(values):
     assert lower_bound(values, 0.8) >= lower_bound(values, 0.99)
 
 
 @pytest.mark.parametrize("wrong", [-0.1, 1.1, float("nan")])
-def test_values_outside_the_unit_interval_are_refused(wrong: float) -> None:
+def test_values_outside_the_unit_interval_are_refused(wrong):
     with pytest.raises(ValueError, match="is not between 0 and 1"):
         lower_bound([np.array([0.5, wrong])])
 
 
-@pytest.mark.parametrize(
-    ("scenes", "trials", "q"), [(1, 10, 0.9), (4, 10, 0.95), (8, 10, 0.98), (3, 30, 0.8)]
-)
-def test_the_bound_is_too_high_at_most_as_often_as_it_promises(
-    scenes: int, trials: int, q: float
-) -> None:
+@pytest.mark.parametrize(("scenes", "trials", "q"), [(1, 10, 0.9), (8, 10, 0.98), (3, 30, 0.8)])
+def test_the_bound_is_too_high_at_most_as_often_as_it_promises(scenes, trials, q):
     rng = np.random.default_rng(20261)
     passes = np.clip(q + np.linspace(-0.1, 0.02, scenes), 0.0, 0.999)
     truth = float(np.mean([sum(p**k for k in range(1, 6)) / 5 for p in passes]))
@@ -126,7 +118,7 @@ def test_the_bound_is_too_high_at_most_as_often_as_it_promises(
     assert wrong_high / repetitions <= 0.14
 
 
-def test_looking_after_every_round_keeps_the_promise() -> None:
+def test_looking_after_every_round_keeps_the_promise():
     rng = np.random.default_rng(7)
     means = np.array([0.95, 0.8, 0.65])  # Equal Bernoulli trials within a scene, mean 0.8.
     repetitions, rounds, wrong = 300, 40, 0
@@ -140,7 +132,7 @@ def test_looking_after_every_round_keeps_the_promise() -> None:
     assert wrong / repetitions <= 0.15
 
 
-def test_the_fewest_perfect_trials_that_certify_a_bar_just_do() -> None:
+def test_the_fewest_perfect_trials_that_certify_a_bar_just_do():
     for bar in (0.5, 0.75, 0.9):
         fewest = trials_to_certify(bar)
         assert lower_bound([np.ones(fewest)]) >= bar

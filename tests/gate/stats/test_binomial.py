@@ -19,34 +19,30 @@ from nw_gate.stats.interval import wilson
         (1, 29, 0.0061, 0.1718),
     ],
 )
-def test_wilson_agrees_with_the_published_table(
-    successes: int, n: int, low: float, high: float
-) -> None:
+def test_wilson_agrees_with_the_published_table(successes, n, low, high):
     interval = wilson(successes, n)
     assert interval.low == pytest.approx(low, abs=5e-5)
     assert interval.high == pytest.approx(high, abs=5e-5)
 
 
-def test_nothing_is_known_without_trials() -> None:
+def test_nothing_is_known_without_trials():
     assert wilson(0, 0) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize(("successes", "n"), [(3, 2), (-1, 4)])
-def test_impossible_counts_are_refused(successes: int, n: int) -> None:
+def test_impossible_counts_are_refused(successes, n):
     with pytest.raises(ValueError, match="successes of"):
         wilson(successes, n)
 
 
 @pytest.mark.parametrize("confidence", [0.0, 1.0, 95.0, -1.0, float("nan")])
-def test_a_confidence_that_is_no_probability_is_refused(confidence: float) -> None:
+def test_a_confidence_that_is_no_probability_is_refused(confidence):
     with pytest.raises(ValueError, match=r"write 0\.95 for 95 %"):
         wilson(1, 2, confidence)
 
 
 @given(st.integers(1, 400), st.data(), st.floats(0.5, 0.999))
-def test_the_interval_holds_the_share_and_mirrors_for_failures(
-    n: int, data: st.DataObject, confidence: float
-) -> None:
+def test_the_interval_holds_the_share_and_mirrors_for_failures(n, data, confidence):
     k = data.draw(st.integers(0, n))
     interval = wilson(k, n, confidence)
     assert 0.0 <= interval.low <= k / n <= interval.high <= 1.0
@@ -56,14 +52,14 @@ def test_the_interval_holds_the_share_and_mirrors_for_failures(
 
 
 @given(st.integers(1, 200), st.data())
-def test_more_confidence_is_a_wider_interval(n: int, data: st.DataObject) -> None:
+def test_more_confidence_is_a_wider_interval(n, data):
     k = data.draw(st.integers(0, n))
     narrow, wide = wilson(k, n, 0.8), wilson(k, n, 0.99)
     assert wide.low <= narrow.low
     assert narrow.high <= wide.high
 
 
-def test_coverage_averaged_over_proportions_is_nominal() -> None:
+def test_coverage_averaged_over_proportions_is_nominal():
     # Brown, Cai and DasGupta (2001), section 4: mean coverage of the score interval is close to
     # nominal even at n = 10. Exact sums over the binomial distribution, no simulation.
     from math import comb

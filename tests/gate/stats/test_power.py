@@ -64,9 +64,7 @@ def run(
         (0.75, 0.0, 0.0),
     ],
 )
-def test_the_hurdles_suite_passes_and_convicts_as_often_as_was_published(
-    truth: float, passed: float, regressed: float
-) -> None:
+def test_the_hurdles_suite_passes_and_convicts_as_often_as_was_published(truth, passed, regressed):
     courses = seen(HURDLES)
     assert success(courses) == pytest.approx(0.938, abs=5e-4)
     found = shares_at(courses, truth, bar=0.75, confidence=0.95)
@@ -74,9 +72,7 @@ def test_the_hurdles_suite_passes_and_convicts_as_often_as_was_published(
     assert found.regressed == pytest.approx(regressed, abs=0.02)
 
 
-def test_the_simulated_policy_has_the_success_that_was_asked_for_and_hard_scenes_stay_hard() -> (
-    None
-):
+def test_the_simulated_policy_has_the_success_that_was_asked_for_and_hard_scenes_stay_hard():
     courses = seen(HURDLES)
     for mean in (0.2, 0.838, 0.99):
         chances = chances_at(courses, mean)
@@ -88,12 +84,12 @@ def test_the_simulated_policy_has_the_success_that_was_asked_for_and_hard_scenes
         assert means[0] == min(means)
 
 
-def test_ends_are_those_of_waypoints_passed_in_order() -> None:
+def test_ends_are_those_of_waypoints_passed_in_order():
     assert ends(np.array(0.8), 2) == pytest.approx([0.2, 0.16, 0.64])
     assert ends(np.array([0.0, 1.0]), 1) == pytest.approx(np.array([[1, 0], [0, 1]]))
 
 
-def test_the_same_rows_foresee_the_same_and_other_rows_another_draw() -> None:
+def test_the_same_rows_foresee_the_same_and_other_rows_another_draw():
     one, again = (shares_at(seen(HURDLES), 0.838, bar=0.75, confidence=0.95) for _ in range(2))
     assert one == again
     other = shares_at(seen(HURDLES[::-1]), 0.838, bar=0.75, confidence=0.95)
@@ -101,7 +97,7 @@ def test_the_same_rows_foresee_the_same_and_other_rows_another_draw() -> None:
     assert other.passed == pytest.approx(one.passed, abs=0.04)
 
 
-def test_a_scene_that_is_judged_alone_can_only_convict() -> None:
+def test_a_scene_that_is_judged_alone_can_only_convict():
     counts = [[2, 2, 2, 4], *[[0, 0, 0, 20]] * 9]
     together = shares_at(seen(counts), 0.9, bar=0.75, confidence=0.95)
     alone = [
@@ -114,21 +110,19 @@ def test_a_scene_that_is_judged_alone_can_only_convict() -> None:
     assert apart.passed + apart.regressed <= 1.0 + 1e-12
 
 
-def test_a_mean_that_no_policy_has_is_refused() -> None:
+def test_a_mean_that_no_policy_has_is_refused():
     with pytest.raises(ValueError, match="between 0 and 1"):
         shares_at(seen(HURDLES), 0.0, bar=0.75, confidence=0.95)
 
 
-def test_the_chance_to_be_decided_comes_true_as_often_as_it_says(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_chance_to_be_decided_comes_true_as_often_as_it_says(monkeypatch):
     # Policies of any success about the bar. Of those that one run of ten trials in each scene does
     # not decide, as many are decided by twice and by four times the trials as was said beforehand.
     monkeypatch.setattr("nw_gate.stats.power.RUNS", 400)
     rng = np.random.default_rng(20261)
     courses, bar = seen(HURDLES), 0.75
-    said: list[float] = []
-    came: list[bool] = []
+    said = []
+    came = []
     for truth in np.linspace(0.65, 0.9, 160):
         chances = chances_at(courses, float(truth))
         first = whole = run(courses, chances, rng)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from nw_gate.stats.betting import Ranks, possible_ranks
-from nw_gate.stats.hazard import holm
 
 
 def flat(success, scenes=4, starts=10):
@@ -76,7 +75,3 @@ def test_true_ranks_are_missed_in_at_most_one_comparison_of_twenty(shape, correl
         ranks = possible_ranks([[*policy.astype(float)] for policy in success])
         wrong += any(each != Ranks(best=1, worst=5) for each in ranks)
     assert wrong / 2000 <= 0.05
-
-
-def test_holm_is_what_ranks_adjust_by():
-    assert holm([0.025, 0.9]) == (0.05, 0.9)

@@ -10,7 +10,7 @@ from nw_base.plural import plural
 from nw_eval.reporting.tables.table import Table
 from nw_gate.results.labels import KNOWN
 from nw_gate.results.provenance import RunInfo
-from nw_gate.results.row import Row, by_column
+from nw_gate.results.row import Row
 
 
 def throughput_table(rows: Sequence[Row], run: RunInfo) -> Table:
@@ -71,8 +71,8 @@ def throughput(rows: Sequence[Row], info: RunInfo) -> Throughput:
     run = [row for row in rows if not row.cached]
     times = {name: f"{name}_s" for name in _STAGES}
     sums: dict[str, float] = {
-        column: sum(values)
-        for column, values in by_column(run, ("steps", "wall_s", "sim_s", *times.values())).items()
+        column: sum(getattr(row, column) for row in run)
+        for column in ("steps", "wall_s", "sim_s", *times.values())
     }
     steps, trials, sim = sums["steps"], sums["wall_s"], sums["sim_s"]
     named = {name: sums[column] for name, column in times.items()}

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
 
 from nw_gate.results.bank import (
@@ -14,14 +12,11 @@ from nw_gate.results.bank import (
     Start,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 LAPTOP, RUNNER = {"cpu": "znver4 1f0c77a2"}, {"cpu": "haswell 00112233"}
 
 
 @pytest.fixture
-def make_bank() -> Callable[..., BaselineResults]:
+def make_bank():
     """A bank of scenes by starts, of which every fourth fell, on one or two classes of machine."""
     return _bank
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -11,12 +10,6 @@ from nw_base.errors import IncomparableError, TrialError
 from nw_gate.results.bank import trajectory
 from nw_gate.results.bank_file import bank_of_run, read_bank, with_panel, write_bank
 from nw_gate.results.provenance import PolicyInfo, RunInfo, SceneInfo, code_info, machine_info
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from nw_gate.results.row import Row
 
 ENGINE = {
     "mujoco": "4.0.0",
@@ -30,7 +23,7 @@ SCENES = ("hurdles/one", "hurdles/two")
 
 
 @pytest.fixture
-def run() -> RunInfo:
+def run():
     return RunInfo(
         id="r1",
         started="2026-11-22T09:00:00+00:00",
@@ -47,7 +40,7 @@ def run() -> RunInfo:
 
 
 @pytest.fixture
-def rows(make_row: Callable[..., Row]) -> list[Row]:
+def rows(make_row):
     return [
         make_row(
             trial_id=f"{scene}-{index}-{cell}",
@@ -62,9 +55,7 @@ def rows(make_row: Callable[..., Row]) -> list[Row]:
     ]
 
 
-def test_a_whole_run_is_a_bank_that_a_file_can_keep(
-    tmp_path: Path, run: RunInfo, rows: list[Row]
-) -> None:
+def test_a_whole_run_is_a_bank_that_a_file_can_keep(tmp_path, run, rows):
     bank = bank_of_run(rows[::-1], run, name="p", card="p", by="anna", note="  why\nit is ")
     (panel,) = bank.panels
     assert [(s.scene, s.perturbation, s.seed_index) for s in panel.starts] == sorted(
@@ -85,18 +76,16 @@ def test_a_whole_run_is_a_bank_that_a_file_can_keep(
     assert read_bank(tmp_path / "p.parquet") == bank
 
 
-def test_a_run_with_an_error_or_a_hole_is_no_bank(
-    run: RunInfo, rows: list[Row], make_row: Callable[..., Row]
-) -> None:
+def test_a_run_with_an_error_or_a_hole_is_no_bank(run, rows, make_row):
     with pytest.raises(TrialError, match="run r1 has 11 of its 12 trials; finish it"):
         bank_of_run(rows[1:], run, name="p")
-    error: dict[str, Any] = {"status": "error", "outcome": "hung", "success": None}
+    error = {"status": "error", "outcome": "hung", "success": None}
     broken = make_row(trial_id="t", error_text="no answer", **error)
     with pytest.raises(TrialError, match="1 of 12 trials of run r1 came to no result, first t: no"):
         bank_of_run([broken, *rows[1:]], run, name="p")
 
 
-def test_a_run_whose_starts_were_drawn_is_no_bank(run: RunInfo, rows: list[Row]) -> None:
+def test_a_run_whose_starts_were_drawn_is_no_bank(run, rows):
     drawn = [replace(row, seed_index=2 * row.seed_index) for row in rows]
     with pytest.raises(
         IncomparableError, match=r"run r1 makes no baseline: .*start 4 is not between"
@@ -104,7 +93,7 @@ def test_a_run_whose_starts_were_drawn_is_no_bank(run: RunInfo, rows: list[Row])
         bank_of_run(drawn, run, name="p")
 
 
-def test_a_run_on_fresh_starts_is_no_bank(run: RunInfo, rows: list[Row]) -> None:
+def test_a_run_on_fresh_starts_is_no_bank(run, rows):
     fresh = run.model_copy(update={"panel": "fresh"})
     with pytest.raises(
         IncomparableError, match="r1 makes no baseline: it met fresh starts of its own"
@@ -112,9 +101,7 @@ def test_a_run_on_fresh_starts_is_no_bank(run: RunInfo, rows: list[Row]) -> None
         bank_of_run(rows, fresh, name="p")
 
 
-def test_a_panel_of_another_class_of_machine_comes_beside_the_first(
-    run: RunInfo, rows: list[Row]
-) -> None:
+def test_a_panel_of_another_class_of_machine_comes_beside_the_first(run, rows):
     bank = bank_of_run(rows, run, name="p", note="first")
     elsewhere = run.model_copy(update={"engine": {**ENGINE, "cpu": "haswell"}})
     both = with_panel(bank, bank_of_run(rows, elsewhere, name="p", note="second"))

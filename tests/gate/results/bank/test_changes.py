@@ -42,16 +42,14 @@ def falls_at_three(start: Start) -> Start:
     return replace(start, trajectory="e" * 16, success=0.5, completed=False, outcome="fell")
 
 
-def test_a_bank_does_not_differ_from_itself(make_bank: Callable[..., BaselineResults]) -> None:
+def test_a_bank_does_not_differ_from_itself(make_bank):
     change = bank_change(make_bank(), make_bank())
     assert change.fields == change.machine == ()
     assert all(scene.then == scene.now and not scene.moved for scene in change.scenes)
     assert whose_doing(change) == "No start went another way."
 
 
-def test_scenes_say_which_starts_went_another_way_and_which_ended_otherwise(
-    make_bank: Callable[..., BaselineResults],
-) -> None:
+def test_scenes_say_which_starts_went_another_way_and_which_ended_otherwise(make_bank):
     change = bank_change(make_bank(), with_starts(make_bank(), falls_at_three))
     first, second = change.scenes
     assert (first.then, first.now) == (0.875, 0.75)
@@ -64,9 +62,7 @@ def test_scenes_say_which_starts_went_another_way_and_which_ended_otherwise(
     assert "mean              0.875  0.812  -0.062" in page
 
 
-def test_what_a_policy_that_failed_by_itself_reached_is_no_success(
-    make_bank: Callable[..., BaselineResults],
-) -> None:
+def test_what_a_policy_that_failed_by_itself_reached_is_no_success(make_bank):
     def fails(start: Start) -> Start:
         return replace(start, outcome="policy_failed", success=0.5, completed=False)
 
@@ -96,16 +92,12 @@ def test_what_a_policy_that_failed_by_itself_reached_is_no_success(
         ),
     ],
 )
-def test_each_field_of_the_key_that_differs_is_a_line(
-    make_bank: Callable[..., BaselineResults], changes: dict[str, Any], lines: list[str]
-) -> None:
+def test_each_field_of_the_key_that_differs_is_a_line(make_bank, changes, lines):
     page = change_page(bank_change(make_bank(), with_key(make_bank(), **changes)))
     assert page.splitlines()[: len(lines)] == lines
 
 
-def test_a_change_of_the_simulator_is_never_charged_to_a_checkpoint(
-    make_bank: Callable[..., BaselineResults],
-) -> None:
+def test_a_change_of_the_simulator_is_never_charged_to_a_checkpoint(make_bank):
     moved = with_starts(make_bank(), falls_at_three)
     simulator = with_key(moved, simulator={"mujoco": "4.1.0", "renderer": "cpu gsplat-1.5"})
     assert "the doing of the simulator, of no checkpoint" in whose_doing(
@@ -119,9 +111,7 @@ def test_a_change_of_the_simulator_is_never_charged_to_a_checkpoint(
     )
 
 
-def test_panels_of_the_class_of_machine_that_both_have_are_compared(
-    make_bank: Callable[..., BaselineResults],
-) -> None:
+def test_panels_of_the_class_of_machine_that_both_have_are_compared(make_bank):
     both = make_bank(machines=(HERE, THERE))
     moved = with_starts(make_bank(machines=(THERE,)), falls_at_three)
     mixed = replace(both, panels=(both.panels[0], moved.panels[0]))
@@ -131,9 +121,7 @@ def test_panels_of_the_class_of_machine_that_both_have_are_compared(
     assert "the doing of the machine, of no checkpoint" in whose_doing(change)
 
 
-def test_another_number_of_starts_is_a_change_of_the_suite(
-    make_bank: Callable[..., BaselineResults],
-) -> None:
+def test_another_number_of_starts_is_a_change_of_the_suite(make_bank):
     change = bank_change(make_bank(starts=4), make_bank(starts=6))
     (field,) = change.fields
     assert (field.part, field.name, field.then, field.now) == ("suite", "starts", "4", "6")

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
 
 from nw_base.errors import IncomparableError, UsageError
@@ -9,12 +7,9 @@ from nw_base.files.shipped import shipped as shipped_folder
 from nw_gate.results import bank_file
 from nw_gate.results.bank_file import bank_files, find_any, find_bank
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 @pytest.fixture
-def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+def folders(tmp_path, monkeypatch):
     """The project's banks and the shipped ones, each with one for `hurdles`."""
     mine, shipped = tmp_path / "mine", tmp_path / "shipped"
     monkeypatch.setattr(bank_file, "shipped", lambda _: shipped)
@@ -24,9 +19,7 @@ def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path
     return mine, shipped
 
 
-def test_a_name_is_looked_for_in_the_project_and_then_among_the_shipped_banks(
-    folders: tuple[Path, Path],
-) -> None:
+def test_a_name_is_looked_for_in_the_project_and_then_among_the_shipped_banks(folders):
     mine, shipped = folders
     for name in ("best", "hurdles/best"):
         assert find_bank(name, suite="hurdles", root=mine) == mine / "hurdles/best.parquet"
@@ -34,7 +27,7 @@ def test_a_name_is_looked_for_in_the_project_and_then_among_the_shipped_banks(
     assert found == shipped / "hurdles/go1-parkour.parquet"
 
 
-def test_a_path_is_taken_as_it_is(folders: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch):
+def test_a_path_is_taken_as_it_is(folders, monkeypatch):
     mine, _ = folders
     path = mine / "hurdles/best.parquet"
     assert find_bank(str(path), suite="other") == path
@@ -53,23 +46,17 @@ def test_a_path_is_taken_as_it_is(folders: tuple[Path, Path], monkeypatch: pytes
         ("a" * 5000, "has no baseline"),
     ],
 )
-def test_a_bank_that_is_not_there_is_named_with_the_nearest_that_is(
-    folders: tuple[Path, Path], reference: str, sentence: str
-) -> None:
+def test_a_bank_that_is_not_there_is_named_with_the_nearest_that_is(folders, reference, sentence):
     with pytest.raises(UsageError, match=sentence):
         find_bank(reference, suite="hurdles", root=folders[0])
 
 
-def test_where_there_is_no_bank_at_all_the_error_says_how_to_make_one(
-    folders: tuple[Path, Path],
-) -> None:
+def test_where_there_is_no_bank_at_all_the_error_says_how_to_make_one(folders):
     with pytest.raises(UsageError, match="nw-eval baseline save stairs --policy POLICY"):
         find_bank("best", suite="stairs", root=folders[0])
 
 
-def test_two_different_banks_of_one_name_are_an_error_unless_a_path_says_which(
-    folders: tuple[Path, Path],
-) -> None:
+def test_two_different_banks_of_one_name_are_an_error_unless_a_path_says_which(folders):
     mine, shipped = folders
     copy = mine / "hurdles/go1-parkour.parquet"
     copy.write_bytes((shipped / "hurdles/go1-parkour.parquet").read_bytes())
@@ -82,9 +69,7 @@ def test_two_different_banks_of_one_name_are_an_error_unless_a_path_says_which(
     assert find_bank(copy, suite="hurdles", root=mine) == copy
 
 
-def test_all_banks_are_listed_and_one_that_is_in_both_places_once(
-    folders: tuple[Path, Path],
-) -> None:
+def test_all_banks_are_listed_and_one_that_is_in_both_places_once(folders):
     mine, shipped = folders
     (mine / "hurdles/go1-parkour.parquet").write_bytes(b"go1-parkour")
     (shipped / "gaps").mkdir()
@@ -94,9 +79,7 @@ def test_all_banks_are_listed_and_one_that_is_in_both_places_once(
     assert bank_files(root=mine) == (*listed, shipped / "gaps/go1-parkour.parquet")
 
 
-def test_a_bank_is_found_without_its_suite_by_name_suite_and_name_or_path(
-    folders: tuple[Path, Path],
-) -> None:
+def test_a_bank_is_found_without_its_suite_by_name_suite_and_name_or_path(folders):
     mine, shipped = folders
     best = mine / "hurdles/best.parquet"
     for reference in ("best", "hurdles/best", best):
@@ -114,6 +97,6 @@ def test_a_bank_is_found_without_its_suite_by_name_suite_and_name_or_path(
         find_any("best", suite="stairs", root=mine)
 
 
-def test_a_checkout_ships_the_banks_that_it_commits() -> None:
+def test_a_checkout_ships_the_banks_that_it_commits():
     assert shipped_folder("baselines").parts[-2:] == ("reports", "baselines")
     assert shipped_folder("baselines").is_dir()

@@ -9,56 +9,18 @@ import pytest
 
 from nw_gate.results import evidence
 from nw_gate.results.evidence import row_leaf, run_leaf
-from nw_gate.results.provenance import BaselineInfo, PolicyInfo, RunInfo, SceneInfo, StopInfo
+from nw_gate.results.provenance import BaselineInfo, PolicyInfo, SceneInfo, StopInfo
 from nw_gate.results.row import COLUMNS, Row, from_dict, to_dict
 
 
 @pytest.fixture
-def row() -> Row:
-    return Row(
-        trial_id="hurdles-one-000",
-        suite="hurdles",
-        scene="hurdles/one",
-        task="hurdles",
-        robot="go1",
-        seed_index=0,
-        seed=1,
-        policy="p",
-        status="ok",
-        outcome="fell",
-        end_reason="roll",
-        completed=False,
-        success=0.5,
-        waypoints_reached=2,
-        waypoints_total=4,
-        waypoint_times=(1.5, 2.5),
-        steps=200,
-        sim_s=4.0,
-        physics_s=0.5,
-        render_s=1.0,
-        policy_s=0.1,
-        log_s=0.2,
-        wall_s=2.0,
-        checkpoint_digest="cc" * 32,
-        scene_digest="dd" * 32,
-    )
+def row(make_row):
+    return make_row()
 
 
 @pytest.fixture
-def info() -> RunInfo:
-    return RunInfo.model_validate(
-        {
-            "id": "r",
-            "started": "2026-11-21T11:00:05Z",
-            "suite_file": "hurdles.yaml",
-            "suite": {"name": "hurdles", "gate": {"success_rate": 0.75}},
-            "suite_digest": "aa" * 32,
-            "policy": PolicyInfo(name="p", checkpoint_digest="bb" * 32),
-            "scenes": {"hurdles/one": SceneInfo(digest="cc" * 32, task="hurdles", trials=10)},
-            "code": {"version": "1", "digest": "d"},
-            "machine": {"host": "h", "cpu": "c", "cores": 1, "system": "s", "python": "3"},
-        }
-    )
+def info(run_json):
+    return run_json
 
 
 def another(name: str, value: object) -> object:
@@ -74,15 +36,13 @@ def another(name: str, value: object) -> object:
 
 
 @pytest.mark.parametrize("name", list(COLUMNS))
-def test_no_column_is_changed_without_another_hash(name: str, row: Row) -> None:
+def test_no_column_is_changed_without_another_hash(name, row):
     changed = object.__new__(Row)  # Also into what contradicts other columns.
     changed.__dict__.update({**vars(row), name: another(name, getattr(row, name))})
     assert row_leaf(changed) != row_leaf(row)
 
 
-def test_a_row_keeps_its_hash_through_files_and_under_versions_with_more_columns(
-    row: Row, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_row_keeps_its_hash_through_files_and_under_versions_with_more_columns(row, monkeypatch):
     assert row_leaf(from_dict(to_dict(replace(row, sim_s=4)))) == row_leaf(row)
     # As a version wrote it that knew fewer columns: those that it lacked have their defaults.
     before = row_leaf(row)
@@ -110,19 +70,15 @@ def bank(**changes: object) -> BaselineInfo:
     ],
     ids=lambda changes: next(iter(changes)),
 )
-def test_what_the_rows_are_of_is_not_changed_without_another_hash(
-    changes: dict[str, object], info: RunInfo
-) -> None:
+def test_what_the_rows_are_of_is_not_changed_without_another_hash(changes, info):
     assert run_leaf(info.model_copy(update=changes)) != run_leaf(info)
 
 
-def test_that_a_bank_moved_on_this_machine_is_not_taken_back_without_another_hash(
-    info: RunInfo,
-) -> None:
+def test_that_a_bank_moved_on_this_machine_is_not_taken_back_without_another_hash(info):
     moved = info.model_copy(update={"baseline": bank(moved=("hurdles/one fell",))})
     assert run_leaf(moved) != run_leaf(info.model_copy(update={"baseline": bank()}))
 
 
-def test_what_a_report_writes_again_is_no_part_of_it(info: RunInfo) -> None:
+def test_what_a_report_writes_again_is_no_part_of_it(info):
     later = {"finished": "later", "trials_sha256": "ff", "journal_sum": "0", "wall_s": 3.0}
     assert run_leaf(info.model_copy(update=later)) == run_leaf(info)

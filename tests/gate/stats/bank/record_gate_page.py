@@ -27,7 +27,7 @@ from nw_eval.reporting.pictures import draw_curve
 from nw_eval.suite.load import load_suite
 from nw_gate.baseline.power_forecast import Outset, outset_of_bank
 from nw_gate.results.bank_file import read_bank
-from nw_gate.stats.bank.curve import operating_curve
+from nw_gate.stats.bank.curve import CurvePoint, operating_curve
 
 ROOT = Path(__file__).parents[4]
 PAGE = ROOT / "docs" / "concepts" / "power.md"
@@ -62,12 +62,16 @@ def outset(name: str) -> Outset:
     return outset_of_bank(read_bank(BASELINES / f"{name}.parquet").panels[0], gate)
 
 
+@cache
+def curve(name: str) -> tuple[CurvePoint, ...]:
+    """Return the operating curve of `outset`."""
+    found = outset(name)
+    return tuple(operating_curve(found.seen, found.rules, budget=found.budget, drops=DROPS))
+
+
 def curve_table() -> str:
     """Return the lines of the operating curves."""
-    columns = [
-        operating_curve(found.seen, found.rules, budget=found.budget, drops=DROPS)
-        for found in map(outset, CURVE.strip("| ").split(" | ")[1:])
-    ]
+    columns = map(curve, CURVE.strip("| ").split(" | ")[1:])
     return _lines(
         [
             f"{points[0].drop:.2f}",

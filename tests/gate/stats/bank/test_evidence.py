@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from itertools import permutations
 from math import inf, nan, sqrt
-from random import Random
 
 import numpy as np
 import pytest
@@ -86,21 +84,21 @@ def wealth_of(values: list[float], null: float, size: float, bets: Bets) -> list
     st.sampled_from([UP, DOWN]),
 )
 def test_the_wealth_of_all_draws_at_once_is_that_of_the_formula_draw_by_draw(
-    boxes: list[list[float]], null: float, size: float, bets: Bets
-) -> None:
+    boxes, null, size, bets
+):
     found = along(np.array(boxes), np.full(len(boxes), null), size, bets)
     for box, evidence in zip(boxes, found, strict=True):
         assert evidence == pytest.approx(wealth_of(box, null, size, bets), rel=1e-9)
 
 
-def test_perfect_trials_against_a_perfect_baseline_grow_the_evidence_for_pass() -> None:
+def test_perfect_trials_against_a_perfect_baseline_grow_the_evidence_for_pass():
     found = looks(PERFECT, in_one_scene([1.0] * 40), Margins(max_drop=0.10)).passed
     published = [1.0789, 2.1732, 4.8890, 11.3300, 26.9165]
     assert found[[0, 9, 19, 29, 39]].round(4).tolist() == published
 
 
 @pytest.mark.parametrize(("max_drop", "trials"), [(0.05, 76), (0.10, 37), (0.15, 24), (0.20, 18)])
-def test_the_fewest_trials_that_pass_are_as_published(max_drop: float, trials: int) -> None:
+def test_the_fewest_trials_that_pass_are_as_published(max_drop, trials):
     found = looks(PERFECT, in_one_scene([1.0] * trials), Margins(max_drop=max_drop)).passed
     assert found[-2] < 20.0 <= found[-1]
 
@@ -109,7 +107,7 @@ def test_the_fewest_trials_that_pass_are_as_published(max_drop: float, trials: i
     ("scores", "evidence"),
     [([0.0], 8.8871), ([0.0, 0.0], 221.7623), ([1.0, 0.0], 4.5427), ([0.5], 4.8631)],
 )
-def test_failures_grow_the_evidence_for_regressed(scores: list[float], evidence: float) -> None:
+def test_failures_grow_the_evidence_for_regressed(scores, evidence):
     found = looks(PERFECT, in_one_scene(scores), Margins(tolerate=0.02)).regressed
     assert found[-1].round(4) == evidence
 
@@ -123,12 +121,12 @@ def test_failures_grow_the_evidence_for_regressed(scores: list[float], evidence:
         ([1.0, 0.0, 0.0], 7.5325),
     ],
 )
-def test_failures_grow_the_evidence_against_a_scene(scores: list[float], evidence: float) -> None:
+def test_failures_grow_the_evidence_against_a_scene(scores, evidence):
     found = looks(PERFECT, in_one_scene(scores), Margins(scene_drop=0.10)).own
     assert found[-1].round(4) == evidence
 
 
-def test_a_scenes_evidence_is_of_its_own_trials_whatever_comes_between() -> None:
+def test_a_scenes_evidence_is_of_its_own_trials_whatever_comes_between():
     bank, trials = campaign()
     found = looks(bank, trials, Margins()).own
     for scene in range(13):
@@ -140,7 +138,7 @@ def test_a_scenes_evidence_is_of_its_own_trials_whatever_comes_between() -> None
 
 @settings(deadline=None, max_examples=80)
 @given(panels)
-def test_at_the_margin_the_mean_over_all_orders_is_at_most_one(panel: np.ndarray) -> None:
+def test_at_the_margin_the_mean_over_all_orders_is_at_most_one(panel):
     better, worse = sorted(panel, key=lambda scores: -scores.mean())
     drop = float(better.mean() - worse.mean())
     if drop >= 1.0:
@@ -157,7 +155,7 @@ def test_at_the_margin_the_mean_over_all_orders_is_at_most_one(panel: np.ndarray
         assert own.mean(axis=0).max() <= 1.0 + 1e-9
 
 
-def test_as_long_as_nothing_is_all_but_used_up_the_mean_over_all_orders_is_one() -> None:
+def test_as_long_as_nothing_is_all_but_used_up_the_mean_over_all_orders_is_one():
     baseline = np.array([[1.0, 1.0, 0.5], [1.0, 0.5, 0.0]])
     candidate = np.array([[1.0, 0.5, 0.5], [0.5, 0.5, 0.0]])
     drop = float(baseline.mean() - candidate.mean())
@@ -172,9 +170,7 @@ def test_as_long_as_nothing_is_all_but_used_up_the_mean_over_all_orders_is_one()
 
 @pytest.mark.parametrize("starts", [3, inf])
 @pytest.mark.parametrize("seed", range(12))
-def test_over_all_orders_evidence_seldom_convinces_of_what_is_not_so(
-    starts: float, seed: int
-) -> None:
+def test_over_all_orders_evidence_seldom_convinces_of_what_is_not_so(starts, seed):
     rng = np.random.default_rng(seed)
     baseline, candidate = rng.choice([0.0, 0.5, 1.0, 1.0], (2, 2, 3))
     if not candidate.mean() <= baseline.mean():
@@ -207,7 +203,7 @@ def panel_of(kind: str, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarra
 
 
 @pytest.mark.parametrize("kind", ["concentrated", "rare", "unrelated", "even"])
-def test_at_the_margin_evidence_ever_convinces_no_more_often_than_it_promises(kind: str) -> None:
+def test_at_the_margin_evidence_ever_convinces_no_more_often_than_it_promises(kind):
     rng, alpha, gates = np.random.default_rng(20262), 0.05, 1500
     baseline, candidate = panel_of(kind, rng)
     order = np.argsort(rng.random((gates, baseline.size)), axis=1)[:, :96]
@@ -223,7 +219,7 @@ def test_at_the_margin_evidence_ever_convinces_no_more_often_than_it_promises(ki
 
 @settings(deadline=None, max_examples=40)
 @given(panels, st.randoms(use_true_random=False))
-def test_a_better_trial_helps_to_pass_and_never_convicts(panel: np.ndarray, rng: Random) -> None:
+def test_a_better_trial_helps_to_pass_and_never_convicts(panel, rng):
     order = np.array(rng.sample(range(panel[0].size), panel[0].size))
     bank = Bank.of(panel[1])
     worse = looks(bank, trials_of(order, panel[1], panel[0]), Margins())
@@ -234,7 +230,7 @@ def test_a_better_trial_helps_to_pass_and_never_convicts(panel: np.ndarray, rng:
 
 
 @pytest.mark.parametrize("count", [1, 2, 50, 155])
-def test_trials_that_come_later_change_no_bit_of_the_looks_before(count: int) -> None:
+def test_trials_that_come_later_change_no_bit_of_the_looks_before(count):
     bank, trials = campaign()
     every = looks(bank, trials, Margins())
     first = looks(bank, trials.at(range(count)), Margins())
@@ -242,9 +238,7 @@ def test_trials_that_come_later_change_no_bit_of_the_looks_before(count: int) ->
 
 
 @pytest.mark.parametrize("lay", [np.ascontiguousarray, np.asfortranarray])
-def test_neither_the_layout_of_memory_nor_other_gates_change_a_bit(
-    lay: Callable[[np.ndarray], np.ndarray],
-) -> None:
+def test_neither_the_layout_of_memory_nor_other_gates_change_a_bit(lay):
     bank, trials = campaign()
     expected = looks(bank, trials, Margins())
     three = DrawnTrials(
@@ -258,7 +252,7 @@ def test_neither_the_layout_of_memory_nor_other_gates_change_a_bit(
         assert same(expected, Looks(*(part[1] for part in together)))
 
 
-def test_the_order_of_trials_matters_to_a_bank_but_not_to_fresh_starts() -> None:
+def test_the_order_of_trials_matters_to_a_bank_but_not_to_fresh_starts():
     known, trials = campaign(scenes=5)
     back = trials.at(range(len(trials.scenes) - 1, -1, -1))
     for bank, equal in ((known.fresh(), True), (known, False)):
@@ -267,9 +261,7 @@ def test_the_order_of_trials_matters_to_a_bank_but_not_to_fresh_starts() -> None
 
 
 @pytest.mark.parametrize("paired", [False, True])
-def test_a_missing_trial_counts_as_a_failure_for_pass_and_as_a_success_against_it(
-    paired: bool,
-) -> None:
+def test_a_missing_trial_counts_as_a_failure_for_pass_and_as_a_success_against_it(paired):
     bank, trials = campaign(scenes=3)
     bank = Bank.control(3) if paired else bank
 
@@ -286,7 +278,7 @@ def test_a_missing_trial_counts_as_a_failure_for_pass_and_as_a_success_against_i
     assert missing.own[7] < failed.own[7]
 
 
-def test_trials_that_are_all_missing_decide_nothing() -> None:
+def test_trials_that_are_all_missing_decide_nothing():
     bank, trials = campaign(scenes=6)
     gone = replace(trials, candidate=np.full(len(trials.scenes), nan))
     found = looks(bank, gone, Margins())
@@ -294,7 +286,7 @@ def test_trials_that_are_all_missing_decide_nothing() -> None:
         assert evidence.max() < 1.0
 
 
-def test_what_is_true_of_the_panel_is_certain_at_its_end_and_of_fresh_starts_never() -> None:
+def test_what_is_true_of_the_panel_is_certain_at_its_end_and_of_fresh_starts_never():
     baseline = np.array([[1.0, 1.0, 0.5], [1.0, 0.5, 0.0]])
     candidate = np.array([[1.0, 0.5, 0.5], [0.5, 0.5, 0.0]])
     drop, drawn = float(baseline.mean() - candidate.mean()), in_all_orders(baseline, candidate)
@@ -306,7 +298,7 @@ def test_what_is_true_of_the_panel_is_certain_at_its_end_and_of_fresh_starts_nev
     assert max(fresh.passed.max(), fresh.regressed.max()) < 10.0
 
 
-def test_a_claim_is_certain_as_soon_as_what_is_left_cannot_refute_it() -> None:
+def test_a_claim_is_certain_as_soon_as_what_is_left_cannot_refute_it():
     bank = Bank(means=np.ones(1), starts=4)
     # Of four starts a drop of .10 leaves 3.6 successes: after four of them it is impossible.
     found = looks(bank, in_one_scene([1.0] * 4), Margins()).passed
@@ -318,14 +310,14 @@ def test_a_claim_is_certain_as_soon_as_what_is_left_cannot_refute_it() -> None:
     assert np.isinf(failed.own).all()
 
 
-def test_a_baseline_that_nowhere_scores_max_drop_cannot_be_undercut_by_so_much() -> None:
+def test_a_baseline_that_nowhere_scores_max_drop_cannot_be_undercut_by_so_much():
     bank = Bank(means=np.array([0.05, 0.09]))
     trials = trials_of(np.arange(4), np.zeros((2, 2)), np.zeros((2, 2)))
     assert np.isinf(looks(bank, trials, Margins(max_drop=0.10)).passed).all()
     assert np.isfinite(looks(bank, trials, Margins(max_drop=0.09)).passed).all()
 
 
-def test_a_null_that_is_just_true_is_never_called_impossible_by_rounding() -> None:
+def test_a_null_that_is_just_true_is_never_called_impossible_by_rounding():
     # Thirds and tenths: sums of a just true null are off by some 1e-15, on either side.
     rng = np.random.default_rng(3)
     exact = Margins(max_drop=0.0, tolerate=0.0, scene_drop=0.0)
@@ -336,7 +328,7 @@ def test_a_null_that_is_just_true_is_never_called_impossible_by_rounding() -> No
             assert np.isfinite(evidence).all()
 
 
-def test_rounding_wins_no_bet_where_a_null_leaves_only_zeros() -> None:
+def test_rounding_wins_no_bet_where_a_null_leaves_only_zeros():
     # After the first of these starts only z_min is left, to a double's precision: a win of 1e-16
     # must not be paid at odds of 1e-16.
     for hundredths in range(1, 100, 2):
@@ -347,7 +339,7 @@ def test_rounding_wins_no_bet_where_a_null_leaves_only_zeros() -> None:
         assert found.passed.mean(axis=0) == pytest.approx(1.0, abs=1e-9)
 
 
-def test_overwhelming_evidence_stays_a_number() -> None:
+def test_overwhelming_evidence_stays_a_number():
     bank, order = Bank(means=np.ones(300)), np.arange(9000)
     trials = trials_of(order, np.ones((300, 30)), np.zeros((300, 30)))
     found = looks(bank, trials, Margins(tolerate=0.0))
@@ -356,7 +348,7 @@ def test_overwhelming_evidence_stays_a_number() -> None:
     assert not np.isnan(found.regressed).any()
 
 
-def test_beside_a_control_only_the_difference_of_the_two_arms_counts() -> None:
+def test_beside_a_control_only_the_difference_of_the_two_arms_counts():
     control = Bank.control(1)
     ties = looks(control, in_one_scene([0.3] * 40, baseline=0.3), Margins(max_drop=0.10))
     perfect = looks(PERFECT, in_one_scene([1.0] * 40), Margins(max_drop=0.10))
@@ -370,7 +362,7 @@ def test_beside_a_control_only_the_difference_of_the_two_arms_counts() -> None:
     assert found.own[0] == pytest.approx(np.mean(1 + bets * (1.5 - 1.1) / 1.1))
 
 
-def test_z_has_the_candidates_mean_over_the_panel_and_stays_within_its_ends() -> None:
+def test_z_has_the_candidates_mean_over_the_panel_and_stays_within_its_ends():
     rng = np.random.default_rng(5)
     baseline, candidate = rng.random((2, 4, 50))
     bank, trials = Bank.of(baseline), trials_of(np.arange(200), baseline, candidate)
@@ -382,13 +374,13 @@ def test_z_has_the_candidates_mean_over_the_panel_and_stays_within_its_ends() ->
 
 
 @pytest.mark.parametrize("wrong", [-0.1, 1.1, inf])
-def test_a_success_outside_the_unit_interval_is_refused(wrong: float) -> None:
+def test_a_success_outside_the_unit_interval_is_refused(wrong):
     for candidate, baseline in ((wrong, 1.0), (1.0, wrong)):
         with pytest.raises(ValueError, match="is not between 0 and 1"):
             in_one_scene([candidate], baseline)
 
 
-def test_a_bank_needs_a_scene_and_a_start_and_a_result_of_each() -> None:
+def test_a_bank_needs_a_scene_and_a_start_and_a_result_of_each():
     with pytest.raises(ValueError, match="one scene at least"):
         Bank(means=np.zeros(0))
     with pytest.raises(ValueError, match="one at least"):
@@ -397,7 +389,7 @@ def test_a_bank_needs_a_scene_and_a_start_and_a_result_of_each() -> None:
         Bank.of(np.array([[1.0, nan]]))
 
 
-def test_more_trials_of_a_scene_than_it_has_starts_are_refused() -> None:
+def test_more_trials_of_a_scene_than_it_has_starts_are_refused():
     ones = np.ones(3)
     trials = DrawnTrials(scenes=np.zeros(3, dtype=np.intp), candidate=ones, baseline=ones)
     with pytest.raises(ValueError, match="3 draws of 2 numbers"):
@@ -415,6 +407,6 @@ def test_more_trials_of_a_scene_than_it_has_starts_are_refused() -> None:
         {"scene_drop": nan},
     ],
 )
-def test_margins_that_contradict_themselves_are_refused(drops: dict[str, float]) -> None:
+def test_margins_that_contradict_themselves_are_refused(drops):
     with pytest.raises(ValueError, match="not within 0 to 1"):
         Margins(**drops)

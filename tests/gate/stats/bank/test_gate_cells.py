@@ -37,19 +37,19 @@ def those(question: str) -> list[tuple[Cell, Found]]:
     return [(cell, found) for cell, found in EVERY if cell.question == question]
 
 
-def test_the_table_has_every_cell_once() -> None:
+def test_the_table_has_every_cell_once():
     assert [cell for cell, _ in EVERY] == list(cells())
     seen = {(cell.claim, cell.starts) for cell, _ in those("equal")}
     assert {starts for claim, starts in seen if claim == "fresh"} == set(STARTS)
     assert {claim for claim, _ in seen} == set(CLAIMS)
 
 
-def test_an_equal_policy_is_neither_convicted_nor_has_a_scene_named() -> None:
+def test_an_equal_policy_is_neither_convicted_nor_has_a_scene_named():
     for cell, found in those("equal"):
         assert found.blamed <= most(ALPHA_REGR), cell
 
 
-def test_a_policy_that_drifted_with_its_machine_is_not_blamed_beside_a_control() -> None:
+def test_a_policy_that_drifted_with_its_machine_is_not_blamed_beside_a_control():
     drifted = [(cell, found) for cell, found in EVERY if cell.drift]
     assert {cell.drift for cell, _ in drifted} == {0.05, -0.03}
     for cell, found in drifted:
@@ -59,12 +59,12 @@ def test_a_policy_that_drifted_with_its_machine_is_not_blamed_beside_a_control()
             assert found.passed <= most(ALPHA_PASS), cell
 
 
-def test_a_policy_that_is_worse_by_just_max_drop_passes_as_seldom_as_promised() -> None:
+def test_a_policy_that_is_worse_by_just_max_drop_passes_as_seldom_as_promised():
     for cell, found in those("at max_drop"):
         assert found.passed <= most(ALPHA_PASS), cell
 
 
-def test_a_policy_that_is_worse_by_just_what_is_tolerated_is_seldom_convicted() -> None:
+def test_a_policy_that_is_worse_by_just_what_is_tolerated_is_seldom_convicted():
     for cell, found in those("at tolerate"):
         # A baseline of ten or twelve starts in all errs too much in its own mean for a claim about
         # others; docs/concepts/power.md says by how much.
@@ -72,25 +72,25 @@ def test_a_policy_that_is_worse_by_just_what_is_tolerated_is_seldom_convicted() 
         assert found.regressed <= most(2 * ALPHA_REGR if tiny else ALPHA_REGR), cell
 
 
-def test_scenes_that_dropped_by_just_scene_drop_are_seldom_named() -> None:
+def test_scenes_that_dropped_by_just_scene_drop_are_seldom_named():
     for cell, found in those("at scene_drop"):
         assert found.named <= most(ALPHA_REGR), cell
 
 
-def test_power_is_recorded_for_each_kind_of_candidate_and_drop() -> None:
+def test_power_is_recorded_for_each_kind_of_candidate_and_drop():
     for claim in ("panel", "fresh", "control"):
         points = {(cell.kind, cell.drop) for cell, _ in those("power") if cell.claim == claim}
         assert points == {(kind, drop) for kind in KINDS for drop in DROPS}
 
 
 @pytest.mark.parametrize("place", range(0, len(EVERY), 97))
-def test_some_cells_are_what_the_code_does(place: int) -> None:
+def test_some_cells_are_what_the_code_does(place):
     cell, found = EVERY[place]
     assert vars(simulate(cell)) == pytest.approx(vars(found), abs=0.0051)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("part", range(16))
-def test_all_cells_are_what_the_code_does(part: int) -> None:
+def test_all_cells_are_what_the_code_does(part):
     for cell, found in EVERY[part::16]:
         assert vars(simulate(cell)) == pytest.approx(vars(found), abs=0.0051), cell

@@ -47,8 +47,8 @@ def first(trials: DrawnTrials, count: int) -> DrawnTrials:
 @settings(deadline=None, max_examples=90)
 @given(campaigns, st.sampled_from([0.02, 0.1, 0.3]), claims)
 def test_pass_is_a_high_end_below_the_margin_and_regressed_a_low_end_above_it(
-    scores: np.ndarray, margin: float, claim: str
-) -> None:
+    scores, margin, claim
+):
     if scores[0].mean() <= margin + 1e-6:
         return  # No policy can be so much worse.
     bank, trials = bank_of(scores[0], claim), in_order(scores[0], scores[1])
@@ -64,7 +64,7 @@ def test_pass_is_a_high_end_below_the_margin_and_regressed_a_low_end_above_it(
 
 @settings(deadline=None, max_examples=60)
 @given(campaigns, claims)
-def test_better_trials_never_move_an_end_up(scores: np.ndarray, claim: str) -> None:
+def test_better_trials_never_move_an_end_up(scores, claim):
     alphas = {"alpha_pass": 0.2, "alpha_regr": 0.2}
     bank = bank_of(scores[0], claim)
     worse = drop_interval_after(bank, in_order(scores[0], scores[1]), **alphas)
@@ -73,7 +73,7 @@ def test_better_trials_never_move_an_end_up(scores: np.ndarray, claim: str) -> N
     assert better.high <= worse.high + 1e-7
 
 
-def test_without_trials_every_drop_is_possible_and_with_all_of_the_panel_hardly_any() -> None:
+def test_without_trials_every_drop_is_possible_and_with_all_of_the_panel_hardly_any():
     rng = np.random.default_rng(8)
     baseline, candidate = rng.integers(0, 6, (2, 6, 40)) / 5
     bank, trials = Bank.of(baseline), in_order(baseline, candidate)
@@ -94,7 +94,7 @@ def test_without_trials_every_drop_is_possible_and_with_all_of_the_panel_hardly_
     assert beside.low < fresh.low
 
 
-def test_a_missing_trial_widens_it_on_both_sides_and_one_of_the_control_does_too() -> None:
+def test_a_missing_trial_widens_it_on_both_sides_and_one_of_the_control_does_too():
     rng = np.random.default_rng(9)
     baseline, candidate = rng.integers(2, 6, (2, 4, 12)) / 5
     gap, hole = candidate.copy(), baseline.copy()
@@ -119,7 +119,7 @@ def test_a_missing_trial_widens_it_on_both_sides_and_one_of_the_control_does_too
 
 
 @pytest.mark.parametrize("starts", [3, inf])
-def test_over_all_orders_of_a_panel_each_end_errs_as_often_as_it_may(starts: float) -> None:
+def test_over_all_orders_of_a_panel_each_end_errs_as_often_as_it_may(starts):
     baseline = np.array([[1.0, 1.0, 0.5], [1.0, 0.5, 0.0]])
     candidate = np.array([[1.0, 0.5, 0.0], [0.5, 1.0, 0.0]])
     drop, errors = baseline.mean() - candidate.mean(), np.zeros(2)
@@ -148,9 +148,7 @@ def test_over_all_orders_of_a_panel_each_end_errs_as_often_as_it_may(starts: flo
 
 @settings(deadline=None, max_examples=40)
 @given(campaigns, claims, st.integers(0, 48))
-def test_a_scene_alone_has_the_interval_of_a_bank_of_that_scene(
-    scores: np.ndarray, claim: str, count: int
-) -> None:
+def test_a_scene_alone_has_the_interval_of_a_bank_of_that_scene(scores, claim, count):
     bank, trials = bank_of(scores[0], claim), in_order(scores[0], scores[1])
     seen = first(trials, min(count, scores[0].size))
     together = scene_drop_intervals(bank, seen)
@@ -167,7 +165,7 @@ def test_a_scene_alone_has_the_interval_of_a_bank_of_that_scene(
         assert found.high == pytest.approx(alone.high, abs=1e-4)
 
 
-def test_more_trials_than_pairs_of_a_scene_and_a_start_are_refused() -> None:
+def test_more_trials_than_pairs_of_a_scene_and_a_start_are_refused():
     ones = np.ones(7)
     trials = DrawnTrials(scenes=np.zeros(7, dtype=np.intp), candidate=ones, baseline=ones)
     with pytest.raises(ValueError, match="7"):

@@ -47,7 +47,7 @@ def after(
     )
 
 
-def test_each_trial_that_is_left_has_its_chance() -> None:
+def test_each_trial_that_is_left_has_its_chance():
     found = after(run(0.98, 40), 40)
     assert len(found.passed) == len(found.regressed) == ALL - 40
     assert list(found.settled) == sorted(found.settled)
@@ -55,7 +55,7 @@ def test_each_trial_that_is_left_has_its_chance() -> None:
     assert after(run(0.98, ALL), ALL).settled == ()
 
 
-def test_a_good_run_will_likely_pass_and_a_bad_one_be_convicted() -> None:
+def test_a_good_run_will_likely_pass_and_a_bad_one_be_convicted():
     good, bad = after(run(0.97, 16), 16), after(run(0.85, 24), 24)
     assert good.passed[-1] > 0.9
     assert bad.regressed[-1] > 0.9
@@ -65,12 +65,12 @@ def test_a_good_run_will_likely_pass_and_a_bad_one_be_convicted() -> None:
     assert soon < late
 
 
-def test_the_trials_so_far_count() -> None:
+def test_the_trials_so_far_count():
     # After forty perfect trials a few more pass; after ten they do not.
     assert after(run(1.0, 35), 35).passed[9] > 0.9 > after(run(1.0, 10), 10).passed[9]
 
 
-def test_the_ends_that_are_simulated_are_those_that_come() -> None:
+def test_the_ends_that_are_simulated_are_those_that_come():
     # Policies of all kinds, as likely good as bad: what is said of them comes true on average.
     ends, found, kinds = np.zeros(3), np.zeros(3), np.linspace(0.85, 1.0, 60)
     for seed, chance in enumerate(kinds):
@@ -85,7 +85,7 @@ def test_the_ends_that_are_simulated_are_those_that_come() -> None:
     assert found / 60 == pytest.approx(ends / 60, abs=0.13)
 
 
-def test_what_has_ended_beyond_the_trial_that_is_waited_for_is_known() -> None:
+def test_what_has_ended_beyond_the_trial_that_is_waited_for_is_known():
     # Place 39 still runs; 16 later ones have ended: one more trial judges 17.
     trials = run(1.0, 56)
     known = (np.arange(ALL) < 56) & (np.arange(ALL) != 39)
@@ -94,7 +94,7 @@ def test_what_has_ended_beyond_the_trial_that_is_waited_for_is_known() -> None:
     assert found.passed[0] > 0.9
 
 
-def test_a_scene_that_is_named_already_holds_back_no_pass() -> None:
+def test_a_scene_that_is_named_already_holds_back_no_pass():
     trials = run(1.0, 80)
     fails = replace(trials, candidate=np.where(trials.scenes == 0, 0.0, trials.candidate))
     suspect = np.flatnonzero(trials.scenes == 0)[:2]
@@ -107,7 +107,7 @@ def test_a_scene_that_is_named_already_holds_back_no_pass() -> None:
     assert waiting.waits_for == (0,) or waiting.word == "PASS"
 
 
-def test_a_run_that_only_waits_for_a_scene_needs_trials_of_that_scene_alone() -> None:
+def test_a_run_that_only_waits_for_a_scene_needs_trials_of_that_scene_alone():
     ones, scenes = np.ones(240), np.tile(np.arange(4), 60)
     candidate = np.where(np.isin(np.arange(240), [3, 7]), 0.0, 1.0)
     rules = TrialRules(tiers=("supporting",) * 4, margins=Margins(max_drop=0.4))
@@ -123,7 +123,7 @@ def test_a_run_that_only_waits_for_a_scene_needs_trials_of_that_scene_alone() ->
     assert found.settled[last - 1] == found.settled[-1]
 
 
-def test_of_what_is_missing_nothing_is_learnt() -> None:
+def test_of_what_is_missing_nothing_is_learnt():
     trials = run(0.98, 40)
     gap = replace(trials, candidate=trials.candidate.copy())
     gap.candidate[19] = np.nan
@@ -132,7 +132,7 @@ def test_of_what_is_missing_nothing_is_learnt() -> None:
     assert after(nothing, 24).passed[-1] < 0.9
 
 
-def test_beside_a_control_its_trials_to_come_are_simulated_too() -> None:
+def test_beside_a_control_its_trials_to_come_are_simulated_too():
     trials = run(0.98, 40)
     beside = replace(trials, baseline=np.where(np.arange(ALL) < 40, trials.baseline, np.nan))
     found = after(beside, 40, bank=Bank.control(SCENES))

@@ -32,9 +32,7 @@ SPREADS: dict[str, Draw] = {
 
 
 @pytest.mark.parametrize("spread", SPREADS)
-def test_the_page_says_how_often_an_interval_from_few_seeds_convicts_an_equal_recipe(
-    spread: str,
-) -> None:
+def test_the_page_says_how_often_an_interval_from_few_seeds_convicts_an_equal_recipe(spread):
     line = next(x for x in PAGE.read_text().splitlines() if x.startswith(f"| {spread} |"))
     printed = [float(x) for x in re.findall(r"([\d.]+) %", line)]
     rng, repetitions = np.random.default_rng(1), 100_000

@@ -67,14 +67,14 @@ def word(trials: DrawnTrials, bank: Bank = PERFECT, **rules: Any) -> str:
     return settle(bank, trials, TrialRules(tiers=tiers(1), **rules)).word
 
 
-def test_before_the_first_trial_nothing_is_decided() -> None:
+def test_before_the_first_trial_nothing_is_decided():
     rules, known = TrialRules(tiers=tiers(1)), [False] * 3
     decision = settle(PERFECT, one_scene([1.0] * 3), rules, known)
     assert (decision.word, decision.trials, decision.named) == ("undecided", 0, ())
     assert decision.ahead == (0, 1, 2)
 
 
-def test_evidence_must_reach_one_over_alpha() -> None:
+def test_evidence_must_reach_one_over_alpha():
     # E_pass of perfect trials is 20 after 37 of them, E_regr of failures 8.9 and then 221.8.
     assert word(one_scene([1.0] * 36)) == "undecided"
     assert word(one_scene([1.0] * 37)) == "PASS"
@@ -85,7 +85,7 @@ def test_evidence_must_reach_one_over_alpha() -> None:
     assert word(one_scene([0.0]), alpha_regr=0.2) == "REGRESSED"
 
 
-def test_the_first_trial_that_settles_it_does_whatever_comes_after() -> None:
+def test_the_first_trial_that_settles_it_does_whatever_comes_after():
     rules = TrialRules(tiers=tiers(1))
     passed = settle(PERFECT, one_scene([1.0] * 37 + [0.0] * 40), rules)
     assert (passed.word, passed.trials, passed.named, passed.ahead) == ("PASS", 37, (), ())
@@ -93,7 +93,7 @@ def test_the_first_trial_that_settles_it_does_whatever_comes_after() -> None:
     assert (fell.word, fell.trials) == ("REGRESSED", 2)
 
 
-def test_a_trial_that_would_do_both_convicts() -> None:
+def test_a_trial_that_would_do_both_convicts():
     # The fourth of four starts shows that the drop is .25: below max_drop, and above tolerate.
     bank, trials = Bank(means=np.ones(1), starts=4), one_scene([0.75] * 4)
     margins = Margins(max_drop=0.26, tolerate=0.24, scene_drop=0.3)
@@ -104,12 +104,12 @@ def test_a_trial_that_would_do_both_convicts() -> None:
     assert word(trials, bank, margins=replace(margins, tolerate=0.25)) == "PASS"
 
 
-def test_a_suspect_scene_is_waited_for_only_where_the_mean_alone_would_pass() -> None:
+def test_a_suspect_scene_is_waited_for_only_where_the_mean_alone_would_pass():
     decision = settle(PERFECT, one_scene([0.0, 0.0]), TrialRules(tiers=tiers(1), alpha_regr=0.001))
     assert (decision.word, decision.named, decision.waits_for) == ("undecided", (), ())
 
 
-def test_a_scene_is_named_at_the_shared_error_and_stays_named_under_pass() -> None:
+def test_a_scene_is_named_at_the_shared_error_and_stays_named_under_pass():
     # Two scenes at .01: each must reach 200. Four failures do, and later successes undo it.
     scenes = np.array([0] * 40 + [1] * 4 + [0, 1] * 60)
     candidate = np.where(np.arange(164) // 4 == 10, 0.0, 1.0)
@@ -124,7 +124,7 @@ def test_a_scene_is_named_at_the_shared_error_and_stays_named_under_pass() -> No
     assert own[decision.mean - 2 : decision.mean].max() < 200.0
 
 
-def test_gates_that_are_settled_together_end_as_each_alone() -> None:
+def test_gates_that_are_settled_together_end_as_each_alone():
     bank, trials = simulated(seed=1, gates=40)
     rules = TrialRules(tiers=tiers(16, 3, 5))
     alone = [settle(bank, cut(trials, gate), rules) for gate in range(40)]
@@ -135,8 +135,8 @@ def test_gates_that_are_settled_together_end_as_each_alone() -> None:
     assert any(decision.followed for decision in alone)
 
 
-@pytest.mark.parametrize("workers", [1, 2, 3, 8, 64])
-def test_the_same_trials_are_judged_whatever_the_number_of_workers(workers: int) -> None:
+@pytest.mark.parametrize("workers", [1, 3, 64])
+def test_the_same_trials_are_judged_whatever_the_number_of_workers(workers):
     bank, every = simulated(seed=2, gates=12)
     rules = TrialRules(tiers=tiers(16, 3, 5))
     for gate in range(12):
@@ -165,7 +165,7 @@ def test_the_same_trials_are_judged_whatever_the_number_of_workers(workers: int)
         assert len(started) <= decision.trials + settled * (workers - 1)
 
 
-def test_of_a_trial_that_has_not_ended_nothing_is_looked_at() -> None:
+def test_of_a_trial_that_has_not_ended_nothing_is_looked_at():
     bank, every = simulated(seed=3, gates=1)
     trials, rules = cut(every, 0), TrialRules(tiers=tiers())
     known = np.arange(160) != 20
@@ -179,7 +179,7 @@ def test_of_a_trial_that_has_not_ended_nothing_is_looked_at() -> None:
     )
 
 
-def test_pass_waits_for_a_suspect_scene_and_runs_trials_of_that_scene_alone() -> None:
+def test_pass_waits_for_a_suspect_scene_and_runs_trials_of_that_scene_alone():
     # Four scenes, of which the last fails twice, and then no more.
     scenes = np.tile(np.arange(4), 60)
     candidate = np.ones(240)
@@ -202,7 +202,7 @@ def test_pass_waits_for_a_suspect_scene_and_runs_trials_of_that_scene_alone() ->
     assert settle(bank, fails, TrialRules(tiers=tiers(4, 3), margins=margins)).word == "REGRESSED"
 
 
-def test_a_scene_that_is_suspect_to_the_end_holds_a_pass_back() -> None:
+def test_a_scene_that_is_suspect_to_the_end_holds_a_pass_back():
     scenes = np.tile(np.arange(4), 60)
     candidate = np.where(np.isin(np.arange(240), [3, 7]), 0.0, 1.0)
     rules = TrialRules(tiers=tiers(4), margins=Margins(max_drop=0.4))
@@ -214,7 +214,7 @@ def test_a_scene_that_is_suspect_to_the_end_holds_a_pass_back() -> None:
     assert (decision.word, decision.waits_for, decision.ahead) == ("undecided", (3,), ())
 
 
-def test_no_gate_passes_before_critical_scenes_have_been_met() -> None:
+def test_no_gate_passes_before_critical_scenes_have_been_met():
     # Sixty-four scenes: the mean passes before half of them have been met.
     rng = np.random.default_rng(5)
     scenes = np.concatenate([rng.permutation(64) for _ in range(20)])
@@ -236,7 +236,7 @@ def test_no_gate_passes_before_critical_scenes_have_been_met() -> None:
     assert (decision.word, decision.named) == ("REGRESSED", (last,))
 
 
-def test_what_is_missing_helps_no_verdict() -> None:
+def test_what_is_missing_helps_no_verdict():
     bank, trials = simulated(seed=6, gates=30)
     holes = np.random.default_rng(6).random(trials.candidate.shape) < 0.2
     missing = looks(
@@ -261,7 +261,7 @@ def test_what_is_missing_helps_no_verdict() -> None:
         assert (missing.own <= found.own * (1 + 1e-9)).all()
 
 
-def test_interval_and_verdict_do_not_contradict_each_other() -> None:
+def test_interval_and_verdict_do_not_contradict_each_other():
     bank, every = simulated(seed=7, gates=25)
     for which in (bank, Bank.control(16)):
         words = set[str]()
@@ -298,7 +298,7 @@ def reordered(gates: int) -> tuple[Bank, DrawnTrials, float]:
     return Bank.of(baseline), trials, float(baseline.mean() - candidate.mean())
 
 
-def test_of_real_runs_in_random_order_few_are_judged_wrongly_at_their_true_drop() -> None:
+def test_of_real_runs_in_random_order_few_are_judged_wrongly_at_their_true_drop():
     bank, trials, drop = reordered(1000)
     assert drop == pytest.approx(0.25, abs=0.01)
     rules = TrialRules(tiers=tiers(), margins=Margins(max_drop=drop, tolerate=drop))
@@ -308,7 +308,7 @@ def test_of_real_runs_in_random_order_few_are_judged_wrongly_at_their_true_drop(
 
 
 @pytest.mark.nightly
-def test_the_interval_covers_the_drop_of_real_runs_at_every_look() -> None:
+def test_the_interval_covers_the_drop_of_real_runs_at_every_look():
     bank, every, drop = reordered(100)
     missed = np.zeros(2)
     for gate in range(100):
@@ -332,7 +332,7 @@ def test_the_interval_covers_the_drop_of_real_runs_at_every_look() -> None:
     assert (missed <= 5 + 3 * 2.2).all(), missed
 
 
-def test_the_parts_of_a_gate_err_together_with_the_sum_at_most() -> None:
+def test_the_parts_of_a_gate_err_together_with_the_sum_at_most():
     def parts(**changed: float | bool | None) -> float:
         gate = {"bar": 0.05, "bar_critical": True, "baseline": 0.01, "critical": 4, "scenes": 16}
         return most_false_alarms(**{**gate, **changed})  # type: ignore[arg-type]
@@ -366,12 +366,12 @@ def test_the_parts_of_a_gate_err_together_with_the_sum_at_most() -> None:
         ),
     ],
 )
-def test_what_cannot_be_judged_is_refused_by_name(make, says: str) -> None:
+def test_what_cannot_be_judged_is_refused_by_name(make, says):
     with pytest.raises(ValueError, match=says):
         make()
 
 
-def test_a_ruling_counts_the_trials_of_both_its_parts() -> None:
+def test_a_ruling_counts_the_trials_of_both_its_parts():
     decision = TrialDecision(
         word="PASS", mean=37, followed=(40, 90), named=(), waits_for=(), ahead=()
     )
