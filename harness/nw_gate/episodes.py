@@ -312,8 +312,8 @@ def _evaluation(path: Path, records: Sequence[Mapping[str, Any]], wanted: Column
 
 def _score_column(path: Path, known: Sequence[str], wanted: Columns) -> str:
     if wanted.score is not None:
-        (found,) = _asked(path, "score", wanted.score, known) or ()
-        return found
+        _asked(path, "score", wanted.score, known)
+        return wanted.score
     lower = {name.lower(): name for name in reversed(known)}
     for name in SCORES:
         if name in lower:

@@ -26,12 +26,14 @@ from numpy.typing import NDArray
 
 from nw_base.errors import IncomparableError, UsageError
 from nw_base.plural import plural
-from nw_gate.episodes import Episode, Evaluation
+from nw_gate.episodes import Evaluation
 from nw_gate.stats.betting import evidence_above, lower_bound, upper_bound
 from nw_gate.stats.interval import Interval, check_confidence
 
 Values = NDArray[np.float64]
 GateWord = Literal["PASS", "REGRESSED", "INCONCLUSIVE"]
+Scored = tuple[str | None, float]
+"""An episode's start and score."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +165,7 @@ def judge(
     interval: Interval | None = None
     paired_by: Literal["start", "order"] | None = None
     means: dict[str, tuple[float, float | None, int, bool]] = {
-        task: (float(np.mean([e.score for e in group])), None, len(group), False)
+        task: (float(np.mean([score for _, score in group])), None, len(group), False)
         for task, group in ours.items()
     }
     if baseline is not None:
@@ -220,12 +222,12 @@ def judge(
     )
 
 
-def _by_task(evaluation: Evaluation) -> tuple[dict[str, list[Episode]], int]:
+def _by_task(evaluation: Evaluation) -> tuple[dict[str, list[Scored]], int]:
     """Return the episodes that have a score, by task, and how many have none."""
-    found: dict[str, list[Episode]] = defaultdict(list)
+    found: dict[str, list[Scored]] = defaultdict(list)
     for episode in evaluation.episodes:
         if episode.score is not None:
-            found[episode.task].append(episode)
+            found[episode.task].append((episode.start, episode.score))
     if not found:
         raise UsageError(f"{evaluation.name}: no episode has a score")
     return dict(found), sum(episode.score is None for episode in evaluation.episodes)
@@ -250,24 +252,22 @@ def _unlike(
 
 
 def _paired(
-    ours: Mapping[str, Sequence[Episode]], theirs: Mapping[str, Sequence[Episode]]
+    ours: Mapping[str, Sequence[Scored]], theirs: Mapping[str, Sequence[Scored]]
 ) -> tuple[dict[str, Values], Literal["start", "order"]]:
     """Return pairs of scores (P, 2) of each task, the candidate's first, and what pairs them."""
-    known = {
-        task: {episode.start: episode.score for episode in group} for task, group in theirs.items()
-    }
+    known = {task: dict(group) for task, group in theirs.items()}
     by_start = all(
-        episode.start is not None and episode.start in known[task]
+        start is not None and start in known[task]
         for task, group in ours.items()
-        for episode in group
+        for start, _ in group
     )
     pairs: dict[str, Values] = {}
     for task in sorted(ours):
         if by_start:
-            of_task = [(each.score, known[task][each.start]) for each in ours[task]]
+            of_task = [(score, known[task][start]) for start, score in ours[task]]
         else:
             both = zip(ours[task], theirs[task], strict=False)
-            of_task = [(one.score, other.score) for one, other in both]
+            of_task = [(one, other) for (_, one), (_, other) in both]
         pairs[task] = np.array(of_task, dtype=np.float64)
     return pairs, "start" if by_start else "order"
 
@@ -308,9 +308,9 @@ def _fallen(
             yield ("REGRESSED", f"{said}, and is critical") if is_critical else (None, said)
 
 
-def _by_bar(groups: Mapping[str, Sequence[Episode]], limits: Limits) -> tuple[GateWord, str]:
+def _by_bar(groups: Mapping[str, Sequence[Scored]], limits: Limits) -> tuple[GateWord, str]:
     assert limits.bar is not None, "whoever calls has one"
-    values = [np.array([each.score for each in group], dtype=float) for group in groups.values()]
+    values = [np.array([score for _, score in group]) for group in groups.values()]
     low, high = (bound(values, limits.confidence) for bound in (lower_bound, upper_bound))
     said = f"the mean is between {low:.3f} and {high:.3f}"
     if low >= limits.bar:

@@ -353,7 +353,8 @@ JUDGING = frozenset(
     | {f"nw_eval/{name}" for name in ("__init__", "__main__", "api", "cli", "pytest_plugin")}
     | {f"nw_eval/{name}" for name in ("reporting", "testing", "view", "viewing")}
     | {f"nw_gate/{name}" for name in ("__init__", "absolute", "baseline", "bisection", "cause")}
-    | {f"nw_gate/{name}" for name in ("ledger", "ledger_report", "results", "settings")}
+    | {f"nw_gate/{name}" for name in ("cli", "episodes", "judgement", "ledger", "ledger_report")}
+    | {f"nw_gate/{name}" for name in ("results", "settings")}
     | {f"nw_gate/{name}" for name in ("side_by_side", "stats", "sweep", "validity", "verdict")}
     | {"nw_policies/drafting", "nw_scenes/hub", "nw_sim/probe"}
 )
