@@ -1,6 +1,5 @@
 """A unit's length by tags, heights, positions and lengths, and what is said where they differ."""
 
-import sys
 from dataclasses import replace
 
 import cv2
@@ -9,13 +8,14 @@ import pytest
 from PIL import ExifTags, Image
 from rooms import capture, degrees_off, patch, room, scale_off, similarity, straight, walk
 from tags import picture, texture
+from twin_parts import grid
 
-from nw_base.errors import PrerequisiteError, UsageError
+from nw_base.errors import UsageError
 from nw_splat.camera import look_at
 from nw_twin.align.align import align
 from nw_twin.align.alignment import AlignOptions, KnownLength, words_of
 from nw_twin.align.positions import east_north_up, fit_positions, gps_positions
-from nw_twin.align.tags import find_tags, triangulate
+from nw_twin.align.tags import triangulate
 from nw_twin.lens import Lens
 
 SIZE = (480, 360)
@@ -97,16 +97,6 @@ def test_without_a_scale_the_cameras_are_as_high_as_people_carry_them_and_it_say
         assert scale_off(alignment, T) == pytest.approx(1.5 / 1.2 - 1.0, abs=0.02)
 
 
-def test_the_height_of_the_cameras_gives_the_scale_within_two_percent():
-    rng = np.random.default_rng(5)
-    T, poses = similarity(rng), walk(rng)
-    height = float(np.median(poses[:, 2, 3]))
-    alignment = align(
-        capture(room(rng), poses, T), None, options=AlignOptions(camera_height=height)
-    )
-    assert abs(scale_off(alignment, T)) < 0.002
-
-
 def picks(found, point, T, names, rng):
     """Return where some shots show a point, to a pixel or so, as a hand picks it."""
     pixels = {}
@@ -163,12 +153,6 @@ def test_picks_that_make_no_point_are_an_error(first, message):
         align(capture(room(rng), walk(rng)), None, options=AlignOptions(lengths=(length,)))
 
 
-FLOOR = (
-    np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]]),
-    np.array([[0, 1, 2], [0, 2, 3]]),
-)
-
-
 def test_two_pixels_of_one_photograph_as_it_was_taken_give_the_scale_on_the_mesh():
     rng = np.random.default_rng(16)
     T, poses = similarity(rng), around(rng)
@@ -181,7 +165,8 @@ def test_two_pixels_of_one_photograph_as_it_was_taken_give_the_scale_on_the_mesh
         local = c.T_camera_world[:3] @ T @ np.array([*point, 1.0])
         x, y = lens.camera().img_from_cam(local[None])[0] - 0.5
         ends.append(f"000.jpg:{x:.2f},{y:.2f}")
-    mesh = (FLOOR[0] @ T[:3, :3].T + T[:3, 3], FLOOR[1])
+    vertices, faces = grid((-9, -9, 0), (18, 0, 0), (0, 18, 0), (1, 1))
+    mesh = (vertices @ T[:3, :3].T + T[:3, 3], faces)
     length = KnownLength.of_words(*ends, float(np.hypot(0.4, 0.5)))
     alignment = align(found, None, mesh, AlignOptions(lengths=(length,)))
     assert abs(scale_off(alignment, T)) < 0.001  # Without the lens it would be 3 % off.
@@ -283,12 +268,6 @@ def test_a_photograph_without_a_height_is_none_among_others_that_have_one(tmp_pa
     places = gps_positions(files)
     assert len(places) == known
     assert max(abs(up) for *_, up in places.values()) < 1.1
-
-
-def test_a_missing_package_is_an_error_that_says_what_to_install(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "pupil_apriltags", None)
-    with pytest.raises(PrerequisiteError, match=r"pip install 'nw-eval\[twin\]'"):
-        find_tags(capture(np.zeros((1, 3)), []), tmp_path, "tag36h11", print)
 
 
 def test_cues_that_disagree_by_more_than_three_percent_are_named():
