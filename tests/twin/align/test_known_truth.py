@@ -13,7 +13,7 @@ HEIGHT = AlignOptions(camera_height=1.5)
 
 
 @pytest.mark.parametrize(
-    ("first", "count"), [(0, 40), pytest.param(1000, 600, marks=pytest.mark.nightly)]
+    ("first", "count"), [(0, 20), pytest.param(1000, 600, marks=pytest.mark.nightly)]
 )
 def test_nine_of_ten_stated_angles_hold_the_true_up(first, count, tmp_path):
     off, said = np.zeros((2, count))

@@ -59,7 +59,7 @@ def labelling(tmp_path):
     return opened(tmp_path)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(steps=st.lists(changes, max_size=6), last=changes)
 def test_undo_gives_back_the_state_before_and_redo_the_one_after(folder, steps, last):
     labelling = opened(folder)
@@ -79,7 +79,7 @@ def test_undo_gives_back_the_state_before_and_redo_the_one_after(folder, steps, 
     assert labelling.state == labelling.place.state
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(step=changes)
 def test_what_cannot_be_done_changes_nothing(folder, step):
     labelling = opened(folder)

@@ -9,7 +9,7 @@ from street import GROUND, PLAIN, RIM, SKY, seen, walker_seen, write_street
 from nw_twin.options import DepthOptions
 from nw_twin.reconstruct.depth import array_file, depth_maps, read_depth, write_map
 
-OPTIONS = DepthOptions(side=144)
+OPTIONS, QUICK = DepthOptions(side=144), DepthOptions(side=72, rounds=1)
 
 
 @pytest.fixture(scope="module")
@@ -19,6 +19,14 @@ def street(tmp_path_factory):
     capture = write_street(folder / "capture")
     maps = depth_maps(capture, folder / "capture", folder, OPTIONS, lambda _: None, threads=2)
     return folder, capture, maps
+
+
+@pytest.fixture(scope="module")
+def quick(street, tmp_path_factory):
+    """The maps of half as large pictures, in one round."""
+    folder, capture, _ = street
+    out = tmp_path_factory.mktemp("quick")
+    return depth_maps(capture, folder / "capture", out, QUICK, lambda _: None)
 
 
 def known(street, what):
@@ -88,10 +96,8 @@ def digest(maps):
     return sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
 
 
-def test_a_run_that_was_cut_short_goes_on_to_the_same_maps(street, tmp_path):
-    folder, capture, _ = street
-    options, said = DepthOptions(side=72, rounds=1), []
-    maps = depth_maps(capture, folder / "capture", tmp_path / "whole", options, lambda _: None)
+def test_a_run_that_was_cut_short_goes_on_to_the_same_maps(street, quick, tmp_path):
+    (folder, capture, _), said = street, []
 
     def cut(line):
         said.append(line)
@@ -99,13 +105,13 @@ def test_a_run_that_was_cut_short_goes_on_to_the_same_maps(street, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        depth_maps(capture, folder / "capture", tmp_path / "cut", options, cut, threads=1)
+        depth_maps(capture, folder / "capture", tmp_path / "cut", QUICK, cut, threads=1)
     assert said[4] == "depth of 4.jpg is matched: 5 of 5"
     assert said[6] == "depth of 1.jpg is compared with its neighbours: 2 of 5"
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "cut").rglob("*.npz")}
     assert 7 <= len(before) < 10  # No more was begun.
-    again = depth_maps(capture, folder / "capture", tmp_path / "cut", options, lambda _: None)
-    assert digest(again) == digest(maps)
+    again = depth_maps(capture, folder / "capture", tmp_path / "cut", QUICK, lambda _: None)
+    assert digest(again) == digest(quick)
     assert {path: path.stat().st_mtime_ns for path in before} == before
 
 
@@ -122,11 +128,9 @@ def test_a_damaged_file_is_computed_again_and_no_other(street):
     assert changed == [broken]
 
 
-def test_a_map_is_kept_at_the_size_of_its_picture(street, tmp_path):
-    folder, capture, _ = street
-    (found, *_) = depth_maps(
-        capture, folder / "capture", tmp_path, DepthOptions(side=72, rounds=1), lambda _: None
-    )
+def test_a_map_is_kept_at_the_size_of_its_picture(street, quick, tmp_path):
+    _, capture, _ = street
+    found = quick[0]
     assert found.depth.shape == (56, 72)
     write_map(capture, found, tmp_path)
     depth, confidence = read_depth(tmp_path / "depth", found.view.name)
