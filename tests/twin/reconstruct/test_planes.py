@@ -7,7 +7,6 @@ import pytest
 from twin_parts import grid, joined
 
 from nw_splat.camera import Camera, look_at
-from nw_twin.options import DepthOptions
 from nw_twin.reconstruct import planes as supposing
 from nw_twin.reconstruct.depth import DepthMap
 from nw_twin.reconstruct.planar import labelled, planar_maps
@@ -73,7 +72,7 @@ def walk():
 
 def whole(walk, planes):
     maps, near, truth = walk
-    found = planar_maps(maps, near, planes, DepthOptions(), lambda _: None, threads=1)
+    found = planar_maps(maps, near, planes, lambda _: None, threads=1)
     known = np.concatenate([each.depth.ravel() > 0 for each in found])
     depth = np.concatenate([each.depth.ravel() for each in found])
     right = np.abs(depth / np.concatenate([each.ravel() for each in truth]) - 1.0) < 0.02
@@ -97,14 +96,14 @@ def test_a_plane_that_is_not_there_is_shown_by_nobody(walk):
 
 def test_nothing_is_invented_without_planes(walk):
     maps, near, _ = walk
-    found = planar_maps(maps, near, [], DepthOptions(), lambda _: None)
+    found = planar_maps(maps, near, [], lambda _: None)
     assert all((a.depth == b.depth).all() for a, b in zip(maps, found, strict=True))
 
 
 def test_any_number_of_threads_gives_the_same_bits(walk):
     maps, near, _ = walk
-    one = planar_maps(maps, near, PLANES, DepthOptions(), lambda _: None, threads=1)
-    two = planar_maps(maps, near, PLANES, DepthOptions(), lambda _: None, threads=2)
+    one = planar_maps(maps, near, PLANES, lambda _: None, threads=1)
+    two = planar_maps(maps, near, PLANES, lambda _: None, threads=2)
     for a, b in zip(one, two, strict=True):
         assert a.depth.tobytes() == b.depth.tobytes()
         assert a.confidence.tobytes() == b.confidence.tobytes()
