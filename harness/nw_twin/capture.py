@@ -102,11 +102,7 @@ class Capture:
     up: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check that all of it fits together.
-
-        Raises:
-            SceneError: naming what does not.
-        """
+        """Check that all of it fits together; SceneError says what cannot be."""
         n = len(self.points)
         shapes = (self.points.shape, self.colours.shape, self.errors.shape)
         if shapes != ((n, 3), (n, 3), (n,)) or not (np.abs(self.points) <= MOST_DISTANT).all():

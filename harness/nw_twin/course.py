@@ -307,13 +307,11 @@ def _bends(profile: GroundProfile, first: float, last: float) -> list[float]:
 
 
 def _from_start(profile: GroundProfile, along: float) -> float:
-    """Return how far a point along the way is from its start, seen from above, metres."""
     there = np.array(_point(profile, along)) - np.array(_point(profile, 0.0))
     return float(np.hypot(there[0], there[1]))
 
 
 def _point(profile: GroundProfile, along: float) -> Vector:
-    """Return the ground at a point along the way, to a millimetre."""
     place = min(len(profile.along) - 1, max(0, round(along / STEP)))
     x, y = profile.xy[place].tolist()
     return round(x, 3), round(y, 3), round(float(profile.height[place]), 3)
@@ -506,7 +504,6 @@ def _slopes(stretches: Sequence[Stretch]) -> list[CourseFeature]:
 
 
 def _boards(profile: GroundProfile) -> list[CourseFeature]:
-    """Return what leans to a side."""
     leans = np.where(np.abs(profile.lean) >= _LEAN, np.sign(profile.lean), 0.0)
     breaks = np.flatnonzero(np.diff(leans, prepend=0.0, append=0.0)).tolist()
     found: list[CourseFeature] = []

@@ -278,7 +278,6 @@ def _lean(heights: Values) -> Values:
 
 
 def _settled(values: Values) -> Values:
-    """Return the running median."""
     half = _MEDIAN // 2
     padded = np.pad(values, half, mode="edge")
     return np.median(np.lib.stride_tricks.sliding_window_view(padded, _MEDIAN), axis=1)
@@ -389,7 +388,6 @@ def _end(away: Values) -> int:
 
 
 def _evenly(points: Values) -> Values:
-    """Return points `STEP` apart along a polyline."""
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     stations = np.arange(0.0, along[-1] + 1e-9, STEP)
@@ -507,6 +505,5 @@ def _stretch(kind: Literal["level", "slope", "edge"], first: int, last: int, z: 
 
 
 def _runs(signs: Values) -> list[tuple[int, int]]:
-    """Return first and last places of each run of equal signs that are not 0."""
     breaks = np.flatnonzero(np.diff(signs, prepend=0.0, append=0.0))
     return [(a, b - 1) for a, b in pairwise(breaks.tolist()) if signs[a] != 0]

@@ -26,7 +26,7 @@ from nw_eval.suite.load import robot_from, write_ready_suite
 from nw_scenes.capture_file import write_captures
 from nw_scenes.folder import SCENE_FILE, load_folder
 from nw_scenes.limits import check_similarity, checked_name
-from nw_scenes.mesh import FACE_KINDS, FaceKind, TriangleMesh
+from nw_scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_scenes.rays import RayScene
 from nw_scenes.saving import (
     COLLISION,
@@ -49,20 +49,19 @@ def moved_points(T: Values, points: NDArray[np.floating]) -> Values:
 
 
 def moved_mesh(
-    T: Values, vertices: NDArray[np.floating], faces: NDArray[np.integer], kind: FaceKind = "ground"
+    T: Values, vertices: NDArray[np.floating], faces: NDArray[np.integer]
 ) -> TriangleMesh:
-    """Return a mesh in metres, all its faces of one kind.
+    """Return a mesh in metres, all its faces ground.
 
     Args:
         T: (4, 4) from capture to metres.
         vertices: (V, 3) in the capture's frame.
         faces: (F, 3), counter-clockwise from outside, as they stay.
-        kind: of the faces.
     """
     return TriangleMesh(
         vertices=moved_points(T, vertices),
         faces=np.ascontiguousarray(faces, dtype=np.int32),
-        kinds=np.full(len(faces), FACE_KINDS.index(kind), dtype=np.uint8),
+        kinds=np.full(len(faces), FACE_KINDS.index("ground"), dtype=np.uint8),
     )
 
 
@@ -147,7 +146,6 @@ def write_place(
     T_world_capture: NDArray[np.float64],
     course: Route,
     capture: Capture | None = None,
-    title: str = "",
     robot: str = "go1",
     to_scale: bool = True,
 ) -> None:
@@ -162,7 +160,6 @@ def write_place(
         T_world_capture: (4, 4) similarity to metres, z up.
         course: course, task and start.
         capture: whose cameras say from where the scene was photographed; None if unknown.
-        title: one line for people.
         robot: of the suite.
         to_scale: whether T_world_capture leads to metres; else the scene says that it does not.
 
@@ -183,8 +180,6 @@ def write_place(
         "trail": [rounded(point) for point in course.trail],
         "spawn": {"position": rounded(course.spawn), "yaw": round(float(course.yaw), 4)},
     }
-    if title:
-        text["title"] = title
     if splat is not None:
         with atomic_path(out / SPLAT) as temporary:
             shutil.copyfile(splat, temporary)

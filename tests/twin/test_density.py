@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from splat_rooms import cloud
 
 from nw_splat.camera import Camera
@@ -38,13 +39,9 @@ def _row(n, *, log_scale=SMALL, opacity=0.5):
 
 def _pull(centres, visible=None):
     n = len(centres)
-    zeros = {name: np.zeros(shape, dtype=np.float32) for name, shape in _shapes(n).items()}
+    zeros = {name: np.zeros_like(getattr(_row(n), name)) for name in ARRAYS}
     visible = np.ones(n, dtype=bool) if visible is None else np.asarray(visible)
     return Gradients(**zeros, centres=np.asarray(centres, dtype=np.float32), visible=visible)
-
-
-def _shapes(n):
-    return {name: getattr(_row(n), name).shape for name in ARRAYS}
 
 
 def _density(n, *, most=1000, **settings):
@@ -85,14 +82,7 @@ def test_parts_of_a_split_are_drawn_from_what_was_split():
     one = replace(_row(1), log_scales=axes[None], quats=rng.normal(size=(1, 4)))
     many = one.take(np.zeros(40_000, dtype=np.int64))
     offsets = (split(many, 1.6, _generator()).means - one.means).astype(np.float64)
-    w, x, y, z = (one.quats[0] / np.linalg.norm(one.quats[0])).astype(np.float64)
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    turn = Rotation.from_quat(one.quats[0], scalar_first=True).as_matrix()
     wanted = turn @ np.diag(np.exp(2 * axes)) @ turn.T
     found = offsets.T @ offsets / len(offsets)
     assert np.abs(found - wanted).max() < 0.02 * wanted.max()
@@ -260,14 +250,7 @@ def test_turned_gaussians_are_shaken_along_their_own_axes():
     noise = np.random.default_rng(1).standard_normal((5, 3), dtype=np.float32)
     perturb(g.means, g.log_scales, g.quats, logits, noise, 1.0)
     for i in range(5):
-        w, x, y, z = g.quats[i] / np.linalg.norm(g.quats[i])
-        turn = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
+        turn = Rotation.from_quat(g.quats[i], scalar_first=True).as_matrix()
         curve = 1 / (1 + math.exp(100 * (1 / (1 + math.exp(10)) - 0.005)))
         moved = curve * turn @ np.diag(np.exp(2 * g.log_scales[i])) @ turn.T @ noise[i]
         assert g.means[i] - before[i] == pytest.approx(moved, rel=1e-3, abs=1e-6)

@@ -25,22 +25,24 @@ def _camera(width=97, height=61, *, scale=1.0):
 
 def _upstream(images, seed=0):
     rng = np.random.default_rng(seed)
-    return Images(
-        rgb=rng.normal(size=images.rgb.shape).astype(np.float32),
-        alpha=rng.normal(size=images.alpha.shape).astype(np.float32),
-        inverse_depth=rng.normal(size=images.alpha.shape).astype(np.float32),
-    )
+    names = ("rgb", "alpha", "inverse_depth")
+    drawn = {name: rng.normal(size=getattr(images, name).shape) for name in names}
+    return Images(**{name: array.astype(np.float32) for name, array in drawn.items()})
 
 
-def _reference_gradients(gaussians, camera, upstream, **options):
-    p = reference.parameters(gaussians)
-    pictures = reference.render(p, camera, tile=64, **options)
+def _compared(gaussians, camera, **options):
+    """Return pictures and gradients of a rasteriser, and those of torch in double precision."""
+    rasteriser = Rasteriser(**options)
+    images = rasteriser.render(gaussians, camera)
+    upstream = _upstream(images)
+    p, ray = reference.parameters(gaussians), options.pop("projection", "ray") == "ray"
+    pictures = reference.render(p, camera, tile=64, ray=ray, **options)
     total = sum(
         (torch.tensor(g, dtype=torch.float64) * picture).sum()
         for g, picture in zip(upstream.arrays(), pictures, strict=True)
     )
     total.backward()
-    return [picture.detach().numpy() for picture in pictures], p
+    return images, rasteriser.backward(upstream), [one.detach().numpy() for one in pictures], p
 
 
 def _relative(value, truth):
@@ -58,17 +60,12 @@ def _relative(value, truth):
     ],
 )
 def test_gradients_are_those_of_torch_in_double_precision(projection, degree, antialiased, scale):
-    gaussians = cloud(400, degree=degree)
-    camera = _camera(scale=scale)
-    rasteriser = Rasteriser(
-        antialiased=antialiased, projection=projection, background=(0.3, 0.9, 0.1)
-    )
-    images = rasteriser.render(gaussians, camera)
-    upstream = _upstream(images)
-    gradients = rasteriser.backward(upstream)
-    options = {"antialiased": antialiased, "background": (0.3, 0.9, 0.1)}
-    pictures, p = _reference_gradients(
-        gaussians, camera, upstream, ray=projection == "ray", **options
+    images, gradients, pictures, p = _compared(
+        cloud(400, degree=degree),
+        _camera(scale=scale),
+        antialiased=antialiased,
+        projection=projection,
+        background=(0.3, 0.9, 0.1),
     )
     for mine, truth in zip(images.arrays(), pictures, strict=True):
         assert np.abs(mine - truth).max() < 1e-4
@@ -80,13 +77,9 @@ def test_gradients_are_those_of_torch_in_double_precision(projection, degree, an
 
 @pytest.mark.parametrize("projection", ["ewa", pytest.param("ray", marks=pytest.mark.nightly)])
 def test_gradients_hold_for_opaque_walls_and_splats_as_wide_as_the_image(projection):
-    gaussians = room(3000, degree=1)
-    camera = eye_camera(2, 112, 63)
-    rasteriser = Rasteriser(projection=projection)
-    images = rasteriser.render(gaussians, camera)
-    upstream = _upstream(images)
-    gradients = rasteriser.backward(upstream)
-    _, p = _reference_gradients(gaussians, camera, upstream, ray=projection == "ray")
+    images, gradients, _, p = _compared(
+        room(1500, degree=1), eye_camera(2, 64, 36), projection=projection
+    )
     assert (images.alpha > 0.999).any()  # Pixels that finish early are among them.
     for name in reference.NAMES:
         assert _relative(getattr(gradients, name), p[name].grad.numpy()) < 1e-4, name
@@ -100,11 +93,7 @@ def test_gradients_along_the_ray_hold_before_a_low_wide_camera():
         width=96, height=54, fx=focal, fy=focal, cx=48.0, cy=27.0,
         T_world_camera=look_at((0.0, 0.0, 0.25), (1.0, 0.2, 0.0)),
     )  # fmt: skip
-    rasteriser = Rasteriser()
-    images = rasteriser.render(ground, camera)
-    upstream = _upstream(images)
-    gradients = rasteriser.backward(upstream)
-    pictures, p = _reference_gradients(ground, camera, upstream, ray=True)
+    images, gradients, pictures, p = _compared(ground, camera)
     assert np.abs(images.rgb - pictures[0]).max() < 4.5e-3  # A splat more or less at 1/255.
     for name in reference.NAMES:
         assert _relative(getattr(gradients, name), p[name].grad.numpy()) < 1e-3, name
@@ -195,13 +184,8 @@ def test_no_bit_depends_on_the_number_of_threads():
 
 @pytest.mark.parametrize(("width", "height"), [(81, 5), (160, 1), (3, 7)])
 def test_windows_of_one_column_and_images_of_one_row_have_their_gradients(width, height):
-    gaussians = cloud(150, degree=0)
     camera = replace(_camera(), width=width, height=height, cx=width / 2, cy=height / 2)
-    rasteriser = Rasteriser()
-    images = rasteriser.render(gaussians, camera)
-    upstream = _upstream(images)
-    gradients = rasteriser.backward(upstream)
-    pictures, p = _reference_gradients(gaussians, camera, upstream, ray=True)
+    images, gradients, pictures, p = _compared(cloud(150, degree=0), camera)
     for mine, truth in zip(images.arrays(), pictures, strict=True):
         assert np.abs(mine - truth).max() < 1e-4
     assert _relative(gradients.means, p["means"].grad.numpy()) < 1e-4

@@ -151,7 +151,7 @@ def check_points(
 
 def _tags(paths: Mapping[str, Path], options: AlignOptions) -> tuple[int, dict[int, int]]:
     try:
-        detect = detector("tag36h11")
+        detect = detector()
     except PrerequisiteError:
         if options.tag_edge is not None:
             raise

@@ -33,7 +33,7 @@ from nw_twin.align.alignment import (
 )
 from nw_twin.align.gravity import Mesh, find_gravity
 from nw_twin.align.positions import PositionFit, fit_positions
-from nw_twin.align.tags import PlacedTag, find_tags, place_tags, triangulate
+from nw_twin.align.tags import FAMILY, PlacedTag, find_tags, place_tags, triangulate
 from nw_twin.align.up import KnownUp
 from nw_twin.capture import Capture, PlacedShot
 from nw_twin.place import moved_mesh
@@ -93,7 +93,6 @@ def find_scale(
     folder: Path | None,
     options: AlignOptions,
     *,
-    up: Values,
     heights: Values,
     lower: float,
     has_floor: bool,
@@ -109,7 +108,6 @@ def find_scale(
         capture: with its pictures in `folder`.
         folder: of the capture; None = its pictures are not looked at.
         options: what somebody knows.
-        up: (3,) unit vector in the capture's frame.
         heights: (V,) of the cameras above the floor, in the capture's unit.
         lower: share of their height by which the lowest points lie below the floor.
         has_floor: whether a plane was found for a floor.
@@ -125,7 +123,7 @@ def find_scale(
     warnings: list[str] = []
     answers = [
         *_by_tags(capture, folder, options, warnings, say),
-        *_by_lengths(capture, options, up, surface, warnings),
+        *_by_lengths(capture, options, surface, warnings),
         *_by_camera_height(options, heights if has_floor else None, lower, warnings),
         *_by_poses(options, positions, warnings),
     ]
@@ -189,28 +187,23 @@ def _by_tags(
     warnings: list[str],
     say: Callable[[str], None],
 ) -> list[_ScaleBy]:
-    if folder is None or (options.tag_edge is None and not options.tag_edges):
+    if folder is None or options.tag_edge is None:
         return []
-    found = find_tags(capture, folder, options.tag_family, say)
-    edges = {
-        number: edge
-        for number in found
-        if (edge := options.tag_edges.get(number, options.tag_edge)) is not None
-    }
-    tags = place_tags(capture, {number: found[number] for number in edges})
-    lost = sorted(edges.keys() - {tag.number for tag in tags})
+    found = find_tags(capture, folder, say)
+    tags = place_tags(capture, found)
+    lost = sorted(found.keys() - {tag.number for tag in tags})
     if lost:
         warnings.append(f"no two shots agree on where these tags are: {_listed(lost)}")
     if not tags:
         if not lost:
-            warnings.append(f"no {options.tag_family} tag of known edge is in any picture")
+            warnings.append(f"no {FAMILY} tag of known edge is in any picture")
         return []
-    return [_tag_answer(tags, edges, warnings)]
+    return [_tag_answer(tags, options.tag_edge, warnings)]
 
 
-def _tag_answer(tags: list[PlacedTag], edges: dict[int, float], warnings: list[str]) -> _ScaleBy:
+def _tag_answer(tags: list[PlacedTag], edge: float, warnings: list[str]) -> _ScaleBy:
     """Return the mean of the tags' scales, each as often as shots agree on it."""
-    logs = np.array([math.log(edges[tag.number] / tag.edge) for tag in tags])
+    logs = np.array([math.log(edge / tag.edge) for tag in tags])
     shots = np.array([tag.shots for tag in tags])
     middle = float((shots * logs).sum() / shots.sum())
     spread = float(np.abs(np.expm1(logs - middle)).max())
@@ -218,7 +211,7 @@ def _tag_answer(tags: list[PlacedTag], edges: dict[int, float], warnings: list[s
         worst = tags[int(np.argmax(np.abs(logs - middle)))].number
         warnings.append(
             f"the tags disagree by {spread:.1%} about the scale, tag {worst} most: is its edge "
-            f"{edges[worst]:g} m?"
+            f"{edge:g} m?"
         )
     pixels = max(tag.pixels for tag in tags)
     agree = f", which agree to {spread:.1%}" if len(tags) > 1 else ""
@@ -260,18 +253,14 @@ def _by_camera_height(
 def _by_lengths(
     capture: Capture,
     options: AlignOptions,
-    up: Values,
     surface: RayScene | None,
     warnings: list[str],
 ) -> list[_ScaleBy]:
     answers: list[_ScaleBy] = []
     for length in options.lengths:
-        units = units_of(length, capture, up, surface)
+        units = units_of(length, capture, surface)
         ends = f"{words_of(length.first)} and {words_of(length.second)}"
-        reason, off = (
-            f"{length.metres:g} m between {ends}",
-            _by_a_pixel(length, capture, up, surface),
-        )
+        reason, off = f"{length.metres:g} m between {ends}", _by_a_pixel(length, capture, surface)
         if off is not None:
             reason += f"; known to {off / units:.1%} where each pixel is off by one"
             if off > _ROUGH * units:
@@ -279,18 +268,15 @@ def _by_lengths(
                     f"the length between {ends} is known to {off / units:.0%} only: pick points "
                     "nearer to the camera and farther apart, in photographs taken well apart"
                 )
-        name = "height" if length.vertical else "length"
         sigma = math.hypot(_LENGTH, 0.0 if off is None else off / units)
         scale = length.metres / units
-        answers.append(_ScaleBy(name=name, scale=scale, sigma=sigma, reason=reason))
+        answers.append(_ScaleBy(name="length", scale=scale, sigma=sigma, reason=reason))
     return answers
 
 
-def _by_a_pixel(
-    length: KnownLength, capture: Capture, up: Values, surface: RayScene | None
-) -> float | None:
+def _by_a_pixel(length: KnownLength, capture: Capture, surface: RayScene | None) -> float | None:
     """Return by how much a length is off where each picked pixel is off by one; None without."""
-    units = units_of(length, capture, up, surface)
+    units = units_of(length, capture, surface)
     squares: list[float] = []
     for which in ("first", "second"):
         end = getattr(length, which)
@@ -300,7 +286,7 @@ def _by_a_pixel(
             for moved in ((x - 1.0, y), (x, y - 1.0)):
                 try:
                     other = replace(length, **{which: {**end, name: moved}})
-                    squares.append((units_of(other, capture, up, surface) - units) ** 2)
+                    squares.append((units_of(other, capture, surface) - units) ** 2)
                 except UsageError:  # Off the picture, or into a hole.
                     continue
     return math.sqrt(sum(squares))
@@ -346,10 +332,10 @@ def _nothing(capture: Capture, folder: Path | None, options: AlignOptions) -> st
         "nothing gives a scale: the scene is in a unit of its own, in which the cameras are "
         f"{CARRIED:g} above the floor"
     )
-    if folder is None or options.tag_edge is not None or options.tag_edges:
+    if folder is None or options.tag_edge is not None:
         return text
     try:
-        found = find_tags(capture, folder, options.tag_family, lambda _: None)
+        found = find_tags(capture, folder, lambda _: None)
     except PrerequisiteError:
         return text
     seen = [number for number, where in found.items() if len(where) > 1]
@@ -360,15 +346,12 @@ def _listed(numbers: list[int]) -> str:
     return ", ".join(map(str, numbers))
 
 
-def units_of(
-    length: KnownLength, capture: Capture, up: Values, surface: RayScene | None = None
-) -> float:
+def units_of(length: KnownLength, capture: Capture, surface: RayScene | None = None) -> float:
     """Return how many of the capture's units a known length has.
 
     Args:
         length: with its two points.
         capture: in whose frame, or in whose shots, they are.
-        up: (3,) unit vector, for heights.
         surface: mesh on which points lie that were picked in one shot; None without.
 
     Raises:
@@ -376,12 +359,11 @@ def units_of(
             point, or the points coincide.
     """
     first, second = (_point(end, capture, surface) for end in (length.first, length.second))
-    way = second - first
-    units = abs(float(way @ up)) if length.vertical else float(np.linalg.norm(way))
+    units = float(np.linalg.norm(second - first))
     if units < 1e-9 * max(1.0, float(np.abs(capture.points).max(initial=0.0))):
         raise UsageError(
             f"the two points of a length of {length.metres:g} m coincide",
-            fix="pick two points apart" + (" in height" if length.vertical else ""),
+            fix="pick two points apart",
         )
     return units
 
@@ -490,7 +472,6 @@ def align(
         capture,
         capture_folder,
         options,
-        up=gravity.up,
         heights=gravity.heights,
         lower=gravity.lower,
         has_floor=gravity.has_floor,

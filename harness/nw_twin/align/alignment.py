@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,6 @@ from nw_scenes.scene import Vector
 
 Pixel = tuple[float, float]
 """x and y in pixels; the centre of the first one is at (0.5, 0.5)."""
-
-TagFamily = Literal["tag36h11", "tag25h9", "tag16h5", "aruco_4x4_50", "aruco_5x5_100"]
-"""Printed marks that are found in pictures: AprilTags, or ArUco markers."""
 
 MOST_DEGREES = 2.0
 """A cue for gravity that is further off, and by more than twice what it is unsure, is warned of."""
@@ -52,20 +49,14 @@ class KnownLength:
             more where the rays meet. Pixels are of the photograph as it was taken, or of the
             capture's picture where the capture does not know the lens.
         metres: between them.
-        vertical: whether `metres` is a height, so that only the way up between them counts.
     """
 
     first: Vector | Mapping[str, Pixel]
     second: Vector | Mapping[str, Pixel]
     metres: float
-    vertical: bool = False
 
     def __post_init__(self) -> None:
-        """Check the length.
-
-        Raises:
-            UsageError: it is no positive number, or one photograph has both points at one pixel.
-        """
+        """Check the length; UsageError says what cannot be."""
         _positive("a known length", self.metres)
         first, second = self.first, self.second
         if not (isinstance(first, Mapping) and isinstance(second, Mapping)):
@@ -138,9 +129,8 @@ class AlignOptions:
     """Facts that no photograph tells; a tag of known edge is enough.
 
     Attributes:
-        tag_edge: outer edge of the black border of every tag, metres; None where there are none.
-        tag_edges: edges of single tags that differ, metres, by the number of the tag.
-        tag_family: which tags there are.
+        tag_edge: outer edge of the black border of every AprilTag (36h11), metres; None where there
+            are none.
         camera_height: median height of the cameras above the floor, metres.
         lengths: measured by somebody.
         metric: whether the poses come in metres already, as those of ARKit and Polycam.
@@ -153,8 +143,6 @@ class AlignOptions:
     """
 
     tag_edge: float | None = None
-    tag_edges: Mapping[int, float] = field(default_factory=dict[int, float])
-    tag_family: TagFamily = "tag36h11"
     camera_height: float | None = None
     lengths: tuple[KnownLength, ...] = ()
     metric: bool = False
@@ -165,26 +153,16 @@ class AlignOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Check the lengths.
-
-        Raises:
-            UsageError: naming the one that is no positive number, or lengths that no place has.
-        """
+        """Check the lengths; UsageError says what cannot be."""
         if self.tag_edge is not None:
             _positive("tag_edge", self.tag_edge)
-        for number, edge in self.tag_edges.items():
-            _positive(f"the edge of tag {number}", edge)
         if self.camera_height is not None:
             _positive("camera_height", self.camera_height)
         _check_ways(self.lengths)
 
 
 def _check_ways(lengths: Sequence[KnownLength]) -> None:
-    """Check that no length is longer than a way between its points over others.
-
-    Raises:
-        UsageError: one is, by more than `MOST_DIFFERENCE`.
-    """
+    """Refuse a length longer by `MOST_DIFFERENCE` than a way between its points over others."""
     numbers: dict[str, int] = {}
     ends = [
         tuple(numbers.setdefault(words_of(end), len(numbers)) for end in (one.first, one.second))
@@ -192,8 +170,7 @@ def _check_ways(lengths: Sequence[KnownLength]) -> None:
     ]
     ways = np.full((len(numbers), len(numbers)), np.inf)
     for one, (a, b) in zip(lengths, ends, strict=True):
-        if not one.vertical:
-            ways[a, b] = ways[b, a] = min(ways[a, b], one.metres)
+        ways[a, b] = ways[b, a] = min(ways[a, b], one.metres)
     for middle in range(len(numbers)):  # Floyd and Warshall.
         ways = np.minimum(ways, ways[:, middle, None] + ways[middle])
     for one, (a, b) in zip(lengths, ends, strict=True):

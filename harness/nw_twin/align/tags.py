@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from nw_base.errors import PrerequisiteError
 from nw_base.plural import plural
 from nw_splat.camera import Camera
-from nw_twin.align.alignment import TagFamily
 from nw_twin.capture import Capture, read_picture
 
 _PAIRS = 150
@@ -102,7 +101,6 @@ def _rays(T: Values, lens: Values, pixels: Values) -> Values:
 
 
 def _pairs(rays: Values) -> list[tuple[int, int]]:
-    """Return pairs of shots whose rays are not parallel, all or every so many of them."""
     first, second = np.triu_indices(len(rays), 1)
     cosine = (rays[first, 0] * rays[second, 0]).sum(axis=1)
     apart = np.flatnonzero(np.abs(cosine) < math.cos(_LEAST_ANGLE))
@@ -157,7 +155,8 @@ def _refined(T: Values, lens: Values, pixels: Values, points: Values) -> Values:
 Values = NDArray[np.float64]
 Detect = Callable[[NDArray[np.uint8]], list[tuple[int, Values]]]
 
-_ARUCO = {"aruco_4x4_50": "DICT_4X4_50", "aruco_5x5_100": "DICT_5X5_100"}
+FAMILY = "tag36h11"
+"""Of the AprilTags that are found."""
 _LEAST_SIDE = 8  # pixels of a picture: a tag has more squares
 _SURE = 25.0
 """Least margin of a tag's black over its white, of 255."""
@@ -185,7 +184,7 @@ class PlacedTag:
 
 
 def find_tags(
-    capture: Capture, folder: Path, family: TagFamily, say: Callable[[str], None]
+    capture: Capture, folder: Path, say: Callable[[str], None]
 ) -> dict[int, list[tuple[int, Values]]]:
     """Return for each tag the shots that show it and its corners there, (4, 2) pixels.
 
@@ -195,7 +194,7 @@ def find_tags(
         PrerequisiteError: what finds tags is not installed.
         SceneError: a picture cannot be read.
     """
-    detect = detector(family)
+    detect = detector()
     found: dict[int, list[tuple[int, Values]]] = {}
     for place, shot in enumerate(capture.shots):
         red, green, blue = np.moveaxis(read_picture(shot, folder).astype(np.float32), 2, 0)
@@ -210,20 +209,17 @@ def find_tags(
     return dict(sorted(found.items()))
 
 
-def place_tags(
-    capture: Capture, found: dict[int, list[tuple[int, Values]]], *, tolerance: float = 2.0
-) -> list[PlacedTag]:
+def place_tags(capture: Capture, found: dict[int, list[tuple[int, Values]]]) -> list[PlacedTag]:
     """Return the tags that two shots or more agree on, and that came out square.
 
     Args:
         capture: whose shots they are.
         found: what `find_tags` found.
-        tolerance: how far off a shot may be at any corner, pixels.
     """
     placed: list[PlacedTag] = []
     for number, seen in found.items():
         cameras = [capture.shots[place].camera for place, _ in seen]
-        answer = triangulate(cameras, np.array([c for _, c in seen]), tolerance=tolerance)
+        answer = triangulate(cameras, np.array([c for _, c in seen]))
         if answer is None:
             continue
         corners = answer.points
@@ -242,16 +238,12 @@ def place_tags(
     return placed
 
 
-def detector(family: TagFamily) -> Detect:
+def detector() -> Detect:
     """Return what finds tags in a grey picture (H, W) uint8: numbers and corners (4, 2), pixels.
 
     Raises:
         PrerequisiteError: what finds tags is not installed.
     """
-    return _aruco(_ARUCO[family]) if family in _ARUCO else _apriltag(family)
-
-
-def _apriltag(family: str) -> Detect:
     try:
         from pupil_apriltags import Detector
     except ImportError:
@@ -266,7 +258,7 @@ def _apriltag(family: str) -> Detect:
         def __del__(self) -> None:
             pass
 
-    detector: Any = LastingDetector(families=family, nthreads=1, quad_decimate=1.0, refine_edges=1)
+    detector: Any = LastingDetector(families=FAMILY, nthreads=1, quad_decimate=1.0, refine_edges=1)
 
     def detect(grey: NDArray[np.uint8]) -> list[tuple[int, Values]]:
         if min(grey.shape) < _LEAST_SIDE:
@@ -275,32 +267,6 @@ def _apriltag(family: str) -> Detect:
             (int(tag.tag_id), np.asarray(tag.corners, dtype=np.float64))
             for tag in detector.detect(grey)
             if tag.hamming <= 1 and tag.decision_margin >= _SURE
-        ]
-
-    return detect
-
-
-def _aruco(name: str) -> Detect:
-    try:
-        import cv2
-    except ImportError:
-        raise PrerequisiteError(
-            "finding markers needs OpenCV, which is not installed",
-            fix="pip install 'nw-eval[twin]'",
-        ) from None
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-    detector: Any = cv2.aruco.ArucoDetector(dictionary, parameters)
-
-    def detect(grey: NDArray[np.uint8]) -> list[tuple[int, Values]]:
-        corners, numbers, _ = detector.detectMarkers(grey)
-        if numbers is None:
-            return []
-        # OpenCV has the centre of the first pixel at (0, 0).
-        return [
-            (int(number), np.asarray(four, dtype=np.float64).reshape(4, 2) + 0.5)
-            for number, four in zip(np.ravel(numbers), corners, strict=True)
         ]
 
     return detect

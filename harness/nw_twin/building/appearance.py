@@ -101,11 +101,7 @@ class AppearanceOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            UsageError: naming the option, its value and what it must be.
-        """
+        """Check the numbers; UsageError says what cannot be."""
         least = {"iterations": 1, "longest": 32, "most": 100, "begin": 100, "seed": 0}
         for name, low in least.items():
             if getattr(self, name) < low:

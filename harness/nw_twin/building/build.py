@@ -107,11 +107,7 @@ class BuildSettings:
     threads: int = 2
 
     def __post_init__(self) -> None:
-        """Check the name.
-
-        Raises:
-            SceneError: no scene is called so.
-        """
+        """Check the name; SceneError says what cannot be."""
         if self.name is not None:
             check_scene_name(self.name)
 
@@ -403,7 +399,6 @@ class Build:
         self._say(f"check: each 0.1 m of the course is in {self.folder.trail}")
 
     def _no_route(self, error: SceneError) -> Route:
-        """Return a step ahead, and say why."""
         self._say(f"place: no course: {error}")
         self._say(
             "place: its course is one waypoint a metre from the start, for you to replace: "
@@ -494,8 +489,7 @@ def say_ahead(
 def _matching(capture: Capture, settings: BuildSettings) -> tuple[float, float]:
     depth, shots = settings.reconstruct.depth, len(capture.shots)
     pixels, whole, each = _pixels(capture, depth.side), *_MATCH_BYTES
-    planes = _PLANES_S if settings.reconstruct.planes else 0.0
-    work = shots * pixels * depth.neighbours * (_MATCH_S + planes)
+    work = shots * pixels * depth.neighbours * (_MATCH_S + _PLANES_S)
     at_once = settings.threads * depth.neighbours * each
     return work, 0.4e9 + pixels * (shots * whole + at_once)
 
@@ -508,7 +502,6 @@ def _training(capture: Capture, settings: BuildSettings) -> tuple[float, float]:
 
 
 def _pixels(capture: Capture, longest: int) -> float:
-    """Return the pixels of a picture that is reduced so that no side is longer."""
     camera = capture.shots[0].camera
     scale = min(1.0, longest / max(camera.width, camera.height))
     return camera.width * camera.height * scale * scale

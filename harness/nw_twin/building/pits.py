@@ -198,7 +198,6 @@ def _behind(points: F64, capture: Capture, folder: Path, depths: Path, T: F64) -
 
 
 def _dug(mesh: ColourMesh, plan: _Plan, deep: Cells, T: F64) -> tuple[ColourMesh, list[Pit]]:
-    """Return the mesh without what hangs over pits, with their walls and bottoms."""
     ndimage = package("scipy.ndimage")
     ball = ndimage.iterate_structure(ndimage.generate_binary_structure(2, 1), _SLIVER)
     deep = ndimage.binary_closing(deep, ball) & plan.asked | deep

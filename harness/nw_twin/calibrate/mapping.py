@@ -375,7 +375,6 @@ def _largest(solution: Solution) -> list[int]:
 
 
 def _shared(solution: Solution) -> Counter[tuple[int, int]]:
-    """Return how many points two cameras both see, by their places."""
     watching: list[list[int]] = [[] for _ in range(len(solution.points))]
     for place, one in enumerate(solution.placed):
         for point in one.seen.tolist():

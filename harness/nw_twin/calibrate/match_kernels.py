@@ -58,7 +58,6 @@ def two_best(products: Any, first_row: int, count: int, other: int, found: Any) 
 
 @inlined
 def _take(r: int, k: int, one: Any, other: Any, found: Any) -> None:
-    """Take one pair into account."""
     best, second, place = found
     total = np.int32(0)
     for i in range(one.shape[1]):

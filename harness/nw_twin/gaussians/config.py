@@ -142,11 +142,7 @@ class TrainConfig:
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def __post_init__(self) -> None:
-        """Check the numbers.
-
-        Raises:
-            UsageError: naming the field, its value and what it must be.
-        """
+        """Check the numbers; UsageError says what cannot be."""
         for name in ("iterations", "most", "sh_every"):
             if getattr(self, name) < 1:
                 raise UsageError(

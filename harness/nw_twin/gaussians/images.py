@@ -37,11 +37,7 @@ class Photo:
     mask: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
-        """Check that everything has the size of the camera's image.
-
-        Raises:
-            UsageError: naming the photograph and what differs.
-        """
+        """Check all sizes against the camera's image; UsageError says what cannot be."""
         size = (self.camera.height, self.camera.width)
         if self.rgb.dtype != np.uint8 or self.rgb.shape != (*size, 3):
             raise UsageError(

@@ -196,7 +196,6 @@ class _Frame:
 
 
 def _arrays(gaussians: Gaussians) -> Any:
-    """Return the arrays as the kernels take them."""
     g = gaussians
     return g.means, g.log_scales, g.quats, g.opacity_logits, g.sh
 

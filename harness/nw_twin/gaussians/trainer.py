@@ -208,7 +208,6 @@ class Trainer:
         )
 
     def _prune(self) -> None:
-        """Remove floaters, and count them."""
         gone = floaters(self.population.gaussians.means, self.photos, self.extent)
         if gone.any() and not gone.all():
             self.population.keep(~gone)

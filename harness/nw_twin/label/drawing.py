@@ -180,7 +180,6 @@ class Drawing:
 
 
 def _edges(box: CropBox) -> NDArray[np.float64]:
-    """Return the edges of a box, (12, 2, 3)."""
     corners = np.array(list(product(*zip(box.low, box.high, strict=True))))
     pairs = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
     return corners[np.array(pairs)]

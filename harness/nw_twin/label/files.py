@@ -241,7 +241,6 @@ def _write_cameras(staged: Path, place: OpenedScene, T: NDArray[np.float64]) -> 
 
 
 def _named_by_content(path: Path, word: str) -> str:
-    """Rename a file after what is in it; return the name."""
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     return path.replace(path.with_name(f"{word}-{digest[:12]}{path.suffix}")).name

@@ -306,7 +306,6 @@ def obstacles_of(profile: HeightProfile) -> tuple[Obstacle, ...]:
 
 
 def _runs(sign: NDArray[np.float64]) -> list[tuple[int, int]]:
-    """Return first and last index of each run of one sign that is not 0."""
     borders = np.flatnonzero(np.diff(np.concatenate([[0.0], sign, [0.0]])))
     return [
         (int(first), int(last) - 1)

@@ -36,8 +36,10 @@ from nw_twin.reconstruct.views import (
     read_view,
 )
 
-_SURE = 0.1
-"""Cost that needs no less."""
+_SURE, _WORST = 0.1, 0.7
+"""Cost that needs no less, and up to which a pixel is known: 1 less the normalised correlation."""
+LEAST_AGREEING = 2
+"""Neighbours that must see the same surface."""
 _LEAST_CONFIDENCE = 0.05
 _NEARER, _FARTHER = 0.7, 1.5
 """Times the nearest and the farthest depth of the calibration's points, that are matched."""
@@ -130,7 +132,7 @@ def depth_maps(
             before, found = found, {}
             if turn:
                 keys = {
-                    place: _joined(turn, options, keys[place], *(keys[j] for j in near[place]))
+                    place: _joined(turn, keys[place], *(keys[j] for j in near[place]))
                     for place in places
                 }
 
@@ -147,7 +149,7 @@ def depth_maps(
                 view, others, reach = views[place], [views[j] for j in near[place]], reaches[place]
                 if turn:
                     theirs = [before[j] for j in near[place]]
-                    new = agreed(view, others, reach, before[place], theirs, turn, options)
+                    new = agreed(view, others, reach, before[place], theirs, turn)
                 else:
                     new = matched(view, others, reach)
                 return write_matched(path, new, keys[place])
@@ -159,7 +161,7 @@ def depth_maps(
                 say(f"depth of {views[place].name} {what}: {done}")
         ground = SparsePlanes.of(capture)
         whole = pool.map(
-            lambda place: _known(views, found, near, place, reaches[place], ground, options),
+            lambda place: _known(views, found, near, place, reaches[place], ground),
             places,
         )
         return list(whole)
@@ -206,14 +208,12 @@ def _known(
     place: int,
     reach: tuple[float, float],
     ground: SparsePlanes,
-    options: DepthOptions,
 ) -> DepthMap:
     """Return what of a picture's planes is taken for right."""
     cv2, view, own = package("cv2"), views[place], found[place]
     others, theirs = [views[j] for j in near[place]], [found[j] for j in near[place]]
-    count, distinct = confirming(view, others, own, theirs, options)
-    least = options.least_agreeing
-    known = (distinct >= least) & (own.costs <= options.worst)
+    count, distinct = confirming(view, others, own, theirs)
+    known = (distinct >= LEAST_AGREEING) & (own.costs <= _WORST)
     # What is plain lies as what is known around it does, and the others say so too.
     prior = expected(view, own, known, reach)
     off = np.abs(own.planes[..., 0] - prior[..., 0])
@@ -222,14 +222,14 @@ def _known(
     texture = cv2.blur(grey * grey, side) - cv2.blur(grey, side) ** 2
     same = darkness(view, known) < DARKER
     known &= same | (_variance(grey, 5) > _OWN)
-    known |= (count >= least) & alike & (off <= _PLAIN_OFF * prior[..., 0]) & same
+    known |= (count >= LEAST_AGREEING) & alike & (off <= _PLAIN_OFF * prior[..., 0]) & same
     one = (count > 0) & (own.costs <= _BY_POINTS) & (texture > _TEXTURE) & ~known & same
     known[one] = ground.near(view, own.planes, one)
     _, label, facts, _ = cv2.connectedComponentsWithStats(known.astype(np.uint8), connectivity=8)
     known &= facts[label, cv2.CC_STAT_AREA] >= _ISLE * known.size
     if view.mask is not None:
         known &= view.mask
-    sure = np.clip((options.worst - own.costs) / (options.worst - _SURE), 0.0, 1.0)
+    sure = np.clip((_WORST - own.costs) / (_WORST - _SURE), 0.0, 1.0)
     sure *= np.minimum(count / min(4, max(len(others), 1)), 1.0)
     confidence = np.where(known, np.maximum(sure, _LEAST_CONFIDENCE), 0.0).astype(np.float32)
     depth = np.where(known, own.planes[..., 0], np.float32(0.0))
@@ -238,7 +238,6 @@ def _known(
 
 
 def _variance(grey: F32, side: int) -> F32:
-    """Return the variance (H, W) of the square about each pixel."""
     cv2, size = package("cv2"), (side, side)
     return cv2.blur(grey * grey, size) - cv2.blur(grey, size) ** 2
 
@@ -414,7 +413,6 @@ def _key_of(
     return content.hexdigest()
 
 
-def _joined(turn: int, options: DepthOptions, *keys: str) -> str:
+def _joined(turn: int, *keys: str) -> str:
     """Return the key of a later round by those of what it begins with."""
-    facts = [turn, options.beside, options.tolerance, options.least_angle, *keys]
-    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+    return hashlib.sha256(json.dumps([turn, *keys]).encode()).hexdigest()

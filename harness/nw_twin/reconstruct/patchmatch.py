@@ -17,7 +17,6 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nw_twin.options import DepthOptions
 from nw_twin.packages import package
 from nw_twin.reconstruct.patchmatch_kernels import count_confirming, draw, spread
 from nw_twin.reconstruct.views import F32, WorkingView
@@ -36,6 +35,11 @@ _SURE = 0.5
 """Cost of such a point at most."""
 _ALONG = float(np.cos(np.deg2rad(30.0)))
 """Cosine of the angle by which a point's normal may be off its triangle's."""
+_SINE = np.float32(np.sin(np.deg2rad(1.0)))
+"""Of the angle between the two views of a point; less says nothing of its depth."""
+_BESIDE, _OFF = np.float32(2.0), np.float32(0.005)
+"""A point confirms another up to so far from its plane, a share of depth, and so many pixels beside
+where it comes back from."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +91,6 @@ def agreed(
     own: Matched,
     theirs: Sequence[Matched],
     turn: int,
-    options: DepthOptions,
 ) -> Matched:
     """Match a picture again, by the planes of the others too.
 
@@ -98,11 +101,10 @@ def agreed(
         own: what was matched so far.
         theirs: as above, of the others.
         turn: number of the round, from 1.
-        options: of what confirms a pixel.
     """
     picture, seen = _Picture.of(view), _Seen.of(view, others)
     planes = _stacked([each.planes for each in theirs])
-    _, distinct = confirming(view, others, own, theirs, options)
+    _, distinct = confirming(view, others, own, theirs)
     known = (distinct >= min(2, len(others))) & (own.costs < _SURE)
     prior = expected(view, own, known, reach)
     found, costs = own.planes.copy(), own.costs.copy()
@@ -116,7 +118,6 @@ def confirming(
     others: Sequence[WorkingView],
     own: Matched,
     theirs: Sequence[Matched],
-    options: DepthOptions,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Return in how many of the others each pixel's point lies on their own plane, (H, W).
 
@@ -125,11 +126,9 @@ def confirming(
     picture, seen = _Picture.of(view), _Seen.of(view, others)
     count, distinct = np.zeros(view.size, np.uint8), np.zeros(view.size, np.uint8)
     planes = _stacked([each.planes for each in theirs])
-    sine = np.float32(np.sin(np.deg2rad(options.least_angle)))
-    pixels, share = np.float32(options.beside), np.float32(options.tolerance)
     count_confirming(
-        own.planes, picture.grey, picture.lens, seen.links, seen.sizes, seen.packed, planes, sine,
-        pixels, share, count, distinct,
+        own.planes, picture.grey, picture.lens, seen.links, seen.sizes, seen.packed, planes, _SINE,
+        _BESIDE, _OFF, count, distinct,
     )  # fmt: skip
     return count, distinct
 

@@ -250,7 +250,6 @@ def draw(planes: Any, costs: Any, lens: Any, picture: Any, near: Any, far: Any) 
 
 @part
 def _turned(dx: Any, dy: Any, side: Any) -> Any:
-    """Return an offset turned by `side` quarters."""
     if side == 0:
         return dx, dy
     if side == 1:
@@ -312,7 +311,6 @@ def _worth(costs: Any, count: Any, good: Any, s: Any) -> Any:
 
 @part
 def _keep_best(trust: Any, most: Any) -> None:
-    """Leave the largest `most` weights."""
     left = 0
     for s in range(len(trust)):
         left += trust[s] > _ZERO

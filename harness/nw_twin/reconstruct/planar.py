@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nw_base.machine_code import inlined, kernel
-from nw_twin.options import DepthOptions
 from nw_twin.packages import package
-from nw_twin.reconstruct.depth import DepthMap, darkness
+from nw_twin.reconstruct.depth import LEAST_AGREEING, DepthMap, darkness
 from nw_twin.reconstruct.planes import SupposedPlane
 from nw_twin.reconstruct.views import F32, F64, WorkingView
 
@@ -250,20 +249,18 @@ def planar_maps(
     maps: Sequence[DepthMap],
     near: Sequence[Sequence[int]],
     planes: Sequence[SupposedPlane],
-    options: DepthOptions,
     say: Callable[[str], None],
     threads: int = 2,
 ) -> list[DepthMap]:
     """Return the maps with the planes that their pixels show, where views agree.
 
-    A pixel keeps its plane if as many neighbours as `options.least_agreeing` show the same surface
+    A pixel keeps its plane if as many neighbours as `LEAST_AGREEING` show the same surface
     there, and of all views few look through it. What is of no plane stays as it was measured.
 
     Args:
         maps: as measured.
         near: numbers of the maps that each is compared with.
         planes: that they may show.
-        options: of the depths.
         say: is told of progress.
         threads: maps at once, each with about 0.2 GB at 640 x 360; no result depends on them.
     """
@@ -286,7 +283,7 @@ def planar_maps(
             found.append(labels)
             say(f"planes of {maps[number].view.name}: {number + 1} of {len(maps)}")
         whole = pool.map(
-            lambda number: _agreed(maps, near[number], found, number, options), range(len(maps))
+            lambda number: _agreed(maps, near[number], found, number), range(len(maps))
         )
         return list(whole)
 
@@ -296,7 +293,6 @@ def _agreed(
     near: Sequence[int],
     found: Sequence[Labels],
     number: int,
-    options: DepthOptions,
 ) -> DepthMap:
     own, labels = maps[number], found[number]
     size = own.view.size
@@ -310,7 +306,7 @@ def _agreed(
             count_agreeing(labels.depth, depth, move, shift, _TOLERANCE, count)
         count_seen(labels.depth, found[other].depth, move, shift, seen, through)
     few = through <= np.maximum(1.0, _CARVED * seen)
-    planar = labels.planar & (count >= options.least_agreeing) & few
+    planar = labels.planar & (count >= LEAST_AGREEING) & few
     depth = np.where(planar, labels.depth, np.where(labels.planar, 0.0, own.depth))
     confidence = np.where(planar, np.maximum(own.confidence, _CONFIDENCE), own.confidence)
     normal = np.where(planar[..., None], labels.normal, own.normal)

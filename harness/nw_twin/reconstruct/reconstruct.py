@@ -270,6 +270,8 @@ def coloured(mesh: ColourMesh, maps: list[DepthMap]) -> ColourMesh:
     )
 
 
+_MOST_SAMPLES = 2_000_000
+"""Points of the surface that there may be; each takes about 1 kB."""
 _LISTED_HOLES = 50
 
 Say = Callable[[str], None]
@@ -377,12 +379,12 @@ def reconstruct(
         supposed: list[SupposedPlane] = []
     else:
         maps, supposed, voxel = _by_patchmatch(capture, capture_folder, out, options, say, threads)
-        whole = surface(maps, voxel, options.samples, say)
+        whole = surface(maps, voxel, _MOST_SAMPLES, say)
     for each in maps:
         write_map(capture, each, out)
     say(f"cleans {len(whole.faces)} faces")
-    flat, planes = flatten(whole, voxel, supposed) if options.flatten else (whole, [])
-    flat, small = flatten_small(flat, planes, supposed, voxel) if options.flatten else (flat, [])
+    flat, planes = flatten(whole, voxel, supposed)
+    flat, small = flatten_small(flat, planes, supposed, voxel)
     both = [turned for plane in supposed for turned in (plane, plane.turned())]
     islands = on_planes(flat, [*planes, *both], voxel)
     kept, parts = large_parts(flat, options.least_part, islands, ROOM * voxel**2)
@@ -419,12 +421,10 @@ def _by_patchmatch(
     """Return the depth maps, the planes that they may show, and the edge of a voxel."""
     maps = depth_maps(capture, folder, out, options.depth, say, threads)
     voxel = options.voxel or voxel_of(maps)
-    if not options.planes:
-        return maps, [], voxel
-    planes = hypotheses(surface(maps, voxel, options.samples, say), maps, voxel)
+    planes = hypotheses(surface(maps, voxel, _MOST_SAMPLES, say), maps, voxel)
     say(f"{len(planes)} planes may be there")
     near = near_of(capture, maps, options.depth)
-    return planar_maps(maps, near, planes, options.depth, say, threads), planes, voxel
+    return planar_maps(maps, near, planes, say, threads), planes, voxel
 
 
 def _by_openmvs(

@@ -294,7 +294,6 @@ def _rays(K: F64, u: NDArray[np.floating], v: NDArray[np.floating]) -> F64:
 
 
 def _cells_of(points: F64, low: F64, finest: float, level: int) -> NDArray[np.int64]:
-    """Return one number for the cell of each point."""
     place = np.floor((points - low) / (finest * 2**level)).astype(np.int64) + 1
     side = 2 ** (_DEEPEST + 2)
     return (place[:, 0] * side + place[:, 1]) * side + place[:, 2]

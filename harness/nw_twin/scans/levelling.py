@@ -186,7 +186,6 @@ def _levelling(
 
 
 def _moved_course(place: OpenedScene, T: Values, scale: float) -> tuple[Route, str]:
-    """Return the scene's own course, moved with the mesh."""
     state = place.state.moved(T)
     words = "waypoints, start, splat and cameras moved with the mesh"
     start = state.start or place.state.start

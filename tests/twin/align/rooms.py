@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
+from twin_parts import captured, placed
 
 from nw_splat.camera import Camera, look_at
-from nw_twin.capture import Capture, PlacedShot
 
 
 def patch(rng, count, origin, u, v):
@@ -85,21 +85,16 @@ def capture(points, poses, T=None, *, files=None, size=(320, 240)):
     """Return the capture of a place in metres, in the frame to which T leads."""
     T = np.eye(4) if T is None else T
     points = points @ T[:3, :3].T + T[:3, 3]
-    shots = tuple(
-        PlacedShot(
-            name=f"{i:03d}.jpg",
+    shots = [
+        placed(
+            f"{i:03d}.jpg",
+            camera(T @ pose, *size),
+            range(i % 7, len(points), 7),
             file=f"{i:03d}.png" if files is None else files[i],
-            camera=camera(T @ pose, *size),
-            seen=np.arange(i % 7, len(points), 7, dtype=np.int32),
         )
         for i, pose in enumerate(poses)
-    )
-    return Capture(
-        shots=shots,
-        points=points,
-        colours=np.full((len(points), 3), 128, np.uint8),
-        errors=np.full(len(points), 0.5, np.float32),
-    )
+    ]
+    return captured(shots, points)
 
 
 def degrees_off(alignment, T):

@@ -7,12 +7,10 @@ _CELL = 16  # pixels of a tag's texture for each of its 8 cells; one more around
 _FINE = 3  # samples along each side of a pixel
 
 
-def texture(number, family=None):
+def texture(number):
     """Return the picture of a tag with a cell of white around, (160, 160) uint8."""
-    dictionary = cv2.aruco.DICT_APRILTAG_36h11 if family is None else family
-    known = cv2.aruco.getPredefinedDictionary(dictionary)
-    cells = 8 if family is None else known.markerSize + 2
-    side = cells * _CELL
+    known = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    side = 8 * _CELL
     page = np.full((side + 2 * _CELL, side + 2 * _CELL), 255, np.uint8)
     page[_CELL:-_CELL, _CELL:-_CELL] = cv2.aruco.generateImageMarker(known, number, side)
     return page

@@ -13,7 +13,6 @@ from tags import picture, texture
 from test_scale import around, lying
 
 from nw_base.errors import UsageError
-from nw_eval import cli
 from nw_twin.align.ahead import (
     SourceFacts,
     facts_of_source,
@@ -133,16 +132,13 @@ def test_a_length_in_a_photograph_that_is_not_there_is_an_error_at_once(tmp_path
     ],
 )
 def test_a_length_that_cannot_be_is_refused_before_anything_is_computed(
-    lengths, words, tmp_path, capsys
+    lengths, words, tmp_path, ended
 ):
     taken(tmp_path / "four")
-    options = [word for a, b, metres in lengths for word in ("--length", a, b, str(metres))]
-    with pytest.raises(SystemExit) as left:
-        cli.main(
-            ["twin", "build", str(tmp_path / "four"), "--out", str(tmp_path / "room"), *options]
-        )
-    printed = capsys.readouterr()
-    assert left.value.code == 2
+    options = [word for a, b, metres in lengths for word in ("--length", a, b, metres)]
+    source, out = tmp_path / "four", tmp_path / "room"
+    code, printed = ended("twin", "build", source, "--out", out, *options)
+    assert code == 2
     assert re.search(words, printed.err)
     assert "photographs read" not in printed.out
 
@@ -169,12 +165,11 @@ def test_pixels_of_a_photograph_are_counted_as_it_is_seen_upright(tmp_path, turn
         facts_of_source(photographs_in(tmp_path / "in"), AlignOptions(lengths=(length,)))
 
 
-def test_a_build_says_it_before_photographs_are_read_and_goes_on(tmp_path, capsys):
+def test_a_build_says_it_before_photographs_are_read_and_goes_on(tmp_path, ended):
     taken(tmp_path / "photographs")
-    with pytest.raises(SystemExit) as left:
-        cli.main(["twin", "build", str(tmp_path / "photographs"), "--out", str(tmp_path / "room")])
-    assert left.value.code == 2  # Four pictures of a grey wall cannot be calibrated.
-    printed = capsys.readouterr()
+    source, out = tmp_path / "photographs", tmp_path / "room"
+    code, printed = ended("twin", "build", source, "--out", out)
+    assert code == 2  # Four pictures of a grey wall cannot be calibrated.
     lines = printed.out.splitlines()
     first = next(i for i, line in enumerate(lines) if line.startswith("scale: nothing gives one"))
     assert first < next(i for i, line in enumerate(lines) if line.startswith("photographs read"))

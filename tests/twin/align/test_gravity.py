@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
+from known_truth import drawn
 from rooms import (
     about_z,
     capture,
@@ -15,6 +15,7 @@ from rooms import (
     straight,
     walk,
 )
+from twin_parts import grid
 
 from nw_base.errors import SceneError
 from nw_twin.align.align import align
@@ -91,8 +92,8 @@ def test_a_source_that_knows_up_decides_where_cameras_do_not():
 def test_a_source_that_says_another_way_is_up_is_warned_of():
     rng = np.random.default_rng(7)
     T = np.eye(4)
-    T[:3, :3] = np.array([[1, 0, 0], [0, 0.99756405, -0.06975647], [0, 0.06975647, 0.99756405]])
-    options = AlignOptions(metric=True, up="+z")  # Four degrees off.
+    T[:3, :3] = cv2.Rodrigues(np.radians([4.0, 0.0, 0.0]))[0]
+    options = AlignOptions(metric=True, up="+z")
     alignment = aligned(room(rng), walk(rng), T, options=options)
     assert [warning for warning in alignment.warnings if "up by poses is 3" in warning]
     assert degrees_off(alignment, T) < 1.0
@@ -102,35 +103,13 @@ def test_a_mesh_makes_the_floor_exact_where_points_are_few():
     rng = np.random.default_rng(8)
     T = similarity(rng)
     points = room(rng, floor=60, walls=40, stray=30) + rng.normal(0, 0.02, (170, 3))
-    side = np.linspace(0, 1, 20)
-    x, y = np.meshgrid(6 * side, 5 * side)
-    vertices = np.column_stack([x.ravel(), y.ravel(), rng.normal(0, 0.005, 400)])
-    corner = (np.arange(19)[:, None] * 20 + np.arange(19)).ravel()
-    faces = np.concatenate(
-        [
-            np.column_stack([corner, corner + 1, corner + 21]),
-            np.column_stack([corner, corner + 21, corner + 20]),
-        ]
-    )
+    vertices, faces = grid((0, 0, 0), (6, 0, 0), (0, 5, 0), (19, 19))
+    vertices[:, 2] = rng.normal(0, 0.005, 400)
     mesh = (vertices @ T[:3, :3].T + T[:3, 3], faces)
     alignment = aligned(points, walk(rng), T, mesh=mesh)
     assert degrees_off(alignment, T) < 0.1
     assert abs(floor_off(alignment, T)) < 0.005
     assert "mesh" in [cue.name for cue in alignment.gravity]
-
-
-def drawn(folder, found, edges):
-    """Draw edges ((E, 2, 3), the capture's frame) into a capture's pictures."""
-    for shot in found.shots:
-        c = shot.camera
-        picture = np.full((c.height, c.width, 3), 200, np.uint8)
-        for ends in edges:
-            local = ends @ c.T_camera_world[:3, :3].T + c.T_camera_world[:3, 3]
-            if local[:, 2].min() > 0.2:
-                pixels = local[:, :2] / local[:, 2:] * (c.fx, c.fy) + (c.cx, c.cy) - 0.5
-                a, b = ((16 * end).astype(int).tolist() for end in pixels)
-                cv2.line(picture, a, b, (30, 30, 30), 2, cv2.LINE_AA, 4)
-        Image.fromarray(picture).save(folder / shot.file)
 
 
 @pytest.mark.parametrize("slope", [0.0, 3.0])

@@ -5,8 +5,9 @@ import pytest
 import trimesh
 from PIL import Image
 from small_capture import PLACE, photos
+from twin_parts import captured, placed
 
-from nw_twin.capture import Capture, PlacedShot, write_capture
+from nw_twin.capture import write_capture
 
 
 @pytest.fixture(scope="module")
@@ -19,31 +20,12 @@ def build(tmp_path_factory):
     for number, photo in enumerate(photos(8, depth=True)):
         name = f"{number:02d}.png"
         Image.fromarray(photo.rgb).save(folder / "capture" / "pictures" / name)
-        depth = np.divide(
-            1.0,
-            photo.inverse_depth,
-            out=np.zeros_like(photo.rgb[..., 0], np.float32),
-            where=photo.inverse_depth > 0,
-        )
-        np.savez(
-            folder / "mesh" / "depth" / f"{name}.npz",
-            depth=depth,
-            confidence=np.ones_like(depth),
-        )
-        shots.append(
-            PlacedShot(
-                name=name,
-                file=f"pictures/{name}",
-                camera=photo.camera,
-                seen=np.arange(5, dtype=np.int32),
-            )
-        )
-    capture = Capture(
-        shots=tuple(shots),
-        points=PLACE.means[::10].astype(np.float64),
-        colours=np.full((len(PLACE.means[::10]), 3), 128, np.uint8),
-        errors=np.zeros(len(PLACE.means[::10]), np.float32),
-    )
+        near = photo.inverse_depth > 0
+        depth = np.divide(1.0, photo.inverse_depth, out=np.zeros(near.shape, "f4"), where=near)
+        path = folder / "mesh" / "depth" / f"{name}.npz"
+        np.savez(path, depth=depth, confidence=np.ones_like(depth))
+        shots.append(placed(name, photo.camera, range(5), file=f"pictures/{name}"))
+    capture = captured(shots, PLACE.means[::10].astype(np.float64))
     write_capture(capture, folder / "capture")
     parts = [trimesh.creation.box((8.3, 8.3, 0.02))]
     for x, y in ((1.2, 0.3), (-0.8, 1.0), (0.0, -1.3)):

@@ -6,28 +6,26 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from synthetic_room import cameras, render, room
+from twin_parts import blobs, captured, placed
 
 from nw_base.errors import SceneError, StoreError
-from nw_eval import cli
 from nw_eval.suite.load import load_suite
 from nw_scenes.folder import load_folder
 from nw_scenes.mesh import box_mesh, merge, quad_mesh
 from nw_splat.camera import Camera
 from nw_splat.files import write_splat
-from nw_splat.gaussians import Gaussians
 from nw_twin.align.alignment import Alignment, ScaleCue, read_alignment, write_alignment
 from nw_twin.building.build import Build, BuildSettings
 from nw_twin.building.folder import BuildFolder, digest_of_files
-from nw_twin.capture import Capture, PlacedShot, read_capture, write_capture
+from nw_twin.capture import read_capture, write_capture
 from nw_twin.reconstruct.depth import write_arrays
 from nw_twin.reconstruct.surface import ColourMesh, write_mesh
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 
 class Stages:
@@ -50,18 +48,22 @@ class Stages:
         result.write_text(stage)
 
 
-def test_a_stage_runs_once_for_the_same_things_and_again_for_others(tmp_path):
+@pytest.fixture
+def stages(tmp_path):
+    """Calibrated once, of photographs."""
     stages = Stages(tmp_path)
-    assert stages.run("calibrate", "forty photographs")
-    assert not stages.run("calibrate", "forty photographs")
+    assert stages.run("calibrate", "photographs")
+    return stages
+
+
+def test_a_stage_runs_once_for_the_same_things_and_again_for_others(stages):
+    assert not stages.run("calibrate", "photographs")
     assert stages.lines == ["calibrate: done before, of the same things"]
-    assert stages.run("calibrate", "forty-one photographs")
+    assert stages.run("calibrate", "others")
     assert stages.done == ["calibrate", "calibrate"]
 
 
-def test_a_stage_whose_result_was_removed_runs_again(tmp_path):
-    stages = Stages(tmp_path)
-    stages.run("calibrate", "photographs")
+def test_a_stage_whose_result_was_removed_runs_again(stages):
     (stages.folder.capture / "capture.json").unlink()
     with pytest.raises(SceneError, match="no result of `calibrate`"):
         stages.folder.needs("calibrate")
@@ -69,9 +71,7 @@ def test_a_stage_whose_result_was_removed_runs_again(tmp_path):
     stages.folder.needs("calibrate")
 
 
-def test_what_comes_later_runs_again_when_something_before_it_did(tmp_path):
-    stages = Stages(tmp_path)
-    stages.run("calibrate", "photographs")
+def test_what_comes_later_runs_again_when_something_before_it_did(stages):
     stages.run("reconstruct", "capture")
     stages.run("calibrate", "others")
     with pytest.raises(SceneError, match="no result of `reconstruct`"):
@@ -90,10 +90,8 @@ def test_a_stage_that_was_cut_off_has_no_result(tmp_path):
         folder.needs("calibrate")
 
 
-def test_damaged_stamps_are_named(tmp_path):
-    stages = Stages(tmp_path)
-    stages.run("calibrate", "photographs")
-    (tmp_path / "build" / "stamps.json").write_text("{")
+def test_damaged_stamps_are_named(stages):
+    (stages.folder.path / "stamps.json").write_text("{")
     with pytest.raises(SceneError, match=r"stamps\.json cannot be read"):
         stages.run("calibrate", "photographs")
 
@@ -111,84 +109,52 @@ def test_a_digest_of_files_changes_with_a_byte_and_with_a_name(tmp_path):
         digest_of_files(tmp_path / "gone")
 
 
-def test_photographs_that_are_not_there_are_an_error_and_no_traceback(tmp_path, capsys):
-    with pytest.raises(SystemExit) as caught:
-        cli.main(["twin", "build", str(tmp_path / "gone"), "--out", str(tmp_path / "scene")])
-    assert caught.value.code == 2
-    assert "error: there is nothing at" in capsys.readouterr().err
-
-
-def test_a_robot_that_is_not_there_is_refused_before_anything_is_built(tmp_path, capsys):
-    (tmp_path / "photographs").mkdir()
-    words = [str(tmp_path / "photographs"), "--out", str(tmp_path / "scene"), "--robot", "go9"]
-    with pytest.raises(SystemExit) as caught:
-        cli.main(["twin", "build", *words])
-    assert caught.value.code == 2
-    assert "unknown robot 'go9'" in capsys.readouterr().err
-    assert not (tmp_path / "scene").exists()
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--name", "../x"), "name '../x': "),
-        (("--name", ""), "name '': "),
-        (("--held-out", "low_*"), "--held-out 'low_*' holds out 0 of 4 photographs"),
-        (("--held-out", "*.jpg"), "--held-out '*.jpg' holds out 4 of 4 photographs"),
-    ],
-)
-def test_a_name_or_pattern_that_cannot_be_is_refused_before_anything_is_computed(
-    words, said, tmp_path, capsys
-):
+@pytest.fixture
+def photographs(tmp_path):
+    """A folder of four."""
     (tmp_path / "in").mkdir()
     for number in range(4):
         Image.new("RGB", (64, 48)).save(tmp_path / "in" / f"{number}.jpg")
-    with pytest.raises(SystemExit) as left:
-        cli.main(["twin", "build", str(tmp_path / "in"), "--out", str(tmp_path / "room"), *words])
-    printed = capsys.readouterr()
-    assert left.value.code == 2
-    assert said in printed.err
-    assert "photographs read" not in printed.out
+    return tmp_path / "in"
 
 
 @pytest.mark.parametrize(
-    ("out", "words", "said"),
+    ("source", "out", "words", "said"),
     [
-        ("none/..", (), "there is no"),
-        ("file/room", (), "file is no folder"),
-        ("file", (), "file is no folder"),
-        ("new/room", ("--held-out", "low_*"), "holds out 0 of 1"),
-        ("new/room", ("--length", "0.jpg:1,1", "0.jpg:99,1", "1"), "outside of the photograph"),
+        ("gone", "room", (), "error: there is nothing at"),
+        ("in", "none/..", (), "there is no"),
+        ("in", "file/room", (), "file is no folder"),
+        ("in", "file", (), "file is no folder"),
+        ("in", "room", ("--robot", "go9"), "unknown robot 'go9'"),
+        ("in", "room", ("--name", "../x"), "name '../x': "),
+        ("in", "room", ("--name", ""), "name '': "),
+        ("in", "room", ("--held-out", "low_*"), "'low_*' holds out 0 of 4 photographs"),
+        ("in", "new/room", ("--held-out", "*.jpg"), "'*.jpg' holds out 4 of 4 photographs"),
+        ("in", "new/room", ("--length", "0.jpg:1,1", "0.jpg:99,1", "1"), "outside of the photo"),
     ],
 )
-def test_a_build_that_is_refused_leaves_nothing(out, words, said, tmp_path, capsys):
-    (tmp_path / "in").mkdir()
-    Image.new("RGB", (64, 48)).save(tmp_path / "in" / "0.jpg")
+@pytest.mark.usefixtures("photographs")
+def test_a_build_that_cannot_be_is_refused_before_anything_is_computed_and_leaves_nothing(
+    source, out, words, said, tmp_path, ended
+):
     (tmp_path / "file").write_text("here")
-    with pytest.raises(SystemExit) as left:
-        cli.main(["twin", "build", str(tmp_path / "in"), "--out", str(tmp_path / out), *words])
-    assert left.value.code == 2
-    assert said in capsys.readouterr().err
-    assert {path.name for path in tmp_path.rglob("*")} == {"in", "0.jpg", "file"}
+    before = set(tmp_path.rglob("*"))
+    code, printed = ended("twin", "build", tmp_path / source, "--out", tmp_path / out, *words)
+    assert code == 2
+    assert said in printed.err
+    assert "photographs read" not in printed.out
+    assert set(tmp_path.rglob("*")) == before
 
 
-def test_a_build_that_is_refused_keeps_an_earlier_capture(tmp_path, capsys):
-    (tmp_path / "in").mkdir()
-    Image.new("RGB", (64, 48)).save(tmp_path / "in" / "0.jpg")
+def test_a_build_that_is_refused_keeps_an_earlier_capture(photographs, tmp_path, ended):
     capture = tmp_path / "room" / "build" / "capture"
-    capture.mkdir(parents=True)
+    (capture / ".calibrate.sqlite").mkdir(parents=True)
     (capture / "capture.json").write_text("{}")
-    (capture / ".calibrate.sqlite").mkdir()
-    for said in (r".calibrate.sqlite is a folder; remove it", "holds out 0 of 1"):
-        with pytest.raises(SystemExit) as left:
-            cli.main(
-                [
-                    *("twin", "build", str(tmp_path / "in"), "--out", str(tmp_path / "room")),
-                    *("--held-out", "low_*"),
-                ]
-            )
-        assert left.value.code == 2
-        assert said in capsys.readouterr().err
+    words = ("twin", "build", photographs, "--out", tmp_path / "room", "--held-out", "low_*")
+    for said in (r".calibrate.sqlite is a folder; remove it", "holds out 0 of 4"):
+        code, printed = ended(*words)
+        assert code == 2
+        assert said in printed.err
         assert (capture / "capture.json").read_text() == "{}"
         if "folder" in said:
             (capture / ".calibrate.sqlite").rmdir()
@@ -210,56 +176,48 @@ def test_a_place_is_checked_and_its_suite_named(tmp_path, z, said):
 
 
 METRES = (ScaleCue(name="poses", scale=1.0, difference=0.0, used=True, reason="they are metres"),)
+FIELD = quad_mesh((-5, -5, 0), (15, 0, 0), (0, 10, 0), "ground")
 
 
-def walked(folder, mesh, height, scales=METRES):
-    """Leave in a build what its first stages would, for a walk along x with the camera ahead."""
-    ahead = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    shots = []
-    for x in np.arange(-2.0, 5.0, 0.25):
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = ahead, (x, 0.0, height)
-        camera = Camera.from_fovy(width=64, height=36, fovy=0.8, T_world_camera=pose)
-        name = f"{len(shots):03d}.png"
-        shots.append(PlacedShot(name=name, file=name, camera=camera, seen=np.zeros(0, np.int32)))
-    nothing = np.zeros((0, 3))
-    capture = Capture(
-        shots=tuple(shots),
-        points=nothing,
-        colours=nothing.astype(np.uint8),
-        errors=np.zeros(0, np.float32),
-    )
-    for path in (folder.capture, folder.mesh, folder.splat):
-        path.mkdir(parents=True)
-    write_capture(capture, folder.capture)
-    colours = np.full((len(mesh.vertices), 3), 99, np.uint8)
-    grey = ColourMesh(vertices=mesh.vertices, faces=mesh.faces, colours=colours)
-    write_mesh(grey, folder.mesh / "mesh.ply")
-    (folder.splat / "splat.ply").write_bytes(b"ply")
-    aligned = Alignment(
-        T_metric_capture=np.eye(4),
-        scale=1.0,
-        gravity=(),
-        scales=scales,
-        floor_share=1.0,
-        warnings=(),
-    )
-    write_alignment(aligned, folder.align)
-    for stage in ("calibrate", "reconstruct", "align", "splat"):
-        folder.carry_out(stage, ["a walk"], lambda: None, lambda _: None)
+@pytest.fixture
+def walked(tmp_path):
+    """Return a build as its first stages leave it, for a walk along x with the camera ahead, and
+    the lines that it says."""
+
+    def run(mesh, height, scales=METRES, **settings):
+        lines = []
+        build = Build(tmp_path / "room", BuildSettings(**settings), lines.append)
+        folder, shots = build.folder, []
+        ahead = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+        for x in np.arange(-2.0, 5.0, 0.25):
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = ahead, (x, 0.0, height)
+            camera = Camera.from_fovy(width=64, height=36, fovy=0.8, T_world_camera=pose)
+            shots.append(placed(f"{len(shots):03d}.png", camera))
+        for path in (folder.capture, folder.mesh, folder.splat):
+            path.mkdir(parents=True)
+        write_capture(captured(shots), folder.capture)
+        colours = np.full((len(mesh.vertices), 3), 99, np.uint8)
+        grey = ColourMesh(vertices=mesh.vertices, faces=mesh.faces, colours=colours)
+        write_mesh(grey, folder.mesh / "mesh.ply")
+        (folder.splat / "splat.ply").write_bytes(b"ply")
+        facts = {"scale": 1.0, "gravity": (), "floor_share": 1.0, "warnings": ()}
+        write_alignment(Alignment(T_metric_capture=np.eye(4), scales=scales, **facts), folder.align)
+        for stage in ("calibrate", "reconstruct", "align", "splat"):
+            folder.carry_out(stage, ["a walk"], lambda: None, lambda _: None)
+        return build, lines
+
+    return run
 
 
-def test_a_walk_over_platforms_starts_on_ground_at_zero_with_the_pit_below(tmp_path):
-    pit = quad_mesh((-5, -5, 0), (15, 0, 0), (0, 10, 0), "ground")
+def test_a_walk_over_platforms_starts_on_ground_at_zero_with_the_pit_below(walked):
     tops = [
         box_mesh((x, 0.0, 0.2), (half, 0.8, 0.2), (1.0, 0.0, 0.0, 0.0), "obstacle")
         for x, half in ((-0.9, 2.1), (3.5, 1.9))
     ]
-    lines = []
-    build = Build(tmp_path, BuildSettings(), lines.append)
-    walked(build.folder, merge([pit, *tops]), 1.9)
+    build, lines = walked(merge([FIELD, *tops]), 1.9)
     build.place()
-    scene = load_folder(tmp_path)
+    scene = load_folder(build.folder.scene)
     assert "place: moved by -0.40 m: the ground under the start is z = 0" in lines
     assert not any("move the scene" in line for line in lines)
     assert scene.task == "gaps"
@@ -269,9 +227,8 @@ def test_a_walk_over_platforms_starts_on_ground_at_zero_with_the_pit_below(tmp_p
     assert scene.T_world_splat[2, 3] == pytest.approx(-0.4)
 
 
-def test_a_place_with_pits_changes_nothing_that_its_splat_is_of(tmp_path):
-    build = Build(tmp_path, BuildSettings(), lambda _: None)
-    walked(build.folder, quad_mesh((-5, -5, 0), (15, 0, 0), (0, 10, 0), "ground"), 1.5)
+def test_a_place_with_pits_changes_nothing_that_its_splat_is_of(walked):
+    build, _ = walked(FIELD, 1.5)
     (build.folder.mesh / "depth").mkdir()
     for shot in read_capture(build.folder.capture).shots:
         depth = np.zeros((shot.camera.height, shot.camera.width), np.float32)
@@ -285,20 +242,10 @@ def test_a_place_with_pits_changes_nothing_that_its_splat_is_of(tmp_path):
     assert (build.folder.path / "ground.ply").is_file()
 
 
-def test_the_ground_of_the_trail_is_measured_and_written_down(tmp_path):
-    floor = quad_mesh((-5, -2, 0), (15, 0, 0), (0, 4, 0), "ground")
-    lines = []
-    build = Build(tmp_path, BuildSettings(), lines.append)
-    walked(build.folder, floor, 1.5)
+def test_the_ground_of_the_trail_is_measured_and_written_down(walked):
+    build, lines = walked(quad_mesh((-5, -2, 0), (15, 0, 0), (0, 4, 0), "ground"), 1.5)
     points = np.random.default_rng(0).uniform((-2, -1, 0), (6, 1, 0), (2_000, 3))
-    flat = Gaussians(
-        means=points,
-        log_scales=np.full((2_000, 3), -3.0),
-        quats=np.tile([1.0, 0, 0, 0], (2_000, 1)),
-        opacity_logits=np.full(2_000, 3.0),
-        sh=np.zeros((2_000, 1, 3)),
-    )
-    write_splat(build.folder.splat / "splat.ply", flat)
+    write_splat(build.folder.splat / "splat.ply", blobs(points, size=0.05))
     # The mesh is 1 cm above what the photographs show; none shows what is before x = 0.
     for shot in read_capture(build.folder.capture).shots:
         camera = shot.camera
@@ -322,62 +269,48 @@ def test_the_ground_of_the_trail_is_measured_and_written_down(tmp_path):
     assert written["stations"][9]["depths_median"] == pytest.approx(0.01, abs=1e-3)
     assert max(row["photographs"] for row in written["stations"]) >= 2
     # The walk begins at x = -2, where the mesh has ground as well.
-    assert load_folder(tmp_path).spawn.position[0] > -0.5
+    assert load_folder(build.folder.scene).spawn.position[0] > -0.5
 
 
-def test_a_place_without_room_for_a_trail_says_why_and_names_the_label_page(tmp_path):
-    lines = []
-    build = Build(tmp_path, BuildSettings(), lines.append)
-    walked(build.folder, quad_mesh((0, 0, 0), (1.1, 0, 0), (0, 0.8, 0), "ground"), 1.5)
+def test_a_place_without_room_for_a_trail_says_why_and_names_the_label_page(walked):
+    build, lines = walked(quad_mesh((0, 0, 0), (1.1, 0, 0), (0, 0.8, 0), "ground"), 1.5)
     build.place()
     (why,) = [line for line in lines if line.startswith("place: no course: ")]
     assert "too little for a waypoint 0.60 m from the start, with 0.60 m behind it" in why
-    assert any(line.endswith(f"nw-eval twin label {tmp_path}") for line in lines)
+    assert any(line.endswith(f"nw-eval twin label {build.folder.scene}") for line in lines)
 
 
-def test_a_place_without_a_scale_is_written_marked_and_runs_nowhere(tmp_path, capsys):
-    floor = quad_mesh((-5, -5, 0), (15, 0, 0), (0, 10, 0), "ground")
-    lines = []
-    build = Build(tmp_path / "room", BuildSettings(), lines.append)
-    walked(build.folder, floor, 1.5, scales=())
+def test_a_place_without_a_scale_is_written_marked_and_runs_nowhere(walked, ended):
+    build, lines = walked(FIELD, 1.5, scales=())
+    room = build.folder.scene
     build.place()
     (said,) = [line for line in lines if "not to scale" in line]
-    assert f"nw-eval twin place {tmp_path / 'room'} --length A B METRES" in said
+    assert f"nw-eval twin place {room} --length A B METRES" in said
     assert not build.check()
     assert any("error not_to_scale" in line for line in lines)
-    assert load_folder(tmp_path / "room", needs_scale=False).trail.shape[1] == 3
-    for words in (
-        ["run", str(tmp_path / "room" / "suite.yaml")],
-        ["scenes", "check", str(tmp_path / "room")],
-    ):
-        with pytest.raises(SystemExit) as left:
-            cli.main(words)
-        assert left.value.code == 2
-        printed = capsys.readouterr()
+    assert load_folder(room, needs_scale=False).trail.shape[1] == 3
+    for words in (("run", room / "suite.yaml"), ("scenes", "check", room)):
+        code, printed = ended(*words)
+        assert code == 2
         assert "nw-eval twin label" in printed.out + printed.err
 
 
-def seen_from(build, rng):
-    """Leave a capture of a floor whose points are seen by all shots of a walk."""
-    capture = read_capture(build.folder.capture)
-    points = rng.uniform((-2, -2, 0), (6, 2, 0), (400, 3))
+@pytest.fixture
+def unscaled(walked):
+    """A place without a scale, whose points are seen by all shots of a walk; asked to be called
+    otherwise."""
+    asked = {"name": "my-room", "licence": "CC0-1.0", "robot": "go2"}
+    build, _ = walked(FIELD, 1.5, scales=(), **asked)
+    points = np.random.default_rng(0).uniform((-2, -2, 0), (6, 2, 0), (400, 3))
     seen = np.arange(len(points), dtype=np.int32)
-    capture = Capture(
-        shots=tuple(replace(shot, seen=seen) for shot in capture.shots),
-        points=points,
-        colours=np.zeros((400, 3), np.uint8),
-        errors=np.zeros(400, np.float32),
-    )
-    write_capture(capture, build.folder.capture)
-
-
-def test_a_length_scales_a_place_that_is_built_and_no_other_stage_runs_again(tmp_path, capsys):
-    room = tmp_path / "room"
-    floor = quad_mesh((-5, -5, 0), (15, 0, 0), (0, 10, 0), "ground")
-    build = Build(room, BuildSettings(), lambda _: None)
-    walked(build.folder, floor, 1.5, scales=())
-    seen_from(build, np.random.default_rng(0))
+    shots = [replace(shot, seen=seen) for shot in read_capture(build.folder.capture).shots]
+    write_capture(captured(shots, points), build.folder.capture)
     build.place()
+    return build
+
+
+def test_a_length_scales_a_place_that_is_built_and_no_other_stage_runs_again(unscaled, ended):
+    room = unscaled.folder.scene
     before = (room / "build" / "stamps.json").read_text()
     # 30 pixels below the middle of a picture that is 36 high is far below its lower edge.
     for ends, code, said in (
@@ -385,10 +318,8 @@ def test_a_length_scales_a_place_that_is_built_and_no_other_stage_runs_again(tmp
         (["003.png:20,30", "03.png:44,30"], 2, "'03.png', which is no shot of the capture"),
         (["003.png:20,30", "003.png:44,30"], 0, "scale by length"),
     ):
-        with pytest.raises(SystemExit) as left:
-            cli.main(["twin", "place", str(room), "--length", *ends, "6.0"])
-        printed = capsys.readouterr()
-        assert (left.value.code or 0) == code
+        left, printed = ended("twin", "place", room, "--length", *ends, "6.0")
+        assert left == code
         assert said in printed.out + printed.err
         if code:  # What was there before still holds.
             assert (room / "build" / "stamps.json").read_text() == before
@@ -399,35 +330,18 @@ def test_a_length_scales_a_place_that_is_built_and_no_other_stage_runs_again(tmp
     assert np.diag(found) == pytest.approx(6.0 / units, abs=1e-6)
     # How cameras are pitched moves up by less than 0.01 degrees beside a floor.
     assert found == pytest.approx(6.0 / units * np.eye(3), abs=5e-4)
-    build.folder.needs("splat")
-
-
-def test_a_scene_that_is_scaled_later_keeps_its_name_licence_and_robot(tmp_path):
-    room = tmp_path / "room"
-    floor = quad_mesh((-5, -5, 0), (15, 0, 0), (0, 10, 0), "ground")
-    asked = BuildSettings(name="my-room", licence="CC0-1.0", robot="go2")
-    build = Build(room, asked, lambda _: None)
-    walked(build.folder, floor, 1.5, scales=())
-    seen_from(build, np.random.default_rng(0))
-    build.place()
-    ends = ["003.png:20,30", "003.png:44,30"]
-    with pytest.raises(SystemExit) as left:
-        cli.main(["twin", "place", str(room), "--length", *ends, "6.0"])
-    assert not left.value.code
-    scene, suite = load_folder(room), load_suite(room / "suite.yaml")
-    assert (scene.name, scene.licence, suite.robot) == ("my-room", "CC0-1.0", "go2")
-    with pytest.raises(SystemExit):
-        cli.main(["twin", "place", str(room), "--licence", "MIT", "--robot", "go1"])
-    scene, suite = load_folder(room), load_suite(room / "suite.yaml")
-    assert (scene.name, scene.licence, suite.robot) == ("my-room", "MIT", "go1")
+    unscaled.folder.needs("splat")
+    # Name, licence and robot are what they were, but for what is asked for now.
+    changed = ("--licence", "MIT", "--robot", "go1")
+    for words, licence, robot in (((), "CC0-1.0", "go2"), (changed, "MIT", "go1")):
+        ended("twin", "place", room, *words)
+        scene, suite = load_folder(room), load_suite(room / "suite.yaml")
+        assert (scene.name, scene.licence, suite.robot) == ("my-room", licence, robot)
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(1200)
-def test_a_room_with_a_tag_becomes_a_place_in_metres(tmp_path, capsys):
-    import cv2
-    from synthetic_room import cameras, render, room
-
+def test_a_room_with_a_tag_becomes_a_place_in_metres(tmp_path, ended):
     marks = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     tag = cv2.aruco.generateImageMarker(marks, 3, 800, borderBits=1)
     tag = cv2.copyMakeBorder(tag, 80, 80, 80, 80, cv2.BORDER_CONSTANT, value=255)
@@ -438,14 +352,13 @@ def test_a_room_with_a_tag_becomes_a_place_in_metres(tmp_path, capsys):
         picture = render(patches, camera)[..., ::-1]
         cv2.imwrite(str(tmp_path / "photographs" / f"IMG_{number:04d}.png"), picture)
     scene = tmp_path / "room"
-    words = ["twin", "build", str(tmp_path / "photographs"), "--out", str(scene)]
-    words += ["--tag-edge", "0.25", "--iterations", "300", "--licence", "CC0-1.0"]
-    with pytest.raises(SystemExit) as caught:
-        cli.main(words)
+    words = ("twin", "build", tmp_path / "photographs", "--out", scene, "--tag-edge", "0.25")
+    words += ("--iterations", "300", "--licence", "CC0-1.0")
+    code, printed = ended(*words)
     # The cameras stand about the room: that is no trail, and a hole where it would begin.
-    assert caught.value.code == 2
-    assert "place: no course: " in (said := capsys.readouterr().out)
-    assert "check: error ground_missing" in said
+    assert code == 2
+    assert "place: no course: " in printed.out
+    assert "check: error ground_missing" in printed.out
 
     loaded = load_folder(scene)
     assert loaded.captures is not None
@@ -459,11 +372,7 @@ def test_a_room_with_a_tag_becomes_a_place_in_metres(tmp_path, capsys):
     spans = [np.linalg.norm(x[1:] - x[:-1], axis=1).sum() for x in (metric, true)]
     assert spans[0] == pytest.approx(spans[1], rel=0.01), "metres, within one percent"
     np.testing.assert_allclose(metric[:, 2], true[:, 2], atol=0.02)
-
-    capsys.readouterr()
-    with pytest.raises(SystemExit):
-        cli.main(words)
-    assert capsys.readouterr().out.count("done before, of the same things") == 5
+    assert ended(*words)[1].out.count("done before, of the same things") == 5
 
 
 HOLDER = """
@@ -477,28 +386,20 @@ with BuildFolder(Path(sys.argv[1])).held():
 """
 
 
-def test_of_two_builds_on_one_folder_the_second_is_told_at_once_who_holds_it(tmp_path, capsys):
-    (tmp_path / "in").mkdir()
-    for number in range(4):
-        Image.new("RGB", (64, 48)).save(tmp_path / "in" / f"{number}.jpg")
+def test_of_two_builds_on_one_folder_the_second_is_told_at_once_who_holds_it(
+    photographs, tmp_path, ended
+):
     scene = tmp_path / "room"
     first = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(scene)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
     assert first.stdout.readline() == b"held\n"
     before = sorted(scene.rglob("*"))
-    for verb in (
-        ["build", str(tmp_path / "in"), "--out"],
-        ["calibrate", str(tmp_path / "in"), "--out"],
-    ):
-        with pytest.raises(SystemExit) as left:
-            cli.main(["twin", *verb, str(scene)])
-        printed = capsys.readouterr()
-        assert left.value.code == 2
-        assert (
-            f"{scene} is being built by process {first.pid}; wait for it or stop it" in printed.err
-        )
-        assert printed.out == ""
+    for verb in ("build", "calibrate"):
+        code, printed = ended("twin", verb, photographs, "--out", scene)
+        assert (code, printed.out) == (2, "")
+        said = f"{scene} is being built by process {first.pid}; wait for it or stop it"
+        assert said in printed.err
     assert sorted(scene.rglob("*")) == before
     first.kill()  # Whoever dies lets go.
     first.communicate()

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from PIL import Image
+from twin_parts import captured, grid, joined, placed, terrain
 
-from nw_scenes.mesh import TriangleMesh
 from nw_scenes.rays import RayScene
 from nw_splat.camera import Camera, look_at
 from nw_twin.building.pits import _dug, _Plan, with_pits
-from nw_twin.capture import Capture, PlacedShot, read_capture, write_capture
+from nw_twin.capture import read_capture, write_capture
 from nw_twin.reconstruct.depth import array_file, write_arrays
 from nw_twin.reconstruct.surface import ColourMesh
 
@@ -20,35 +20,23 @@ BRIGHT, FLOOR, SHADE = (200, 170, 120), (90, 110, 160), (80, 60, 40)
 
 
 def rectangle(low, high, z):
-    """Return vertices and faces of a level rectangle seen from above."""
-    (x, y), (X, Y) = low, high
-    return [[x, y, z], [X, y, z], [X, Y, z], [x, Y, z]]
+    """Return a level rectangle of two faces that look up."""
+    return grid((*low, z), (high[0] - low[0], 0, 0), (0, high[1] - low[1], 0), (1, 1))
 
 
 def boxes():
     """The place as it is: floor, tops, and walls of the platforms; and the colour of each sheet."""
     sheets = [(rectangle((-3, -3), (5, 3), 0.0), FLOOR), (rectangle(*PATCH, 0.001), SHADE)]
+    up = (0, 0, HIGH)
     for x, X in ((-1.0, RIM), (FAR_RIM, 3.0)):
         sheets.append((rectangle((x, -0.6), (X, 0.6), HIGH), BRIGHT))
-        for a, b in (((x, -0.6), (X, -0.6)), ((X, 0.6), (x, 0.6))):
-            sheets.append(([[*a, 0], [*b, 0], [*b, HIGH], [*a, HIGH]], SHADE))
-        for e in (x, X):
-            wall = [[e, -0.6, 0], [e, 0.6, 0], [e, 0.6, HIGH], [e, -0.6, HIGH]]
-            sheets.append((wall, SHADE))
+        sheets += [(grid((x, y, 0), (X - x, 0, 0), up, (1, 1)), SHADE) for y in (-0.6, 0.6)]
+        sheets += [(grid((e, -0.6, 0), (0, 1.2, 0), up, (1, 1)), SHADE) for e in (x, X)]
     return sheets
 
 
-def mesh_of(quads):
-    vertices = np.array(quads, float).reshape(-1, 3)
-    first = 4 * np.arange(len(quads))[:, None]
-    faces = np.concatenate([first + np.array(k) for k in ((0, 1, 2), (0, 2, 3))]).astype(np.int32)
-    return vertices, faces
-
-
 def rays_of(vertices, faces):
-    return RayScene(
-        TriangleMesh(vertices=vertices, faces=faces, kinds=np.zeros(len(faces), np.uint8))
-    )
+    return RayScene(terrain(vertices, faces))
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +44,8 @@ def place(tmp_path_factory):
     """A capture of six photographs from rims and sides, in whose depths dark pixels are unknown."""
     folder = tmp_path_factory.mktemp("platforms")
     sheets = boxes()
-    vertices, faces = mesh_of([quad for quad, _ in sheets])
-    rays, colours = rays_of(vertices, faces), np.array([c for _, c in sheets] * 2, np.uint8)
+    rays = rays_of(*joined(*(sheet for sheet, _ in sheets)))
+    colours = np.repeat(np.array([c for _, c in sheets], np.uint8), 2, axis=0)
     eyes = [(-1.5, 0.3, 1.5), (-0.6, -0.5, 1.6), (2.9, 0.2, 1.5), (3.6, -0.4, 1.6)]
     eyes += [(1.1, 2.2, 1.5), (1.2, -2.3, 1.6), (-3.0, 0.0, 1.5)]
     shots = []
@@ -86,19 +74,8 @@ def place(tmp_path_factory):
         write_arrays(
             array_file(folder / "depth", name), depth=z, confidence=(z > 0).astype(np.float32)
         )
-        shots.append(PlacedShot(name=name, file=name, camera=camera, seen=np.zeros(0, np.int32)))
-    none = np.zeros((0, 3))
-    write_capture(
-        Capture(
-            shots=tuple(shots),
-            points=none,
-            colours=none.astype(np.uint8),
-            errors=np.zeros(0, np.float32),
-            metric=True,
-            up=(0.0, 0.0, 1.0),
-        ),
-        folder,
-    )
+        shots.append(placed(name, camera))
+    write_capture(captured(shots, metric=True, up=(0.0, 0.0, 1.0)), folder)
     return folder, read_capture(folder)
 
 
@@ -119,9 +96,12 @@ def surface(short=0.0):
         rectangle((x, -0.6), (X, y), 0.0),
         rectangle((x, Y), (X, 0.6), 0.0),
     ]
-    vertices, faces = mesh_of(quads)
+    return grey(*joined(*quads))
+
+
+def grey(vertices, faces):
     return ColourMesh(
-        vertices=vertices, faces=faces, colours=np.full((len(vertices), 3), 128, np.uint8)
+        vertices=vertices, faces=faces, colours=np.full(vertices.shape, 128, np.uint8)
     )
 
 
@@ -171,8 +151,7 @@ def test_a_pit_says_where_it_is_and_how_deep(dug):
 
 def test_a_surface_without_holes_stays_as_it_is(place):
     folder, capture = place
-    whole = mesh_of([rectangle((-6, -6), (8, 6), 0.0)])
-    flat = ColourMesh(vertices=whole[0], faces=whole[1], colours=np.full((4, 3), 128, np.uint8))
+    flat = grey(*rectangle((-6, -6), (8, 6), 0.0))
     mesh, pits = with_pits(flat, capture, folder, folder / "depth", np.eye(4))
     assert mesh is flat
     assert pits == []

@@ -1,11 +1,14 @@
 """Photographs of a room that is known, by a lens that bends them."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 import synthetic_room
 from PIL import Image
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 RADIAL = -0.08
 

@@ -190,15 +190,21 @@ def test_lenses_of_transforms_json_bend_as_they_say(tmp_path, meta, model, bent)
     assert lens.params[4:] == pytest.approx(bent)
 
 
-def test_two_angles_are_two_focal_lengths(tmp_path):
-    meta = {"fl_x": None, "camera_angle_x": 1.0, "camera_angle_y": 0.5}
-    transforms(tmp_path / "place", meta=meta)
+@pytest.mark.parametrize(
+    ("angles", "focal"),
+    [
+        ({"camera_angle_x": 1.0, "camera_angle_y": 0.5}, (32 / np.tan(0.5), 24 / np.tan(0.25))),
+        ({"camera_angle_x": 1.0}, (32 / np.tan(0.5),) * 2),  # As Blender writes it.
+    ],
+)
+def test_angles_are_focal_lengths(tmp_path, angles, focal):
+    transforms(tmp_path / "place", meta=angles)
     path = tmp_path / "place" / "transforms.json"
     whole = json.loads(path.read_text())
-    del whole["fl_x"]
+    del whole["fl_x"], whole["fl_y"]
     path.write_text(json.dumps(whole))
     lens = found(tmp_path / "place", tmp_path)[0].cameras.placed[0].lens
-    assert lens.params[:2] == pytest.approx((32 / np.tan(0.5), 24 / np.tan(0.25)))
+    assert lens.params[:2] == pytest.approx(focal)
 
 
 @pytest.mark.parametrize(

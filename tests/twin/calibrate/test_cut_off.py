@@ -11,7 +11,7 @@ import pytest
 from nw_twin.calibrate.calibrate import calibrate
 from nw_twin.options import CalibrateOptions
 
-QUICK = CalibrateOptions(features=500)
+QUICK = CalibrateOptions(features=400)
 
 
 def files(folder):
@@ -20,9 +20,9 @@ def files(folder):
 
 @pytest.fixture(scope="module")
 def few(photographed, tmp_path_factory):
-    """A folder of six photographs that lie beside each other."""
+    """A folder of four photographs that lie beside each other."""
     folder = tmp_path_factory.mktemp("few")
-    for name in sorted(photographed.cameras)[3:9]:
+    for name in sorted(photographed.cameras)[4:8]:
         shutil.copy(photographed.folder / name, folder)
     return folder
 
@@ -83,7 +83,7 @@ main()
 )
 def test_a_signal_ends_it_with_one_word_and_without_litter(few, tmp_path, number):
     scene = tmp_path / "scene"
-    words = ["twin", "calibrate", str(few), "--out", str(scene), "--features", "500"]
+    words = ["twin", "calibrate", str(few), "--out", str(scene), "--features", "400"]
     ended = subprocess.run(
         [sys.executable, "-c", SIGNALLED, str(int(number)), *words],
         capture_output=True,

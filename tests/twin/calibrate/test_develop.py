@@ -7,12 +7,12 @@ import numpy as np
 import pycolmap
 import pytest
 import synthetic_room
+from films import photograph
 from PIL import Image
 
 from nw_base.errors import SceneError
 from nw_splat.camera import Camera
 from nw_twin.calibrate.develop import Flattening, _developed_mask, develop
-from nw_twin.calibrate.photographs import Photograph
 from nw_twin.calibrate.solution import Placed, Solution
 from nw_twin.capture import read_picture
 from nw_twin.lens import Lens
@@ -23,42 +23,33 @@ def lens_of(camera, model="SIMPLE_RADIAL", bend=(-0.1,)):
     return Lens(model=model, width=camera.width, height=camera.height, params=params)
 
 
-def photograph(folder, picture, mask=None, name="a.png"):
+def taken(folder, picture, mask=None):
     folder.mkdir(exist_ok=True)
-    path = folder / "000000.png"
-    Image.fromarray(picture).save(path)
+    Image.fromarray(picture).save(folder / "000000.png")
     if mask is not None:
         Image.fromarray(mask).save(folder / "mask.png")
-    return Photograph(
-        name=name,
-        file=path.name,
-        path=path,
+    height, width, _ = picture.shape
+    return photograph(
+        file="000000.png",
+        path=folder / "000000.png",
         mask=None if mask is None else folder / "mask.png",
-        width=picture.shape[1],
-        height=picture.shape[0],
-        focal=None,
-        sharpness=1.0,
-        contrast=1.0,
-        brightness=100.0,
+        width=width,
+        height=height,
     )
 
 
-def developed(tmp_path, picture, camera, lens, *, mask=None, side=1600, points=None):
-    placed = Placed(
-        name="a.png",
-        lens=lens,
-        T_world_camera=camera.T_world_camera,
-        seen=np.arange(0 if points is None else len(points), dtype=np.int32),
-    )
+def developed(tmp_path, picture, camera, lens, *, mask=None, side=1600, points=None, say=None):
     points = np.zeros((0, 3)) if points is None else points
+    seen, pose = np.arange(len(points), dtype=np.int32), camera.T_world_camera
     solution = Solution(
-        placed=(placed,),
+        placed=(Placed(name="a.png", lens=lens, T_world_camera=pose, seen=seen),),
         points=points,
-        colours=np.zeros((len(points), 3), np.uint8),
+        colours=np.zeros(points.shape, np.uint8),
         errors=np.zeros(len(points), np.float32),
     )
-    one = photograph(tmp_path / "in", picture, mask)
-    capture = develop([one], solution, tmp_path / "out", side=side, say=lambda _: None)
+    one = taken(tmp_path / "in", picture, mask)
+    say = say or (lambda _: None)
+    capture = develop([one], solution, tmp_path / "out", side=side, say=say)
     return capture.shots[0], tmp_path / "out"
 
 
@@ -117,7 +108,7 @@ def test_what_a_photograph_does_not_show_is_masked(tmp_path):
     known = np.ones(Flattening.of(lens).size[::-1], bool)
     known[:, :7] = False
     flattening = replace(Flattening.of(lens), known=known)
-    one = photograph(tmp_path / "in", np.zeros((60, 100, 3), np.uint8))
+    one = taken(tmp_path / "in", np.zeros((60, 100, 3), np.uint8))
     assert np.array_equal(_developed_mask(one, flattening) == 255, known)
 
 
@@ -202,12 +193,8 @@ def test_opencvs_fisheye_is_flattened_as_opencv_does(tmp_path):
     K, bend = np.array([[120.0, 0, 160], [0, 121, 118], [0, 0, 1]]), (0.03, -0.01, 0.002, 0.0)
     lens = Lens(model="OPENCV_FISHEYE", width=320, height=240, params=(120, 121, 160, 118, *bend))
     said = []
-    placed = Placed(name="a.png", lens=lens, T_world_camera=camera.T_world_camera)
-    one = photograph(tmp_path / "in", picture)
-    capture = develop(
-        [one], Solution(placed=(placed,)), tmp_path / "out", side=900, say=said.append
-    )
-    flat = capture.shots[0].camera
+    shot, out = developed(tmp_path, picture, camera, lens, side=900, say=said.append)
+    flat = shot.camera
     # OpenCV counts the centre of the first pixel as 0.
     K[:2, 2] -= 0.5
     pinhole = np.array([[flat.fx, 0, flat.cx - 0.5], [0, flat.fy, flat.cy - 0.5], [0, 0, 1]])
@@ -215,7 +202,7 @@ def test_opencvs_fisheye_is_flattened_as_opencv_does(tmp_path):
         K, np.array(bend), np.eye(3), pinhole, (flat.width, flat.height), cv2.CV_32FC1
     )
     wanted = cv2.remap(picture, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    found = read_picture(capture.shots[0], tmp_path / "out")
+    found = read_picture(shot, out)
     assert np.abs(found.astype(float) - wanted).mean() < 0.6
     words = (
         "OPENCV_FISHEYE is wide: of its pictures 100 x 100 degrees are kept, 53% of their pixels"

@@ -2,23 +2,18 @@
 
 from pathlib import Path
 
+from films import photograph
+
 from nw_twin.calibrate.calibrate import APART, BLURRED, DARK, GROUP, PLAIN, UNFIT, why_not
 from nw_twin.calibrate.features import Matches
-from nw_twin.calibrate.photographs import Photograph
 
 
-def photograph(name, sharpness=100.0, contrast=50.0, brightness=120.0):
-    return Photograph(
-        name=name,
-        file=f"{name}.jpg",
-        path=Path(f"{name}.jpg"),
-        mask=None,
-        width=640,
-        height=480,
-        focal=None,
-        sharpness=sharpness,
-        contrast=contrast,
-        brightness=brightness,
+def matched(names, inliers, few=()):
+    """Return what was matched of photographs, some of which have few features."""
+    features = {f"{name}.jpg": 20 if name in few else 2000 for name in names}
+    count = len(features) * (len(features) - 1) // 2
+    return Matches(
+        database=Path("db"), pictures=Path(), features=features, inliers=inliers, pairs=count
     )
 
 
@@ -31,19 +26,12 @@ def test_each_photograph_left_out_has_its_own_reason():
         photograph("garden"),
         photograph("mirror"),
     ]
-    matches = Matches(
-        database=Path("db"),
-        pictures=Path(),
-        features={
-            f"{one.name}.jpg": 20 if one.name in ("wall", "night") else 2000 for one in all_of_them
-        },
-        inliers={
-            ("a.jpg", "garden.jpg"): 7,
-            ("garden.jpg", "mirror.jpg"): 400,  # Neither was placed.
-            ("mirror.jpg", "b.jpg"): 90,
-        },
-        pairs=21,
-    )
+    inliers = {
+        ("a.jpg", "garden.jpg"): 7,
+        ("garden.jpg", "mirror.jpg"): 400,  # Neither was placed.
+        ("mirror.jpg", "b.jpg"): 90,
+    }
+    matches = matched([one.name for one in all_of_them], inliers, few=("wall", "night"))
     found = {one.name: one for one in why_not(all_of_them, {"a", "b", "c"}, matches)}
     assert {name: one.reason for name, one in found.items()} == {
         "shaken": BLURRED,
@@ -59,25 +47,13 @@ def test_each_photograph_left_out_has_its_own_reason():
 
 def test_where_none_was_placed_matches_with_any_count():
     pair = [photograph("a"), photograph("b")]
-    matches = Matches(
-        database=Path("db"),
-        pictures=Path(),
-        features={"a.jpg": 900, "b.jpg": 900},
-        inliers={("a.jpg", "b.jpg"): 500},
-        pairs=1,
-    )
+    matches = matched("ab", {("a.jpg", "b.jpg"): 500})
     assert {one.reason for one in why_not(pair, (), matches)} == {UNFIT}
 
 
 def test_a_group_apart_is_named_with_what_would_tie_it():
     all_of_them = [photograph(name) for name in "abcdef"]
-    matches = Matches(
-        database=Path("db"),
-        pictures=Path(),
-        features={f"{name}.jpg": 2000 for name in "abcdef"},
-        inliers={("d.jpg", "e.jpg"): 400, ("c.jpg", "d.jpg"): 17},
-        pairs=15,
-    )
+    matches = matched("abcdef", {("d.jpg", "e.jpg"): 400, ("c.jpg", "d.jpg"): 17})
     found = why_not(all_of_them, {"a", "b", "c"}, matches, [("d", "e")])
     assert [one.reason for one in found] == [GROUP, GROUP, APART]
     assert found[0].detail == found[1].detail

@@ -1,13 +1,13 @@
 """Of a film, the frames that are sharp and that lie as far apart as the picture moved."""
 
 import struct
-from fractions import Fraction
 
 import av
 import cv2
 import numpy as np
 import pytest
 import synthetic_room
+from films import film
 from PIL import Image
 
 from nw_base.errors import SceneError, UsageError
@@ -42,19 +42,6 @@ def test_a_film_of_nothing_still_gives_a_frame():
     assert len(choose(np.zeros(10), np.ones(10), 150)) >= 1
 
 
-def film(path, frames):
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("mpeg4", rate=15)
-        stream.height, stream.width = frames[0].shape[:2]
-        stream.pix_fmt = "yuv420p"
-        stream.options = {"qscale": "2"}
-        for frame in frames:
-            for packet in stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")):
-                container.mux(packet)
-        for packet in stream.encode():
-            container.mux(packet)
-
-
 @pytest.fixture
 def wall():
     return synthetic_room.noise(np.random.default_rng(0), 120, 700).astype(np.uint8)
@@ -65,7 +52,7 @@ def test_frames_of_a_film_are_spaced_by_motion_and_blurred_ones_passed_over(wall
     frames = [wall[:, s : s + 192] for s in starts]
     for i in range(0, len(frames), 2):
         frames[i] = cv2.GaussianBlur(frames[i], (0, 0), 3)
-    film(tmp_path / "walk.mp4", frames)
+    film(tmp_path / "walk.mp4", frames, qscale="2")
     source = find_source(tmp_path / "walk.mp4", tmp_path, frames=60, say=lambda _: None)
     numbers = [int(one.name[6:12]) for one in source.files]
     assert source.is_film
@@ -79,7 +66,7 @@ def test_frames_of_a_film_are_spaced_by_motion_and_blurred_ones_passed_over(wall
 @pytest.mark.parametrize("damage", ["empty", "cut", "text"])
 def test_a_film_that_cannot_be_read_is_named(wall, tmp_path, damage):
     path = tmp_path / "walk.mp4"
-    film(path, [wall[:, :192]] * 8)
+    film(path, [wall[:, :192]] * 8, qscale="2")
     data = {"empty": b"", "cut": path.read_bytes()[:300], "text": b"no film" * 99}
     path.write_bytes(data[damage])
     with pytest.raises(SceneError, match=r"walk\.mp4"):
@@ -113,7 +100,7 @@ def test_a_film_is_turned_and_mirrored_as_its_track_says(tmp_path, kind):
     shown = np.zeros((128, 192, 3), np.uint8)
     shown[:40, :60], shown[:40, -60:], shown[-40:, :60] = (250, 0, 0), (0, 250, 0), (0, 0, 250)
     path = tmp_path / "walk.mp4"
-    film(path, [shown] * 8)
+    film(path, [shown] * 8, qscale="2")
     data = bytearray(path.read_bytes())
     place = data.index(b"tkhd") + 4 + 4 + 20 + 8 + 8  # Version 0: times, layer, volume.
     one = 1 << 16
@@ -129,44 +116,29 @@ def test_a_film_is_turned_and_mirrored_as_its_track_says(tmp_path, kind):
 @pytest.mark.parametrize(("transfer", "name"), [(16, "PQ"), (18, "HLG")])
 def test_an_hdr_film_is_tone_mapped_and_said(tmp_path, transfer, name):
     grey = 64 + round(876 * 0.38)  # Of a grey card, by ITU-R BT.2408.
-    with av.open(str(tmp_path / "walk.mov"), "w") as container:
-        stream = container.add_stream("libx265", rate=15)
-        stream.height, stream.width, stream.pix_fmt = 64, 96, "yuv420p10le"
-        tags = f"log-level=none:pools=1:transfer={transfer}:colorprim=9:colormatrix=9"
-        stream.options = {"x265-params": tags, "crf": "5", "preset": "ultrafast"}
-        for _ in range(4):
-            frame = av.VideoFrame(96, 64, "yuv420p10le")
-            for plane, level in zip(frame.planes, (grey, 512, 512), strict=True):
-                row = np.full((plane.height, plane.line_size // 2), level, np.uint16)
-                plane.update(row.tobytes())
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
+    frames = [av.VideoFrame(96, 64, "yuv420p10le") for _ in range(4)]
+    for frame in frames:
+        for plane, level in zip(frame.planes, (grey, 512, 512), strict=True):
+            row = np.full((plane.height, plane.line_size // 2), level, np.uint16)
+            plane.update(row.tobytes())
+    tags = f"log-level=none:pools=1:transfer={transfer}:colorprim=9:colormatrix=9"
+    codec = {"codec": "libx265", "form": "yuv420p10le", "x265-params": tags}
+    film(tmp_path / "walk.mov", frames, **codec, crf="5", preset="ultrafast")
     said = []
     source = find_source(tmp_path / "walk.mov", tmp_path, frames=3, say=said.append)
     assert opened(source).mean() == pytest.approx(118, abs=5)
     assert f"walk.mov is HDR ({name}): its frames are tone-mapped to sRGB" in said
 
 
-def phone_film(path, wall, times):
-    """Write frames at times of milliseconds, every third of them sharp."""
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("mpeg4", rate=30)
-        stream.height, stream.width, stream.pix_fmt = 120, 192, "yuv420p"
-        stream.codec_context.time_base = Fraction(1, 1000)
-        for number, time in enumerate(times):
-            picture = wall[:, number : number + 192]
-            picture = picture if number % 3 == 0 else cv2.GaussianBlur(picture, (0, 0), 3)
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
-            frame.pts, frame.time_base = time, Fraction(1, 1000)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-
-
 @pytest.mark.parametrize("most", [60, 3])
 def test_one_picture_a_second_is_taken_though_the_rate_varies(wall, tmp_path, most):
     # Two seconds of 5 frames, then four of 15, where dark scenes have longer frames.
     times = np.r_[np.arange(10) * 200, 2000 + np.arange(60) * 66]
-    phone_film(tmp_path / "walk.mp4", wall, times.tolist())
+    frames = [wall[:, number : number + 192] for number in range(len(times))]
+    for number in range(len(times)):
+        if number % 3:  # Every third is sharp.
+            frames[number] = cv2.GaussianBlur(frames[number], (0, 0), 3)
+    film(tmp_path / "walk.mp4", frames, rate=30, times=times.tolist())
     said = []
     source = find_source(
         tmp_path / "walk.mp4", tmp_path, frames=most, say=said.append, per_second=1.0
@@ -191,14 +163,8 @@ def test_no_frames_a_second_are_refused(rate):
 def test_a_film_whose_header_lies_about_its_rate_is_read_all_the_same(tmp_path, rate, said):
     lines = []
     path = tmp_path / "film.mkv"
-    with av.open(str(path), "w") as film:
-        stream = film.add_stream("mpeg4", rate=rate)
-        stream.width, stream.height, stream.pix_fmt = 160, 96, "yuv420p"
-        for number in range(30):
-            picture = np.random.default_rng(1).integers(0, 255, (96, 320, 3), dtype=np.uint8)
-            shown = np.ascontiguousarray(picture[:, 4 * number : 4 * number + 160])
-            film.mux(stream.encode(av.VideoFrame.from_ndarray(shown, format="rgb24")))
-        film.mux(stream.encode())
+    picture = np.random.default_rng(1).integers(0, 255, (96, 320, 3), dtype=np.uint8)
+    film(path, [picture[:, 4 * n : 4 * n + 160] for n in range(30)], rate=rate)
     (tmp_path / "work").mkdir()
     found = frames_of(path, tmp_path / "work", 20, lines.append)
     assert len(found.files) >= 3
@@ -207,12 +173,7 @@ def test_a_film_whose_header_lies_about_its_rate_is_read_all_the_same(tmp_path, 
 
 def test_a_film_of_a_line_of_pixels_is_refused_in_words(tmp_path):
     path = tmp_path / "line.mkv"
-    with av.open(str(path), "w") as film:
-        stream = film.add_stream("ffv1", rate=15)
-        stream.width, stream.height, stream.pix_fmt = 4000, 2, "yuv444p"
-        for _ in range(4):
-            film.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((2, 4000, 3), np.uint8))))
-        film.mux(stream.encode())
+    film(path, [np.zeros((2, 4000, 3), np.uint8)] * 4, codec="ffv1", form="yuv444p")
     with pytest.raises(SceneError, match="pictures of 4000 x 2 pixels, which show nothing"):
         frames_of(path, tmp_path, 20, lambda _: None)
 

@@ -47,7 +47,7 @@ def capture_of(shots=2, points=5, seed=0, names=None):
 NAMES = st.text(st.characters(codec="utf-8"), min_size=1, max_size=40)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(st.lists(NAMES, max_size=5, unique=True), st.integers(0, 30), st.integers(0, 2**32))
 def test_a_capture_comes_back_bit_for_bit(names, points, seed):
     before = capture_of(points=points, seed=seed, names=names or ["one"])
@@ -83,7 +83,7 @@ def test_damage_anywhere_is_an_error_of_ours_or_changes_nothing_that_is_checked(
     rng = np.random.default_rng(3)
     whole = (folder / name).read_bytes()
     refused = 0
-    for trial in range(120):
+    for trial in range(60):
         data = bytearray(whole[: rng.integers(0, len(whole))] if trial % 2 else whole)
         for place in rng.integers(0, max(1, len(data)), 4):
             data[place : place + 1] = bytes([rng.integers(0, 256)])
@@ -92,7 +92,7 @@ def test_damage_anywhere_is_an_error_of_ours_or_changes_nothing_that_is_checked(
             read_capture(folder)
         except NwEvalError:
             refused += 1
-    assert refused >= 60  # All that were cut short.
+    assert refused >= 30  # All that were cut short.
 
 
 @pytest.mark.parametrize("key", ["file", "mask"])

@@ -27,6 +27,7 @@ trail:
 # By how much a trial moves waypoints.
 waypoint_noise: [0.0, 0.2]
 """
+UNSCALED = SCENE.replace("licence:", "units: unknown\nlicence:")
 
 
 def block(x, size, height, *, width=3.0, bottom=0.0):
@@ -68,6 +69,12 @@ def written_place(folder, *solids, scene=SCENE):
 def opened(tmp_path, *solids, propose=propose_course):
     """Return a labelling of such a place."""
     return Labelling(open_place(written_place(tmp_path / "place", *solids)), propose=propose)
+
+
+def without_waypoints(labelling):
+    """Take them all away."""
+    while labelling.state.waypoints:
+        labelling.remove_waypoint(0)
 
 
 WALK = [(-1.0 + 0.5 * i, 0.2, 1.5) for i in range(15)]

@@ -7,7 +7,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from label_places import SCENE, WALK, block, floor, opened, photographed, written_place
+from label_places import (
+    SCENE,
+    UNSCALED,
+    WALK,
+    block,
+    floor,
+    opened,
+    photographed,
+    without_waypoints,
+    written_place,
+)
 
 from nw_base.errors import SceneError, StoreError, UsageError
 from nw_scenes.folder import load_folder
@@ -17,12 +27,14 @@ from nw_twin.label.labelling import open_labelling
 from nw_twin.label.state import CropBox
 
 
+@pytest.fixture
+def labelling(tmp_path):
+    return opened(tmp_path)
+
+
 def files_of(folder):
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files_in(folder)}
-
-
-def files_in(folder):
-    return sorted(path for path in folder.rglob("*") if path.is_file())
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 @settings(max_examples=6)
@@ -37,8 +49,7 @@ def files_in(folder):
 )
 def test_what_is_saved_is_what_is_opened_again(tmp_path_factory, points, yaw, task):
     labelling = opened(tmp_path_factory.mktemp("any"))
-    while labelling.state.waypoints:
-        labelling.remove_waypoint(0)
+    without_waypoints(labelling)
     for point in points:
         labelling.add_waypoint(point)
     labelling.set_start(points[0], yaw)
@@ -52,8 +63,7 @@ def test_what_is_saved_is_what_is_opened_again(tmp_path_factory, points, yaw, ta
     np.testing.assert_allclose(load_folder(folder).trail, again.course.trail)
 
 
-def test_comments_other_keys_and_spelling_stay(tmp_path):
-    labelling = opened(tmp_path)
+def test_comments_other_keys_and_spelling_stay(labelling):
     labelling.nudge_waypoint(1, 0.5, 0.0)
     labelling.set_task("ramps")
     text = (labelling.save() / "scene.yaml").read_text()
@@ -69,8 +79,7 @@ def test_comments_other_keys_and_spelling_stay(tmp_path):
         assert kept in text
 
 
-def test_a_save_without_a_change_leaves_all_but_the_start_as_it_was(tmp_path):
-    labelling = opened(tmp_path)
+def test_a_save_without_a_change_leaves_all_but_the_start_as_it_was(labelling):
     text = (labelling.save() / "scene.yaml").read_text()
     assert text.startswith(SCENE)
     assert text.removeprefix(SCENE).split() == [
@@ -84,8 +93,7 @@ def test_a_save_without_a_change_leaves_all_but_the_start_as_it_was(tmp_path):
     ]
 
 
-def test_the_place_that_was_moved_and_cropped_is_the_place_that_loads(tmp_path):
-    labelling = opened(tmp_path)
+def test_the_place_that_was_moved_and_cropped_is_the_place_that_loads(labelling):
     labelling.mark((2.0, 0.0, 0.1))
     labelling.mark((3.0, 0.0, 0.1))
     labelling.scale_to(1.2)
@@ -107,8 +115,7 @@ def test_the_place_that_was_moved_and_cropped_is_the_place_that_loads(tmp_path):
     assert near < 1e-5
 
 
-def test_a_crop_that_was_saved_can_be_taken_back(tmp_path):
-    labelling = opened(tmp_path)
+def test_a_crop_that_was_saved_can_be_taken_back(labelling):
     before = files_of(labelling.place.folder)
     labelling.crop_to(CropBox(low=(-1.0, -1.0, -1.0), high=(5.0, 1.0, 1.0)))
     labelling.save()
@@ -159,8 +166,7 @@ def test_cameras_that_a_build_wrote_stay_and_are_named_again_after_an_undo(tmp_p
     assert "captures: captures.json" in (folder / "scene.yaml").read_text()
 
 
-def test_a_save_that_cannot_be_loaded_changes_nothing(tmp_path):
-    labelling = opened(tmp_path)
+def test_a_save_that_cannot_be_loaded_changes_nothing(labelling):
     before = files_of(labelling.place.folder)
     (labelling.place.folder / "collision.ply").write_bytes(b"ply\nno mesh\n")
     labelling.nudge_waypoint(0, 0.1, 0.0)
@@ -171,8 +177,7 @@ def test_a_save_that_cannot_be_loaded_changes_nothing(tmp_path):
     assert set(after) == set(before)
 
 
-def test_a_disk_that_fails_at_the_end_changes_nothing(tmp_path, monkeypatch):
-    labelling = opened(tmp_path)
+def test_a_disk_that_fails_at_the_end_changes_nothing(labelling, monkeypatch):
     before = files_of(labelling.place.folder)
     labelling.shift(0.5, 0.0, 0.0)
 
@@ -185,10 +190,8 @@ def test_a_disk_that_fails_at_the_end_changes_nothing(tmp_path, monkeypatch):
     assert files_of(labelling.place.folder) == before
 
 
-def test_without_a_waypoint_nothing_is_saved(tmp_path):
-    labelling = opened(tmp_path)
-    while labelling.state.waypoints:
-        labelling.remove_waypoint(0)
+def test_without_a_waypoint_nothing_is_saved(tmp_path, labelling):
+    without_waypoints(labelling)
     with pytest.raises(UsageError, match="waypoint"):
         labelling.save()
     with pytest.raises(UsageError, match="waypoint"):
@@ -229,8 +232,7 @@ def test_the_published_pair_reads_back_to_the_same_course_seen_from_its_start(tm
         assert scene.splat.path.name == "model.pt"
 
 
-def test_publishing_again_replaces_its_own_folder_and_no_other(tmp_path):
-    labelling = opened(tmp_path)
+def test_publishing_again_replaces_its_own_folder_and_no_other(tmp_path, labelling):
     folder = labelling.publish(tmp_path / "out")
     labelling.nudge_waypoint(1, 0.5, 0.0)
     assert labelling.publish(tmp_path / "out") == folder
@@ -253,9 +255,6 @@ def test_euler_angles_are_mujoco_s(angles):
     found = published.euler_angles(matrix.reshape(3, 3))
     mujoco.mju_euler2Quat(again, np.array(found), "xyz")
     assert abs(quat @ again) == pytest.approx(1.0, abs=1e-9)
-
-
-UNSCALED = SCENE.replace("licence:", "units: unknown\nlicence:")
 
 
 def test_a_place_that_is_not_to_scale_is_saved_in_metres_once_two_points_say_so(tmp_path):
@@ -283,8 +282,7 @@ def test_a_place_that_is_not_to_scale_is_saved_in_metres_once_two_points_say_so(
     assert np.linalg.det(scene.T_world_splat[:3, :3]) == pytest.approx(1 / 64)
 
 
-def test_a_save_clears_away_what_one_that_was_killed_has_left(tmp_path):
-    labelling = opened(tmp_path)
+def test_a_save_clears_away_what_one_that_was_killed_has_left(labelling):
     folder = labelling.save()
     before = {path.name for path in folder.iterdir()}
     (folder / ".label-killed").mkdir()

@@ -8,20 +8,15 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from label_places import block, floor, opened
+from twin_parts import terrain
 
-from nw_scenes.mesh import TriangleMesh
 from nw_twin.label.ground import Ground, height_profile
 from nw_twin.label.state import CropBox, cropped
 
 
 def mesh_of(*solids):
     joined = trimesh.util.concatenate(list(solids))
-    faces = np.asarray(joined.faces, dtype=np.int32)
-    return TriangleMesh(
-        vertices=np.asarray(joined.vertices, dtype=float),
-        faces=faces,
-        kinds=np.zeros(len(faces), dtype=np.uint8),
-    )
+    return terrain(joined.vertices, joined.faces)
 
 
 def area(mesh):

@@ -1,19 +1,17 @@
 """The page's buttons, keys and clicks, called as viser calls them, on a server that runs."""
 
-import sys
 import urllib.request
 from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from label_places import SCENE, block, floor, gaussians, opened, written_place
+from label_places import UNSCALED, block, floor, gaussians, opened, written_place
+from twin_parts import blobs, grid
 
-from nw_base.errors import PrerequisiteError
 from nw_eval.viewing.browser import splat_points
 from nw_scenes.folder import load_folder
 from nw_scenes.mesh import rotation_matrix
-from nw_splat.gaussians import Gaussians
 from nw_twin.label.drawing import let_through
 from nw_twin.label.label_page import LabelPage, profile_svg
 from nw_twin.label.labelling import open_labelling
@@ -56,6 +54,9 @@ def test_it_serves_on_this_machine_only_and_says_where(page):
 
 
 def test_a_click_puts_a_waypoint_on_the_mesh_and_the_key_takes_it_back(page, labelling):
+    click(page, 50.0, 0.0)  # Beside the place.
+    assert not labelling.can_undo
+    assert page.controls.status.content == ""
     click(page, 2.5, 0.3)
     assert labelling.state.waypoints[2] == pytest.approx((2.5, 0.3, 0.1))
     assert page.controls.chosen == 2
@@ -63,12 +64,6 @@ def test_a_click_puts_a_waypoint_on_the_mesh_and_the_key_takes_it_back(page, lab
     assert len(labelling.state.waypoints) == 2
     press(page, "Ctrl(+Shift)+Z: redo")
     assert len(labelling.state.waypoints) == 3
-
-
-def test_a_click_beside_the_place_does_nothing(page, labelling):
-    click(page, 50.0, 0.0)
-    assert not labelling.can_undo
-    assert page.controls.status.content == ""
 
 
 def test_a_click_moves_the_chosen_waypoint_sets_the_start_or_puts_a_marker(page, labelling):
@@ -116,6 +111,7 @@ def test_scale_turn_shift_and_crop_move_the_place_in_the_drawing(page, labelling
     page.controls.set_click("marker")
     click(page, 0.0, 0.0)
     click(page, 0.5, 0.0)
+    assert page.controls.place._metres.value == pytest.approx(0.5)  # As it was measured.
     page.controls.place._metres.value = 1.0
     press(page, "Scale the scene")
     assert labelling.state.placement.scale == pytest.approx(2.0)
@@ -169,39 +165,22 @@ def test_under_a_roof_clicks_reach_the_floor(tmp_path):
         assert labelling.mesh.vertices[:, 2].max() == pytest.approx(2.1)
 
 
-def covering(z, *, opacity_logit=3.0):
-    """Flat Gaussians, 0.3 m apart, at a height over the whole floor."""
-    x, y = (grid.ravel() for grid in np.meshgrid(np.arange(-6, 8, 0.3), np.arange(-6, 8, 0.3)))
-    count = len(x)
-    return Gaussians(
-        means=np.column_stack([x, y, np.full(count, z)]),
-        log_scales=np.log(np.tile([0.2, 0.2, 0.01], (count, 1))),
-        quats=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
-        opacity_logits=np.full(count, opacity_logit),
-        sh=np.zeros((count, 1, 3)),
-    )
-
-
-@pytest.mark.parametrize(
-    ("splat", "level"), [(covering(2.0), 1.2), (covering(2.0, opacity_logit=-5.0), None)]
-)
-def test_treetops_of_the_splat_between_the_view_and_the_start_are_hidden(labelling, splat, level):
+@pytest.mark.parametrize(("opacity_logit", "level"), [(3.0, 1.2), (-5.0, None)])
+def test_treetops_of_the_splat_between_the_view_and_the_start_are_hidden(
+    labelling, opacity_logit, level
+):
+    points, _ = grid((-6, -6, 2), (14, 0, 0), (0, 14, 0), (46, 46))
+    splat = blobs(points, opacity_logit=opacity_logit)
+    splat.log_scales[:] = np.log([0.2, 0.2, 0.01])
     with LabelPage(labelling, splat) as page:
         assert page.controls.place.cutaway.level == level
 
 
 @pytest.mark.parametrize("opacity", [0.2, 0.6])
 def test_light_that_goes_through_one_gaussian_is_what_it_does_not_take(opacity):
-    splat = splat_points(
-        Gaussians(
-            means=np.zeros((1, 3)),
-            log_scales=np.log([[0.1, 0.2, 0.3]]),
-            quats=np.array([[0.9, 0.1, 0.3, -0.2]]),
-            opacity_logits=np.log([opacity / (1 - opacity)]),
-            sh=np.zeros((1, 1, 3)),
-        ),
-        np.eye(4),
-    )
+    one = blobs(np.zeros((1, 3)), opacity_logit=np.log(opacity / (1 - opacity)))
+    one.log_scales[0], one.quats[0] = np.log([0.1, 0.2, 0.3]), (0.9, 0.1, 0.3, -0.2)
+    splat = splat_points(one, np.eye(4))
     through = [let_through(splat, (x, -3.0, 0.0), (x, 3.0, 0.0)) for x in (0.0, 0.05, 5.0)]
     assert through[0] == pytest.approx(1 - opacity, abs=1e-4)
     assert through[0] < through[1] < through[2] == 1.0
@@ -215,13 +194,6 @@ def test_the_floor_under_the_start_is_put_at_zero(page, labelling):
     press(page, "Put the floor under the start at z = 0")
     assert labelling.start.position[2] == pytest.approx(0.0)
     assert labelling.mesh.vertices[:, 2].max() == pytest.approx(0.0)
-
-
-def test_a_measured_distance_is_offered_for_the_scale(page):
-    page.controls.set_click("marker")
-    click(page, 0.0, 0.0)
-    click(page, 0.5, 0.0)
-    assert page.controls.place._metres.value == pytest.approx(0.5)
 
 
 def test_a_proposal_says_on_the_page_what_it_found(page):
@@ -297,12 +269,6 @@ def test_the_largest_gaussians_are_sent_with_covariances_in_the_world():
         np.testing.assert_allclose(covariance, T[:3, :3] @ own @ T[:3, :3].T, rtol=1e-4, atol=1e-7)
 
 
-def test_without_viser_it_says_what_to_install(labelling, monkeypatch):
-    monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(PrerequisiteError, match=r"nw-eval\[view\]"):
-        LabelPage(labelling)
-
-
 def test_names_stand_over_their_waypoints_also_after_all_were_taken_away(page, labelling):
     for _ in range(2):
         press(page, "Edit (N F X): remove")
@@ -315,10 +281,7 @@ def test_names_stand_over_their_waypoints_also_after_all_were_taken_away(page, l
 
 
 def test_a_place_that_is_not_to_scale_asks_for_two_points_first(tmp_path):
-    folder = written_place(
-        tmp_path / "place", scene=SCENE.replace("licence:", "units: unknown\nlicence:")
-    )
-    labelling = open_labelling(folder)
+    labelling = open_labelling(written_place(tmp_path / "place", scene=UNSCALED))
     with LabelPage(labelling) as page:
         assert "Not to scale" in page.controls.hints.content
         click(page, 2.2, 0.0)  # No key was pressed: clicks put markers.

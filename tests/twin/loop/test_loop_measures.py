@@ -8,9 +8,9 @@ from fit import similarity
 from looks import MeshRenderer, psnr
 from surface import surface_figures
 from trials import tallied
+from twin_parts import grid, terrain
 from walk import handheld
 
-from nw_scenes.mesh import TriangleMesh
 from nw_sim.catalogue import get_scene
 from nw_splat.camera import Camera, look_at
 from nw_twin.reconstruct.surface import ColourMesh
@@ -28,20 +28,9 @@ def cameras(place):
     return handheld(place, 6, width=96, height=54)
 
 
-def grid(cell=0.05):
+def floor(height):
     """The floor near the trail as fine triangles, as a reconstruction would have it."""
-    x, y = np.meshgrid(np.arange(-1.5, 5.0, cell), np.arange(-1.5, 1.5, cell), indexing="ij")
-    rows, columns = x.shape
-    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    faces = [[first, first + columns, first + 1], [first + 1, first + columns, first + columns + 1]]
-    vertices = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-    faces = np.concatenate([np.stack(each, axis=1) for each in faces]).astype(np.int32)
-    return TriangleMesh(vertices=vertices, faces=faces, kinds=np.zeros(len(faces), np.uint8))
-
-
-def raised(mesh, height):
-    vertices = mesh.vertices + np.array([0.0, 0.0, height])
-    return TriangleMesh(vertices=vertices, faces=mesh.faces, kinds=mesh.kinds)
+    return terrain(*grid((-1.5, -1.5, height), (6.5, 0, 0), (0, 3.0, 0), (130, 60)))
 
 
 def test_the_walk_goes_over_the_course_and_around_it_at_the_height_of_a_hand(place):
@@ -57,9 +46,10 @@ def test_the_walk_goes_over_the_course_and_around_it_at_the_height_of_a_hand(pla
 def test_a_surface_that_is_a_centimetre_off_measures_a_centimetre_and_one_of_five_is_none(
     place, cameras
 ):
-    line, flat = np.vstack([place.spawn.position, place.trail]), grid()
-    near = surface_figures(place.mesh(), raised(flat, -0.01), line, cameras)
-    far = surface_figures(place.mesh(), raised(flat, -0.05), line, cameras)
+    line = np.vstack([place.spawn.position, place.trail])
+    near, far = (
+        surface_figures(place.mesh(), floor(height), line, cameras) for height in (-0.01, -0.05)
+    )
     assert near.accuracy == pytest.approx(0.01, abs=1e-3)
     assert near.precision > 0.99
     assert 0.5 < near.completeness < 0.99, "the bar is missing in it"
@@ -83,9 +73,8 @@ def test_another_exposure_is_no_error_and_another_picture_is():
 
 
 def test_a_mesh_is_shown_in_the_colours_of_its_corners_and_white_beyond():
-    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float64)
-    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    colours = np.array([[255, 0, 0], [255, 0, 0], [0, 0, 255], [0, 0, 255]], np.uint8)
+    corners, faces = grid((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1))
+    colours = np.where(corners[:, 1:2] > 0.5, (0, 0, 255), (255, 0, 0)).astype(np.uint8)
     mesh = ColourMesh(vertices=corners, faces=faces, colours=colours)
     T = look_at((0.5, 0.5, 1.5), (0.5, 0.5, 0.0), (0.0, 1.0, 0.0))
     camera = Camera.from_fovy(width=60, height=60, fovy=np.radians(90.0), T_world_camera=T)

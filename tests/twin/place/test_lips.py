@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from twin_parts import joined, terrain
 
-from nw_scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_scenes.terrain import build_terrain
 from nw_twin.place import without_lips
 
@@ -34,22 +34,14 @@ def platform(lip, thick=0.1):
     return prism([(-1.0, 0.4), (lip, 0.4), (0.0, 0.4 - thick), (0.0, 0.0), (-1.0, 0.0)])
 
 
-def joined(*parts):
-    vertices = np.concatenate([part[0] for part in parts])
-    first = np.cumsum([0, *(len(part[0]) for part in parts)])
-    return vertices, np.concatenate(
-        [faces + start for (_, faces), start in zip(parts, first, strict=False)]
-    )
-
-
 def physics(vertices, faces, x):
     """The height on which a foot stands, metres, without boxes."""
-    kinds = np.full(len(faces), FACE_KINDS.index("ground"), np.uint8)
-    mesh = TriangleMesh(vertices=vertices, faces=faces.astype(np.int32), kinds=kinds)
-    terrain = build_terrain(
-        mesh, trail=np.array([[1.0, 0.0, 0.0]]), spawn=np.array([-0.5, 0.0, 0.4])
+    found = build_terrain(
+        terrain(vertices, faces),
+        trail=np.array([[1.0, 0.0, 0.0]]),
+        spawn=np.array([-0.5, 0.0, 0.4]),
     )
-    return float(terrain.solids[0].height(np.array([[x, 0.0]]))[0])
+    return float(found.solids[0].height(np.array([[x, 0.0]]))[0])
 
 
 def test_a_lip_becomes_the_edge_of_its_platform():

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from twin_parts import captured, grid, joined, placed, terrain
 
-from nw_scenes.mesh import FACE_KINDS, TriangleMesh
 from nw_scenes.rays import RayScene
 from nw_splat.camera import Camera
 from nw_twin.building.unlike import (
@@ -14,7 +14,6 @@ from nw_twin.building.unlike import (
     shown_ground,
     unlike_photographs,
 )
-from nw_twin.capture import Capture, PlacedShot
 from nw_twin.reconstruct.depth import write_arrays
 
 LINE = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
@@ -24,17 +23,12 @@ FIRST, SECOND, THIRD = (-0.5, 1.2), (1.6, 2.6), (3.0, 5.0)
 
 def sheet(low, high, z):
     """A level rectangle of two faces, which look up."""
-    (x, y), (u, v) = low, high
-    return np.array([(x, y, z), (u, y, z), (u, v, z), (x, v, z)])
+    return grid((*low, z), (high[0] - low[0], 0, 0), (0, high[1] - low[1], 0), (1, 1))
 
 
 def course(*platforms):
-    sheets = [sheet((-1, -2), (6, 2), -0.4)]
-    sheets += [sheet((start, -0.8), (end, 0.8), 0.0) for start, end in platforms]
-    first = 4 * np.arange(len(sheets))[:, None, None]
-    faces = (first + np.array([(0, 1, 2), (0, 2, 3)])).reshape(-1, 3)
-    kinds = np.full(len(faces), FACE_KINDS.index("ground"), np.uint8)
-    return TriangleMesh(vertices=np.concatenate(sheets), faces=faces.astype(np.int32), kinds=kinds)
+    tops = [sheet((start, -0.8), (end, 0.8), 0.0) for start, end in platforms]
+    return terrain(*joined(sheet((-1, -2), (6, 2), -0.4), *tops))
 
 
 def photographs(mesh, count=6, noise=0.005):
@@ -130,14 +124,7 @@ def test_depths_of_a_photograph_that_was_made_smaller_lie_where_it_shows_them(tm
     down = np.diag([1.0, -1.0, -1.0, 1.0])
     down[2, 3] = 2.0
     camera = Camera.from_fovy(width=800, height=600, fovy=0.9, T_world_camera=down)
-    shot = PlacedShot(name="a.jpg", file="a.jpg", camera=camera, seen=np.zeros(0, np.int32))
-    nothing = np.zeros((0, 3))
-    capture = Capture(
-        shots=(shot,),
-        points=nothing,
-        colours=nothing.astype(np.uint8),
-        errors=np.zeros(0, np.float32),
-    )
+    capture = captured([placed("a.jpg", camera)])
     half = np.full((300, 400), 2.0, np.float32)
     write_arrays(tmp_path / "a.jpg.npz", depth=half, confidence=np.ones_like(half))
     (seen,) = seen_depths(capture, np.eye(4), tmp_path)

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
+from twin_parts import captured, placed
 
 from nw_splat.camera import Camera, look_at
-from nw_twin.capture import Capture, PlacedShot, write_capture
+from nw_twin.capture import write_capture
 from nw_twin.options import DepthOptions, ReconstructOptions
 
 SMALL = ReconstructOptions(
@@ -206,19 +207,7 @@ def write_room(folder, count=10, width=224, height=126):
     for n, camera in enumerate(views):
         file = f"pictures/{n:02d}.png"
         Image.fromarray(picture(camera)).save(folder / file)
-        shots.append(
-            PlacedShot(
-                name=f"{n:02d}.jpg",
-                file=file,
-                camera=camera,
-                seen=np.flatnonzero(seen[n]).astype(np.int32),
-            )
-        )
-    capture = Capture(
-        shots=tuple(shots),
-        points=points,
-        colours=np.full(points.shape, 128, np.uint8),
-        errors=np.full(len(points), 0.5, np.float32),
-    )
+        shots.append(placed(f"{n:02d}.jpg", camera, np.flatnonzero(seen[n]), file=file))
+    capture = captured(shots, points)
     write_capture(capture, folder)
     return capture

@@ -2,9 +2,10 @@
 
 import numpy as np
 from PIL import Image
+from twin_parts import captured, placed
 
 from nw_splat.camera import Camera, look_at
-from nw_twin.capture import Capture, PlacedShot, write_capture
+from nw_twin.capture import write_capture
 
 WIDTH, HEIGHT = 144, 112
 EYE = 1.5
@@ -33,12 +34,17 @@ def _texture(points, seed):
     return np.clip(0.5 + 0.16 * total, 0.0, 1.0)
 
 
-def seen(camera, fine=1):
-    """Return depth along the optical axis, what is seen, the normal in the world, and points."""
+def _rays(camera, fine):
+    """Return the eye and a ray (N, 3) through each of fine * fine points of a pixel, 1 deep."""
     u, v = ((np.arange(n * fine) + 0.5) / fine for n in (WIDTH, HEIGHT))
     x, y = np.meshgrid((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
-    rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) @ camera.T_world_camera[:3, :3].T
-    eye = camera.T_world_camera[:3, 3]
+    rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3)
+    return camera.T_world_camera[:3, 3], rays @ camera.T_world_camera[:3, :3].T
+
+
+def seen(camera, fine=1):
+    """Return depth along the optical axis, what is seen, the normal in the world, and points."""
+    eye, rays = _rays(camera, fine)
     with np.errstate(divide="ignore", invalid="ignore"):
         down, ahead = -eye[2] / rays[:, 2], (WALL_Y - eye[1]) / rays[:, 1]
         at = eye + ahead[:, None] * rays
@@ -55,10 +61,7 @@ def seen(camera, fine=1):
 
 def walker_seen(camera, number, fine=1):
     """Return where a picture shows the one who walks, (N,) bool, and points on him, (N, 2) m."""
-    u, v = ((np.arange(n * fine) + 0.5) / fine for n in (WIDTH, HEIGHT))
-    x, y = np.meshgrid((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
-    rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3) @ camera.T_world_camera[:3, :3].T
-    eye = camera.T_world_camera[:3, 3]
+    eye, rays = _rays(camera, fine)
     ahead = (WALKER_Y - eye[1]) / rays[:, 1]
     at = (eye + ahead[:, None] * rays)[:, [0, 2]]
     at[:, 0] -= -0.9 + 0.45 * number  # A step in each picture.
@@ -109,15 +112,8 @@ def write_street(folder, count=5, walks=False):
         u = camera.fx * local[:, 0] / local[:, 2] + camera.cx
         v = camera.fy * local[:, 1] / local[:, 2] + camera.cy
         shown = (local[:, 2] > 0) & (u > 0) & (u < WIDTH) & (v > 0) & (v < HEIGHT)
-        number = np.flatnonzero(shown).astype(np.int32)
-        shots.append(
-            PlacedShot(name=f"{n}.jpg", file=f"pictures/{n}.png", camera=camera, seen=number)
-        )
-    capture = Capture(
-        shots=tuple(shots),
-        points=points,
-        colours=np.full(points.shape, 128, np.uint8),
-        errors=np.full(len(points), 0.5, np.float32),
-    )
+        number = np.flatnonzero(shown)
+        shots.append(placed(f"{n}.jpg", camera, number, file=f"pictures/{n}.png"))
+    capture = captured(shots, points)
     write_capture(capture, folder)
     return capture

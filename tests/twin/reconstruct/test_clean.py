@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from twin_parts import grid, joined
 
 from nw_base.errors import SceneError
 from nw_twin.reconstruct.clean import flatten, flatten_small, holes, large_parts, simplify
@@ -13,21 +14,26 @@ CELL = 0.02
 
 def sheet(height, across=100, cell=CELL):
     """A grid of across * across cells, whose z is a function of x and y; faces look up."""
-    x, y = np.meshgrid(*(np.arange(across + 1) * cell,) * 2, indexing="ij")
-    first = (np.arange(across)[:, None] * (across + 1) + np.arange(across)).ravel()
-    a, b, c, d = first, first + across + 1, first + across + 2, first + 1
-    vertices = np.stack([x, y, height(x, y)], -1).reshape(-1, 3)
+    side = across * cell
+    vertices, faces = grid((0, 0, 0), (side, 0, 0), (0, side, 0), (across, across))
+    vertices[:, 2] = height(*vertices[:, :2].T)
+    return shaded(vertices, faces)
+
+
+def shaded(vertices, faces):
     shade = np.broadcast_to(np.where(vertices[:, :1] > 1.0, 200, 50), vertices.shape)
-    return ColourMesh(
-        vertices=vertices,
-        faces=np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32),
-        colours=shade.astype(np.uint8),
-    )
+    return ColourMesh(vertices=vertices, faces=faces, colours=shade.astype(np.uint8))
 
 
 def noisy(height, sigma=0.002):
     rng = np.random.default_rng(3)
     return sheet(lambda x, y: height(x, y) + rng.normal(0, sigma, x.shape))
+
+
+def beside(first, *others):
+    """One mesh of several, of which all but the first are shifted."""
+    shifted = [(each.vertices + np.array(by), each.faces) for each, by in others]
+    return shaded(*joined((first.vertices, first.faces), *shifted))
 
 
 def test_a_noisy_floor_becomes_a_plane():
@@ -43,12 +49,7 @@ def test_a_noisy_floor_becomes_a_plane():
 def test_two_sheets_that_are_nearly_parallel_become_one_and_a_step_beside_the_floor_stays():
     floor = noisy(lambda x, _: 0 * x)
     twice = sheet(lambda x, _: 0.05 + 0.01 * x, across=70)
-    both = ColourMesh(
-        vertices=np.concatenate([floor.vertices, twice.vertices + np.array([0.3, 0.3, 0.0])]),
-        faces=np.concatenate([floor.faces, twice.faces + len(floor.vertices)]),
-        colours=np.concatenate([floor.colours, twice.colours]),
-    )
-    one, planes = flatten(both, CELL)
+    one, planes = flatten(beside(floor, (twice, (0.3, 0.3, 0.0))), CELL)
     assert len(planes) == 1
     assert len(one.vertices) < len(floor.vertices) + 0.1 * len(twice.vertices)
     step = noisy(lambda x, _: np.where(x < 0.8, 0.05, 0.0))
@@ -111,15 +112,7 @@ def test_flattening_again_gives_the_same_bits():
 
 def test_crumbs_go_and_large_parts_stay():
     whole, side, crumb = (sheet(lambda x, y: 0 * x * y, n) for n in (30, 10, 3))
-    shifts = ([0, 0, 0], [5, 0, 0], [0, 5, 0])
-    starts = np.cumsum([0, len(whole.vertices), len(side.vertices)])
-    parts = (whole, side, crumb)
-    mesh = ColourMesh(
-        vertices=np.concatenate([p.vertices + s for p, s in zip(parts, shifts, strict=True)]),
-        faces=np.concatenate([p.faces + s for p, s in zip(parts, starts, strict=True)]),
-        colours=np.concatenate([p.colours for p in parts]),
-    )
-    kept, facts = large_parts(mesh, 0.05)
+    kept, facts = large_parts(beside(whole, (side, (5, 0, 0)), (crumb, (0, 5, 0))), 0.05)
     assert (facts.kept, facts.dropped) == (2, 1)
     assert facts.dropped_area == pytest.approx(9 / (900 + 100 + 9))
     assert len(kept.faces) == 2 * (900 + 100)
@@ -134,11 +127,7 @@ def test_a_platform_that_hangs_together_with_nothing_stays(across, flat, stays):
     """Half of what a foot has room on suffices; of a crumb it takes nearly all."""
     ground, island = (sheet(lambda x, y: 0 * x * y, n) for n in (200, across))
     count = len(ground.vertices)
-    mesh = ColourMesh(
-        vertices=np.concatenate([ground.vertices, island.vertices + np.array([5, 0, 0.4])]),
-        faces=np.concatenate([ground.faces, island.faces + count]),
-        colours=np.concatenate([ground.colours, island.colours]),
-    )
+    mesh = beside(ground, (island, (5, 0, 0.4)))
     on_plane = np.ones(len(mesh.vertices), dtype=bool)
     on_plane[count + round(flat * len(island.vertices)) :] = False
     kept, _ = large_parts(mesh, 0.05, on_plane, room=480 * CELL**2)

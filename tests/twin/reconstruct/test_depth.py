@@ -1,9 +1,9 @@
 """Which pictures are compared, and in which range of depths."""
 
 import numpy as np
+from twin_parts import captured, placed
 
 from nw_splat.camera import Camera, look_at
-from nw_twin.capture import Capture, PlacedShot
 from nw_twin.reconstruct.views import depth_range, neighbours_of
 
 
@@ -13,14 +13,8 @@ def capture_of(degrees, *, seen=40):
     for n, angle in enumerate(np.deg2rad(degrees)):
         T = look_at((3 * np.cos(angle), 3 * np.sin(angle), 0.0), (0.0, 0.0, 0.0))
         camera = Camera.from_fovy(width=64, height=48, fovy=1.0, T_world_camera=T)
-        shown = np.arange(seen, dtype=np.int32)
-        shots.append(PlacedShot(name=f"{n}.jpg", file=f"{n}.png", camera=camera, seen=shown))
-    return Capture(
-        shots=tuple(shots),
-        points=rng.uniform(-0.3, 0.3, (40, 3)),
-        colours=np.zeros((40, 3), np.uint8),
-        errors=np.zeros(40, np.float32),
-    )
+        shots.append(placed(f"{n}.jpg", camera, range(seen)))
+    return captured(shots, rng.uniform(-0.3, 0.3, (40, 3)))
 
 
 def test_neighbours_stand_neither_too_near_nor_too_far():

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from small_room import SHEETS, SMALL, depth_of_room
+from twin_parts import grid, joined
 
 from nw_base.errors import PrerequisiteError, SceneError
 from nw_twin.capture import read_capture
@@ -52,26 +54,13 @@ elif name == "ReconstructMesh":
 @pytest.fixture
 def programs(tmp_path, monkeypatch):
     """A PATH with stand-ins, the last of which leaves the room itself."""
-    corners, faces = [], []
-    for sheet in SHEETS:
-        a, u, v = sheet.corner, sheet.first, sheet.second
-        # Each sheet as a grid of 10 cm, both sides.
-        m, n = (max(1, round(float(np.linalg.norm(e)) / 0.1)) for e in (u, v))
-        s, t = np.meshgrid(np.arange(m + 1) / m, np.arange(n + 1) / n, indexing="ij")
-        points = a + s[..., None] * u + t[..., None] * v
-        first = (np.arange(m)[:, None] * (n + 1) + np.arange(n)).ravel()
-        first = first + sum(map(len, corners))
-        corners.append(points.reshape(-1, 3))
-        faces += [
-            np.stack([first, first + n + 1, first + n + 2], 1),
-            np.stack([first, first + n + 2, first + 1], 1),
-        ]
-    vertices = np.concatenate(corners)
-    room = ColourMesh(
-        vertices=vertices,
-        faces=np.concatenate(faces).astype(np.int32),
-        colours=np.zeros(vertices.shape, np.uint8),
-    )
+    parts = []
+    for sheet in SHEETS:  # Each as a grid of 10 cm.
+        sides = (sheet.first, sheet.second)
+        cells = [max(1, round(float(np.linalg.norm(side)) / 0.1)) for side in sides]
+        parts.append(grid(sheet.corner, *sides, cells))
+    vertices, faces = joined(*parts)
+    room = ColourMesh(vertices=vertices, faces=faces, colours=np.zeros(vertices.shape, np.uint8))
     write_mesh(room, tmp_path / "room.ply")
     binaries = tmp_path / "bin"
     binaries.mkdir()
@@ -108,21 +97,16 @@ def test_poses_and_points_are_written_as_colmap_reads_them(room, tmp_path):
     capture, model = read_capture(room), tmp_path / "sparse"
     write_colmap_model(capture, room, tmp_path)
     lines = (model / "images.txt").read_text().splitlines()
-    _, w, x, y, z, *shift, camera, name = lines[2 * 3].split()
-    w, x, y, z = (float(v) for v in (w, x, y, z))
-    rotation = np.array(  # Of COLMAP's documentation: world to camera, Hamilton's quaternion.
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    _, *quat, x, y, z, camera, name = lines[2 * 3].split()
+    # COLMAP's documentation: world to camera, Hamilton's quaternion.
+    rotation = Rotation.from_quat(np.array(quat, float), scalar_first=True).as_matrix()
+    shift = np.array([x, y, z], float)
     shot = capture.shots[3]
     assert rotation == pytest.approx(shot.camera.T_camera_world[:3, :3], abs=1e-9)
-    assert np.array(shift, float) == pytest.approx(shot.camera.T_camera_world[:3, 3])
+    assert shift == pytest.approx(shot.camera.T_camera_world[:3, 3])
     assert (camera, name) == ("4", "000004.png")
     u, v, point = lines[2 * 3 + 1].split()[:3]
-    local = rotation @ capture.points[int(point) - 1] + np.array(shift, float)
+    local = rotation @ capture.points[int(point) - 1] + shift
     assert float(u) == pytest.approx(
         shot.camera.fx * local[0] / local[2] + shot.camera.cx, abs=1e-5
     )

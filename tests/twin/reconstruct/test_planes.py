@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from twin_parts import grid, joined
 
 from nw_splat.camera import Camera, look_at
-from nw_twin.options import DepthOptions
 from nw_twin.reconstruct import planes as supposing
 from nw_twin.reconstruct.depth import DepthMap
 from nw_twin.reconstruct.planar import labelled, planar_maps
@@ -72,7 +72,7 @@ def walk():
 
 def whole(walk, planes):
     maps, near, truth = walk
-    found = planar_maps(maps, near, planes, DepthOptions(), lambda _: None, threads=1)
+    found = planar_maps(maps, near, planes, lambda _: None, threads=1)
     known = np.concatenate([each.depth.ravel() > 0 for each in found])
     depth = np.concatenate([each.depth.ravel() for each in found])
     right = np.abs(depth / np.concatenate([each.ravel() for each in truth]) - 1.0) < 0.02
@@ -96,47 +96,29 @@ def test_a_plane_that_is_not_there_is_shown_by_nobody(walk):
 
 def test_nothing_is_invented_without_planes(walk):
     maps, near, _ = walk
-    found = planar_maps(maps, near, [], DepthOptions(), lambda _: None)
+    found = planar_maps(maps, near, [], lambda _: None)
     assert all((a.depth == b.depth).all() for a, b in zip(maps, found, strict=True))
 
 
 def test_any_number_of_threads_gives_the_same_bits(walk):
     maps, near, _ = walk
-    one = planar_maps(maps, near, PLANES, DepthOptions(), lambda _: None, threads=1)
-    two = planar_maps(maps, near, PLANES, DepthOptions(), lambda _: None, threads=2)
+    one = planar_maps(maps, near, PLANES, lambda _: None, threads=1)
+    two = planar_maps(maps, near, PLANES, lambda _: None, threads=2)
     for a, b in zip(one, two, strict=True):
         assert a.depth.tobytes() == b.depth.tobytes()
         assert a.confidence.tobytes() == b.confidence.tobytes()
-
-
-def rectangle(corner, u, v, cell):
-    """Vertices (N, 3) and faces (F, 3) of a grid over a rectangle; faces look along u x v."""
-    corner, u, v = (np.array(each, dtype=np.float64) for each in (corner, u, v))
-    across, down = (round(float(np.linalg.norm(each)) / cell) for each in (u, v))
-    a, b = np.meshgrid(np.linspace(0, 1, across + 1), np.linspace(0, 1, down + 1), indexing="ij")
-    first = (np.arange(across)[:, None] * (down + 1) + np.arange(down)).ravel()
-    p, q, r, s = first, first + down + 1, first + down + 2, first + 1
-    return corner + a[..., None].reshape(-1, 1) * u + b[..., None].reshape(-1, 1) * v, np.vstack(
-        [np.stack([p, q, r], 1), np.stack([p, r, s], 1)]
-    )
 
 
 def test_the_plain_top_of_a_striped_ramp_is_supposed(monkeypatch):
     """Its rim is few points among the many of stripes at all heights of the slope."""
     voxel, high = 0.02, 0.27
     parts = [
-        rectangle((0, 0, 0), (4, 0, 0), (0, 3, 0), voxel),
-        rectangle((0, 3, 0), (4, 0, 0), (0, 0, 1.5), voxel),
-        rectangle((1, 1, 0), (1.1, 0, high), (0, 1.2, 0), voxel),
+        grid((0, 0, 0), (4, 0, 0), (0, 3, 0), (200, 150)),
+        grid((0, 3, 0), (4, 0, 0), (0, 0, 1.5), (200, 75)),
+        grid((1, 1, 0), (1.1, 0, high), (0, 1.2, 0), (57, 60)),
     ]
-    first = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
-    vertices = np.concatenate([part[0] for part in parts])
-    faces = np.concatenate([part[1] + start for part, start in zip(parts, first, strict=False)])
-    surface = ColourMesh(
-        vertices=vertices,
-        faces=faces.astype(np.int32),
-        colours=np.zeros((len(vertices), 3), np.uint8),
-    )
+    vertices, faces = joined(*parts)
+    surface = ColourMesh(vertices=vertices, faces=faces, colours=np.zeros(vertices.shape, np.uint8))
     rng = np.random.default_rng(0)
     share, side = rng.random((2, 40_000))
     stripes = np.column_stack([1 + 1.1 * share, 1 + 1.2 * side, high * share])

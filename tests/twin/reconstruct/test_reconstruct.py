@@ -1,26 +1,22 @@
 """A capture of a known room becomes depth maps and a mesh of it."""
 
 import json
-import os
 from dataclasses import replace
-from pathlib import Path
 from shutil import copytree
 
 import numpy as np
 import pytest
 from PIL import Image
-from room_figures import edge_off, figures, sampled, stacked, tread_heights
+from room_figures import edge_off, figures, sampled, tread_heights
 from small_room import SMALL, STEPS, depth_of_room, write_room
 
 from nw_base.errors import SceneError, UsageError
-from nw_twin.calibrate.calibrate import calibrate
 from nw_twin.capture import read_capture, write_capture
-from nw_twin.options import CalibrateOptions, DepthOptions, ReconstructOptions
+from nw_twin.options import DepthOptions, ReconstructOptions
 from nw_twin.reconstruct.depth import array_file, depth_maps
 from nw_twin.reconstruct.reconstruct import reconstruct
 from nw_twin.reconstruct.surface import read_colour_mesh
 
-ASSETS = Path(os.environ.get("NW_EVAL_ASSETS", Path(__file__).parents[4] / "shared" / "assets"))
 PIXEL = 0.022
 """Metres, at the steps."""
 
@@ -162,17 +158,3 @@ def test_forty_pictures_give_a_mesh_right_to_ten_millimetres(tmp_path):
     assert low > -0.02
     assert high < 0.02
     assert report.coverage > 0.5
-
-
-@pytest.mark.nightly
-@pytest.mark.assets
-@pytest.mark.timeout(1800)
-@pytest.mark.skipif(not ASSETS.is_dir(), reason="the photographs are not shipped")
-def test_a_photographed_table_is_one_sheet(tmp_path):
-    photographs = ASSETS / "photographs" / "table"
-    calibrate(photographs, tmp_path / "capture", CalibrateOptions(), lambda _: None)
-    report = reconstruct(
-        tmp_path / "capture", tmp_path / "mesh", ReconstructOptions(), lambda _: None
-    )
-    mesh = read_colour_mesh(tmp_path / "mesh" / "mesh.ply")
-    assert stacked(mesh, np.array(report.planes[0].normal), report.voxel) <= 0.01

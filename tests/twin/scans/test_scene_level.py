@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 import trimesh
 from trimesh.transformations import rotation_matrix
+from twin_parts import blobs
 
 from nw_base.errors import SceneError, UsageError
-from nw_eval import cli
 from nw_scenes.capture_file import write_captures
 from nw_scenes.folder import load_folder
 from nw_sim.catalogue import inspect_scene
 from nw_splat.files import read_splat, write_splat
-from nw_splat.gaussians import Gaussians
 from nw_twin.place import moved_points
 from nw_twin.scans.levelling import level_scene
 
@@ -37,16 +36,7 @@ def tilted(tmp_path):
     mesh.export(folder / "collision.ply")
     points = np.random.default_rng(0).uniform((-0.9, -1.4, 0), (3.9, 1.4, 0.1), (400, 3))
     turned = moved_points(TILT, points)
-    write_splat(
-        folder / "splat.ply",
-        Gaussians(
-            means=turned.astype(np.float32),
-            quats=np.tile(np.float32([1, 0, 0, 0]), (400, 1)),
-            log_scales=np.full((400, 3), -4, np.float32),
-            opacity_logits=np.full(400, 3, np.float32),
-            sh=np.zeros((400, 1, 3), np.float32),
-        ),
-    )
+    write_splat(folder / "splat.ply", blobs(turned))
     trail = moved_points(TILT, np.array([[1.5, 0.0, 0.1], [3.0, 0.0, 0.0]]))
     eye = moved_points(TILT, np.array([[0.0, 0.0, 1.5]]))[0]
     write_captures(folder / "captures.json", [(eye.tolist(), [1.0, 0.0, 0.0, 0.0])])
@@ -65,13 +55,12 @@ def words(points):
     return [",".join(f"{part:.5f}" for part in point) for point in points]
 
 
-def test_three_points_of_the_floor_level_all_of_a_scene(tilted, capsys):
+def test_three_points_of_the_floor_level_all_of_a_scene(tilted, ended):
     folder, points = tilted
     before = load_folder(folder).digest
-    with pytest.raises(SystemExit) as end:
-        cli.main(["scenes", "level", str(folder), "--floor", *words(FLOOR)])
-    said = capsys.readouterr().out
-    assert end.value.code == 2, "the splat of this scene is too thin to be ready"
+    code, printed = ended("scenes", "level", folder, "--floor", *words(FLOOR))
+    said = printed.out
+    assert code == 2, "the splat of this scene is too thin to be ready"
     assert "not ready: the splat covers" in said
     scene = load_folder(folder)
     assert f"digest {before[:16]} -> {scene.digest[:16]}" in said
@@ -173,15 +162,17 @@ def test_what_is_no_floor_is_refused_and_changes_nothing(tilted, tmp_path):
         level_scene(boxes, flip=True)
 
 
-def test_a_point_that_is_none_is_named_with_its_option(tilted, capsys):
-    folder, _ = tilted
-    with pytest.raises(SystemExit) as end:
-        cli.main(["scenes", "level", str(folder), "--floor", "0,0,0", "1,x,0", "-1,-2,0"])
-    assert end.value.code == 2
-    assert "--floor 1,x,0: no point X,Y,Z" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        cli.main(["scenes", "level", str(folder), "--trail", "0,0", "1e308,0"])
-    assert "--trail 1e308,0: a number over 1e+07" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--floor", "0,0,0", "1,x,0", "-1,-2,0"), "--floor 1,x,0: no point X,Y,Z"),
+        (("--trail", "0,0", "1e308,0"), "--trail 1e308,0: a number over 1e+07"),
+    ],
+)
+def test_a_point_that_is_none_is_named_with_its_option(tilted, ended, words, said):
+    code, printed = ended("scenes", "level", tilted[0], *words)
+    assert code == 2
+    assert said in printed.err
 
 
 def test_a_fault_of_a_scene_that_is_copied_names_its_own_file(tilted, tmp_path):

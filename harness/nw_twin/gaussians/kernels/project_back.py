@@ -46,7 +46,6 @@ from nw_twin.gaussians.kernels.project import (
 
 @inlined
 def _footprint_back(g: Any, p: Any, q: Any, options: Any) -> Any:
-    """Return the gradient with respect to the footprint's xx, xy, yy."""
     eps2d, antialiased, floor2, _ = options
     xx0, xy, yy0 = dot(p, p), dot(p, q), dot(q, q)
     xx, yy = xx0 + eps2d, yy0 + eps2d
@@ -108,7 +107,6 @@ def _colour_back(g: Any, sh: Any, i: Any, count: Any, unit: Any, values: Any, ou
 
 @inlined
 def _mixed(a: Any, p: Any, b: Any, q: Any, c: Any, w: Any) -> Any:
-    """Return a p + b q + c w."""
     return (
         a * p[0] + b * q[0] + c * w[0],
         a * p[1] + b * q[1] + c * w[1],
@@ -118,13 +116,11 @@ def _mixed(a: Any, p: Any, b: Any, q: Any, c: Any, w: Any) -> Any:
 
 @inlined
 def _scaled(scales: Any, g: Any) -> Any:
-    """Return three numbers, each times its scale."""
     return scales[0] * g[0], scales[1] * g[1], scales[2] * g[2]
 
 
 @inlined
 def _rows_back(g: Any, view: Any, point: Any, rows: Any, g_t: Any, g_u: Any) -> Any:
-    """Return the gradient with respect to the camera point x, y, z."""
     x, y, z = point
     r = view[at.R : at.R + 9]
     fx, fy = view[at.FX], view[at.FY]
