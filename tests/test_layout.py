@@ -117,7 +117,7 @@ class Figures(NamedTuple):
 
 MOST = {
     "nw_base": Figures(
-        5744,
+        5862,
         0,
         (
             "nw_eval",
@@ -132,12 +132,12 @@ MOST = {
         ),
     ),
     "nw_eval": Figures(
-        32702,
-        148,
+        32406,
+        152,
         ("nw_learn", "nw_twin"),
     ),
     "nw_gate": Figures(
-        17053,
+        16075,
         8,
         ("nw_eval", "nw_learn", "nw_sim", "nw_twin"),
     ),
@@ -172,13 +172,13 @@ MOST = {
         ("nw_eval", "nw_places", "nw_scenes", "nw_sim", "nw_twin"),
     ),
     "nw_twin": Figures(
-        22423,
+        22255,
         0,
         (),
     ),
 }
 """What each package holds. A change that needs more says here what for, in the same commit."""
-TESTS = 109312
+TESTS = 107032
 """Lines of all tests."""
 GROWTH = 1.02
 

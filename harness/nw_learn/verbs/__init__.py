@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nw_eval.cli.verbs.verb import VerbTable
+from nw_base.verb import VerbTable
 
 _TABLE = """
 Train:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from nw_eval.cli.verbs.verb import VerbTable
-
-    VERBS: VerbTable
+from nw_base.verb import VerbTable
 
 _TABLE = """
 Bring your own:
@@ -40,22 +37,9 @@ _WORKERS = {"--threads": "--workers"}
 _PARTS = ("build", "calibrate", "reconstruct", "align", "splat", "place", "ablate", "label")
 
 
-def __getattr__(name: str) -> Any:
-    """Return `VERBS`, which the entry-point group `nw_eval.verbs` names.
-
-    It is made when it is asked for: `nw_eval.cli.verbs`, whose class it is of, asks for it while it
-    is imported itself, and could not where this module had begun that import.
-
-    Raises:
-        AttributeError: there is no such name.
-    """
-    if name != "VERBS":
-        raise AttributeError(name)
-    from nw_eval.cli.verbs.verb import VerbTable
-
-    return VerbTable(
-        table=_TABLE,
-        module=__name__,
-        renamed_flags={f"twin {part}": _WORKERS for part in _PARTS},
-        option_groups=_OPTIONS,
-    )
+VERBS = VerbTable(
+    table=_TABLE,
+    module=__name__,
+    renamed_flags={f"twin {part}": _WORKERS for part in _PARTS},
+    option_groups=_OPTIONS,
+)

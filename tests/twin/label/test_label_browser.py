@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from label_person import CHROMIUM, Browser, wait
-from label_places import block, floor, gaussians, written_place
+from label_places import SCENE, block, floor, gaussians, written_place
 
 from nw_eval import cli
 from nw_scenes.folder import load_folder
@@ -15,7 +16,7 @@ from nw_splat.files import write_splat
 from nw_twin.label import files
 
 pytest.importorskip("playwright")
-pytest.importorskip("viser")
+viser = pytest.importorskip("viser")
 pytestmark = [
     pytest.mark.nightly,
     pytest.mark.timeout(1200),
@@ -93,7 +94,11 @@ def test_two_markers_three_waypoints_saved_and_run(label, folder, pictures, tmp_
     assert left.value.code in {0, 3}  # Two trials decide nothing.
 
 
-def test_with_the_keyboard_alone_a_trail_is_proposed_measured_and_saved(label, folder, pictures):
+def test_with_the_keyboard_alone_a_trail_is_proposed_measured_and_saved(
+    label,
+    folder,
+    pictures,
+):
     def person(page):
         labelling = page._labelling
         with Browser(page, pictures) as browser:
@@ -126,3 +131,81 @@ def test_with_the_keyboard_alone_a_trail_is_proposed_measured_and_saved(label, f
     code, _ = label(folder, do=person)
     assert code == 0
     assert load_folder(folder).trail[0, 2] == pytest.approx(0.2)
+
+
+def test_a_tilted_place_without_a_scale_is_scaled_levelled_and_flipped_by_clicks(
+    label, pictures, tmp_path
+):
+    tilt = trimesh.transformations.rotation_matrix(0.12, [1, 0.4, 0])
+    solids = [floor(width=6.0), block(2.0, 1.0, 0.1)]
+    for solid in solids:
+        solid.apply_transform(tilt)
+    scene = SCENE.replace("licence:", "units: unknown\nlicence:")
+    folder = written_place(tmp_path / "tilted", *solids, scene=scene)
+
+    def person(page):
+        labelling = page._labelling
+        with Browser(page, pictures) as browser:
+
+            def click(x, y, z):
+                lies = labelling.state.placement.matrix @ tilt @ [x, y, z, 1.0]
+                browser.click(tuple(lies[:3]))
+
+            browser.press("v")
+            browser.press("c")
+            browser.shows("Not to scale, and runs nowhere yet")
+            click(2.2, 0.5, 0.1)
+            click(2.8, 0.5, 0.1)
+            wait(lambda: labelling.distance is not None)
+            browser.shows("0.6")
+            browser.picture("unscaled")
+            browser.view.get_by_label("It is really, m").fill("0.3")
+            browser.press("Tab")
+            browser.view.get_by_role("button", name="Scale the scene").click()
+            wait(lambda: labelling.state.to_scale)
+            assert labelling.state.placement.scale == pytest.approx(0.5, abs=0.05)
+            scale = labelling.state.placement.scale
+            browser.view.get_by_role("button", name="feet").click()
+            wait(lambda: labelling.state.placement.scale == pytest.approx(0.3048))
+            browser.press("Control+z")
+            wait(lambda: labelling.state.placement.scale == scale)
+
+            browser.view.get_by_role("tab", name="Place").click()
+            browser.view.get_by_role("button", name="Three clicks on the floor").click()
+            wait(lambda: page.controls.click == "floor")
+            for count, spot in enumerate([(0.0, -1.0, 0.0), (0.0, 1.5, 0.0), (1.6, -1.2, 0.0)], 1):
+                click(*spot)
+                wait(lambda count=count: len(labelling.state.floor) == count % 3)
+            heights = labelling.mesh.vertices[:, 2] / scale
+            assert heights.min() == pytest.approx(-0.2, abs=0.02)
+            assert heights.max() == pytest.approx(0.1, abs=0.02)
+            browser.picture("levelled")
+            browser.view.get_by_role("button", name="Flip upside down").click()
+            wait(lambda: labelling.mesh.vertices[:, 2].max() > 0.15 * scale)
+            browser.picture("flipped")
+            browser.press("Control+z")
+            browser.press("Control+s")
+            browser.shows("✓ Saved")
+
+    code, printed = label(folder, do=person)
+    assert code == 0
+    assert f"label: {folder} is not to scale: put two markers" in printed.out
+    assert np.ptp(load_folder(folder).static_mesh.vertices[:, 0]) == pytest.approx(4.5, abs=0.3)
+
+
+def test_another_page_of_the_same_browser_cannot_speak_to_it(label, folder, pictures):
+    opens = """([url, word]) => new Promise(resolve => {
+        const socket = new WebSocket(url, [word]);
+        socket.onopen = () => resolve("opened");
+        socket.onerror = () => resolve("refused");
+    })"""
+
+    def person(page):
+        with Browser(page, pictures) as browser:
+            words = [page.url.replace("http", "ws"), f"viser-v{viser.__version__}"]
+            assert browser.view.evaluate(opens, words) == "opened"  # The page itself may.
+            browser.view.goto("data:text/html,<p>another page</p>")
+            assert browser.view.evaluate(opens, words) == "refused"
+
+    code, _ = label(folder, do=person)
+    assert code == 0

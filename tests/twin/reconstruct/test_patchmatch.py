@@ -142,3 +142,17 @@ def test_a_map_is_kept_at_the_size_of_its_picture(street, quick, tmp_path):
     true, kind, _, _ = seen(capture.shots[0].camera)
     some = (kind == GROUND) & (depth.ravel() > 0)
     assert np.median(np.abs(depth.ravel()[some] / true[some] - 1.0)) < 0.01
+
+
+@pytest.mark.nightly
+def test_threads_and_code_from_the_cache_change_no_bit(tmp_path):
+    write_street(tmp_path / "capture", count=3)
+    said = []
+    for turn, threads in enumerate(("1", "2")):  # The first compiles, the second has it compiled.
+        words = [sys.executable, "-c", BYTES, tmp_path / "capture", tmp_path / str(turn), threads]
+        environment = os.environ | {"NW_EVAL_CACHE": str(tmp_path / "cache")}
+        done = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+        said.append(done.stdout.splitlines()[-1])
+        kept = {path.name for path in (tmp_path / "cache").rglob("*spread*.nbc")}
+        assert len(kept) == 1
+    assert said[0] == said[1]

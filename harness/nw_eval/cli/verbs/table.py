@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from nw_eval.cli.verbs.verb import Verb, add_verbs, declared
+from nw_base.verb import Verb, add_verbs, declared
 
 _CHECKOUT = Path(__file__).parents[4]
 """The folder of pyproject.toml, where this is no installed package."""
