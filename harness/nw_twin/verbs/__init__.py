@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 from nw_base.verb import VerbTable
 
 _TABLE = """

@@ -1,5 +1,8 @@
 """Depth and normals of a street whose every distance is known."""
 
+import os
+import subprocess
+import sys
 from hashlib import sha256
 
 import numpy as np
@@ -142,6 +145,22 @@ def test_a_map_is_kept_at_the_size_of_its_picture(street, quick, tmp_path):
     true, kind, _, _ = seen(capture.shots[0].camera)
     some = (kind == GROUND) & (depth.ravel() > 0)
     assert np.median(np.abs(depth.ravel()[some] / true[some] - 1.0)) < 0.01
+
+
+BYTES = """
+import sys
+from hashlib import sha256
+from pathlib import Path
+from nw_twin.capture import read_capture
+from nw_twin.reconstruct.depth import depth_maps
+from nw_twin.options import DepthOptions
+
+folder, out = map(Path, sys.argv[1:3])
+options = DepthOptions(side=144, rounds=1)
+maps = depth_maps(read_capture(folder), folder, out, options, print, threads=int(sys.argv[3]))
+arrays = [a for m in maps for a in (m.depth, m.confidence, m.normal)]
+print(sha256(b"".join(a.tobytes() for a in arrays)).hexdigest())
+"""
 
 
 @pytest.mark.nightly
