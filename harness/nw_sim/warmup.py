@@ -14,7 +14,7 @@ from nw_base.words import KERNELS, Backend, Kernels
 from nw_splat import warmup as pictures
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection
 
 _FOLDERS: dict[Kernels, Path] = {
     "networks": Path(nw_policies.executor.__path__[0]),
@@ -45,7 +45,8 @@ def warmup(
         PrerequisiteError: when the backend's packages or device are missing.
     """
     started = time.perf_counter()
-    for kind, warm in ("networks", _warm_networks), ("rays", _warm_rays):
+    own: dict[Kernels, Callable[[], None]] = {"networks": _warm_networks, "rays": _warm_rays}
+    for kind, warm in own.items():
         if kind in kernels:
             warm()
             if backend == "cpu":

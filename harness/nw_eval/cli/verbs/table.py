@@ -217,6 +217,6 @@ OPTION_GROUPS: dict[str, tuple[str, ...]] = {
 """Titles under which `--help` lists the options of a verb that has many, by field."""
 
 for _others in _OTHERS:
-    RENAMED_FLAGS |= _others.renamed_flags
-    OUT_WAS_POSITIONAL |= _others.out_was_positional
-    OPTION_GROUPS |= _others.option_groups
+    RENAMED_FLAGS.update(_others.renamed_flags)
+    OUT_WAS_POSITIONAL.update(_others.out_was_positional)
+    OPTION_GROUPS.update(_others.option_groups)
