@@ -93,7 +93,7 @@ PUBLISHED = """\
 """
 
 
-PARQUET_APART = f"subprocess.Popen ({sys.executable!r}, [{sys.executable!r}, '-P', '-m', 'nw_eval."
+PARQUET_APART = f"subprocess.Popen ({sys.executable!r}, [{sys.executable!r}, '-P', '-m', 'nw_base."
 """Rows that may be damaged are read by a process of their own: that one may be started."""
 
 
