@@ -80,7 +80,6 @@ from nw_eval.api.site import RunIndex as RunIndex
 from nw_eval.api.site import WrittenSite as WrittenSite
 from nw_eval.api.site import index_runs as index_runs
 from nw_eval.api.site import write_site as write_site
-from nw_eval.api.splats import WrittenSplat as WrittenSplat
 from nw_eval.api.splats import splat_convert as splat_convert
 from nw_eval.api.splats import splat_info as splat_info
 from nw_eval.api.splats import splat_render as splat_render
@@ -107,3 +106,4 @@ from nw_eval.api.watching import WatchedCheckpoint as WatchedCheckpoint
 from nw_eval.api.watching import WatchedTraining as WatchedTraining
 from nw_eval.api.watching import watch as watch
 from nw_gate.results.request import Request as Request
+from nw_splat.files.convert import WrittenSplat as WrittenSplat
