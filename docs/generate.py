@@ -339,13 +339,18 @@ def changelog() -> str:
 
 
 def api_of(*, functions: bool) -> str:
-    """Return what tells mkdocstrings to show the public functions, or all other public names."""
+    """Return what tells mkdocstrings to show the public functions, or all other public names.
+
+    It reads sources, and finds a name where it is at home.
+    """
     import inspect
 
     import nw_eval
+    from nw_base.public import homes
 
+    at_home = homes(f"{nw_eval.__file__}i")
     return "\n\n".join(
-        f"::: nw_eval.{name}"
+        f"::: {at_home[name]}.{name}"
         for name in sorted(nw_eval.__all__, key=str.lower)
         if not name.startswith("_") and inspect.isfunction(getattr(nw_eval, name)) == functions
     )
