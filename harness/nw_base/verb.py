@@ -69,7 +69,7 @@ class VerbTable:
     option_groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
-def declared() -> Iterator[tuple[str, VerbTable]]:
+def declared() -> Iterator[VerbTable]:
     """Yield the tables of installed packages; one that cannot be used is warned of."""
     for name, (point, *_) in installed(GROUP).items():
         try:
@@ -78,7 +78,7 @@ def declared() -> Iterator[tuple[str, VerbTable]]:
             warn(str(error))
             continue
         if isinstance(value, VerbTable):
-            yield name, value
+            yield value
         else:
             warn(f"{subject(point)} is a {type(value).__name__}, no VerbTable")
 

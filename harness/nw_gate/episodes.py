@@ -18,6 +18,7 @@ robomimic, `run_trained_agent.py` (`Success_Rate` and `Num_Success`).
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import zipfile
@@ -166,7 +167,7 @@ def _text(data: bytes) -> str:
 
 def _lines(text: str) -> Iterator[Mapping[str, Any]]:
     delimiter = max(",;\t", key=text.partition("\n")[0].count)
-    reader = csv.DictReader(text.splitlines(), delimiter=delimiter, strict=True)
+    reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
     for line in reader:
         if None in line:
             raise ValueError(f"line {reader.line_num} has more cells than the heading")

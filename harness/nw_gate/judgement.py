@@ -7,7 +7,9 @@ least `max_drop`" and against "the drop is at most `tolerate`" bets the capital 
 `nw_gate.stats.betting`, after each round: one more pair in every task. Whichever claim is refuted
 first decides: PASS, or REGRESSED. A PASS is wrong with probability 1 - `confidence` at most, a
 REGRESSED with `false_alarm` at most, however many rounds there are and whenever one looks (Ville's
-inequality), so an evaluation may stop at the round that `Judgement.decided_after` names.
+inequality), so an evaluation may stop at the round that `Judgement.decided_after` names. What a
+task has beyond the shortest one is not compared. A critical task adds its own `false_alarm` to that
+of REGRESSED, and a bar is judged at `confidence` on both sides.
 
 Source: I. Waudby-Smith and A. Ramdas, "Estimating means of bounded random variables by betting",
 JRSS B 86 (2024); for tasks of unequal means see `nw_gate.stats.betting`.
@@ -15,6 +17,7 @@ JRSS B 86 (2024); for tasks of unequal means see `nw_gate.stats.betting`.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,7 +30,13 @@ from numpy.typing import NDArray
 from nw_base.errors import IncomparableError, UsageError
 from nw_base.plural import plural
 from nw_gate.episodes import Evaluation
-from nw_gate.stats.betting import evidence_above, lower_bound, upper_bound
+from nw_gate.stats.betting import (
+    evidence_above,
+    log_bets,
+    log_mixture,
+    lower_bound,
+    upper_bound,
+)
 from nw_gate.stats.interval import Interval, check_confidence
 
 Values = NDArray[np.float64]
@@ -269,23 +278,35 @@ def _paired(
             both = zip(ours[task], theirs[task], strict=False)
             of_task = [(one, other) for (_, one), (_, other) in both]
         pairs[task] = np.array(of_task, dtype=np.float64)
-    return pairs, "start" if by_start else "order"
+    # Only whole rounds: weights by unequal numbers would be others at each look.
+    rounds = min(map(len, pairs.values()))
+    whole = {task: of_task[:rounds] for task, of_task in pairs.items()}
+    return whole, "start" if by_start else "order"
 
 
 def _rounds(groups: Sequence[Values], limits: Limits) -> tuple[GateWord, int | None]:
-    """Return which claim is refuted first, and after how many rounds.
+    """Return which claim is refuted first, and after how many rounds; groups have one length."""
+    values = np.stack(groups)
+    passed = _first(values, (1.0 - limits.max_drop) / 2.0, 1.0 - limits.confidence)
+    regressed = _first(1.0 - values, (1.0 + limits.tolerate) / 2.0, limits.false_alarm)
+    if passed is not None and (regressed is None or passed <= regressed):
+        return "PASS", passed
+    return ("INCONCLUSIVE", None) if regressed is None else ("REGRESSED", regressed)
 
-    What a task has beyond the shortest one counts in the last round.
+
+def _first(values: Values, mean: float, error: float) -> int | None:
+    """Return the first round at which "the mean is at most this" is refuted; None if at none.
+
+    Args:
+        values: (S, R), of each task and round.
+        mean: of the claim.
+        error: probability with which a true claim may be refuted.
     """
-    above, below = (1.0 - limits.max_drop) / 2.0, (1.0 + limits.tolerate) / 2.0
-    rounds = min(map(len, groups))
-    for count in range(1, rounds + 1):
-        seen = [group if count == rounds else group[:count] for group in groups]
-        if evidence_above(seen, above) >= 1.0 / (1.0 - limits.confidence):
-            return "PASS", count
-        if evidence_above([1.0 - group for group in seen], below) >= 1.0 / limits.false_alarm:
-            return "REGRESSED", count
-    return "INCONCLUSIVE", None
+    tasks, rounds = values.shape
+    bets = log_bets(values.T.ravel(), 1.0, mean).reshape(-1, rounds, tasks)
+    capital = log_mixture(bets.sum(axis=2).cumsum(axis=1).T)
+    (refuted,) = np.nonzero(capital >= -math.log(error))
+    return int(refuted[0]) + 1 if len(refuted) else None
 
 
 def _drop_words(word: GateWord, drop: float, interval: Interval, limits: Limits) -> str:
@@ -310,7 +331,8 @@ def _fallen(
 
 def _by_bar(groups: Mapping[str, Sequence[Scored]], limits: Limits) -> tuple[GateWord, str]:
     assert limits.bar is not None, "whoever calls has one"
-    values = [np.array([score for _, score in group]) for group in groups.values()]
+    rounds = min(map(len, groups.values()))
+    values = [np.array([score for _, score in group[:rounds]]) for group in groups.values()]
     low, high = (bound(values, limits.confidence) for bound in (lower_bound, upper_bound))
     said = f"the mean is between {low:.3f} and {high:.3f}"
     if low >= limits.bar:

@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -11,6 +12,7 @@ import pytest
 from nw_base.errors import IncomparableError, UsageError
 from nw_gate import Columns, Episode, Evaluation, Limits, judge, read_evaluation
 from nw_gate.cli import main
+from nw_gate.stats.betting import evidence_above
 
 PLAIN = [("lift", 0, 1), ("lift", 1, 0), ("push", 0, 1)]
 
@@ -195,6 +197,30 @@ def test_wrong_verdicts_are_as_rare_as_is_said(drop, wrong, most):
     words = [judge(drawn(rates - drop, 60, rng), drawn(rates, 60, rng)).word for _ in range(gates)]
     # Three standard errors of the share, so that one seed in a thousand is unlucky.
     assert words.count(wrong) / gates <= most + 3.0 * (most * (1.0 - most) / gates) ** 0.5
+
+
+def test_rounds_are_whole_and_their_capital_is_that_of_the_bounds():
+    rng = np.random.default_rng(3)
+    new, old = drawn([0.1, 0.4], 90, rng), drawn([0.9, 0.8], 90, rng)
+    found = judge(new, old)
+    assert found.word == "REGRESSED"
+    sides = []
+    for count in (found.decided_after - 1, found.decided_after):
+        pairs = zip(new.episodes[: 2 * count], old.episodes[: 2 * count], strict=True)
+        values = [(1.0 - c.score + b.score) / 2.0 for c, b in pairs]
+        groups = [np.array(values[::2]), np.array(values[1::2])]
+        sides.append(evidence_above(groups, 0.51) >= 100.0)
+    assert sides == [False, True]
+    longer = replace(new, episodes=(*new.episodes, *[replace(new.episodes[0], start="90")] * 50))
+    again = judge(
+        longer, replace(old, episodes=(*old.episodes, *[replace(old.episodes[0], start="90")]))
+    )
+    assert [task.pairs for task in again.tasks] == [90, 90]
+
+
+def test_a_cell_of_a_csv_may_have_line_ends(tmp_path):
+    (tmp_path / "a.csv").write_text('task,success\n"pick\nplace",1\n')
+    assert episodes(read_evaluation(tmp_path / "a.csv")) == [("pick\nplace", 1.0, None)]
 
 
 def test_large_differences_are_found_early_and_equal_policies_pass():

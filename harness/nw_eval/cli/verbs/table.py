@@ -120,7 +120,7 @@ name, class, example."""
 _groups: dict[str, dict[str, Verb]] = {}
 
 add_verbs(_groups, _TABLE, __name__.removesuffix(".table"))
-_OTHERS = tuple(each for _, each in declared())
+_OTHERS = tuple(declared())
 for _others in _OTHERS:
     add_verbs(_groups, _others.table, _others.module)
 GROUPS = {title: verbs for title, verbs in _groups.items() if verbs}
